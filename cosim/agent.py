@@ -1,0 +1,153 @@
+"""The author's side: an `Agent` sees an `Observation`, may use its `Radio`, and returns a command.
+
+The same class runs in the simulation, in another process, on another machine and on a robot: it imports only ``cosim``
+and has no clock, no thread and no socket.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from cosim.clock import Ticks
+from cosim.rng import stream
+from cosim.types import Follows, Message, Reading, Reception, Value, VehicleState, Velocity
+
+
+class Observation(Value, frozen=True, kw_only=True):
+    """All that an agent may know at a tick: never the truth of others."""
+
+    vehicle: str
+    time_ns: int
+    state: VehicleState  # its own, as its pose source tells it
+    readings: dict[str, Reading]  # the latest of each sensor, by name: "odometry", "fix", ...
+    heard: tuple[Reception, ...]  # since the last tick, oldest first
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since the start."""
+        return self.time_ns / 1e9
+
+
+class VehicleInfo(Value, frozen=True, kw_only=True):
+    """What an agent is told once, before its first tick."""
+
+    name: str
+    vehicles: tuple[str, ...]
+    period_s: float
+    latency_s: float
+    seed: int
+
+    def stream(self, name: str) -> np.random.Generator:
+        """A random generator that is this agent's own, e.g. ``info.stream("explore")``."""
+        return stream(self.seed, f"{self.name}/agent/{name}")
+
+
+class AgentSpec(Value, frozen=True, kw_only=True):
+    """What a scenario says of one vehicle's agent: all that a host needs to build it, here or elsewhere."""
+
+    vehicle: str
+    kind: str  # short name, "module:Class" or "file.py:Class"
+    folder: str  # where a relative file is looked for
+    params: dict[str, Any]  # the vehicle's own parameters
+    defaults: dict[str, Any]  # [agents]: for each agent that takes the parameter
+    period_s: float | None  # None: the class's own period
+    latency_s: float
+    source: str  # the scenario file, for error messages
+
+
+class AgentInfo(Value, frozen=True, kw_only=True):
+    """What a host says of an agent that it has built."""
+
+    vehicle: str
+    agent: str  # its kind, for messages
+    ticks: Ticks
+    latency_ns: int
+    params: dict[str, Any]  # every parameter, defaults included
+    taken: tuple[str, ...]  # the [agents] defaults that it takes
+
+
+class Radio:
+    """The agent's own transmitter: what is sent here enters the emulated channel when the tick ends."""
+
+    def __init__(self, vehicle: str, vehicles: tuple[str, ...]) -> None:
+        self._vehicle, self._vehicles = vehicle, frozenset(vehicles)
+        self._outbox: list[Message] = []
+
+    def send(
+        self,
+        body: Mapping[str, Any] | bytes | None = None,
+        /,
+        *,
+        to: str | None = None,
+        size_bytes: int | None = None,
+        **values: Any,
+    ) -> None:
+        """Send a message to all who can hear it, or to one vehicle.
+
+        Args:
+            body: a small mapping or bytes; keywords are added to the mapping, so that ``radio.send(x=1.0)`` works.
+            to: name of the only vehicle meant; None broadcasts.
+            size_bytes: payload size that the channel reckons with; default: the encoded size of the body.
+        """
+        if to is not None and (to not in self._vehicles or to == self._vehicle):
+            raise ValueError(f"radio.send(to={to!r}): not another vehicle of this run ({', '.join(sorted(self._vehicles))})")
+        if isinstance(body, bytes):
+            if values:
+                raise TypeError("radio.send(): give either bytes or named values, not both")
+            content: dict[str, Any] | bytes = body
+            natural = len(body)
+        else:
+            encoded = msgspec.msgpack.encode({**(body or {}), **values}, enc_hook=_plain)
+            content = msgspec.msgpack.decode(encoded)  # what receivers get: the same in one process as over a wire
+            natural = len(encoded)
+        size = natural if size_bytes is None else size_bytes
+        if size < 0:
+            raise ValueError(f"radio.send(size_bytes={size}): must not be negative")
+        self._outbox.append(Message(sender=self._vehicle, body=content, size_bytes=size, to=to))
+
+    def drain(self) -> list[Message]:
+        """Take what was sent since the last call (for the host of the agent)."""
+        outbox, self._outbox = self._outbox, []
+        return outbox
+
+
+class Agent:
+    """Base class of algorithms: one object per vehicle, stepped every ``period`` seconds.
+
+    Constructor parameters come from the vehicle's ``agent`` table in the scenario; annotate them, and the scenario's
+    values are checked against the annotations.
+    """
+
+    period: float = 0.1  # s; a scenario's agents.period_s wins
+    follows: Follows | None = None  # set it to have the formation error of this vehicle measured
+    _notes: dict[str, float | str | bool] | None = None
+
+    def start(self, info: VehicleInfo) -> None:
+        """Called once before the first tick."""
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity | None:
+        """Decide at a tick; the command holds until the next one. None leaves the last command in force."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Called once at the end of the run."""
+
+    def note(self, **values: float | str | bool) -> None:
+        """Have values of this tick recorded under ``<vehicle>/note``, e.g. ``self.note(age_s=0.1, status="waiting")``."""
+        if self._notes is None:
+            self._notes = {}
+        self._notes.update(values)
+
+    def drain_notes(self) -> dict[str, float | str | bool]:
+        """Take what was noted since the last call (for the host of the agent)."""
+        notes, self._notes = self._notes, None
+        return notes or {}
+
+
+def _plain(value: Any) -> Any:
+    """NumPy numbers and arrays in a message body become plain ones."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"radio.send(): cannot send a {type(value).__name__}; use numbers, strings, bytes, lists and mappings")

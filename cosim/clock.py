@@ -1,0 +1,109 @@
+"""Logical time: integer nanoseconds, trains of ticks that never drift, and the two clocks that pace a run."""
+
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Protocol, Self
+
+import msgspec
+
+SECOND_NS = 1_000_000_000
+
+
+def seconds_to_ns(seconds: float) -> int:
+    """The nearest whole nanosecond; exact for decimal fractions such as 0.1 (10**8 ns)."""
+    return round(Fraction(repr(float(seconds))) * SECOND_NS)
+
+
+class Ticks(msgspec.Struct, frozen=True, order=True):
+    """A train of ticks: tick k is at ``floor(k * period)`` ns, where the period is ``ns / per`` nanoseconds.
+
+    The period is a fraction, so 120 Hz is exact and tick 120 000 falls on second 1000 to the nanosecond.
+    """
+
+    ns: int
+    per: int = 1
+
+    @classmethod
+    def every(cls, period_s: float) -> Self:
+        """Ticks ``period_s`` seconds apart (the decimal that was written, not its binary neighbour)."""
+        return cls._of(Fraction(repr(float(period_s))) * SECOND_NS)
+
+    @classmethod
+    def rate(cls, hz: float) -> Self:
+        """``hz`` ticks a second."""
+        return cls._of(SECOND_NS / Fraction(repr(float(hz))))
+
+    @classmethod
+    def _of(cls, period: Fraction) -> Self:
+        if period < 1:
+            raise ValueError(f"a period must be at least one nanosecond, not {float(period)} ns")
+        return cls(period.numerator, period.denominator)
+
+    @property
+    def period(self) -> Fraction:
+        """Nanoseconds from tick to tick, exactly."""
+        return Fraction(self.ns, self.per)
+
+    def at(self, k: int) -> int:
+        """Time of tick k, ns."""
+        return k * self.ns // self.per
+
+    def after(self, now_ns: int) -> int:
+        """The first tick later than ``now_ns``; ticks start at 0, so any negative time gives 0."""
+        return self.at(max(0, -(-(now_ns + 1) * self.per // self.ns)))
+
+    def hits(self, now_ns: int) -> bool:
+        """Whether ``now_ns`` is the time of a tick."""
+        return self.after(now_ns - 1) == now_ns
+
+    def is_multiple_of(self, finer: "Ticks") -> bool:
+        """Whether every tick of this train is also one of ``finer``."""
+        return (self.period / finer.period).denominator == 1
+
+
+class Clock(Protocol):
+    """What paces a run. The kernel asks it to wait before every instant that holds an event."""
+
+    def start(self) -> None:
+        """Called once, when logical time 0 begins."""
+
+    def wait_until(self, due_ns: int) -> int:
+        """Return when logical time ``due_ns`` may begin; the answer is how late it is, ns (0: not late)."""
+
+
+class SimClock:
+    """Logical time jumps from event to event: as fast as the machine allows. Never late."""
+
+    def start(self) -> None:
+        """Nothing to note: there is no wall clock here."""
+
+    def wait_until(self, due_ns: int) -> int:
+        """Return at once."""
+        return 0
+
+
+class WallClock:
+    """Logical time follows the wall clock at ``speed`` simulated seconds per second."""
+
+    def __init__(
+        self,
+        speed: float = 1.0,
+        *,
+        now: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        if not 0.0 < speed < float("inf"):
+            raise ValueError(f"speed must be a positive number, not {speed}")
+        self.speed, self._now, self._sleep, self._origin = speed, now, sleep, 0
+
+    def start(self) -> None:
+        """Let logical time 0 be now."""
+        self._origin = self._now()
+
+    def wait_until(self, due_ns: int) -> int:
+        """Sleep until ``due_ns``; if that has passed already, go on at once and say by how much."""
+        wall_due = self._origin + round(due_ns / self.speed)
+        while (left := wall_due - self._now()) > 0:
+            self._sleep(left / SECOND_NS)
+        return -left

@@ -1,0 +1,62 @@
+"""Everything that can go wrong, as one tree; each error says what, where and what to do.
+
+::
+
+    VcmvspError                 exit code 1
+    |-- ScenarioError           2   a scenario file, a key of it or a ``--set``
+    |-- UsageError              2   a command-line argument or an output directory
+    |-- FederateError           3   a federate failed while the run was going on
+    |   `-- AgentError          3   ... an agent: names agent, vehicle and cause
+    `-- Interrupted           130   Ctrl-C; the recording so far is complete and readable
+"""
+
+
+class VcmvspError(Exception):
+    """Base of all errors that are reported as one message, without a traceback."""
+
+    exit_code = 1
+
+
+class ScenarioError(VcmvspError):
+    """A scenario cannot be run as it is written.
+
+    ``source`` is the file (or ``--set ...``) and ``key`` the path of the key inside it, such as
+    ``radio.loss.probability``; ``problem`` says what is wrong and what is allowed instead.
+    """
+
+    exit_code = 2
+
+    def __init__(self, problem: str, *, key: str = "", source: str = "") -> None:
+        self.problem, self.key, self.source = problem, key, source
+        super().__init__(": ".join(part for part in (source, key, problem) if part))
+
+
+class UsageError(VcmvspError):
+    """A command or call was given something that it cannot work with."""
+
+    exit_code = 2
+
+
+class FederateError(VcmvspError):
+    """A federate failed during the run; what was recorded until then is kept."""
+
+    exit_code = 3
+
+    def __init__(self, federate: str, cause: str, *, details: str = "") -> None:
+        self.federate, self.cause, self.details = federate, cause, details
+        super().__init__(f"{federate}: {cause}")
+
+
+class AgentError(FederateError):
+    """An agent raised, ended, or did not answer in time. ``details`` holds its traceback, if any."""
+
+    def __init__(self, vehicles: tuple[str, ...], agent: str, cause: str, *, details: str = "") -> None:
+        self.vehicles, self.agent = vehicles, agent
+        plural = "vehicle" if len(vehicles) == 1 else "vehicles"
+        super().__init__(f"agent {agent} of {plural} {', '.join(vehicles)}", cause, details=details)
+
+
+class Interrupted(VcmvspError):
+    """The user stopped the run (Ctrl-C); the result up to that instant is in ``result``."""
+
+    exit_code = 130

@@ -1,0 +1,97 @@
+"""What the kernel knows of the parts: federates that are stepped in logical time and exchange events by key.
+
+**Order within one instant.** Federates that are due at the same time step in this order of slots, and by name within one:
+
+1. ``WORLD``  physics and hardware publish states and readings of this instant;
+2. ``RADIO``  a channel with work of its own at this instant (a frame that ends now);
+3. ``AGENT``  agents see the readings, and all receptions up to and including now, and act;
+4. ``SEND``   frames sent now enter the channel;
+5. ``APPLY``  commands given now reach a world federate that asked to be woken by them.
+
+A reception is always later than its sending, so no instant can loop.
+
+**Events** carry the time at which they take effect. One that lies in the future (a command delayed by an agent's latency, a
+frame on the air) is handed over when that time has come. ``reads`` says which keys land in a federate's inbox, to be seen
+at its next step; ``wakes`` which of them step the federate at the event's own time, in its ``wake_slot``.
+"""
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Protocol, runtime_checkable
+
+import msgspec
+
+from cosim.clock import Ticks
+from cosim.types import AnyValue
+
+
+class Slot(IntEnum):
+    """Where in an instant a federate steps."""
+
+    WORLD = 0
+    RADIO = 1
+    AGENT = 2
+    SEND = 3
+    APPLY = 4
+
+
+class Event(msgspec.Struct, frozen=True):
+    """A value under its key, such as ``car2/command``, in effect from ``time_ns`` on."""
+
+    key: str
+    time_ns: int
+    value: AnyValue
+
+
+class Step(msgspec.Struct, frozen=True):
+    """What a step gave: events (none earlier than now), and when to be stepped next (None: only when woken)."""
+
+    events: Sequence[Event] = ()
+    next_ns: int | None = None
+
+
+class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """What every federate is told before time 0."""
+
+    scenario: str
+    seed: int
+    duration_ns: int
+    vehicles: tuple[str, ...]
+    instants: tuple[tuple[Ticks, int], ...] = ()  # when states are needed: ticks, each shifted by an offset in ns
+
+
+@runtime_checkable
+class Federate(Protocol):
+    """A part of the simulation that runs in logical time."""
+
+    name: str
+    slot: Slot  # where it steps at its own wake-ups
+    wake_slot: Slot  # where it steps when woken by an event
+    reads: tuple[str, ...]  # key expressions: ``*`` is one chunk, ``**`` any number of chunks
+    wakes: tuple[str, ...]  # those of them that wake it
+
+    def start(self, run: RunInfo) -> int | None:
+        """Get ready for time 0 and say when to be stepped first (None: only when woken)."""
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """Advance to ``now_ns``, given the events since the last step, oldest first."""
+
+    def close(self) -> None:
+        """Release everything. Called once, also after a failure."""
+
+
+@runtime_checkable
+class RemoteFederate(Federate, Protocol):
+    """A federate elsewhere: all that are due in a slot are asked before any is awaited.
+
+    With a lookahead the kernel awaits the answer to a question asked at t only at t + lookahead: nothing in that answer
+    takes effect earlier.
+    """
+
+    lookahead_ns: int
+
+    def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
+        """Send the question; return the next wake-up, which must not depend on the answer."""
+
+    def answer(self) -> Sequence[Event]:
+        """Wait for the answer to the oldest open question."""

@@ -1,0 +1,40 @@
+"""Planar poses, quaternions and rotations. World is ENU, body is x forward, y left, z up; angles rad, counter-clockwise."""
+
+import math
+
+from cosim.types import Quaternion
+
+
+def wrap(angle: float) -> float:
+    """The same angle in [-pi, pi)."""
+    wrapped = (angle + math.pi) % math.tau - math.pi
+    return wrapped if wrapped < math.pi else -math.pi  # the remainder of a tiny negative angle rounds up to 2 pi
+
+
+def arc(pose: tuple[float, float, float], v: float, w: float, dt: float) -> tuple[float, float, float]:
+    """Exact unicycle motion: the pose (x, y, yaw) after ``dt`` s at ``v`` m/s and ``w`` rad/s.
+
+    The chord of a circular arc has length ``v dt sinc(w dt / 2)`` and direction ``yaw + w dt / 2``.
+    """
+    x, y, yaw = pose
+    half = 0.5 * w * dt
+    sinc = math.sin(half) / half if abs(half) > 1e-8 else 1.0 - half * half / 6.0
+    chord = v * dt * sinc
+    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + w * dt
+
+
+def quaternion_from_yaw(yaw: float) -> Quaternion:
+    """Quaternion (w, x, y, z) of a rotation by ``yaw`` about the z axis."""
+    return math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
+
+
+def yaw_of(attitude: Quaternion) -> float:
+    """Yaw of the body x axis seen from above, in [-pi, pi]; attitude is (w, x, y, z), world_from_body."""
+    w, x, y, z = attitude
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def rotate2(x: float, y: float, angle: float) -> tuple[float, float]:
+    """The vector (x, y) turned by ``angle``."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * x - s * y, s * x + c * y

@@ -1,0 +1,188 @@
+"""The values that travel between federates: frozen, SI units, ENU world, quaternions (w, x, y, z).
+
+Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays.
+"""
+
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Vec3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Array = NDArray[Any]
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0)]
+Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Count = Annotated[int, msgspec.Meta(ge=0)]
+Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9_-]+$")]
+
+
+class Value(msgspec.Struct, frozen=True, kw_only=True):
+    """Base of all values: immutable, compared by content, encodable (see `cosim.codec`)."""
+
+
+class VehicleState(Value, frozen=True, kw_only=True, tag="state"):
+    """A rigid body at one instant."""
+
+    position: Vec3  # m, world
+    velocity: Vec3 = (0.0, 0.0, 0.0)  # m/s, world
+    attitude: Quaternion = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z; world_from_body; unit norm
+    angular_velocity: Vec3 = (0.0, 0.0, 0.0)  # rad/s, body
+
+    @property
+    def yaw(self) -> float:
+        """Direction of the body x axis seen from above, rad, counter-clockwise from east."""
+        from cosim.frames import yaw_of
+
+        return yaw_of(self.attitude)
+
+
+class States(Value, frozen=True, kw_only=True, tag="states"):
+    """The true states of all vehicles at one instant, a row per vehicle (for the radio and the recording only)."""
+
+    names: tuple[str, ...]
+    position: Array  # (n, 3) m, world
+    velocity: Array  # (n, 3) m/s, world
+    attitude: Array  # (n, 4) w, x, y, z; world_from_body
+    angular_velocity: Array  # (n, 3) rad/s, body
+
+
+class Velocity(Value, frozen=True, kw_only=True, tag="velocity"):
+    """A command: move like this until the next command.
+
+    ``linear`` is in the body frame for ground robots (x forward; they cannot follow y and z) and in the world frame for
+    vehicles that fly.
+    """
+
+    linear: Vec3 = (0.0, 0.0, 0.0)  # m/s
+    yaw_rate: float = 0.0  # rad/s
+
+
+class Odometry(Value, frozen=True, kw_only=True, tag="odometry"):
+    """What the wheels say: the pose integrated from the start pose, and the present speeds."""
+
+    pose: Vec3  # x m, y m, yaw rad; world, drifting
+    v: float  # m/s, forward
+    w: float  # rad/s
+
+
+class Fix(Value, frozen=True, kw_only=True, tag="fix"):
+    """One answer of a positioning system."""
+
+    time_ns: int  # when it was measured
+    position: Vec3  # m, world
+    yaw: float  # rad
+    sigma_m: float  # standard deviation of each coordinate
+    sigma_rad: float  # standard deviation of the yaw
+
+
+class Imu(Value, frozen=True, kw_only=True, tag="imu"):
+    """Inertial readings in the body frame."""
+
+    acceleration: Vec3  # m/s2, specific force
+    angular_velocity: Vec3  # rad/s
+
+
+class Scan(Value, frozen=True, kw_only=True, tag="scan"):
+    """One sweep of a range scanner; beam i points at ``angle_min + i * angle_step`` from the body x axis."""
+
+    ranges: Array  # (n,) float32 m; inf: no return
+    angle_min: float  # rad
+    angle_step: float  # rad
+    range_max: float  # m
+
+
+class Image(Value, frozen=True, kw_only=True, tag="image"):
+    """One camera picture."""
+
+    pixels: Array  # (height, width, 3) uint8, RGB
+
+
+Reading = Odometry | Fix | Imu | Scan | Image
+
+
+class Message(Value, frozen=True, kw_only=True, tag="message"):
+    """What an agent hands to its radio. The body crosses the air as MessagePack; ``size_bytes`` sets the air time."""
+
+    sender: str
+    body: dict[str, Any] | bytes
+    size_bytes: int
+    to: str | None = None  # None: broadcast
+
+
+class Reception(Value, frozen=True, kw_only=True, tag="reception"):
+    """A message as it arrived."""
+
+    message: Message
+    rssi_dbm: float
+    sent_ns: int
+    received_ns: int
+
+
+class Note(Value, frozen=True, kw_only=True, tag="note"):
+    """Numbers and words that an agent wants recorded (`Agent.note`)."""
+
+    values: dict[str, float | str | bool]
+
+
+class Follows(Value, frozen=True, kw_only=True, tag="follows"):
+    """The place that a follower means to keep: what the formation error is measured against.
+
+    ``slot`` is where its centre belongs in the leader's frame, (x forward, y left). The error compares the follower's
+    handle, ``handle_m`` ahead of its centre, with the point ``slot + (handle_m, 0)`` of the leader's frame.
+    """
+
+    leader: str
+    slot: tuple[float, float]  # m
+    handle_m: float  # m
+
+
+class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
+    """What became of one frame at every receiver it was meant for; the rows of ``radio.parquet``."""
+
+    frame: int  # unique in the run, in the order in which frames entered the channel
+    sender: str
+    sent_ns: int
+    size_bytes: int
+    receivers: tuple[str, ...]
+    distance_m: Array  # (n,) float64
+    rssi_dbm: Array  # (n,) float64
+    received_ns: Array  # (n,) int64; -1: lost
+    outcome: tuple[str, ...]  # "received" or the cause of the loss, per receiver
+
+
+class Contact(Value, frozen=True, kw_only=True, tag="contact"):
+    """A vehicle began to touch another vehicle or, where ``other`` is None, the world."""
+
+    vehicle: str
+    other: str | None
+
+
+AnyValue = (
+    VehicleState
+    | States
+    | Velocity
+    | Odometry
+    | Fix
+    | Imu
+    | Scan
+    | Image
+    | Message
+    | Reception
+    | Note
+    | Follows
+    | FrameReport
+    | Contact
+)
+
+
+def frozen(array: Any, dtype: Any = None) -> Array:
+    """A C-contiguous, read-only array of this content (a copy only where one is needed)."""
+    result = np.ascontiguousarray(array, dtype)
+    if result.flags.writeable:
+        result = result.view()
+        result.flags.writeable = False
+    return result
