@@ -102,7 +102,7 @@ class Radio:
             encoded = msgspec.msgpack.encode({**(body or {}), **values}, enc_hook=_plain)
             content = msgspec.msgpack.decode(encoded)  # what receivers get: the same in one process as over a wire
             natural = len(encoded)
-        size = natural if size_bytes is None else size_bytes
+        size = natural if size_bytes is None else int(size_bytes)
         if size < 0:
             raise ValueError(f"radio.send(size_bytes={size}): must not be negative")
         self._outbox.append(Message(sender=self._vehicle, body=content, size_bytes=size, to=to))
@@ -138,7 +138,8 @@ class Agent:
         """Have values of this tick recorded under ``<vehicle>/note``, e.g. ``self.note(age_s=0.1, status="waiting")``."""
         if self._notes is None:
             self._notes = {}
-        self._notes.update(values)
+        for name, value in values.items():
+            self._notes[name] = value if isinstance(value, str | bool) else float(value)
 
     def drain_notes(self) -> dict[str, float | str | bool]:
         """Take what was noted since the last call (for the host of the agent)."""

@@ -10,11 +10,17 @@
     `-- Interrupted           130   Ctrl-C; the recording so far is complete and readable
 """
 
+from typing import Any
+
 
 class VcmvspError(Exception):
-    """Base of all errors that are reported as one message, without a traceback."""
+    """Base of all errors that are reported as one message, without a traceback.
+
+    ``result`` is what was recorded until then, where the run had begun (a `cosim.Result`).
+    """
 
     exit_code = 1
+    result: Any = None
 
 
 class ScenarioError(VcmvspError):
@@ -57,6 +63,6 @@ class AgentError(FederateError):
 
 
 class Interrupted(VcmvspError):
-    """The user stopped the run (Ctrl-C); the result up to that instant is in ``result``."""
+    """The user stopped the run (Ctrl-C)."""
 
     exit_code = 130

@@ -35,7 +35,7 @@ class Slot(IntEnum):
     APPLY = 4
 
 
-class Event(msgspec.Struct, frozen=True):
+class Event(msgspec.Struct, frozen=True, array_like=True):
     """A value under its key, such as ``car2/command``, in effect from ``time_ns`` on."""
 
     key: str

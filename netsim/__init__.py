@@ -1,0 +1,1 @@
+"""The emulated radio: which frames arrive where, how strong, and when."""

@@ -1,0 +1,38 @@
+# Everything happens inside the checkout: `make setup` builds .venv, the other targets use it.
+
+PYTHON ?= $(firstword $(shell command -v python3.11) python3)
+UV_VERSION = 0.13.9
+VENV = .venv
+BIN = $(VENV)/bin
+UV = .uv/bin/uv
+
+.PHONY: setup demo test check bench clean
+
+setup: $(VENV)/.ready
+
+# uv, from PyPI, in an environment of its own, installs exactly what uv.lock says; where $(PYTHON) is newer than the 3.11 that
+# PyBullet has wheels for, it finds or fetches a 3.11.
+$(VENV)/.ready: pyproject.toml uv.lock .python-version
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "vcmvsp needs Python 3.11: make PYTHON=/path/to/python3.11"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "this Python has no venv module; as root, run .ci/debian-packages"; exit 2; }
+	test -x $(UV) || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); }
+	$(UV) sync --frozen --quiet
+	@touch $@
+
+demo: setup
+	$(BIN)/vcmvsp run formation-circle --agents process
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: check
+	$(BIN)/pytest -n auto --dist loadfile
+
+bench: setup
+	$(BIN)/python -m bench
+
+clean:
+	rm -rf $(VENV) .uv runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

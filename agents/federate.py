@@ -1,0 +1,185 @@
+"""The host of agents: one federate for all agents that live in one process.
+
+It turns what was published about a vehicle into an `Observation`, calls the agent, and turns its command, messages and notes
+into events that take effect at tick + latency. It is the only caller of `Agent.act`, in the simulation and elsewhere.
+"""
+
+import math
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from cosim import registry, table
+from cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
+from cosim.clock import Ticks, seconds_to_ns
+from cosim.errors import AgentError, ScenarioError
+from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.types import Follows, Note, Reading, Reception, VehicleState, Velocity
+
+SENSORS = ("odometry", "fix", "imu", "scan", "image")
+
+
+class AgentHost:
+    """A federate that holds agents, one per vehicle.
+
+    Args:
+        name: of the federate.
+        specs: the agents to build.
+        objects: agents that exist already, by vehicle; the rest of their spec still counts.
+    """
+
+    slot = wake_slot = Slot.AGENT
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self, name: str, specs: Sequence[AgentSpec], objects: Mapping[str, Agent] | None = None) -> None:
+        self.name = name
+        given = objects or {}
+        self._seats = {spec.vehicle: _Seat(spec, given.get(spec.vehicle)) for spec in sorted(specs, key=lambda s: s.vehicle)}
+        self.agents = tuple(seat.info for seat in self._seats.values())
+        self.reads = tuple(f"{vehicle}/{what}" for vehicle in self._seats for what in ("estimate", "heard", *SENSORS))
+
+    def start(self, run: RunInfo) -> int | None:
+        """Tell every agent who and where it is; all act first at time 0."""
+        for seat in self._seats.values():
+            seat.start(run)
+        return 0
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """Hand out what arrived, and let every agent act whose tick this is."""
+        for event in inbox:
+            vehicle, _, what = event.key.partition("/")
+            self._seats[vehicle].take(what, event.value)
+        events: list[Event] = []
+        for seat in self._seats.values():
+            if seat.next_ns == now_ns:
+                seat.act(now_ns, events)
+        return Step(events, min(seat.next_ns for seat in self._seats.values()))
+
+    def close(self) -> None:
+        """Close every agent."""
+        for seat in self._seats.values():
+            seat.guarded(seat.agent.close)
+
+
+class _Seat:
+    """One agent, what it will see at its next tick, and what it has said."""
+
+    def __init__(self, spec: AgentSpec, agent: Agent | None) -> None:
+        self.spec, self.next_ns = spec, 0
+        self._vehicle = spec.vehicle
+        if agent is None:
+            self.agent, params, taken = build(spec)
+        else:
+            self.agent, params, taken = agent, {**spec.defaults, **spec.params}, tuple(spec.defaults)
+        self._ticks = Ticks.every(spec.period_s or self.agent.period)
+        self.info = AgentInfo(
+            vehicle=spec.vehicle,
+            agent=spec.kind,
+            ticks=self._ticks,
+            latency_ns=seconds_to_ns(spec.latency_s),
+            params=params,
+            taken=taken,
+        )
+        self._state: VehicleState | None = None
+        self._readings: dict[str, Reading] = {}
+        self._heard: list[Reception] = []
+        self._follows: Follows | None = None
+
+    def start(self, run: RunInfo) -> None:
+        self._radio = Radio(self._vehicle, run.vehicles)
+        about = VehicleInfo(
+            name=self._vehicle,
+            vehicles=run.vehicles,
+            period_s=float(self._ticks.period) / 1e9,
+            latency_s=self.spec.latency_s,
+            seed=run.seed,
+        )
+        self.guarded(self.agent.start, about)
+
+    def take(self, what: str, value: Any) -> None:
+        """Note what was published about this vehicle."""
+        if what == "heard":
+            self._heard.append(_own_copy(value))
+        elif what == "estimate":
+            self._state = value
+        else:
+            self._readings[what] = value
+
+    def act(self, now_ns: int, events: list[Event]) -> None:
+        """Let the agent act, and append what it gave, in effect from now + latency on."""
+        if self._state is None:
+            raise AgentError(
+                (self._vehicle,), self.spec.kind, "has no state to act on: nothing published its vehicle's estimate"
+            )
+        seen = Observation(
+            vehicle=self._vehicle,
+            time_ns=now_ns,
+            state=self._state,
+            readings=dict(self._readings),
+            heard=tuple(self._heard),
+        )
+        self._heard.clear()
+        command = self.guarded(self.agent.act, seen, self._radio)
+        when, vehicle = now_ns + self.info.latency_ns, self._vehicle
+        if command is not None:
+            events.append(Event(f"{vehicle}/command", when, self._checked(command)))
+        if self.agent.follows != self._follows:
+            self._follows = self.agent.follows
+            if self._follows is not None:
+                events.append(Event(f"{vehicle}/follows", when, msgspec.convert(msgspec.to_builtins(self._follows), Follows)))
+        if notes := self.agent.drain_notes():
+            events.append(Event(f"{vehicle}/note", when, Note(values=notes)))
+        events.extend(Event(f"{vehicle}/send", when, message) for message in self._radio.drain())
+        self.next_ns = self._ticks.after(now_ns)
+
+    def _checked(self, command: Any) -> Velocity:
+        """The command in plain floats, as it would come over a wire."""
+        if not isinstance(command, Velocity):
+            raise self._error(f"returned {table.show(command)} from act(); it must return a Velocity, or None")
+        x, y, z = map(float, command.linear)
+        plain = Velocity(linear=(x, y, z), yaw_rate=float(command.yaw_rate))
+        if not math.isfinite(x + y + z + plain.yaw_rate):
+            raise self._error(f"returned a command that is not finite: {plain}")
+        return plain
+
+    def guarded(self, method: Any, *args: Any) -> Any:
+        """Call a method of the agent; what it raises becomes an error that names agent, vehicle, and the line."""
+        try:
+            return method(*args)
+        except Exception as error:
+            frames = traceback.extract_tb(error.__traceback__)[1:]
+            place = f" ({Path(frames[-1].filename).name} line {frames[-1].lineno}, in {frames[-1].name})" if frames else ""
+            cause = f"raised {type(error).__name__}: {error}{place}"
+            raise self._error(cause, details="".join(traceback.format_exception(error))) from error
+
+    def _error(self, cause: str, *, details: str = "") -> AgentError:
+        return AgentError((self._vehicle,), self.spec.kind, cause, details=details)
+
+
+def build(spec: AgentSpec) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
+    """Build the agent of a spec: (agent, all its parameters, the [agents] defaults that it takes)."""
+    key, origin = f"vehicle.{spec.vehicle}.agent", table.Named(spec.source)
+    kind = registry.find("agent", spec.kind, folder=Path(spec.folder), key=f"{key}.kind", origin=origin)
+    if not callable(getattr(kind, "act", None)):
+        raise ScenarioError(
+            f"'{spec.kind}' is no agent: it has no method act(obs, radio)", key=f"{key}.kind", source=spec.source
+        )
+    known = table.parameters(kind)
+    taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
+    for name in taken:  # so that a wrong value is reported where it stands
+        table.convert(spec.defaults[name], known[name].annotation, key=f"agents.{name}", origin=origin)
+    params = {**{name: spec.defaults[name] for name in taken}, **spec.params}
+    agent: Agent = table.call(kind, params, key=key, origin=origin)
+    return agent, table.complete(kind, params), taken
+
+
+def _own_copy(reception: Reception) -> Reception:
+    """The reception with a body of its own, so that an agent that changes it changes nobody else's, as over a wire."""
+    message = reception.message
+    if isinstance(message.body, bytes):
+        return reception
+    body = msgspec.msgpack.decode(msgspec.msgpack.encode(message.body))
+    return msgspec.structs.replace(reception, message=msgspec.structs.replace(message, body=body))

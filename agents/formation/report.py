@@ -1,0 +1,71 @@
+"""What a vehicle that others follow tells them at every tick, and what of it a follower believes.
+
+========= ====== ===================================================================================
+key       type   meaning
+========= ====== ===================================================================================
+``seq``   int    0, 1, 2, ... of this sender
+``t_ns``  int    when the pose was valid, ns of simulated time
+``x y``   float  its own estimate of its position, m, world
+``th``    float  its own estimate of its yaw, rad
+``v w``   float  speeds from then on, m/s and rad/s: the command of this tick (a leader) or measured (a follower)
+========= ====== ===================================================================================
+
+The keys are short because every byte costs air time.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from cosim.agent import Observation, Radio
+from cosim.frames import yaw_of
+
+# No pose on Earth and no speed of a vehicle is larger; greater values, infinities and NaN are all refused by one comparison.
+PLAUSIBLE = 1e9
+
+
+class LeaderState(NamedTuple):
+    """Planar pose and speeds of a vehicle that is followed."""
+
+    x: float  # m, world
+    y: float  # m, world
+    th: float  # rad
+    v: float  # m/s, forward
+    w: float  # rad/s
+
+
+class Report(NamedTuple):
+    """A message that was accepted."""
+
+    t_ns: int
+    state: LeaderState
+    body: Mapping[str, Any]  # all that was sent: estimators of your own may find more in it
+
+
+def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float) -> None:
+    """Send the report of this tick to all who can hear it."""
+    x, y, _ = obs.state.position
+    radio.send(seq=seq, t_ns=obs.time_ns, x=x, y=y, th=yaw_of(obs.state.attitude), v=v, w=w)
+
+
+def measured_speeds(obs: Observation) -> tuple[float, float]:
+    """The vehicle's own forward speed, m/s, and yaw rate, rad/s, as its pose source tells them."""
+    (vx, vy, _), yaw = obs.state.velocity, yaw_of(obs.state.attitude)
+    return vx * math.cos(yaw) + vy * math.sin(yaw), obs.state.angular_velocity[2]
+
+
+def parse(body: Mapping[str, Any] | bytes, latest_ns: int) -> Report | None:
+    """The report in a message body; None where it is not one that can be followed.
+
+    Refused are missing keys, values that are not numbers, not finite or beyond `PLAUSIBLE`, and a ``t_ns`` later than
+    ``latest_ns``.
+    """
+    if isinstance(body, bytes):
+        return None
+    try:
+        t_ns, x, y, th, v, w = body["t_ns"], body["x"], body["y"], body["th"], body["v"], body["w"]
+        if type(t_ns) is not int or t_ns > latest_ns or not abs(x) + abs(y) + abs(th) + abs(v) + abs(w) < PLAUSIBLE:
+            return None
+    except (KeyError, TypeError):
+        return None
+    return Report(t_ns, LeaderState(x, y, th, v, w), body)

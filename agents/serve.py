@@ -1,0 +1,72 @@
+"""A process that hosts agents: started by a run (``runs = "process"``) or by hand (``vcmvsp agent``)."""
+
+import argparse
+import io
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from agents.federate import AgentHost
+from cosim.errors import VcmvspError
+from cosim.transport.remote import Desk
+from cosim.transport.wire import PROTOCOL, Hello
+from cosim.transport.zenoh import serve
+
+
+def host(
+    endpoint: str,
+    vehicles: tuple[str, ...],
+    *,
+    kind: str | None = None,
+    folder: str = "",
+    params: dict[str, Any] | None = None,
+    token: str = "",
+    on_state: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Serve the agents of these vehicles to the run at ``endpoint`` until it ends; the answer is why it ended.
+
+    Args:
+        endpoint: Zenoh endpoint of the run, e.g. ``tcp/127.0.0.1:7447``.
+        vehicles: whose agents to run.
+        kind: the agent's class; None: what the scenario says.
+        folder: where a relative file of ``kind`` is.
+        params: parameters that win over the scenario's.
+        token: proves that this host was started by the run itself.
+        on_state: told what is being waited for.
+    """
+
+    def hello(host_id: str) -> Hello:
+        return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=folder, params=params or {}, token=token)
+
+    return serve(hello, Desk(AgentHost), endpoint, on_state=on_state)
+
+
+def _end_with_parent(pipe: io.FileIO) -> None:
+    """Leave at once when the run's process is gone: its end of the pipe closes, however it died."""
+    pipe.read()
+    os._exit(1)
+
+
+def main() -> int:
+    """Entry point of a host that a run has spawned."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's to handle; it ends its hosts
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--connect", required=True)
+    parser.add_argument("--vehicle", action="append", required=True)
+    options = parser.parse_args()
+    pipe = io.FileIO(0, closefd=False)  # unbuffered: a thread that waits in it must not hold a lock when Python exits
+    token = pipe.readline().decode().strip()
+    threading.Thread(target=_end_with_parent, args=(pipe,), daemon=True).start()
+    try:
+        host(options.connect, tuple(options.vehicle), token=token)
+    except VcmvspError as error:
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,277 @@
+"""From a scenario to federates: every part is found, checked and built here, and the scenario resolved on the way."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import msgspec
+
+from cosim import registry, table
+from cosim.agent import Agent, AgentSpec
+from cosim.clock import Ticks, seconds_to_ns
+from cosim.errors import ScenarioError
+from cosim.federate import Federate, RunInfo
+from cosim.hosts import Hosts, Tell
+from cosim.scenario import Runs, Scenario, Source, VehicleTable
+
+
+class Assembly:
+    """The federates of a run, ready to start, and the scenario as it really is.
+
+    Use it as a context manager: leaving it lets go of host processes and sockets.
+
+    Args:
+        scenario: what to build.
+        source: where it was read from.
+        objects: agents that exist already, by vehicle; they run in this process.
+        runs: where all agents run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes.
+        listen: where hosts started by hand dial in, instead of the scenario's ``agents.listen``.
+        tell: takes lines for the user.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        source: Source,
+        *,
+        objects: Mapping[str, Agent] | None = None,
+        runs: Runs | None = None,
+        listen: str | None = None,
+        tell: Tell = lambda _: None,
+    ) -> None:
+        registry.guard()
+        self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
+        self.files: dict[str, Path] = {}  # name -> Python file that the scenario uses
+        self.where: dict[str, str] = {}  # vehicle -> where its agent runs
+        unknown = [name for name in self._objects if name not in {each.name for each in scenario.vehicle}]
+        if unknown:
+            raise ScenarioError(table.unknown("vehicle", unknown[0], [each.name for each in scenario.vehicle]), key="agents")
+        agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)
+        self._tables: dict[str, Any] = {}  # the resolved tables of what is built
+        radio, physics = self._build_radio(), self._build_physics()
+        self.radius_m: Mapping[str, float] = physics.radius_m
+        self._hosts = Hosts(agents, tell)
+        try:
+            self._place_agents(runs)
+            self.infos = tuple(sorted(self._hosts.infos, key=lambda info: info.vehicle))
+            self._check_defaults_taken()
+        except BaseException:
+            self._hosts.__exit__(None, None, None)
+            raise
+        self.federates: list[Federate] = [physics, radio, *self._hosts.federates]
+        self.record_ticks = Ticks.every(scenario.record.period_s)
+        self.run_info = RunInfo(
+            scenario=scenario.name,
+            seed=scenario.seed,
+            duration_ns=seconds_to_ns(scenario.duration_s),
+            vehicles=tuple(each.name for each in scenario.vehicle),
+            instants=self._instants(),
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._hosts.__exit__(None, None, None)
+
+    def resolved(self) -> dict[str, Any]:
+        """The scenario with everything filled in; where agents ran is not part of it, since it changes no result."""
+        scenario = self._scenario
+        kept = {"runs", "processes", "listen", "deadline_s", "join_timeout_s"}
+        agents = table.plain({f: getattr(scenario.agents, f) for f in scenario.agents.__struct_fields__ if f not in kept})
+        return {
+            "name": scenario.name,
+            "duration_s": scenario.duration_s,
+            "seed": scenario.seed,
+            **self._tables,
+            "agents": {**{k: v for k, v in agents.items() if k != "defaults"}, **agents["defaults"]},
+            "vehicles": table.plain(scenario.vehicles),
+            "record": table.plain(scenario.record),
+            "metrics": table.plain(scenario.metrics),
+            "vehicle": [self._resolved_vehicle(each) for each in scenario.vehicle],
+        }
+
+    # --- parts --------------------------------------------------------------------------------------------------------------
+
+    def _component(self, group: str, content: Mapping[str, Any], key: str, **given: Any) -> tuple[Any, dict[str, Any]]:
+        """Build what a table with a ``kind`` describes; also the table with all its defaults."""
+        if not isinstance(content.get("kind"), str):
+            allowed = ", ".join(registry.KINDS[group])
+            raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=self._source.of(f"{key}.kind"))
+        kind = content["kind"]
+        target = registry.find(group, kind, folder=self._source.folder, key=f"{key}.kind", origin=self._source)
+        params = {name: value for name, value in content.items() if name != "kind"}
+        built = table.call(target, params, key=key, origin=self._source, given=given)
+        return built, {"kind": self._portable(kind), **table.complete(target, params, without=given)}
+
+    def _portable(self, kind: str) -> str:
+        """The kind without a folder; a Python file that it names is kept beside the resolved scenario."""
+        if not registry.is_file_kind(kind):
+            return kind
+        path = registry.file_of(kind, self._source.folder).resolve()
+        if self.files.setdefault(path.name, path) != path:
+            raise ScenarioError(f"two different files are called {path.name}; give one another name", source=self._source.name)
+        return f"{path.name}:{kind.rpartition(':')[2]}"
+
+    def _build_radio(self) -> Federate:
+        presets = registry.piece("radio presets")
+        radio, layers = self._scenario.radio, {}
+        for name in radio:
+            if name not in ("preset", *presets.LAYERS):
+                key = f"radio.{name}"
+                problem = table.unknown("key", name, ["preset", *presets.LAYERS])
+                raise ScenarioError(problem, key=key, source=self._source.of(key))
+        preset = radio.get("preset", "ideal")
+        if preset not in presets.PRESETS:
+            problem = table.unknown("preset", str(preset), presets.PRESETS)
+            raise ScenarioError(problem, key="radio.preset", source=self._source.of("radio.preset"))
+        base = presets.preset(preset)
+        self._tables["radio"] = {"preset": preset}
+        for name in presets.LAYERS:
+            own = radio.get(name, {})
+            if not isinstance(own, dict):
+                key = f"radio.{name}"
+                raise ScenarioError(f"must be a table, not {table.show(own)}", key=key, source=self._source.of(key))
+            same_kind = own.get("kind", base[name]["kind"]) == base[name]["kind"]
+            merged = {**base[name], **own} if same_kind else own
+            layers[name], self._tables["radio"][name] = self._component(name, merged, f"radio.{name}")
+        federate: Federate = registry.piece("radio")(registry.piece("channel")(**layers))
+        return federate
+
+    def _build_physics(self) -> Any:
+        world, self._tables["world"] = self._component("world", {"kind": "empty", **self._scenario.world}, "world")
+        specs = [self._vehicle_spec(each) for each in self._scenario.vehicle]
+        content = {"kind": "bullet", **self._scenario.physics}
+        physics, self._tables["physics"] = self._component("physics", content, "physics", world=world.build(), vehicles=specs)
+        for name in self._scenario.vehicles:
+            takers = [
+                each for each in self._scenario.vehicle if name in VehicleTable.__struct_fields__ or name in self._own(each)
+            ]
+            if not takers:
+                key = f"vehicles.{name}"
+                raise ScenarioError("no vehicle takes this default", key=key, source=self._source.of(key))
+        return physics
+
+    def _vehicle_class(self, vehicle: VehicleTable) -> Any:
+        key = f"vehicle.{vehicle.name}.kind"
+        return registry.find("vehicle", vehicle.kind, folder=self._source.folder, key=key, origin=self._source)
+
+    def _own(self, vehicle: VehicleTable) -> dict[str, Any]:
+        """The parameters of a vehicle; a default of ``[vehicles]`` counts only where the kind takes it."""
+        known = table.parameters(self._vehicle_class(vehicle))
+        defaults = self._scenario.vehicles
+        return {n: v for n, v in vehicle.params.items() if n in known or n not in defaults}
+
+    def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
+        key = f"vehicle.{vehicle.name}"
+        model = table.call(self._vehicle_class(vehicle), self._own(vehicle), key=key, origin=self._source)
+        sensor = None
+        if vehicle.positioning is not None:
+            positioning = registry.piece("positioning")
+            sensor = table.call(positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
+        given = {
+            "name": vehicle.name,
+            "model": model,
+            "pose": vehicle.pose,
+            "pose_source": vehicle.pose_source,
+            "positioning": sensor,
+        }
+        return table.call(registry.piece("vehicle spec"), {}, key=key, origin=self._source, given=given)
+
+    # --- agents -------------------------------------------------------------------------------------------------------------
+
+    def _place_agents(self, runs: str | None) -> None:
+        places: dict[str, list[AgentSpec]] = {}
+        for vehicle in self._scenario.vehicle:
+            if vehicle.agent is None and vehicle.name not in self._objects:
+                continue
+            own = vehicle.agent.runs if vehicle.agent else None
+            where = "inprocess" if vehicle.name in self._objects else runs or own or self._scenario.agents.runs
+            places.setdefault(where, []).append(self._agent_spec(vehicle, where))
+            self.where[vehicle.name] = where
+        start = {
+            "inprocess": lambda specs: self._hosts.run_here(specs, self._objects),
+            "encoded": self._hosts.run_encoded,
+            "process": self._hosts.run_in_processes,
+            "zenoh": self._hosts.await_by_hand,
+        }
+        try:
+            for where, specs in sorted(places.items()):
+                start[where](specs)
+        except ScenarioError as error:  # the host knows only the file; here the line or --set is known too
+            raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
+
+    def _agent_spec(self, vehicle: VehicleTable, where: str) -> AgentSpec:
+        agents, own = self._scenario.agents, vehicle.agent
+        kind = (own and own.kind) or agents.defaults.get("kind", "")
+        if not kind and vehicle.name in self._objects:
+            kind = f"{type(self._objects[vehicle.name]).__module__}:{type(self._objects[vehicle.name]).__qualname__}"
+        if not kind and where != "zenoh":
+            key = f"vehicle.{vehicle.name}.agent.kind"
+            raise ScenarioError("is missing, and [agents] has no kind for all", key=key, source=self._source.of(key))
+        latency = own.latency_s if own and own.latency_s is not None else agents.latency_s
+        return AgentSpec(
+            vehicle=vehicle.name,
+            kind=kind,
+            folder=str(self._source.folder.resolve()),
+            params=dict(own.params) if own else {},
+            defaults={name: value for name, value in agents.defaults.items() if name != "kind"},
+            period_s=(own and own.period_s) or agents.period_s,
+            latency_s=latency,
+            source=self._source.name,
+        )
+
+    def _check_defaults_taken(self) -> None:
+        taken = {name for info in self.infos for name in info.taken}
+        if any(each.agent and not each.agent.kind for each in self._scenario.vehicle):
+            taken.add("kind")
+        for name in self._scenario.agents.defaults:
+            if name not in taken:
+                key = f"agents.{name}"
+                problem = "no agent takes this default; agents take: " + ", ".join(
+                    sorted({known for info in self.infos for known in info.params})
+                )
+                raise ScenarioError(problem, key=key, source=self._source.of(key))
+
+    def _instants(self) -> tuple[tuple[Ticks, int], ...]:
+        """When states are needed: at agents' ticks, when what they decided takes effect, and where they are recorded."""
+        trains = [(self.record_ticks, 0)]
+        for info in self.infos:
+            trains += [(info.ticks, 0), (info.ticks, info.latency_ns)]
+        return tuple(dict.fromkeys(trains))
+
+    # --- the resolved scenario ----------------------------------------------------------------------------------------------
+
+    def _resolved_vehicle(self, vehicle: VehicleTable) -> dict[str, Any]:
+        """Everything of one vehicle that is not a default for all."""
+        shared = self._scenario.vehicles
+        full = {
+            "name": vehicle.name,
+            "kind": self._portable(vehicle.kind),
+            "pose": vehicle.pose,
+            "pose_source": vehicle.pose_source,
+            "positioning": vehicle.positioning and table.complete(registry.piece("positioning"), vehicle.positioning),
+            **table.complete(self._vehicle_class(vehicle), self._own(vehicle)),
+        }
+        result: dict[str, Any] = {k: table.plain(v) for k, v in full.items() if k not in shared and v is not None}
+        info = next((each for each in self.infos if each.vehicle == vehicle.name), None)
+        if info is not None:
+            result["agent"] = self._resolved_agent(vehicle, info)
+        return result
+
+    def _resolved_agent(self, vehicle: VehicleTable, info: Any) -> dict[str, Any]:
+        agents, own = self._scenario.agents, vehicle.agent
+        kind = self._hosts.kinds.get(vehicle.name) or (own and own.kind) or agents.defaults.get("kind") or info.agent
+        agent: dict[str, Any] = (
+            {} if "kind" in agents.defaults and not (own and own.kind) else {"kind": self._portable_agent(kind)}
+        )
+        if (own and own.period_s) or agents.period_s is None:
+            agent["period_s"] = float(info.ticks.period) / 1e9
+        if own and own.latency_s is not None:
+            agent["latency_s"] = own.latency_s
+        shared = {name for name in info.taken if name in agents.defaults and info.params[name] == agents.defaults[name]}
+        return {**agent, **{name: value for name, value in info.params.items() if name not in shared}}
+
+    def _portable_agent(self, kind: str) -> str:
+        here = registry.is_file_kind(kind) and registry.file_of(kind, self._source.folder).is_file()
+        return self._portable(kind) if here else kind

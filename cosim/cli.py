@@ -1,0 +1,245 @@
+"""The command line ``vcmvsp``. Parsing only: every command calls what Python users call; heavy parts load when needed."""
+
+import contextlib
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cosim.errors import Interrupted, UsageError, VcmvspError
+
+app = typer.Typer(
+    name="vcmvsp",
+    help="Simulate many vehicles and the radio between them.\n\nStart with: vcmvsp run formation-circle",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,  # rich help costs a third of a second at every start
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario, e.g. radio.loss.probability=0.3."),
+]
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")]
+
+
+@app.command("run")
+def run_command(
+    scenario: ScenarioName,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's.")] = None,
+    set_: Sets = None,
+    agents: Annotated[
+        str | None,
+        typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand)."),
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="For hosts started by hand, e.g. tcp/0.0.0.0:7447.")
+    ] = None,
+    realtime: Annotated[
+        float | None, typer.Option(metavar="[SPEED]", help="Keep to the wall clock: SPEED simulated seconds per second (1).")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-SEED].")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")] = False,
+    json: AsJson = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+) -> None:
+    """Run a scenario; leaves recording, tables, metrics, figures.
+
+    Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
+    """
+    from cosim import api
+    from cosim import scenario as scenarios
+    from cosim.progress import Progress, summary
+
+    if agents not in (None, "inprocess", "process", "zenoh"):
+        raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
+    if realtime is not None and not 0.0 < realtime < float("inf"):
+        raise UsageError(f"--realtime {realtime}: must be a positive number")
+    settings = scenarios.settings_of(set_ or [])
+    with Progress(quiet=quiet) as progress, _stdout_to_stderr():
+        folder = out or _free_folder(scenario, settings, seed)
+        result = api.run(
+            scenario,
+            seed=seed,
+            set=settings,
+            agents=agents,  # type: ignore[arg-type]  # checked above
+            listen=listen,
+            realtime=realtime,
+            out=folder,
+            force=force,
+            progress=progress.on_instant,
+            tell=progress.tell,
+        )
+    if json:
+        sys.stdout.write(api.to_json(result.metrics))
+    elif not quiet:
+        sys.stdout.write(summary(result, folder))
+
+
+@app.command("agent")
+def agent_command(
+    vehicle: Annotated[list[str], typer.Option(metavar="NAME", help="Whose agent to run; repeat for several.")],
+    connect: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the run listens, e.g. tcp/192.168.1.10:7447.")],
+    kind: Annotated[
+        str | None, typer.Argument(metavar="[MODULE_OR_FILE:Class]", help="The agent's class; without it: the scenario's.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the agent, instead of the scenario's."),
+    ] = None,
+) -> None:
+    """Host agents for a run that is started with --agents zenoh.
+
+    Example: vcmvsp agent my_agent.py:KeepGap --vehicle car2 --connect tcp/192.168.1.10:7447
+    """
+    from cosim import registry
+    from cosim import scenario as scenarios
+
+    registry.guard()
+    host = registry.piece("host process")
+    why = host(
+        connect, tuple(vehicle), kind=kind, folder=str(Path.cwd()), params=scenarios.settings_of(set_ or []), on_state=_say
+    )
+    _say(why)
+
+
+@app.command("list")
+def list_command(json: AsJson = False) -> None:
+    """Show the built-in scenarios."""
+    from cosim import scenario as scenarios
+
+    about = {name: scenarios.first_words(name) for name in scenarios.names()}
+    if json:
+        from cosim.api import to_json
+
+        sys.stdout.write(to_json(about))
+    else:
+        width = max(map(len, about))
+        sys.stdout.writelines(f"{name:<{width}}  {words}\n" for name, words in about.items())
+
+
+@app.command("show")
+def show_command(
+    scenario: ScenarioName,
+    set_: Sets = None,
+    resolved: Annotated[bool, typer.Option("--resolved", help="With every key and default filled in.")] = False,
+) -> None:
+    """Print a scenario as it is written, or with everything filled in.
+
+    Example: vcmvsp show formation-circle --resolved --set radio.preset=zigbee
+    """
+    from cosim import scenario as scenarios
+
+    if resolved or set_:
+        import tomli_w
+
+        sys.stdout.write(tomli_w.dumps(_checked(scenario, scenarios.settings_of(set_ or []))))
+    else:
+        sys.stdout.write(scenarios.path_of(scenario).read_text("utf-8"))
+
+
+@app.command("check")
+def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
+    """Check every key, kind and period of a scenario; run nothing.
+
+    Example: vcmvsp check my_scenario.toml
+    """
+    from cosim import scenario as scenarios
+
+    resolved = _checked(scenario, scenarios.settings_of(set_ or []))
+    sys.stdout.write(f"{scenario}: fine ({len(resolved['vehicle'])} vehicles, {resolved['duration_s']:g} s)\n")
+
+
+@app.command("plot")
+def plot_command(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")],
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to put the figures [RUN_DIR].")] = None,
+) -> None:
+    """Draw the figures of a run again.
+
+    Example: vcmvsp plot runs/formation-circle-1
+    """
+    from cosim import api
+
+    for path in api.plot(run_dir, out or run_dir):
+        sys.stdout.write(f"{path}\n")
+
+
+@app.command("doctor")
+def doctor_command() -> None:
+    """Check this installation and make two short runs."""
+    from cosim.doctor import examine
+
+    raise SystemExit(examine())
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point: one message and an exit code for whatever goes wrong."""
+    try:
+        app(_with_speed(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+    except VcmvspError as error:
+        _say(f"vcmvsp: {error}")
+        _point_to_result(error)
+        raise SystemExit(error.exit_code) from None
+    except KeyboardInterrupt:
+        _say("vcmvsp: interrupted")
+        raise SystemExit(Interrupted.exit_code) from None
+    except BrokenPipeError:  # the reader of our output has left, as `| head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
+
+
+def _with_speed(arguments: list[str]) -> list[str]:
+    """``--realtime`` alone means ``--realtime 1``."""
+    full: list[str] = []
+    for position, argument in enumerate(arguments):
+        full.append(argument)
+        if argument == "--realtime":
+            following = arguments[position + 1] if position + 1 < len(arguments) else "--"
+            try:
+                float(following)
+            except ValueError:
+                full.append("1")
+    return full
+
+
+def _checked(scenario: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """The resolved scenario, after its federates have been started and closed once."""
+    from cosim import api
+
+    with _stdout_to_stderr():
+        return api.check(scenario, set=settings)
+
+
+def _free_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
+    """``runs/NAME-SEED``, with a number behind it if that is taken."""
+    from cosim import scenario as scenarios
+
+    parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
+    first = Path("runs") / f"{parsed.name}-{parsed.seed}"
+    numbered = (first.with_name(f"{first.name}-{number}") for number in range(2, sys.maxsize))
+    return first if not first.exists() else next(path for path in numbered if not path.exists())
+
+
+def _stdout_to_stderr() -> contextlib.AbstractContextManager[Any]:
+    """What agents print must not mix with our own output."""
+    return contextlib.redirect_stdout(sys.stderr)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def _point_to_result(error: VcmvspError) -> None:
+    if error.result is not None:
+        _say(f"vcmvsp: what was recorded until then is in {error.result.folder}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Values as MessagePack bytes, exactly: floats keep every bit, arrays travel as (dtype, shape, raw bytes)."""
+
+from typing import Any, Generic, TypeVar
+
+import msgspec
+import numpy as np
+
+T = TypeVar("T")
+
+
+def encode(value: Any) -> bytes:
+    """Any `cosim.types` value, or a structure of them, as bytes."""
+    return _encoder.encode(value)
+
+
+class Decoder(Generic[T]):
+    """Reads bytes of one type; anything else raises `msgspec.ValidationError` or `msgspec.DecodeError`."""
+
+    def __init__(self, kind: Any) -> None:
+        self._decoder: msgspec.msgpack.Decoder[T] = msgspec.msgpack.Decoder(kind, dec_hook=_decode_array)
+
+    def decode(self, data: bytes) -> T:
+        """The value."""
+        return self._decoder.decode(data)
+
+
+def _encode_array(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"cannot send a {type(value).__name__}")
+
+
+def _decode_array(kind: Any, value: Any) -> Any:
+    """A read-only view of the bytes; dtypes that hold Python objects are refused."""
+    if getattr(kind, "__origin__", kind) is not np.ndarray:
+        raise NotImplementedError(f"cannot read a {kind}")
+    dtype, shape, raw = value
+    plain = np.dtype(dtype)
+    if plain.kind not in "biuf":
+        raise ValueError(f"arrays of {dtype!r} do not travel")
+    return np.frombuffer(raw, plain).reshape(shape)
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_array)

@@ -1,0 +1,221 @@
+"""The kernel: one SimPy environment, one logical time, and the order in which federates step (see `cosim.federate`).
+
+Each instant at which something is due holds up to five slots; a slot is one SimPy event whose priority it is. In a slot
+
+1. answers that fall due now are collected from remote federates with a lookahead,
+2. events whose time has come are published: recorded and put into the inboxes of those who read them,
+3. all remote federates that are due are asked, the local ones are stepped, the answers awaited,
+4. what they gave is published.
+
+Events are published in the order of (time, slot, key, order of giving); one of the future belongs to its giver's own slot of
+that instant. Nothing in this order depends on where a federate runs or on how long it takes, which is why a run gives the
+same bytes in one process and in many.
+"""
+
+import heapq
+import traceback
+from collections import defaultdict, deque
+from collections.abc import Callable, Sequence
+
+import simpy
+
+from cosim.clock import Clock, SimClock
+from cosim.errors import FederateError, VcmvspError
+from cosim.federate import Event, Federate, RemoteFederate, RunInfo, Slot
+from cosim.transport.keys import matches
+
+Observer = Callable[[Event], None]
+
+
+class Kernel:
+    """Runs federates from time 0 to ``run.duration_ns``.
+
+    Agents act at 0 <= t < duration; at the duration itself the world publishes once more and the run ends.
+
+    Args:
+        run: what every federate is told.
+        federates: with names that differ.
+        clock: what paces the run; default: as fast as possible.
+    """
+
+    def __init__(self, run: RunInfo, federates: Sequence[Federate], *, clock: Clock | None = None) -> None:
+        self.run_info, self.now_ns = run, 0
+        self.late_ns: list[int] = []  # how late each instant began, in the order of the instants
+        self._federates = sorted(federates, key=lambda each: each.name)
+        self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
+        self._clock = clock or SimClock()
+        self._observe: Observer = lambda _: None
+        self._env = simpy.Environment(initial_time=0)
+        self._due: dict[tuple[int, Slot], dict[int, bool]] = {}  # (time, slot) -> {federate: woken by an event?}
+        self._next: list[int | None] = [None] * len(self._federates)
+        self._inbox: list[list[Event]] = [[] for _ in self._federates]
+        self._future: list[tuple[int, Slot, str, int, Event]] = []  # heap of events not yet published
+        self._given = 0  # events given so far; keeps the order of giving among equal keys
+        self._routes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}  # key -> (readers, those it wakes)
+        self._open: defaultdict[int, deque[int]] = defaultdict(deque)  # federate -> due times of its open questions
+
+    def start(self) -> None:
+        """Start all federates: everything that can be wrong with how they are set up comes out here."""
+        for index, federate in enumerate(self._federates):
+            with _blame(federate):
+                self._schedule(index, federate.start(self.run_info))
+
+    def run(self, observe: Observer, *, on_instant: Callable[[int], None] | None = None) -> None:
+        """Step the started federates until the end; closing them is left to the caller (`close`).
+
+        Args:
+            observe: called with every event, in the order of publication (the recording).
+            on_instant: called with the time before each instant (progress).
+        """
+        self._observe = observe
+        self._clock.start()
+        last, end_ns = -1, self.run_info.duration_ns
+        while (now := self._env.peek()) <= end_ns:
+            if now != last:
+                last = int(now)
+                self.late_ns.append(self._clock.wait_until(last))
+                self.now_ns = last
+                if on_instant:
+                    on_instant(last)
+            self._env.step()
+        self.now_ns = end_ns
+        self._publish(end_ns, Slot.RADIO)
+
+    def close(self) -> None:
+        """Close every federate, even if one of them fails; the first failure is raised at the end."""
+        failure: VcmvspError | None = None
+        for federate in self._federates:
+            try:
+                with _blame(federate):
+                    federate.close()
+            except VcmvspError as error:
+                failure = failure or error
+        if failure:
+            raise failure
+
+    # --- what is due when -------------------------------------------------------------------------------------------------
+
+    def _schedule(self, index: int, when: int | None) -> None:
+        """Note a federate's own next wake-up; it replaces the one noted before."""
+        self._next[index] = when
+        if when is not None:
+            self._slot(when, self._federates[index].slot).setdefault(index, False)
+
+    def _slot(self, when: int, slot: Slot) -> dict[int, bool]:
+        """The entry of a slot; the first to ask for it has it put into SimPy's queue."""
+        entry = self._due.get((when, slot))
+        if entry is None:
+            entry = self._due[when, slot] = {}
+            event = simpy.Event(self._env)
+            event._ok, event._value = True, None  # noqa: SLF001  triggered, as simpy.Timeout does it
+            event.callbacks.append(lambda _: self._run_slot(when, slot))
+            self._env.schedule(event, priority=slot, delay=when - self.now_ns)  # type: ignore[arg-type]  # any integer sorts
+        return entry
+
+    def _run_slot(self, now: int, slot: Slot) -> None:
+        entry = self._due.pop((now, slot))
+        if now == self.run_info.duration_ns and slot >= Slot.AGENT:
+            return  # the end belongs to the world alone
+        self._collect(now, slot)
+        self._publish(now, slot)
+        due = sorted(index for index, woken in entry.items() if woken or self._next[index] == now)
+        for index in due:
+            if index in self._remote:
+                self._ask(index, now)
+        for index in due:
+            if index not in self._remote:
+                self._step(index, now, slot)
+        self._collect(now, slot)
+        self._publish(now, slot)
+
+    # --- stepping -----------------------------------------------------------------------------------------------------------
+
+    def _step(self, index: int, now: int, slot: Slot) -> None:
+        federate = self._federates[index]
+        with _blame(federate):
+            step = federate.step(now, self._take_inbox(index))
+        self._give(index, step.events, now, slot)
+        self._schedule_next(index, step.next_ns, now)
+
+    def _ask(self, index: int, now: int) -> None:
+        federate = self._remote[index]
+        with _blame(federate):
+            next_ns = federate.ask(now, self._take_inbox(index))
+        self._open[index].append(now + federate.lookahead_ns)
+        if federate.lookahead_ns:
+            self._slot(now + federate.lookahead_ns, federate.slot)
+        self._schedule_next(index, next_ns, now)
+
+    def _schedule_next(self, index: int, when: int | None, now: int) -> None:
+        if when is not None and when <= now:
+            raise FederateError(self._federates[index].name, f"asked at {now} ns to be stepped next at {when} ns")
+        self._schedule(index, when)
+
+    def _collect(self, now: int, slot: Slot) -> None:
+        """Await all answers that fall due by now."""
+        for index, due in sorted(self._open.items()):
+            while due and due[0] <= now:
+                due.popleft()
+                with _blame(self._remote[index]):
+                    events = self._remote[index].answer()
+                self._give(index, events, now, slot)
+
+    def _take_inbox(self, index: int) -> Sequence[Event]:
+        inbox, self._inbox[index] = self._inbox[index], []
+        return inbox
+
+    # --- events -------------------------------------------------------------------------------------------------------------
+
+    def _give(self, index: int, events: Sequence[Event], now: int, slot: Slot) -> None:
+        """Take what a federate gave; an event of the future that wakes someone has its instant scheduled."""
+        home = self._federates[index].slot
+        for event in events:
+            when = event.time_ns
+            if when < now:
+                raise FederateError(self._federates[index].name, f"gave {event.key} of {when} ns at {now} ns")
+            at = slot if when == now else home
+            self._given += 1
+            heapq.heappush(self._future, (when, at, event.key, self._given, event))
+            for woken in self._route(event.key)[1]:
+                self._wake(woken, event, at)
+
+    def _wake(self, index: int, event: Event, at: Slot) -> None:
+        federate = self._federates[index]
+        if federate.wake_slot <= at:
+            raise FederateError(
+                federate.name, f"{event.key}, published in {at.name}, comes too late for {federate.wake_slot.name}"
+            )
+        self._slot(event.time_ns, federate.wake_slot)[index] = True
+
+    def _publish(self, now: int, slot: Slot) -> None:
+        """Record and route all events up to this slot of this instant."""
+        future, limit = self._future, (now, slot + 1)
+        while future and future[0][:2] < limit:
+            event = heapq.heappop(future)[4]
+            self._observe(event)
+            for index in self._route(event.key)[0]:
+                self._inbox[index].append(event)
+
+    def _route(self, key: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        route = self._routes.get(key)
+        if route is None:
+            everyone = list(enumerate(self._federates))
+            readers = tuple(i for i, each in everyone if any(matches(pattern, key) for pattern in each.reads))
+            wakes = tuple(i for i, each in everyone if any(matches(pattern, key) for pattern in each.wakes))
+            route = self._routes[key] = readers, wakes
+        return route
+
+
+class _blame:  # noqa: N801  reads as a word: with _blame(federate)
+    """Names the federate in whatever goes wrong inside, unless the error is one of ours already."""
+
+    def __init__(self, federate: Federate) -> None:
+        self._name = federate.name
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, _: object) -> None:
+        if isinstance(error, Exception) and not isinstance(error, VcmvspError):
+            details = "".join(traceback.format_exception(error))
+            raise FederateError(self._name, f"{type(error).__name__}: {error}", details=details) from error

@@ -1,0 +1,96 @@
+"""What a run shows while it goes on, and in the end: a bar on a terminal, a line every few seconds in a log."""
+
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    from cosim.api import Result
+
+LOG_EVERY_S = 5.0
+DRAW_EVERY_S = 0.1
+
+
+class Progress:
+    """Progress on stderr. Its clock is looked at once an instant; drawing is rare.
+
+    Args:
+        quiet: show nothing.
+    """
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet
+        self._bar: Any = None
+        self._task: Any = None
+        self._terminal = sys.stderr.isatty() and not quiet
+        self._every_s = DRAW_EVERY_S if self._terminal else LOG_EVERY_S
+        self._start = self._last = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def tell(self, text: str) -> None:
+        """Show a line."""
+        if not self._quiet:
+            sys.stderr.write(f"{text}\n")
+            sys.stderr.flush()
+
+    def on_instant(self, now_ns: int, end_ns: int) -> None:
+        """Note how far the run is."""
+        wall = time.monotonic()
+        if self._quiet or wall - self._last < self._every_s:
+            return
+        self._last = wall
+        if self._terminal:
+            self._draw(now_ns / 1e9, end_ns / 1e9)
+        else:
+            speed = now_ns / 1e9 / max(wall - self._start, 1e-9)
+            self.tell(
+                f"{now_ns / 1e9:.1f} of {end_ns / 1e9:g} s simulated ({100 * now_ns // end_ns} %, {speed:.1f}x real time)"
+            )
+
+    def _draw(self, now_s: float, end_s: float) -> None:
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            columns = (TextColumn("simulating"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:g} s"))
+            self._bar = Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("", total=end_s)
+            self._bar.start()
+        self._bar.update(self._task, completed=now_s)
+
+
+def summary(result: "Result", folder: Path) -> str:
+    """A finished run in four lines."""
+    metrics, about = result.metrics, result.about
+    formation, radio = metrics["formation"], metrics["radio"]
+    places = sorted(set(about["agents"].values()))
+    speed = metrics["duration_s"] / max(about["simulating_s"], 1e-9)
+    lines = [
+        f"{metrics['scenario']}: {len(about['agents'])} agents ({', '.join(places)}), {metrics['duration_s']:g} s simulated in "
+        f"{about['simulating_s']:.1f} s ({speed:.0f}x real time)"
+    ]
+    if radio["frames"]:
+        lost = ", ".join(f"{count} {cause}" for cause, count in radio["losses"].items()) or "none lost"
+        lines.append(
+            f"radio:     {radio['frames']} frames, {100 * radio['delivery_ratio']:.1f} % delivered ({lost})"
+            + (f", age {1000 * radio['age_s']['mean']:.0f} ms" if radio["age_s"]["mean"] is not None else "")
+        )
+    if formation["rms_m"] is not None:
+        settled = "not settled" if formation["settling_s"] is None else f"settled after {formation['settling_s']:.1f} s"
+        lines.append(f"formation: error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most, {settled}")
+    if late := about["lateness"]:
+        lines.append(
+            f"lateness:  {1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "
+            f"{late['over_one_period']} of {late['instants']} instants late by more than a period"
+        )
+    lines.append(f"results:   {folder}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,256 @@
+"""Messages that Foxglove and Lichtblick draw by themselves, and JSON Schemas that both can read.
+
+The structs carry the names and fields of Foxglove's published schemas
+(https://docs.foxglove.dev/docs/sdk/schemas); of a scene entity's primitives only those drawn here. Lengths m, angles rad,
+world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left, z up).
+"""
+
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from cosim.types import Image, Scan
+
+LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
+
+
+class _Message(msgspec.Struct, frozen=True):
+    """Base of the messages below."""
+
+
+class Time(_Message, frozen=True):
+    """A simulated instant, counted from the start of the run."""
+
+    sec: int
+    nsec: int
+
+    @classmethod
+    def of(cls, time_ns: int) -> "Time":
+        """The instant ``time_ns``."""
+        return cls(*divmod(time_ns, 1_000_000_000))
+
+
+class Duration(_Message, frozen=True):
+    """A length of time; zero for an entity means that it stays."""
+
+    sec: int = 0
+    nsec: int = 0
+
+
+class Vector3(_Message, frozen=True):
+    """A point or a direction."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+
+class Quaternion(_Message, frozen=True):
+    """A rotation. Here x, y, z come first, as Foxglove has it."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    w: float = 1.0
+
+
+class Pose(_Message, frozen=True):
+    """Position and orientation in the frame of the message."""
+
+    position: Vector3 = Vector3()
+    orientation: Quaternion = Quaternion()
+
+
+class PoseInFrame(_Message, frozen=True):
+    """A pose that a sensor measured; the standard deviations are additional to Foxglove's fields."""
+
+    timestamp: Time  # when it was measured
+    frame_id: str
+    pose: Pose
+    sigma_m: float
+    sigma_rad: float
+
+
+class FrameTransform(_Message, frozen=True):
+    """Where the child frame lies in its parent."""
+
+    timestamp: Time
+    parent_frame_id: str
+    child_frame_id: str
+    translation: Vector3
+    rotation: Quaternion
+
+
+class FrameTransforms(_Message, frozen=True):
+    """All vehicles at one instant."""
+
+    transforms: list[FrameTransform]
+
+
+class Color(_Message, frozen=True):
+    """Red, green, blue and opacity, 0 to 1."""
+
+    r: float
+    g: float
+    b: float
+    a: float = 1.0
+
+
+class ArrowPrimitive(_Message, frozen=True):
+    """An arrow along the x axis of its pose."""
+
+    pose: Pose
+    shaft_length: float
+    shaft_diameter: float
+    head_length: float
+    head_diameter: float
+    color: Color
+
+
+class CylinderPrimitive(_Message, frozen=True):
+    """A cylinder about the z axis of its pose."""
+
+    pose: Pose
+    size: Vector3
+    bottom_scale: float
+    top_scale: float
+    color: Color
+
+
+class LinePrimitive(_Message, frozen=True):
+    """Points joined by lines: 0 a strip, 1 a closed loop, 2 separate segments."""
+
+    type: Literal[0, 1, 2]
+    pose: Pose
+    thickness: float
+    scale_invariant: bool  # thickness in screen pixels
+    points: list[Vector3]
+    color: Color
+
+
+class TextPrimitive(_Message, frozen=True):
+    """A label."""
+
+    pose: Pose
+    billboard: bool
+    font_size: float
+    scale_invariant: bool
+    color: Color
+    text: str
+
+
+class SceneEntity(_Message, frozen=True):
+    """Something to draw, moving with its frame."""
+
+    timestamp: Time
+    frame_id: str
+    id: str
+    lifetime: Duration
+    frame_locked: bool
+    arrows: list[ArrowPrimitive] = []
+    cylinders: list[CylinderPrimitive] = []
+    lines: list[LinePrimitive] = []
+    texts: list[TextPrimitive] = []
+
+
+class SceneUpdate(_Message, frozen=True):
+    """The whole scene: a viewer that jumps in time reads only the newest message of a topic."""
+
+    entities: list[SceneEntity]
+
+
+class Log(_Message, frozen=True):
+    """A line of the recording's log."""
+
+    timestamp: Time
+    level: int
+    message: str
+    name: str = "vcmvsp"
+    file: str = ""
+    line: int = 0
+
+
+class LaserScan(_Message, frozen=True):
+    """One sweep; a beam without return is null, as JSON knows no infinity."""
+
+    timestamp: Time
+    frame_id: str
+    pose: Pose
+    start_angle: float
+    end_angle: float
+    ranges: list[float]
+    intensities: list[float] = []
+
+    @classmethod
+    def of(cls, scan: Scan, vehicle: str, time_ns: int) -> "LaserScan":
+        """A sweep of the scanner at the vehicle's centre."""
+        end = scan.angle_min + (len(scan.ranges) - 1) * scan.angle_step
+        return cls(Time.of(time_ns), vehicle, Pose(), scan.angle_min, end, scan.ranges.tolist())
+
+
+class RawImage(_Message, frozen=True):
+    """One picture, rows from top to bottom."""
+
+    timestamp: Time
+    frame_id: str
+    width: int
+    height: int
+    encoding: str
+    step: int  # bytes a row
+    data: bytes
+
+    @classmethod
+    def of(cls, image: Image, vehicle: str, time_ns: int) -> "RawImage":
+        """A picture of the vehicle's camera."""
+        height, width, _ = image.pixels.shape
+        return cls(Time.of(time_ns), vehicle, width, height, "rgb8", 3 * width, image.pixels.tobytes())
+
+
+def schema_of(message_type: type) -> tuple[str, bytes]:
+    """Schema name and JSON Schema of a message type: ``foxglove.*`` for those above, ``vcmvsp.*`` for the platform's values."""
+    name = message_type.__name__
+    known = issubclass(message_type, _Message)
+    title = f"foxglove.{name}" if known else f"vcmvsp.{name.removesuffix('Report')}"
+    (root,), definitions = msgspec.json.schema_components([message_type], schema_hook=_array_schema)
+    schema = _simple(root, definitions)
+    schema["title"] = title
+    return title, msgspec.json.encode(schema)
+
+
+def to_json(value: Any) -> Any:
+    """NumPy arrays and numbers as JSON writes them (for ``enc_hook``)."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"cannot record a {type(value).__name__}; use numbers, strings, bytes, lists and mappings")
+
+
+def _array_schema(annotation: Any) -> dict[str, Any]:
+    if annotation is np.ndarray:
+        return {"type": "array", "items": {"type": "number"}}
+    raise TypeError(f"no JSON Schema for {annotation}")
+
+
+def _simple(node: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """The same schema for a simple reader: every node has a ``type``, every object its ``properties``.
+
+    Foxglove's and Lichtblick's readers follow no references, and know no unions and no tuples; they ask a schema for the names
+    of fields only. So a field that may also be null, or of a second type, is described by its first type and not required.
+    """
+    if "$ref" in node:
+        return _simple(definitions[node["$ref"].rsplit("/", 1)[1]], definitions)
+    if "anyOf" in node:
+        first = next(option for option in node["anyOf"] if option.get("type") != "null")
+        return _simple(first, definitions)
+    if "enum" in node:
+        return {"type": "string" if isinstance(node["enum"][0], str) else "integer", "enum": node["enum"]}
+    if node["type"] == "object":
+        fields = node.get("properties", {})
+        simple = {name: _simple(field, definitions) for name, field in fields.items()}
+        return {"type": "object", "properties": simple, "required": [name for name in fields if "anyOf" not in fields[name]]}
+    if node["type"] == "array":
+        return {
+            "type": "array",
+            "items": _simple(node["prefixItems"][0] if "prefixItems" in node else node["items"], definitions),
+        }
+    return {key: node[key] for key in ("type", "contentEncoding", "minimum", "maximum") if key in node}

@@ -1,0 +1,223 @@
+"""The figures of a run, from its tables alone: `trajectory` seen from above and `formation_error` over time.
+
+This is the only module that knows the plotting library. It uses figure objects and no global state, one style whatever the
+user's own settings are, and writes the same bytes for the same run.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from cosim.clock import SECOND_NS
+from cosim.record.columns import names_of, numbers
+from cosim.record.metrics import SETTLED_M, Motion, Window, formation_errors, links, motion
+from cosim.record.palette import OKABE_ITO, color_of
+from cosim.record.tables import Placement
+from cosim.types import Array
+
+DPI = 120
+SNAPSHOTS = 5  # instants at which the formation is drawn, start and end among them
+STYLE: dict[str, Any] = {
+    "figure.dpi": DPI,
+    "savefig.dpi": DPI,
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.2,
+    "path.simplify": False,  # it turns circles into polygons
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+}
+GREY = "0.55"
+P = ParamSpec("P")
+
+
+@contextmanager
+def _style() -> Iterator[None]:
+    """Matplotlib's own defaults and `STYLE`, whatever a user's matplotlibrc says."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        style: Any = STYLE
+        mpl.rcParams.update(style)
+        yield
+
+
+def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    @wraps(draw)
+    def styled(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with _style():
+            return draw(*args, **kwargs)
+
+    return styled
+
+
+@_styled
+def trajectory(states: pa.Table, follows: Sequence[Placement] = ()) -> Figure:
+    """Where the vehicles went, seen from above: a dot where each starts, arrowheads on the way and a larger one where it ends.
+
+    At a few instants thin lines join followers and leaders, so that the shape of the formation shows.
+    """
+    moved = motion(states)
+    x, y, _ = moved.position
+    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    last = len(moved.time_ns) - 1
+    shown: list[int] = np.unique(np.linspace(0, last, SNAPSHOTS).round().astype(int)).tolist() if last > 0 else []
+    for instant in shown:
+        _draw_formation(axes, moved, follows, instant)
+    for i, name in enumerate(moved.names):
+        axes.plot(x[:, i], y[:, i], **_line(moved, name), label=name, zorder=3)
+        axes.plot(x[:1, i], y[:1, i], "o", color=color_of(i), markersize=4.5, zorder=4)
+        for instant in shown[1:]:
+            pose = x[instant, i], y[instant, i], moved.yaw[instant, i]
+            _draw_vehicle(axes, pose, color_of(i), 14.0 if instant == shown[-1] else 9.0)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.06)
+    axes.set_xlabel("x east [m]")
+    axes.set_ylabel("y north [m]")
+    if moved.names:
+        _legend(axes)
+    return figure
+
+
+@_styled
+def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placement], window: Window | None = None) -> Figure:
+    """Formation error of every follower over time; below, with radio, the age of what it knows of its leader, and losses.
+
+    The window (s) that the metrics are taken over is shaded; the dashed line is the 5 cm at which a follower has settled.
+    """
+    moved = motion(states)
+    errors = formation_errors(moved, follows)
+    if radio.num_rows and errors:
+        figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+        rows = min(0.3 + 0.08 * len(errors), 1.5)
+        above, middle, below = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.8, rows))
+        _draw_ages(middle, moved, radio, follows, list(errors))
+        _draw_losses(below, moved, radio, follows, list(errors))
+    else:
+        figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+        above = figure.add_subplot()
+        above.set_xlabel("time [s]")
+    time = moved.time_ns / SECOND_NS
+    for name, error in errors.items():
+        above.plot(time, error, **_line(moved, name), label=name, zorder=3)
+    above.axhline(SETTLED_M, color=GREY, linestyle="--", linewidth=0.9, zorder=2, label="5 cm")
+    above.set_ylabel("formation error |z| [m]")
+    _choose_scale(above, list(errors.values()))
+    if len(time):
+        above.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
+    if window is not None and len(time):
+        begin, end = window
+        above.axvspan(begin, time[-1] if end is None else end, color="0.95", zorder=0, label="evaluated")
+    if errors:
+        _legend(above)
+    else:
+        above.annotate("no vehicle follows another", (0.5, 0.5), xycoords="axes fraction", ha="center")
+    return figure
+
+
+def save_png(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG: no date, no library version inside."""
+    with _style():
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.print_png(str(path), metadata={"Software": None})
+
+
+def _draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size: float) -> None:
+    """A slender triangle that points ahead, of a size in points, so that it is seen at any scale."""
+    x, y, yaw = pose
+    if np.isnan(yaw):
+        return
+    triangle = np.array([(1.0, 0.0), (-0.8, 0.55), (-0.8, -0.55), (1.0, 0.0)])
+    turn = np.array([(np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))])
+    axes.plot(
+        x, y, marker=triangle @ turn, color=color, markersize=size, markeredgecolor="white", markeredgewidth=0.6, zorder=5
+    )
+
+
+def _draw_formation(axes: Axes, moved: Motion, follows: Sequence[Placement], instant: int) -> None:
+    """Thin lines from each follower to the leader that it has at this instant."""
+    now = moved.time_ns[instant]
+    leader_of = {placement.vehicle: placement.follows.leader for placement in follows if placement.time_ns <= now}
+    for follower, leader in leader_of.items():
+        pair = [moved.column(follower), moved.column(leader)]
+        axes.plot(*moved.position[:2, instant, pair], color=GREY, linewidth=0.7, zorder=2)
+
+
+def _choose_scale(axes: Axes, errors: list[Array]) -> None:
+    """A logarithmic scale where errors span decades, so that what remains after settling is seen."""
+    values = np.concatenate([np.empty(0), *errors])
+    values = values[np.isfinite(values) & (values > 0)]
+    if values.size and np.percentile(values, 95) > 20 * np.percentile(values, 20):
+        axes.set_yscale("log")
+        axes.set_ylim(max(1e-6, 0.5 * np.percentile(values, 5)), 2.0 * values.max())
+    else:
+        axes.set_ylim(0.0, 1.05 * max(values.max(initial=0.0), 1.2 * SETTLED_M))
+
+
+def _draw_ages(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
+    """Per follower, the age of the newest message of its leader at the recorded instants."""
+    heard = links(radio)
+    for name in followers:
+        for leader in _leaders(name, follows):
+            if (name, leader) in heard:
+                at = moved.time_ns[np.searchsorted(moved.time_ns, heard[name, leader].received_ns[0]) :]
+                age = heard[name, leader].age_ns(at) / SECOND_NS
+                axes.plot(at / SECOND_NS, age, **_line(moved, name), linewidth=0.9, zorder=3)
+    axes.set_ylabel("age of\ninformation [s]")
+    axes.set_ylim(bottom=0.0)
+
+
+def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
+    """A row of ticks per follower: its leader's frames that it lost, at the times when they were sent."""
+    lost = [np.concatenate([_lost_s(radio, name, leader) for leader in _leaders(name, follows)]) for name in followers]
+    colors = [color_of(moved.column(name)) for name in followers]
+    if followers:
+        axes.eventplot(lost, colors=colors, lineoffsets=list(range(len(lost))), linelengths=0.75, linewidths=0.7)
+    axes.set_ylim(len(lost) - 0.5, -0.5)
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    axes.spines["left"].set_visible(False)
+    axes.set_ylabel("lost", rotation="horizontal", ha="right", va="center")
+    axes.set_xlabel("time [s]")
+
+
+def _leaders(name: str, follows: Sequence[Placement]) -> list[str]:
+    return list(dict.fromkeys(placement.follows.leader for placement in follows if placement.vehicle == name))
+
+
+def _line(moved: Motion, name: str) -> dict[str, Any]:
+    """Colour and line style of a vehicle: dashes tell the second and third round of colours from the first."""
+    index = moved.column(name)
+    return {"color": color_of(index), "linestyle": ("-", "--", ":")[index // len(OKABE_ITO) % 3]}
+
+
+def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
+    """When frames of this link were sent that were lost, s."""
+    (receivers, to), (senders, by) = names_of(radio, "receiver"), names_of(radio, "sender")
+    if receiver not in receivers or sender not in senders:
+        return np.empty(0)
+    lost = (to == receivers.index(receiver)) & (by == senders.index(sender)) & (numbers(radio, "received_ns", null=-1) < 0)
+    return np.asarray(numbers(radio, "sent_ns")[lost] / SECOND_NS)
+
+
+def _legend(axes: Axes) -> None:
+    """Names above the plot, where they hide nothing; of very many vehicles only the first."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(
+        handles[:18], labels[:18], loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, borderaxespad=0.2, columnspacing=1.2
+    )

@@ -1,0 +1,253 @@
+"""The recorder: sees every event of a run once, in order of time, and keeps what the run leaves.
+
+True states and frames become the rows of two tables; every event becomes a message of ``run.mcap`` under its key, with these
+differences, which make the file small and a viewer useful:
+
+- ``world/states`` is kept at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
+- ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
+- ``world/scene`` draws a body per vehicle and the place that each follower means to keep.
+
+An event is handled by the type of its value; one of another type is written as it is.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import msgspec
+import pyarrow as pa
+
+from cosim.agent import AgentInfo
+from cosim.clock import SECOND_NS, Ticks
+from cosim.errors import ScenarioError
+from cosim.federate import Event, RunInfo
+from cosim.frames import quaternion_from_yaw
+from cosim.record import foxglove, metrics
+from cosim.record.digest import digest
+from cosim.record.mcap import McapLog
+from cosim.record.scene import scene
+from cosim.record.tables import Placement, RunFacts, radio_table, states_table, write_table
+from cosim.types import Contact, Fix, Follows, FrameReport, Image, Note, Scan, States, Value, VehicleState
+
+
+class Recorder:
+    """Keeps the tables and, where a stream is given, the MCAP file of one run.
+
+    Args:
+        run: what the federates are told of the run.
+        record_ticks: when true states are recorded; the run's end always is.
+        mcap: an open binary stream for the MCAP file, or None. It stays the caller's to close.
+        agents: whose ticks the age of information is measured at.
+        radius_m: radius of each vehicle's body, for drawing.
+    """
+
+    def __init__(
+        self,
+        run: RunInfo,
+        *,
+        record_ticks: Ticks,
+        mcap: BinaryIO | None,
+        agents: Sequence[AgentInfo],
+        radius_m: Mapping[str, float],
+    ) -> None:
+        self._run, self._record_ticks, self._radius_m = run, record_ticks, radius_m
+        self._ticks = {agent.vehicle: agent.ticks for agent in agents}
+        self._now = 0
+        self._latest: tuple[int, States] | None = None
+        self._truth: dict[str, VehicleState] = {}  # of the latest instant, once asked for
+        self._rows: list[tuple[int, States]] = []
+        self._frames: list[FrameReport] = []
+        self._follows: list[Placement] = []
+        self._collisions = 0
+        self._others = hashlib.sha256()  # notes, places and contacts, for the digest
+        self._pack = msgspec.msgpack.Encoder(enc_hook=foxglove.to_json).encode
+        self._tables: tuple[pa.Table, pa.Table] | None = None
+        self._end_ns: int | None = None
+        about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
+        self._log = None if mcap is None else McapLog(mcap, about)
+        self._scene_is_due = self._log is not None
+        self._handlers: dict[type, Callable[[str, int, Any], None]] = {
+            States: self._on_states,
+            VehicleState: self._on_estimate,
+            FrameReport: self._on_frame,
+            Follows: self._on_follows,
+            Note: self._on_note,
+            Contact: self._on_contact,
+            Fix: self._on_fix,
+            Scan: self._on_scan,
+            Image: self._on_image,
+        }
+
+    def on(self, event: Event) -> None:
+        """Take an event at its own time; times never decrease."""
+        if event.time_ns != self._now:
+            self._end_instant()
+            self._now = event.time_ns
+        self._handlers.get(type(event.value), self._write)(event.key, event.time_ns, event.value)
+
+    def log(self, level: str, text: str, time_ns: int) -> None:
+        """Write a line into the recording: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
+        if self._log is not None:
+            self._log.write("log", foxglove.Log(foxglove.Time.of(time_ns), foxglove.LEVELS[level], text), time_ns)
+
+    def close(self, end_ns: int) -> None:
+        """Finish the recording of a run that lasted until ``end_ns``. May be called again."""
+        if self._end_ns is not None:
+            return
+        self._end_instant()
+        if self._latest is not None and self._latest[0] == end_ns and not self._record_ticks.hits(end_ns):
+            self._record_states(*self._latest)
+        self._end_ns = end_ns
+        if self._log is not None:
+            self._log.finish()
+
+    @property
+    def follows(self) -> tuple[Placement, ...]:
+        """Who means to keep which place, and from when on."""
+        return tuple(self._follows)
+
+    @property
+    def states(self) -> pa.Table:
+        """The true states (`cosim.record.tables.STATES_SCHEMA`)."""
+        return self._built()[0]
+
+    @property
+    def radio(self) -> pa.Table:
+        """The frames at their receivers (`cosim.record.tables.RADIO_SCHEMA`)."""
+        return self._built()[1]
+
+    def metrics(self, *, window: metrics.Window) -> dict[str, Any]:
+        """The numbers of the run (schema ``vcmvsp.metrics/1``); formation errors and ages within the window (s)."""
+        states, radio = self._built()
+        moved = metrics.motion(states)
+        end_ns = self._facts().end_ns
+        ages = metrics.ages_s(radio, self._follows, self._ticks, window, end_ns)
+        return {
+            "schema": metrics.SCHEMA,
+            "scenario": self._run.scenario,
+            "seed": self._run.seed,
+            "duration_s": end_ns / SECOND_NS,
+            "formation": metrics.formation_metrics(moved, self._follows, window),
+            "radio": metrics.radio_metrics(radio, ages),
+            "safety": {"collisions": self._collisions, "min_separation_m": metrics.min_separation_m(moved)},
+            "digest": digest([states, radio], self._others.digest()),
+        }
+
+    def write_tables(self, folder: Path) -> None:
+        """Write ``states.parquet`` and ``radio.parquet``."""
+        states, radio = self._built()
+        write_table(states, folder / "states.parquet")
+        write_table(radio, folder / "radio.parquet")
+
+    def _on_states(self, key: str, time_ns: int, states: States) -> None:
+        self._latest, self._truth = (time_ns, states), {}
+        if self._record_ticks.hits(time_ns):
+            self._record_states(time_ns, states)
+
+    def _record_states(self, time_ns: int, states: States) -> None:
+        self._rows.append((time_ns, states))
+        if self._log is None:
+            return
+        now, transforms = foxglove.Time.of(time_ns), []
+        for name, state in _each(states):
+            (x, y, z), (qw, qx, qy, qz) = state.position, state.attitude
+            place, turn = foxglove.Vector3(x, y, z), foxglove.Quaternion(qx, qy, qz, qw)
+            transforms.append(foxglove.FrameTransform(now, "world", name, place, turn))
+            self._log.write(f"{name}/state", state, time_ns)
+        self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
+
+    def _on_estimate(self, key: str, time_ns: int, estimate: VehicleState) -> None:
+        if self._log is None:
+            return
+        vehicle = _vehicle(key)
+        if self._latest is not None and self._latest[0] == time_ns:
+            if not self._truth:
+                self._truth = dict(_each(self._latest[1]))
+            truth = self._truth.get(vehicle)
+            if truth == estimate:
+                return
+        self._log.write(key, estimate, time_ns)
+
+    def _on_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
+        self._frames.append(report)
+        self._write(key, time_ns, report)
+
+    def _on_follows(self, key: str, time_ns: int, follows: Follows) -> None:
+        vehicle = _vehicle(key)
+        if follows.leader not in self._run.vehicles:
+            known = ", ".join(self._run.vehicles)
+            raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
+        self._follows.append(Placement(time_ns, vehicle, follows))
+        self._scene_is_due = self._log is not None
+        self._remember(key, time_ns, follows)
+
+    def _on_note(self, key: str, time_ns: int, note: Note) -> None:
+        # A whole number becomes a float on its way from another process; here it must too, or the bytes would differ.
+        values = {name: float(value) if type(value) is int else value for name, value in note.values.items()}
+        self._remember(key, time_ns, Note(values=values))
+
+    def _on_contact(self, key: str, time_ns: int, contact: Contact) -> None:
+        self._collisions += 1
+        self._remember(key, time_ns, contact)
+
+    def _on_fix(self, key: str, time_ns: int, fix: Fix) -> None:
+        if self._log is not None:
+            qw, qx, qy, qz = quaternion_from_yaw(fix.yaw)
+            pose = foxglove.Pose(foxglove.Vector3(*fix.position), foxglove.Quaternion(qx, qy, qz, qw))
+            self._log.write(
+                key, foxglove.PoseInFrame(foxglove.Time.of(fix.time_ns), "world", pose, fix.sigma_m, fix.sigma_rad), time_ns
+            )
+
+    def _on_scan(self, key: str, time_ns: int, scan: Scan) -> None:
+        if self._log is not None:
+            self._log.write(key, foxglove.LaserScan.of(scan, _vehicle(key), time_ns), time_ns)
+
+    def _on_image(self, key: str, time_ns: int, image: Image) -> None:
+        if self._log is not None:
+            self._log.write(key, foxglove.RawImage.of(image, _vehicle(key), time_ns), time_ns)
+
+    def _remember(self, key: str, time_ns: int, value: Value) -> None:
+        """Write a value that is in no table, and let it count in the digest."""
+        self._others.update(self._pack((key, time_ns, value)))
+        self._write(key, time_ns, value)
+
+    def _write(self, key: str, time_ns: int, value: Any) -> None:
+        if self._log is not None:
+            self._log.write(key, value, time_ns)
+
+    def _end_instant(self) -> None:
+        """Draw the scene once after an instant that changed it, however many vehicles changed it."""
+        if self._scene_is_due and self._log is not None:
+            places = {placement.vehicle: placement.follows for placement in self._follows}
+            self._log.write("world/scene", scene(self._run.vehicles, self._radius_m, places, self._now), self._now)
+            self._scene_is_due = False
+
+    def _facts(self) -> RunFacts:
+        return RunFacts(
+            scenario=self._run.scenario,
+            seed=self._run.seed,
+            end_ns=self._now if self._end_ns is None else self._end_ns,
+            vehicles=self._run.vehicles,
+            follows=self.follows,
+        )
+
+    def _built(self) -> tuple[pa.Table, pa.Table]:
+        """Both tables; kept once the run is over."""
+        if self._tables is not None:
+            return self._tables
+        tables = states_table(self._rows, self._facts()), radio_table(self._frames, self._facts())
+        if self._end_ns is not None:
+            self._tables = tables
+        return tables
+
+
+def _vehicle(key: str) -> str:
+    return key.partition("/")[0]
+
+
+def _each(states: States) -> Iterator[tuple[str, VehicleState]]:
+    """The state of each vehicle by itself."""
+    columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
+    for name, p, v, q, w in zip(states.names, *(map(tuple, column.tolist()) for column in columns), strict=True):
+        yield name, VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w)

@@ -1,0 +1,54 @@
+"""The drawing of a run in a 3D viewer: body, heading and name of each vehicle, and the place that each follower is to keep."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from cosim.record.foxglove import (
+    ArrowPrimitive,
+    Color,
+    CylinderPrimitive,
+    Duration,
+    LinePrimitive,
+    Pose,
+    SceneEntity,
+    SceneUpdate,
+    TextPrimitive,
+    Time,
+    Vector3,
+)
+from cosim.record.palette import rgb_of
+from cosim.types import Follows
+
+DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known
+_RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
+
+
+def scene(vehicles: Sequence[str], radius_m: Mapping[str, float], places: Mapping[str, Follows], time_ns: int) -> SceneUpdate:
+    """The whole scene: entities move with the frames of their vehicles, and stay until the next scene replaces them."""
+    now, entities = Time.of(time_ns), []
+    for index, name in enumerate(vehicles):
+        color, radius = Color(*rgb_of(index)), radius_m.get(name, DEFAULT_RADIUS_M)
+        entities.append(_body(name, radius, color, now))
+        if name in places:
+            entities.append(_place(name, places[name], radius, color, now))
+    return SceneUpdate(entities)
+
+
+def _body(name: str, radius: float, color: Color, now: Time) -> SceneEntity:
+    """A cylinder about the vehicle's centre with an arrow ahead and the name above."""
+    cylinder = CylinderPrimitive(
+        Pose(), Vector3(2 * radius, 2 * radius, radius), 1.0, 1.0, Color(color.r, color.g, color.b, 0.8)
+    )
+    ahead = Pose(Vector3(0.0, 0.0, 0.5 * radius))
+    arrow = ArrowPrimitive(ahead, 1.2 * radius, 0.2 * radius, 0.5 * radius, 0.5 * radius, color)
+    text = TextPrimitive(Pose(Vector3(0.0, 0.0, 1.6 * radius)), True, 14.0, True, color, name)
+    return SceneEntity(now, name, name, Duration(), True, arrows=[arrow], cylinders=[cylinder], texts=[text])
+
+
+def _place(name: str, follows: Follows, radius: float, color: Color, now: Time) -> SceneEntity:
+    """A thin line from the leader to the follower's place, and the follower's outline there."""
+    x, y = follows.slot
+    line = LinePrimitive(0, Pose(), 1.5, True, [Vector3(), Vector3(x, y)], color)
+    ring = [Vector3(x + radius * c, y + radius * s) for c, s in _RING]
+    outline = LinePrimitive(1, Pose(), 1.5, True, ring, color)
+    return SceneEntity(now, follows.leader, f"{name}/place", Duration(), True, lines=[line, outline])

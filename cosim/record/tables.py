@@ -1,0 +1,169 @@
+"""The two tables of a run, in memory (Arrow) and on disk (Parquet), and a run directory read back.
+
+``states``: a row per recorded instant and vehicle, instants in order, vehicles in the order of the run.
+``radio``: a row per frame and receiver it was meant for, in the order in which frames entered the channel.
+The schema metadata of both carry who ran (`RunFacts`), so that either file can be understood alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cosim.errors import UsageError
+from cosim.record.columns import column, joined, name_column
+from cosim.types import Array, Follows, FrameReport, States
+
+NAME = pa.dictionary(pa.int32(), pa.string())
+STATE_VALUES = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
+STATES_SCHEMA = pa.schema([("time_ns", pa.int64()), ("vehicle", NAME), *((name, pa.float64()) for name in STATE_VALUES)])
+"""Time ns; position m, attitude (world_from_body), velocity m/s: world; angular velocity rad/s: body."""
+RADIO_SCHEMA = pa.schema(
+    [
+        ("frame", pa.int64()),
+        ("sender", NAME),
+        ("receiver", NAME),
+        ("sent_ns", pa.int64()),
+        ("received_ns", pa.int64()),  # null: lost
+        ("size_bytes", pa.int64()),
+        ("distance_m", pa.float64()),
+        ("rssi_dbm", pa.float64()),
+        ("outcome", NAME),  # "received" or the cause of the loss
+        ("delay_ns", pa.int64()),  # received - sent; null: lost
+    ]
+)
+FACTS = b"vcmvsp.run"
+
+
+class Placement(msgspec.Struct, frozen=True):
+    """From ``time_ns`` on, ``vehicle`` means to keep this place."""
+
+    time_ns: int
+    vehicle: str
+    follows: Follows
+
+
+class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """What the tables do not say of their run."""
+
+    scenario: str
+    seed: int
+    end_ns: int
+    vehicles: tuple[str, ...]
+    follows: tuple[Placement, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run read back from its directory."""
+
+    states: pa.Table
+    radio: pa.Table
+    facts: RunFacts
+    metrics: dict[str, Any]
+
+    @property
+    def follows(self) -> tuple[Placement, ...]:
+        """Who meant to keep which place, and from when on."""
+        return self.facts.follows
+
+
+def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Table:
+    """The table of the true states at these instants."""
+    vehicles = _Names(facts.vehicles)
+    codes = [vehicles.codes(states.names) for _, states in rows]
+    times = np.repeat(np.array([time for time, _ in rows], np.int64), [len(code) for code in codes])
+    blocks = [
+        joined([getattr(states, name) for _, states in rows], (0, width)).T
+        for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3))
+    ]
+    values = [column(values) for block in blocks for values in block]
+    columns = [column(times), vehicles.column(joined(codes, (0,), np.int32)), *values]
+    return _table(columns, STATES_SCHEMA, facts)
+
+
+def radio_table(reports: Sequence[FrameReport], facts: RunFacts) -> pa.Table:
+    """The table of all frames at all receivers they were meant for."""
+    vehicles = _Names(facts.vehicles)
+    outcomes = _Names(("received",))
+    counts = [len(report.receivers) for report in reports]
+
+    def per_frame(values: list[int]) -> Array:
+        return np.repeat(np.array(values, np.int64), counts)
+
+    receiver = joined([vehicles.codes(report.receivers) for report in reports], (0,), np.int32)
+    sender = per_frame([vehicles.code(report.sender) for report in reports]).astype(np.int32)
+    outcome = joined([outcomes.codes(report.outcome) for report in reports], (0,), np.int32)
+    sent = per_frame([report.sent_ns for report in reports])
+    received = joined([report.received_ns for report in reports], (0,), np.int64)
+    columns = [
+        column(per_frame([report.frame for report in reports])),
+        vehicles.column(sender),
+        vehicles.column(receiver),
+        column(sent),
+        column(received, valid=received >= 0),
+        column(per_frame([report.size_bytes for report in reports])),
+        column(joined([report.distance_m for report in reports], (0,))),
+        column(joined([report.rssi_dbm for report in reports], (0,))),
+        outcomes.column(outcome),
+        column(received - sent, valid=received >= 0),
+    ]
+    return _table(columns, RADIO_SCHEMA, facts)
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write Parquet: the same table gives the same bytes (fixed row groups, zstd)."""
+    encodings: dict[str, Any] = {
+        "use_dictionary": [field.name for field in table.schema if pa.types.is_dictionary(field.type)],
+        "use_byte_stream_split": [field.name for field in table.schema if pa.types.is_floating(field.type)],
+    }
+    pq.write_table(table, path, row_group_size=1 << 20, compression="zstd", **encodings)
+
+
+def load(run_dir: str | Path) -> Recording:
+    """Read a run directory back: ``states.parquet``, ``radio.parquet`` and, if it is there, ``metrics.json``."""
+    folder = Path(run_dir)
+    for name in ("states.parquet", "radio.parquet"):
+        if not (folder / name).is_file():
+            raise UsageError(f"{folder}: no {name} here; name the directory that a run left (runs/<name>-<seed> or its --out)")
+    states, radio = (pq.read_table(folder / name) for name in ("states.parquet", "radio.parquet"))
+    facts = (states.schema.metadata or {}).get(FACTS)
+    if facts is None:
+        raise UsageError(f"{folder / 'states.parquet'}: not written by vcmvsp (its schema metadata lacks {FACTS.decode()})")
+    metrics = folder / "metrics.json"
+    return Recording(
+        states=states,
+        radio=radio,
+        facts=msgspec.json.decode(facts, type=RunFacts),
+        metrics=msgspec.json.decode(metrics.read_bytes()) if metrics.is_file() else {},
+    )
+
+
+class _Names:
+    """Numbers for names: those known beforehand in their order, others as they come."""
+
+    def __init__(self, known: Sequence[str]) -> None:
+        self._codes = {name: i for i, name in enumerate(known)}
+        self._seen: dict[tuple[str, ...], Array] = {}
+
+    def code(self, name: str) -> int:
+        return self._codes.setdefault(name, len(self._codes))
+
+    def codes(self, names: tuple[str, ...]) -> Array:
+        """A frame's receivers, say: few different tuples occur, so each is translated once."""
+        known = self._seen.get(names)
+        if known is None:
+            known = self._seen[names] = np.array([self.code(name) for name in names], np.int32)
+        return known
+
+    def column(self, codes: Array) -> Any:
+        return name_column(list(self._codes), codes)
+
+
+def _table(columns: list[Any], schema: pa.Schema, facts: RunFacts) -> pa.Table:
+    return pa.Table.from_arrays(columns, schema=schema.with_metadata({FACTS: msgspec.json.encode(facts)}))

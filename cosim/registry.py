@@ -1,0 +1,157 @@
+"""From the ``kind`` of a scenario to a class: short names, ``module:Class``, or ``file.py:Class``.
+
+Parts are reached only through here, as strings, so that ``import cosim`` stays light. Other distributions add short names
+through the entry-point groups ``cosim.<group>``, e.g. ``cosim.agent``.
+"""
+
+import hashlib
+import importlib
+import importlib.machinery
+import importlib.metadata
+import importlib.util
+import sys
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from cosim.errors import ScenarioError, UsageError
+from cosim.table import Named, Origin, unknown
+
+PARTS = ("physics", "netsim", "agents", "hardware", "scenarios")
+
+PIECES: Mapping[str, str] = {
+    "agent host": "agents.federate:AgentHost",
+    "host process": "agents.serve:host",
+    "vehicle spec": "physics.vehicles:VehicleSpec",
+    "positioning": "physics.positioning:Positioning",
+    "radio": "netsim.federate:RadioFederate",
+    "channel": "netsim.channel:Channel",
+    "radio presets": "netsim.presets",
+}
+"""Pieces of parts that are no kinds of a scenario, for `piece`."""
+
+KINDS: Mapping[str, Mapping[str, str]] = {
+    "physics": {"bullet": "physics.federate:BulletPhysics", "kinematic": "physics.federate:KinematicPhysics"},
+    "world": {"empty": "physics.worlds:Empty", "boxes": "physics.worlds:Boxes"},
+    "vehicle": {
+        "p2dx": "physics.vehicles:P2DX",
+        "amigobot": "physics.vehicles:AmigoBot",
+        "kinematic": "physics.vehicles:Kinematic",
+        "lag": "physics.vehicles:Lag",
+        "inertial": "physics.vehicles:Inertial",
+    },
+    "agent": {
+        "trajectory": "agents.formation.trajectory:Trajectory",
+        "leader_follower": "agents.formation.leader_follower:LeaderFollower",
+    },
+    "path_loss": {"log_distance": "netsim.propagation:LogDistance", "none": "netsim.propagation:NoPathLoss"},
+    "phy": {
+        "constant_rate": "netsim.phy:ConstantRate",
+        "dsss": "netsim.phy:Dsss",
+        "ieee802154": "netsim.phy:Ieee802154",
+    },
+    "loss": {"bernoulli": "netsim.loss:Bernoulli", "none": "netsim.loss:NoLoss"},
+    "delay": {"fixed": "netsim.delay:FixedDelay", "none": "netsim.delay:NoDelay"},
+}
+
+
+def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Origin | None = None) -> Any:
+    """The class that ``kind`` names.
+
+    Args:
+        group: what it is looked up as, e.g. ``"agent"``.
+        kind: short name, ``module:Class`` or ``file.py:Class``.
+        folder: where a relative file is looked for (the scenario's folder); default: the current one.
+        key: path of the kind in the scenario, for messages.
+        origin: where the scenario came from, for messages.
+
+    Raises:
+        ScenarioError: there is no such kind, or what it names cannot be imported.
+    """
+    origin = origin or Named()
+    where, _, name = target(group, kind, key=key, origin=origin).rpartition(":")
+    try:
+        module = load_file(file_of(kind, folder)) if where.endswith(".py") else importlib.import_module(where)
+        return getattr(module, name)
+    except FileNotFoundError as error:
+        raise ScenarioError(f"there is no file {error.filename}", key=key, source=origin.of(key)) from error
+    except AttributeError as error:
+        raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key)) from error
+    except Exception as error:
+        problem = f"'{where}' cannot be imported: {type(error).__name__}: {error}{_line_in(error)}"
+        raise ScenarioError(problem, key=key, source=origin.of(key)) from error
+
+
+def piece(name: str) -> Any:
+    """A piece of a part that the core needs (see `PIECES`)."""
+    module, _, attribute = PIECES[name].partition(":")
+    loaded = importlib.import_module(module)
+    return getattr(loaded, attribute) if attribute else loaded
+
+
+def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = None) -> str:
+    """``module:Class`` or ``file.py:Class`` of a kind that may be a short name."""
+    if ":" in kind:
+        return kind
+    names = {**_entry_points(group), **KINDS[group]}
+    if kind not in names:
+        problem = unknown(f"{group.replace('_', '-')} kind", kind, names) + "; or give module:Class or file.py:Class"
+        raise ScenarioError(problem, key=key, source=(origin or Named()).of(key))
+    return names[kind]
+
+
+def file_of(kind: str, folder: Path | None) -> Path:
+    """The Python file of a ``file.py:Class`` kind."""
+    return (folder or Path()) / kind.rpartition(":")[0]
+
+
+def is_file_kind(kind: str) -> bool:
+    """Whether a kind names a file rather than a module or a short name."""
+    return kind.rpartition(":")[0].endswith(".py")
+
+
+def load_file(path: Path) -> ModuleType:
+    """Import a Python file by its path, afresh; modules beside it can be imported by it."""
+    path = path.resolve()
+    if not path.is_file():
+        raise FileNotFoundError(2, "no such file", str(path))
+    name = f"_vcmvsp_{path.stem}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
+    loader = importlib.machinery.SourceFileLoader(name, str(path))
+    module = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, loader, origin=str(path)))
+    sys.modules[name] = module
+    sys.path.insert(0, str(path.parent))
+    try:
+        loader.exec_module(module)
+    finally:
+        sys.path.remove(str(path.parent))
+    return module
+
+
+def guard() -> None:
+    """Refuse to go on if a part would come from elsewhere than beside this package.
+
+    Other distributions install top-level packages called ``agents`` or ``hardware`` too, and a folder of that name in the
+    current directory comes first on the path of a notebook.
+    """
+    home = Path(__file__).resolve().parent.parent
+    for part in PARTS:
+        spec = importlib.util.find_spec(part)
+        places = [Path(place).resolve() for place in (spec.submodule_search_locations or ())] if spec else []
+        if places != [home / part]:
+            found = str(places[0]) if places else "nowhere"
+            raise UsageError(
+                f"the package '{part}' of vcmvsp is expected at {home / part} but Python finds it at {found}; "
+                "start elsewhere, remove that package, or install vcmvsp in an environment of its own"
+            )
+
+
+def _entry_points(group: str) -> dict[str, str]:
+    return {entry.name: entry.value for entry in importlib.metadata.entry_points(group=f"cosim.{group}")}
+
+
+def _line_in(error: Exception) -> str:
+    """Where in a file that was being imported the error arose."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "importlib" not in frame.filename]
+    return f" ({Path(frames[-1].filename).name} line {frames[-1].lineno})" if len(frames) > 1 else ""

@@ -1,0 +1,335 @@
+"""Scenarios: TOML files parsed once, at the edge, into checked tables. Every key stands in a class here, with its default.
+
+Tables that configure one of several kinds (``physics``, ``world``, the layers of ``radio``, a vehicle, an agent) stay mappings:
+their keys are the constructor parameters of the kind, checked when it is built (`cosim.assemble`).
+"""
+
+import itertools
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from cosim import table
+from cosim.errors import ScenarioError, UsageError
+from cosim.types import Count, Name, NonNegative, Positive
+
+BUILT_IN = Path(__file__).resolve().parent.parent / "scenarios"
+Runs = Literal["inprocess", "process", "zenoh"]
+PoseSource = Literal["truth", "odometry", "positioning"]
+T = TypeVar("T")
+
+
+class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[agents]``: where agents run and how fast; every other key is a default for agents that take such a parameter."""
+
+    runs: Runs = "inprocess"  # inprocess | process (child processes) | zenoh (hosts that are started by hand)
+    processes: Count | None = None  # with runs = "process": how many share the agents; default: one each
+    listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": the endpoint that hosts dial
+    deadline_s: Positive = 3.0  # wall-clock time within which a remote agent must answer
+    join_timeout_s: Positive = 60.0  # wall-clock time within which all hosts must have joined
+    period_s: Positive | None = None  # s between ticks; default: the agent's own period
+    latency_s: NonNegative = 0.0  # s from an observation to the effect of the command
+    defaults: Mapping[str, Any] = {}
+
+
+class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
+    """A vehicle's ``agent``; every key not listed is a parameter of the agent, and wins over ``[agents]``."""
+
+    kind: str | None = None  # short name | module:Class | file.py:Class; default: agents.kind
+    runs: Runs | None = None  # default: agents.runs
+    period_s: Positive | None = None
+    latency_s: NonNegative | None = None
+    params: Mapping[str, Any] = {}
+
+
+class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
+    """A ``[[vehicle]]``; every key not listed is a parameter of its kind. ``[vehicles]`` holds defaults for all of them."""
+
+    name: Name
+    kind: str
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x m, y m, yaw rad
+    pose_source: PoseSource = "truth"  # what its agent takes for its own pose
+    positioning: Mapping[str, Any] | None = None  # the positioning sensor, if it carries one
+    agent: AgentTable | None = None  # None: it has no agent and stands still
+    params: Mapping[str, Any] = {}
+
+
+class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[record]``."""
+
+    period_s: Positive = 0.1  # s between recorded states
+
+
+class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[metrics]``: the window of the formation error and the age of information."""
+
+    from_s: NonNegative = 0.0
+    to_s: NonNegative | None = None  # default: the end
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole scenario. ``duration_s`` is simulated time; agents act at 0 <= t < duration."""
+
+    name: Name
+    duration_s: Positive
+    seed: Count = 0
+    physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic"
+    world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
+    radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
+    agents: AgentsTable = AgentsTable()
+    vehicles: Mapping[str, Any] = {}
+    record: RecordTable = RecordTable()
+    metrics: MetricsTable = MetricsTable()
+    vehicle: tuple[VehicleTable, ...]
+
+
+class Source:
+    """Where a scenario was read from: a `cosim.table.Origin` that knows lines and ``--set`` arguments."""
+
+    def __init__(self, name: str, folder: Path, text: str = "") -> None:
+        self.name, self.folder = name, folder
+        self._lines = _lines_of(text)
+        self._set: dict[str, str] = {}
+
+    def note_set(self, key: str, argument: str) -> None:
+        """The value of ``key`` comes from a command-line argument."""
+        self._set[key] = argument
+
+    def of(self, key: str) -> str:
+        """The argument that set the key, or file and line."""
+        for prefix in _prefixes(key):
+            if prefix in self._set:
+                return self._set[prefix]
+        line = next((self._lines[prefix] for prefix in _prefixes(key) if prefix in self._lines), None)
+        return f"{self.name} line {line}" if line and key else self.name
+
+
+def load(
+    scenario: str | Path | Mapping[str, Any], *, settings: Mapping[str, Any] | None = None, seed: int | None = None
+) -> tuple[Scenario, Source]:
+    """Read, override and check a scenario.
+
+    Args:
+        scenario: a built-in name, the path of a TOML file, or the content of one as a mapping.
+        settings: key path -> value, e.g. ``{"radio.loss.probability": 0.3, "vehicle.car2.kind": "lag"}``.
+        seed: replaces the scenario's.
+
+    Raises:
+        ScenarioError: naming file, key path, and what is allowed.
+    """
+    raw, source = _read(scenario)
+    for key, value in (settings or {}).items():
+        source.note_set(key, f"--set {key}={value}")
+        _assign(raw, key, value, source)
+    if seed is not None:
+        source.note_set("seed", f"--seed {seed}")
+        raw["seed"] = seed
+    return parse(raw, source), source
+
+
+def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
+    """Check the content of a scenario file."""
+    if (bad := table.non_finite(raw)) is not None:
+        key = _path_of(raw, bad)
+        raise ScenarioError(f"must be finite, not {bad}", key=key, source=source.of(key))
+    agents = _open_table(AgentsTable, raw.get("agents", {}), "defaults", "agents", source)
+    defaults = _mapping(raw.get("vehicles", {}), "vehicles", source)
+    listed = raw.get("vehicle", [])
+    if not isinstance(listed, list) or not listed:
+        raise ScenarioError("needs at least one [[vehicle]]", key="vehicle", source=source.of("vehicle"))
+    if "name" in defaults or "pose" in defaults or "agent" in defaults:
+        raise ScenarioError(
+            "may not hold name, pose or agent, which each vehicle has its own", key="vehicles", source=source.of("vehicles")
+        )
+    vehicles = tuple(_vehicle(each, index, defaults, source) for index, each in enumerate(listed))
+    _unique([each.name for each in vehicles], source)
+    _used(defaults, listed, source)
+    given = {
+        "agents": agents,
+        "vehicle": vehicles,
+        "vehicles": defaults,
+        **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio") if name in raw},
+        **{
+            name: table.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
+            for name, kind in (("record", RecordTable), ("metrics", MetricsTable))
+            if name in raw
+        },
+    }
+    parsed = table.call(Scenario, {k: v for k, v in raw.items() if k not in given}, origin=source, given=given)
+    _check_window(parsed, source)
+    return parsed
+
+
+def names() -> list[str]:
+    """The built-in scenarios."""
+    return sorted(path.stem for path in BUILT_IN.glob("*.toml"))
+
+
+def first_words(name: str) -> str:
+    """What a built-in scenario says of itself: the first sentence of its opening comment."""
+    text = (BUILT_IN / f"{name}.toml").read_text("utf-8")
+    comment = " ".join(line.lstrip("# ") for line in itertools.takewhile(lambda each: each.startswith("#"), text.splitlines()))
+    return comment.partition(". ")[0].rstrip(".") + "."
+
+
+def path_of(scenario: str | Path) -> Path:
+    """The file of a scenario that is named or given as a path."""
+    text = str(scenario)
+    if text in names():
+        return BUILT_IN / f"{text}.toml"
+    path = Path(scenario)
+    if path.is_file():
+        return path
+    if path.suffix == ".toml" or "/" in text:
+        raise ScenarioError("there is no such file" if not path.is_dir() else "is a folder, not a scenario file", source=text)
+    raise ScenarioError(table.unknown("scenario", text, names()) + "; or give the path of a .toml file")
+
+
+def value_of(text: str) -> Any:
+    """The value that ``--set KEY=text`` gives: TOML if it reads as TOML, else the text itself."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
+    """``--set`` arguments as a mapping."""
+    settings = {}
+    for argument in arguments:
+        key, equals, text = argument.partition("=")
+        if not equals or not key.strip():
+            raise UsageError(f"--set {argument}: write KEY=VALUE, e.g. --set radio.loss.probability=0.3")
+        settings[key.strip()] = value_of(text.strip())
+    return settings
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------------
+
+
+def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Source]:
+    if isinstance(scenario, Mapping):
+        return msgspec.to_builtins(dict(scenario)), Source("scenario", Path())
+    path = path_of(scenario)
+    try:
+        text = path.read_text("utf-8")
+        return tomllib.loads(text), Source(str(scenario), path.parent, text)
+    except UnicodeDecodeError as error:
+        raise ScenarioError("is not a text file in UTF-8", source=str(path)) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", source=str(path)) from error
+
+
+def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
+    """Set one key path; ``vehicle.NAME`` finds a vehicle by its name."""
+    *parents, last = key.split(".")
+    here: Any = raw
+    for depth, part in enumerate(parents):
+        if depth == 0 and part == "vehicle":
+            here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
+        elif depth == 1 and parents[0] == "vehicle" and part not in here:
+            raise ScenarioError(table.unknown("vehicle", part, here), key=key, source=source.of(key))
+        else:
+            here = here.setdefault(part, {})
+        if not isinstance(here, dict):
+            raise ScenarioError(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key=key, source=source.of(key))
+    here[last] = value
+
+
+_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"^\s*([A-Za-z0-9_.\"'-]+)\s*=\s*(.*)$")
+
+
+def _lines_of(text: str) -> dict[str, int]:
+    """Key path -> line, for messages: table headers and keys that begin a line, vehicles by name."""
+    found: dict[str, int] = {}
+    here, pending = "", {}
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            here = header[2]
+            pending = {here: number}
+            if here != "vehicle":
+                found.setdefault(here, number)
+        elif key := _KEY.match(line):
+            pending[f"{here}.{key[1]}".lstrip(".")] = number
+            if here == "vehicle" and key[1] == "name":
+                here = f"vehicle.{key[2].split('#')[0].strip().strip(chr(34) + chr(39))}"
+                pending = {path.replace("vehicle", here, 1): line_number for path, line_number in pending.items()}
+        found.update({path: line_number for path, line_number in pending.items() if path != "vehicle"})
+    return found
+
+
+def _prefixes(key: str) -> list[str]:
+    parts = key.split(".")
+    return [".".join(parts[:length]) for length in range(len(parts), 0, -1)]
+
+
+# --- checking ---------------------------------------------------------------------------------------------------------------
+
+
+def _mapping(value: Any, key: str, source: Source) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ScenarioError(f"must be a table, not {table.show(value)}", key=key, source=source.of(key))
+    return value
+
+
+def _open_table(kind: type[T], raw: Any, rest: str, key: str, source: Source) -> T:
+    """A table whose keys are those of ``kind``; all others go into its field ``rest``."""
+    own = {name for name in table.parameters(kind) if name != rest}
+    content = _mapping(raw, key, source)
+    others = {name: value for name, value in content.items() if name not in own}
+    return table.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, given={rest: others})
+
+
+def _vehicle(raw: Any, index: int, defaults: Mapping[str, Any], source: Source) -> VehicleTable:
+    here = f"vehicle.{raw['name']}" if isinstance(raw, dict) and isinstance(raw.get("name"), str) else f"vehicle[{index}]"
+    content = {**defaults, **_mapping(raw, here, source)}
+    agent = None if "agent" not in content else _open_table(AgentTable, content.pop("agent"), "params", f"{here}.agent", source)
+    if "name" not in content:
+        raise ScenarioError("is missing", key=f"{here}.name", source=source.of("vehicle"))
+    if "kind" not in content:
+        raise ScenarioError("is missing, and [vehicles] has no kind for all", key=f"{here}.kind", source=source.of(here))
+    parsed = _open_table(VehicleTable, content, "params", here, source)
+    return msgspec.structs.replace(parsed, agent=agent)
+
+
+def _unique(vehicle_names: Sequence[str], source: Source) -> None:
+    for index, name in enumerate(vehicle_names):
+        if name in vehicle_names[:index]:
+            key = f"vehicle.{name}.name"
+            raise ScenarioError(
+                f"two vehicles are called '{name}'; every name may be used once", key=key, source=source.of(key)
+            )
+
+
+def _used(defaults: Mapping[str, Any], listed: Sequence[Mapping[str, Any]], source: Source) -> None:
+    for name in defaults:
+        if all(name in each for each in listed):
+            key = f"vehicles.{name}"
+            problem = f"no vehicle takes this default: every one sets its own '{name}' (change vehicle.NAME.{name} instead)"
+            raise ScenarioError(problem, key=key, source=source.of(key))
+
+
+def _check_window(parsed: Scenario, source: Source) -> None:
+    window = parsed.metrics
+    if window.to_s is not None and window.to_s < window.from_s:
+        problem = f"must not be earlier than metrics.from_s ({window.from_s:g}), not {window.to_s:g}"
+        raise ScenarioError(problem, key="metrics.to_s", source=source.of("metrics.to_s"))
+
+
+def _path_of(value: Any, wanted: float, key: str = "") -> str:
+    """Where in a nested value this very object is."""
+    if value is wanted:
+        return key
+    items: Any = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    for name, each in items:
+        label = each["name"] if isinstance(each, dict) and isinstance(name, int) and "name" in each else str(name)
+        if found := _path_of(each, wanted, table.join(key, label)):
+            return found
+    return ""

@@ -1,0 +1,205 @@
+"""A TOML table becomes a checked call: keys against the parameters, values against their annotations.
+
+Everything that a scenario configures, from the scenario itself to somebody's own agent, goes through `call`. There is one home
+for defaults (the signature), and one form of error: what is wrong, at which key of which file, and what is allowed.
+"""
+
+import collections.abc
+import difflib
+import functools
+import inspect
+import math
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Protocol, TypeVar
+
+import msgspec
+
+from cosim.errors import ScenarioError
+
+T = TypeVar("T")
+
+
+class Origin(Protocol):
+    """Knows where a key was written."""
+
+    def of(self, key: str) -> str:
+        """File and line, or the ``--set`` that gave the value of ``key``."""
+
+
+class Named:
+    """An origin that is one name for all keys."""
+
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+
+    def of(self, key: str) -> str:
+        """The name."""
+        return self.name
+
+
+class Parameter(msgspec.Struct, frozen=True):
+    """One parameter of a callable: its annotation, and its default unless it is required."""
+
+    annotation: Any
+    default: Any
+    required: bool
+
+
+@functools.lru_cache(maxsize=256)
+def parameters(target: Callable[..., Any]) -> Mapping[str, Parameter]:
+    """The parameters that a table can give to ``target`` (a class or function), in order."""
+    holder = vars(target).get("__init__", target) if isinstance(target, type) else target
+    try:
+        hints = typing.get_type_hints(holder, include_extras=True)
+    except (NameError, TypeError):
+        hints = {}
+    if isinstance(target, type) and issubclass(target, msgspec.Struct):
+        hints = typing.get_type_hints(target, include_extras=True)
+    found = {}
+    for name, parameter in inspect.signature(target).parameters.items():
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            required = parameter.default is parameter.empty
+            found[name] = Parameter(hints.get(name, Any), None if required else parameter.default, required)
+    return types.MappingProxyType(found)
+
+
+def call(
+    target: Callable[..., T],
+    table: Mapping[str, Any],
+    *,
+    key: str = "",
+    origin: Origin | None = None,
+    given: Mapping[str, Any] | None = None,
+) -> T:
+    """Call ``target`` with the table's values, each checked and converted by its annotation.
+
+    Args:
+        target: class or function; its signature says which keys there are.
+        table: what the scenario says.
+        key: path of the table in the scenario, for messages.
+        origin: where the scenario came from, for messages.
+        given: arguments that come from the program, not from the table.
+
+    Raises:
+        ScenarioError: unknown or missing key, wrong type or range, or a `ValueError` of ``target`` itself.
+    """
+    origin, given = origin or Named(), given or {}
+    known = {name: each for name, each in parameters(target).items() if name not in given}
+    for name in table:
+        if name not in known:
+            where = join(key, name)
+            raise ScenarioError(unknown("key", name, known), key=where, source=origin.of(where))
+    values = {}
+    for name, parameter in known.items():
+        where = join(key, name)
+        if name in table:
+            values[name] = convert(table[name], parameter.annotation, key=where, origin=origin)
+        elif parameter.required:
+            raise ScenarioError(f"is missing; it must be {describe(parameter.annotation)}", key=where, source=origin.of(key))
+    try:
+        return target(**given, **values)
+    except ScenarioError as error:
+        if error.source:
+            raise
+        where = join(key, error.key)
+        raise ScenarioError(error.problem, key=where, source=origin.of(where)) from error
+    except ValueError as error:
+        raise ScenarioError(str(error), key=key, source=origin.of(key)) from error
+
+
+def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iterable[str] = ()) -> dict[str, Any]:
+    """The table with all defaults of ``target`` filled in, in plain TOML types; None and what is not plain are left out."""
+    skipped, full = frozenset(without), {}
+    for name, parameter in parameters(target).items():
+        if name not in skipped:
+            value = plain(convert(table[name], parameter.annotation) if name in table else parameter.default)
+            if value is not None:
+                full[name] = value
+    return full
+
+
+def plain(value: Any) -> Any:
+    """The value in types that TOML has; None where there is none."""
+    try:
+        return _without_none(msgspec.to_builtins(value, builtin_types=()))
+    except TypeError:
+        return None
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_none(each) for name, each in value.items() if each is not None}
+    if isinstance(value, list | tuple):
+        return [_without_none(each) for each in value]
+    return value
+
+
+def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None = None) -> Any:
+    """The value as its annotation wants it, or a `ScenarioError` that says what is allowed."""
+    if (bad := non_finite(value)) is not None:
+        raise _refused(f"must be finite, not {bad}", key, origin)
+    try:
+        return msgspec.convert(value, annotation)
+    except msgspec.ValidationError as error:
+        raise _refused(f"must be {describe(annotation)}, not {show(value)}", key, origin) from error
+    except TypeError:
+        return value  # an annotation that only Python objects meet; the target checks it itself
+
+
+def _refused(problem: str, key: str, origin: Origin | None) -> ScenarioError:
+    return ScenarioError(problem, key=key, source=(origin or Named()).of(key))
+
+
+def non_finite(value: Any) -> float | None:
+    """The first NaN or infinity inside the value."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else value
+    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
+    return next((bad for each in inside if (bad := non_finite(each)) is not None), None)
+
+
+def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
+    """``unknown key 'probabilty'; did you mean 'probability'? (allowed: ...)``."""
+    names = sorted(allowed)
+    near = difflib.get_close_matches(name, names, n=1)
+    guess = f"; did you mean '{near[0]}'?" if near else ""
+    return f"unknown {what} '{name}'{guess} (allowed: {', '.join(names) or 'none'})"
+
+
+def join(*parts: str) -> str:
+    """A key path of the parts that are not empty."""
+    return ".".join(part for part in parts if part)
+
+
+def show(value: Any) -> str:
+    """The value for a message, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def describe(annotation: Any) -> str:
+    """What values an annotation allows, in words."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated:
+        limits = [meta for meta in inner[1:] if isinstance(meta, msgspec.Meta)]
+        bounds = [
+            f"{sign} {getattr(meta, name)}" for meta in limits for name, sign in _SIGNS if getattr(meta, name) is not None
+        ]
+        return " ".join([describe(inner[0]), " and ".join(bounds)])
+    if origin is typing.Literal:
+        return f"one of {', '.join(map(repr, inner))}"
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(describe(each) for each in inner if each is not type(None))
+    if origin is tuple and inner[-1] is not Ellipsis:
+        return f"a list of {len(inner)} values, each {' / '.join(dict.fromkeys(map(describe, inner)))}"
+    if origin in (tuple, list, collections.abc.Sequence):
+        return f"a list, each item {describe(inner[0])}"
+    if origin in (dict, collections.abc.Mapping) or annotation is dict:
+        return "a table"
+    return _WORDS.get(annotation, f"a {getattr(annotation, '__name__', annotation)}")
+
+
+_SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
+_WORDS = {float: "a number", int: "a whole number", str: "a string", bool: "true or false"}

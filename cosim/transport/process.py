@@ -1,0 +1,55 @@
+"""Child processes that host agents: started afresh (never forked), ended with the run, however it ends."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+
+PATIENCE_S = 1.0  # for a host to leave by itself, before it is made to
+
+
+class HostProcess:
+    """One child; it ends by itself when this process does, because its standard input then closes.
+
+    Args:
+        module: Python module to run, with ``--connect`` and ``--vehicle`` options.
+        endpoint: where it is to dial in.
+        vehicles: whose agents it hosts.
+        token: a secret that it repeats in its greeting.
+    """
+
+    def __init__(self, module: str, endpoint: str, vehicles: Sequence[str], token: str) -> None:
+        command = [sys.executable, "-m", module, "--connect", endpoint]
+        for vehicle in vehicles:
+            command += ["--vehicle", vehicle]
+        # A group of its own keeps Ctrl-C away from it; what agents print must not mix with the run's own output.
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.__stderr__, process_group=0)
+        if self._process.stdin:
+            self._process.stdin.write(f"{token}\n".encode())
+            self._process.stdin.flush()
+
+    @property
+    def running(self) -> bool:
+        """Whether it is still there."""
+        return self._process.poll() is None
+
+    def why_ended(self) -> str:
+        """How it ended, in words; waits a moment for an end that is on its way."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            code = self._process.wait(PATIENCE_S)
+            if code < 0:
+                return f"was killed by {signal.Signals(-code).name}"
+            return f"ended with exit code {code}"
+        return "broke the connection"
+
+    def close(self) -> None:
+        """Let it leave, or make it."""
+        if self._process.stdin:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+        try:
+            self._process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

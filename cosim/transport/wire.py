@@ -1,0 +1,140 @@
+"""What travels between the kernel and a host of agents: MessagePack, one question and one answer at a time.
+
+=========  ==============================================  =========================
+question   meaning                                         answer
+=========  ==============================================  =========================
+`Build`    build these agents                              `Built`, or `Failed`
+`Begin`    time 0 is near: tell every agent who it is      `Stepped`, or `Failed`
+`Act`      these events have happened; it is now ``now``   `Stepped`, or `Failed`
+`End`      the run is over, or this host is not needed     `Ended`
+=========  ==============================================  =========================
+"""
+
+import msgspec
+
+from cosim.agent import AgentInfo, AgentSpec
+from cosim.codec import Decoder, encode
+from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
+from cosim.federate import Event, RunInfo
+
+PROTOCOL = 1
+"""Version of this table; a host of another version is refused."""
+
+
+class Hello(msgspec.Struct, frozen=True, tag=True):
+    """A host introduces itself: the vehicles whose agents it wants to run, and what it was told on its command line."""
+
+    host: str
+    protocol: int
+    vehicles: tuple[str, ...]
+    kind: str | None = None  # the class it was started with; None: the scenario's
+    folder: str = ""  # where a relative file of that kind is
+    params: dict[str, object] = {}
+    token: str = ""  # proves that a spawned host belongs to this run
+
+
+class Welcome(msgspec.Struct, frozen=True, tag=True):
+    """The hub's answer to a `Hello`: refused with a reason, or accepted (None)."""
+
+    refused: str | None = None
+
+
+class Build(msgspec.Struct, frozen=True, tag=True):
+    """Build these agents."""
+
+    specs: tuple[AgentSpec, ...]
+
+
+class Begin(msgspec.Struct, frozen=True, tag=True):
+    """Get ready for time 0."""
+
+    run: RunInfo
+
+
+class Act(msgspec.Struct, frozen=True, tag=True):
+    """Step to ``now_ns``."""
+
+    now_ns: int
+    inbox: list[Event]
+
+
+class End(msgspec.Struct, frozen=True, tag=True):
+    """No more questions; ``reason`` is for the user of a host that was started by hand."""
+
+    reason: str
+
+
+class Built(msgspec.Struct, frozen=True, tag=True):
+    """The agents stand."""
+
+    agents: tuple[AgentInfo, ...]
+    reads: tuple[str, ...]
+
+
+class Stepped(msgspec.Struct, frozen=True, tag=True):
+    """What the step gave."""
+
+    events: list[Event]
+
+
+class Ended(msgspec.Struct, frozen=True, tag=True):
+    """All agents are closed."""
+
+
+class Failed(msgspec.Struct, frozen=True, tag=True):
+    """What went wrong in the host, so that it can be raised in the kernel as if it had happened there."""
+
+    cause: str
+    details: str = ""
+    vehicles: tuple[str, ...] = ()
+    agent: str = ""
+    key: str = ""
+    source: str = ""
+    bad_scenario: bool = False
+
+    @classmethod
+    def of(cls, error: VcmvspError) -> "Failed":
+        """An error as a message."""
+        if isinstance(error, ScenarioError):
+            return cls(cause=error.problem, key=error.key, source=error.source, bad_scenario=True)
+        if isinstance(error, AgentError):
+            return cls(cause=error.cause, details=error.details, vehicles=error.vehicles, agent=error.agent)
+        return cls(cause=str(error), details=error.details if isinstance(error, FederateError) else "")
+
+    def error(self, host: str) -> VcmvspError:
+        """The error again."""
+        if self.bad_scenario:
+            return ScenarioError(self.cause, key=self.key, source=self.source)
+        if self.vehicles:
+            return AgentError(self.vehicles, self.agent, self.cause, details=self.details)
+        return FederateError(host, self.cause, details=self.details)
+
+
+Question = Build | Begin | Act | End
+Answer = Built | Stepped | Ended | Failed
+
+questions: Decoder[Question] = Decoder(Question)
+answers: Decoder[Answer] = Decoder(Answer)
+hellos: Decoder[Hello] = Decoder(Hello)
+welcomes: Decoder[Welcome] = Decoder(Welcome)
+
+__all__ = [
+    "PROTOCOL",
+    "Act",
+    "Answer",
+    "Begin",
+    "Build",
+    "Built",
+    "End",
+    "Ended",
+    "Failed",
+    "Hello",
+    "Question",
+    "Stepped",
+    "Welcome",
+    "answers",
+    "encode",
+    "hellos",
+    "questions",
+    "welcomes",
+]

@@ -1,0 +1,235 @@
+"""Hosts over Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients. The one home of Zenoh.
+
+Keys, all under ``vcmvsp/``::
+
+    hub/join            queryable of the hub: a host's `Hello`, answered by a `Welcome`
+    hub/alive           liveliness token of the hub
+    host/<zid>/ask      queryable of a host: one question, one answer
+    host/<zid>/alive    liveliness token of a host
+
+A query, rather than a pair of publications, carries each question: Zenoh then tells at once when nobody is there to answer.
+Callbacks are always direct (no thread per callback) and only hand over to a queue.
+"""
+
+import contextlib
+import json
+import queue
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import zenoh
+from zenoh.handlers import Callback
+
+from cosim.errors import UsageError
+from cosim.transport import wire
+from cosim.transport.remote import Desk, LinkError
+
+JOIN, HUB_ALIVE = "vcmvsp/hub/join", "vcmvsp/hub/alive"
+LOOPBACK = "tcp/127.0.0.1:0"
+"""A free port of this machine."""
+
+_COMMON: dict[str, Any] = {
+    "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+    "transport": {"shared_memory": {"enabled": False}},
+}
+_NO_TIMEOUT_S = 1e6  # deadlines are kept where the answer is awaited; Zenoh's own must not strike earlier
+
+
+class Hub:
+    """The kernel's end: listens, admits hosts, and gives a link to each.
+
+    Args:
+        endpoint: Zenoh endpoint to listen on, e.g. ``tcp/0.0.0.0:7447``; port 0 takes a free one.
+
+    Raises:
+        UsageError: nothing can listen there.
+    """
+
+    def __init__(self, endpoint: str = LOOPBACK) -> None:
+        config = {**_COMMON, "mode": "router", "listen": {"endpoints": [endpoint]}}
+        config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
+        try:
+            self._session = zenoh.open(_config(config))
+        except zenoh.ZError as error:
+            raise UsageError(f"cannot listen on '{endpoint}': {_first_line(error)}") from error
+        self.endpoint = self._locator()
+        self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
+        self._links: dict[str, ZenohLink] = {}
+        self._token = self._session.liveliness().declare_token(HUB_ALIVE)
+        self._door = self._session.declare_queryable(JOIN, Callback(self._joins.put, indirect=False))
+        watch = Callback(self._on_token, indirect=False)
+        self._watch = self._session.liveliness().declare_subscriber("vcmvsp/host/*/alive", watch)
+
+    def next_hello(self, timeout_s: float) -> "tuple[wire.Hello, Callable[[str | None], ZenohLink | None]] | None":
+        """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
+        try:
+            query = self._joins.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        try:
+            hello = wire.hellos.decode(query.payload.to_bytes() if query.payload else b"")
+        except ValueError:
+            self._reply(query, wire.Welcome(refused="that was no greeting of a vcmvsp host"))
+            return None
+
+        def answer(refused: str | None) -> ZenohLink | None:
+            if refused is None and hello.protocol != wire.PROTOCOL:
+                refused = f"this run speaks protocol {wire.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
+            link = None if refused else ZenohLink(self._session, hello.host)
+            if link is not None:
+                self._links[hello.host] = link
+            self._reply(query, wire.Welcome(refused=refused))
+            return link
+
+        return hello, answer
+
+    def close(self) -> None:
+        """Leave; hosts see the hub's token go."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def _reply(self, query: zenoh.Query, welcome: wire.Welcome) -> None:
+        with query:
+            query.reply(JOIN, wire.encode(welcome))
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.DELETE and (link := self._links.get(str(sample.key_expr).split("/")[2])):
+            link.lost()
+
+    def _locator(self) -> str:
+        """Where the session really listens (the admin space knows the port that 0 became)."""
+        for reply in self._session.get(f"@/{self._session.zid()}/router"):
+            if reply.ok is not None:
+                locators: list[str] = json.loads(reply.ok.payload.to_string())["locators"]
+                if locators:
+                    return locators[0]
+        raise UsageError("the Zenoh session does not say where it listens")
+
+
+class ZenohLink:
+    """A `cosim.transport.remote.Link` to one host."""
+
+    def __init__(self, session: zenoh.Session, host: str) -> None:
+        self._querier = session.declare_querier(f"vcmvsp/host/{host}/ask", timeout=_NO_TIMEOUT_S)
+        self._open: list[queue.SimpleQueue[bytes | None]] = []
+        self._lost = False
+        self.why_lost: Callable[[], str] = lambda: "left the run: its process ended or the connection broke"
+        self.released: Callable[[], None] = lambda: None
+
+    def ask(self, question: bytes) -> None:
+        """Send a question; its answer, or None if none can come any more, lands in a queue of its own."""
+        answer: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._open.append(answer)
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            answer.put(None if reply.ok is None else reply.ok.payload.to_bytes())
+
+        self._querier.get(Callback(on_reply, lambda: answer.put(None), indirect=False), payload=question)
+
+    def answer(self, timeout_s: float) -> bytes:
+        """Wait for the answer to the oldest open question."""
+        waiting = self._open.pop(0)
+        if self._lost and waiting.empty():
+            raise LinkError(self.why_lost())
+        try:
+            answer = waiting.get(timeout=timeout_s)
+        except queue.Empty:
+            raise LinkError(f"did not answer within the deadline of {timeout_s:g} s") from None
+        if answer is None:
+            raise LinkError(self.why_lost())
+        return answer
+
+    def lost(self) -> None:
+        """The host's token is gone: no open question will be answered."""
+        self._lost = True
+        for waiting in self._open:
+            waiting.put(None)
+
+    def close(self) -> None:
+        """Let go of whatever runs the host."""
+        self.released()
+
+
+def serve(
+    hello: Callable[[str], wire.Hello],
+    desk: Desk,
+    endpoint: str,
+    *,
+    on_state: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Run a host: dial in, wait for a run, answer its questions until it ends, and say why it ended.
+
+    Args:
+        hello: makes the greeting, given the host's own id.
+        desk: answers the questions.
+        endpoint: of the hub, e.g. ``tcp/192.168.1.10:7447``; it need not be there yet.
+        on_state: told what is being waited for.
+
+    Raises:
+        UsageError: the endpoint is none, or the hub refuses this host.
+    """
+    with _dial(endpoint, on_state) as session:
+        host = str(session.zid())
+        inbox: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
+        key = f"vcmvsp/host/{host}/ask"
+        queryable = session.declare_queryable(key, Callback(inbox.put, indirect=False))
+        token = session.liveliness().declare_token(f"vcmvsp/host/{host}/alive")
+
+        def on_hub(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                inbox.put(None)
+
+        watch = session.liveliness().declare_subscriber(HUB_ALIVE, Callback(on_hub, indirect=False), history=True)
+        _join(session, hello(host))
+        on_state("joined; waiting for the run to begin")
+        try:
+            while desk.ended is None:
+                query = inbox.get()
+                if query is None:
+                    return desk.ended or "the run is gone: its process ended or the connection broke"
+                with query:
+                    query.reply(key, desk.handle(query.payload.to_bytes() if query.payload else b""))
+            return desk.ended
+        finally:
+            desk.close()
+            for handle in (watch, token, queryable):
+                handle.undeclare()  # type: ignore[no-untyped-call]
+
+
+@contextlib.contextmanager
+def _dial(endpoint: str, on_state: Callable[[str], None]) -> Iterator[zenoh.Session]:
+    """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
+    config = {**_COMMON, "mode": "client", "listen": {"endpoints": []}}
+    config["connect"] = {"endpoints": [endpoint], "timeout_ms": 0}
+    told = False
+    while True:
+        try:
+            session = zenoh.open(_config(config))
+            break
+        except zenoh.ZError as error:
+            if "Unable to connect" not in str(error):
+                raise UsageError(f"cannot connect to '{endpoint}': {_first_line(error)}") from error
+            if not told:
+                on_state(f"waiting for a run at {endpoint}")
+                told = True
+            time.sleep(0.1)
+    with session:
+        yield session
+
+
+def _join(session: zenoh.Session, hello: wire.Hello) -> None:
+    for reply in session.get(JOIN, payload=wire.encode(hello), timeout=_NO_TIMEOUT_S):
+        if reply.ok is not None:
+            refused = wire.welcomes.decode(reply.ok.payload.to_bytes()).refused
+            if refused:
+                raise UsageError(f"the run refuses this host: {refused}")
+            return
+    raise UsageError("the run ended before it let this host in")
+
+
+def _config(values: dict[str, Any]) -> zenoh.Config:
+    return zenoh.Config.from_json5(json.dumps(values))
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0]

@@ -1,0 +1,39 @@
+"""Delays beyond the time on the air: relays, gateways, operating systems."""
+
+import numpy as np
+
+from cosim.clock import seconds_to_ns
+from cosim.types import NonNegative
+from netsim.layers import Draw, Frame, Ints
+
+
+class NoDelay:
+    """A frame is received when it ends."""
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Zeros, (n,) ns: earlier than the end of any frame."""
+        return np.zeros(frame.rssi_dbm.shape, np.int64)
+
+
+class FixedDelay:
+    """A frame is received ``seconds`` after it was handed to the radio, give or take up to ``jitter_s``.
+
+    The time on the air, and the wait for the sender's earlier frames, are part of ``seconds`` and not added to it; but no frame
+    arrives before its last bit::
+
+        received = max(end of the frame, sent + seconds + jitter)
+
+    So agents at 10 Hz with ``seconds = 0.1`` hear each message exactly one period after it was sent. The jitter is uniform in
+    [-jitter_s, +jitter_s], drawn for each frame and receiver; one that exceeds half the sending period lets frames overtake.
+    """
+
+    def __init__(self, seconds: NonNegative, jitter_s: NonNegative = 0.0) -> None:
+        self._fixed_ns, self._jitter_ns = seconds_to_ns(seconds), seconds_to_ns(jitter_s)
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Earliest reception, counted from the sending, (n,) whole ns."""
+        if not self._jitter_ns:
+            return np.full(frame.rssi_dbm.shape, self._fixed_ns, np.int64)
+        jitter = (2.0 * draw()[..., 0] - 1.0) * self._jitter_ns
+        delay: Ints = self._fixed_ns + np.rint(jitter).astype(np.int64)
+        return delay

@@ -1,0 +1,32 @@
+"""Losses of frames that are strong enough to be received."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cosim.types import Probability
+from netsim.layers import Bools, Draw, Frame
+
+
+class NoLoss:
+    """Nothing is lost."""
+
+    cause: ClassVar[str] = "none"
+
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
+        """False for every receiver, (n,)."""
+        return np.zeros(frame.rssi_dbm.shape, np.bool_)
+
+
+@dataclass(frozen=True)
+class Bernoulli:
+    """Every frame is lost with the same probability on every link, each independently of all others."""
+
+    probability: Probability
+    cause: ClassVar[str] = "random loss"
+
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
+        """Which receivers lose the frame, (n,)."""
+        lost: Bools = draw()[..., 0] < self.probability
+        return lost

@@ -1,0 +1,46 @@
+"""Path loss: how a signal weakens on its way."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.types import NonNegative, Positive
+from netsim.layers import Floats, Paths
+
+SPEED_OF_LIGHT = 299_792_458.0  # m/s
+
+
+def free_space_loss_db(distance_m: float, frequency_hz: float) -> float:
+    """Loss in free space between isotropic antennas, 20 log10(4 pi d f / c) (Friis 1946)."""
+    return 20.0 * math.log10(4.0 * math.pi * distance_m * frequency_hz / SPEED_OF_LIGHT)
+
+
+class NoPathLoss:
+    """Every receiver hears the transmitted power."""
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Zeros, (n,) dB."""
+        return np.zeros(paths.distance_m.shape)
+
+
+@dataclass(frozen=True)
+class LogDistance:
+    """Loss that grows with the logarithm of distance: ``L = L0 + 10 N log10(max(d, d0) / d0)``.
+
+    Both usual conventions are this one. In ns-3 (``LogDistancePropagationLossModel``) L0 is ``ReferenceLoss`` and the level is
+    ``Ptx - L``. The USARSim Wireless Simulation Server, and Toh 2012 section 6.2.3, give the received level at d0 instead,
+    ``S = Pd0 - 10 N log10(d / d0)``: that is ``L0 = Ptx - Pd0``. Nearer than d0 the loss stays L0.
+
+    The default loss is that of free space over 1 m at 2.4 GHz; the default exponent is ns-3's.
+    """
+
+    exponent: NonNegative = 3.0  # N: 2 in free space, about 3 among obstacles
+    reference_distance_m: Positive = 1.0  # d0
+    reference_loss_db: float = 40.052  # L0, loss at d0
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Loss of each path, (n,) dB."""
+        ratio = np.maximum(paths.distance_m, self.reference_distance_m) / self.reference_distance_m
+        loss: Floats = self.reference_loss_db + 10.0 * self.exponent * np.log10(ratio)
+        return loss

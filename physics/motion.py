@@ -1,0 +1,113 @@
+"""Vehicles without a body: speeds that follow the command, poses from the speeds; all vehicles at once.
+
+Each speed s (v or w) obeys ``ds/dt = clip((c - s) / tau, -fall, rise)`` with c the command, clipped to the greatest speed.
+Between commands this has a closed form. Let e = |c - s| at the start, a the limit of that direction and knee = min(e, a tau):
+s first runs along a ramp for ``t1 = (e - knee) / a``, then decays, so that after t
+
+    |c - s| = max(e - knee - a t, 0) + knee exp(-max(t - t1, 0) / tau)
+
+Speeds, and their integrals (the way driven and the angle turned), are therefore exact after an interval of any length. The
+pose is a chain of circular arcs (`cosim.frames.arc`) of at most 20 ms: exact while speeds are constant, of second order
+while they change.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.clock import SECOND_NS
+from cosim.frames import quaternion_from_yaw, wrap
+from cosim.types import Odometry, VehicleState
+from physics.vehicles import VehicleSpec
+
+Floats = NDArray[np.float64]
+
+_ARC_NS = 20_000_000  # longest arc while speeds change
+_AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
+
+
+class MotionEngine:
+    """Moves n vehicles by their `Servo`. Nothing collides: there are no bodies."""
+
+    def __init__(self, vehicles: Sequence[VehicleSpec]) -> None:
+        n = len(vehicles)
+        servos = np.array([spec.model.servo for spec in vehicles], float).reshape(n, 7).T
+        tau_v, tau_w, accel, decel, yaw_accel, max_speed, max_yaw_rate = servos
+        # All of these are (2, 1, n): v and w; times; vehicles.
+        self._tau = np.maximum([[tau_v], [tau_w]], _AT_ONCE_S)
+        self._rise, self._fall = np.array([[accel], [yaw_accel]]), np.array([[decel], [yaw_accel]])
+        self._greatest = np.array([[max_speed], [max_yaw_rate]])
+        self._speed, self._command = np.zeros((2, 1, n)), np.zeros((2, 1, n))
+        self._ideal = bool((self._tau == _AT_ONCE_S).all() and np.isinf([self._rise, self._fall]).all())
+        self._pose = np.array([spec.pose for spec in vehicles], float).reshape(n, 3).T.copy()  # (3, n): x, y, yaw
+        self._now_ns = 0
+
+    def command(self, vehicle: int, v: float, w: float) -> None:
+        """From now on move at ``v`` m/s forward and ``w`` rad/s."""
+        max_v, max_w = self._greatest[:, 0, vehicle].tolist()
+        self._command[:, 0, vehicle] = max(-max_v, min(v, max_v)), max(-max_w, min(w, max_w))
+
+    def advance(self, to_ns: int) -> None:
+        """Move on to ``to_ns``."""
+        span_ns = to_ns - self._now_ns
+        if span_ns <= 0:
+            return
+        self._now_ns = to_ns
+        span_s = span_ns / SECOND_NS
+        if self._ideal:
+            np.copyto(self._speed, self._command)
+            self._follow(self._speed * span_s)
+        else:
+            arcs = -(-span_ns // _ARC_NS)
+            ways = self._drive(np.arange(1, arcs + 1)[:, None] * (span_s / arcs))
+            ways[:, 1:] -= ways[:, :-1].copy()
+            self._follow(ways)
+
+    def _drive(self, t: NDArray[Any]) -> Floats:
+        """Drive to the last of the times t (arcs, 1), s from now; the ways (2, arcs, n) driven by each, m and rad."""
+        error = self._command - self._speed
+        limit = np.where(error > 0.0, self._rise, self._fall)
+        size = np.abs(error)
+        knee = np.minimum(size, limit * self._tau)
+        ramp = size - knee
+        on_ramp = np.minimum(t, ramp / limit)
+        ramp_left = np.maximum(ramp - limit * t, 0.0)
+        decay = np.exp((on_ramp - t) / self._tau)
+        missed = 0.5 * on_ramp * (ramp + ramp_left) + knee * (on_ramp + self._tau * (1.0 - decay))
+        left = ramp_left[:, -1:] + knee * decay[:, -1:]
+        sign = np.sign(error)
+        ways: Floats = self._command * t - sign * missed
+        self._speed = self._command - sign * left
+        return ways
+
+    def _follow(self, ways: Floats) -> None:
+        """Append arcs to every pose: ways (2, arcs, n), m and rad."""
+        way, turn = ways
+        half = 0.5 * turn
+        yaw = self._pose[2] + turn.cumsum(axis=0)
+        divisor = np.where(np.abs(half) < 1e-8, 1e-8, half)  # sin(h) / h is 1 there to the last bit
+        chord, direction = way * np.sin(divisor) / divisor, yaw - half
+        self._pose[0] += (chord * np.cos(direction)).sum(axis=0)
+        self._pose[1] += (chord * np.sin(direction)).sum(axis=0)
+        self._pose[2] = yaw[-1]
+
+    def read(self) -> list[tuple[VehicleState, Odometry]]:
+        """The state of every vehicle; its wheels are never wrong."""
+        rows = []
+        for x, y, yaw, v, w in np.concatenate([self._pose, self._speed[:, 0]]).T.tolist():
+            attitude = quaternion_from_yaw(yaw)
+            cos, sin = attitude[0] ** 2 - attitude[3] ** 2, 2.0 * attitude[0] * attitude[3]
+            state = VehicleState(
+                position=(x, y, 0.0), velocity=(v * cos, v * sin, 0.0), attitude=attitude, angular_velocity=(0.0, 0.0, w)
+            )
+            rows.append((state, Odometry(pose=(x, y, wrap(yaw)), v=v, w=w)))
+        return rows
+
+    def touching(self) -> tuple[()]:
+        """No bodies, no contacts."""
+        return ()
+
+    def close(self) -> None:
+        """Nothing to release."""

@@ -1,0 +1,198 @@
+"""The ground vehicles that a scenario can name, as sets of parameters; the engines know how each set moves.
+
+A vehicle's pose is that of its reference point: the middle of the wheel axle, projected onto the floor. Sources:
+
+* p2dx.p, amigo.p: robot parameter files of ARIA (ActivMedia/MobileRobots), where the effective track is 2 / DiffConvFactor.
+* Stage: the vehicle definitions of the Player/Stage simulator. Gazebo: those of the Gazebo simulator.
+* AMRISim: vehicle definitions of the USARSim family. MobileSim: simulator of the makers of both robots.
+* Manuals: masses and wheel radii of the makers' manuals as commonly quoted; not verified on a robot.
+* Assumed: a plausible value without a published source.
+"""
+
+import math
+from dataclasses import dataclass
+from math import inf
+from typing import NamedTuple
+
+from cosim.errors import ScenarioError
+from cosim.types import NonNegative, Positive, Value
+from physics.positioning import Positioning
+from physics.world import Footprint
+
+POSE_SOURCES = ("truth", "odometry", "positioning")
+
+
+class Servo(NamedTuple):
+    """How speeds follow a command where there is no body to move: a first-order lag within limits (see `physics.motion`)."""
+
+    tau_v_s: float = 0.0  # 0: the speed is the commanded one at once
+    tau_w_s: float = 0.0
+    accel: float = inf  # m/s2, of a growing v
+    decel: float = inf  # m/s2, of a falling v
+    yaw_accel: float = inf  # rad/s2
+    max_speed: float = inf  # m/s
+    max_yaw_rate: float = inf  # rad/s
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundVehicle:
+    """What all ground vehicles have: the circle and the height that they are drawn with, m."""
+
+    radius_m: Positive = 0.25
+    height_m: Positive = 0.22
+
+    @property
+    def servo(self) -> Servo:
+        """How it moves as a point: exactly as commanded, unless a kind says otherwise."""
+        return Servo()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kinematic(GroundVehicle):
+    """The unicycle: its velocity is the command, at once and without limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag(GroundVehicle):
+    """A unicycle whose speeds follow the command with first-order lags, s."""
+
+    tau_v_s: NonNegative = 0.5
+    tau_w_s: NonNegative = 0.3
+
+    @property
+    def servo(self) -> Servo:
+        """Lags without limits."""
+        return Servo(self.tau_v_s, self.tau_w_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inertial(Lag):
+    """`Lag` with the limits of a small robot: those of an AmigoBot in MobileSim (0.75 m/s, 0.3 and 0.75 m/s2).
+
+    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not meant to reverse.
+    """
+
+    accel: Positive = 0.3  # m/s2
+    decel: Positive = 0.75  # m/s2
+    yaw_accel: Positive = 1.5  # rad/s2, assumed
+    max_speed: Positive = 0.75  # m/s
+    max_yaw_rate: Positive = 1.75  # rad/s
+
+    @property
+    def servo(self) -> Servo:
+        """Lags within limits."""
+        limits = (self.accel, self.decel, self.yaw_accel, self.max_speed, self.max_yaw_rate)
+        return Servo(self.tau_v_s, self.tau_w_s, *limits)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DifferentialDrive(GroundVehicle):
+    """A robot of two driven wheels and a caster; a body in Bullet, elsewhere it moves exactly as commanded.
+
+    The firmware moves its set points of (v, w) towards the command within the limits below; two speed-controlled motors of
+    limited torque turn the wheels, and the friction between wheels and floor moves the robot.
+    """
+
+    mass_kg: Positive  # all of it, wheels included
+    length_m: Positive  # of the body's outline
+    width_m: Positive
+    axle_ahead_m: float  # of the middle of the outline
+    clearance_m: Positive  # between floor and body
+    mass_behind_m: Positive  # centre of mass of the body behind the axle; less than caster_behind_m, else it tips over
+    mass_height_m: Positive  # ... and above the floor
+    caster_behind_m: Positive
+    caster_friction: NonNegative = 0.05  # of caster and body: a caster rolls nearly without friction
+    wheel_radius_m: Positive
+    wheel_mass_kg: Positive  # each
+    wheel_friction: NonNegative = 0.9  # rubber on a hard floor, assumed; times the floor's
+    track_m: Positive  # between the wheels' points of contact
+    torque: Positive  # N m, free at each wheel
+    max_speed: Positive  # m/s
+    max_yaw_rate: Positive  # rad/s
+    accel: Positive  # m/s2, away from standstill
+    decel: Positive  # m/s2, towards standstill
+    yaw_accel: Positive  # rad/s2, both ways
+
+    def __post_init__(self) -> None:
+        if 2.0 * self.wheel_mass_kg >= self.mass_kg:
+            raise ValueError(f"mass_kg = {self.mass_kg} must exceed that of both wheels, 2 x {self.wheel_mass_kg} kg")
+        if self.mass_behind_m >= self.caster_behind_m:
+            raise ValueError(f"mass_behind_m = {self.mass_behind_m} must be less than caster_behind_m = {self.caster_behind_m}")
+
+    def footprint(self, pose: tuple[float, float, float]) -> Footprint:
+        """The outline of the body at a pose (x m, y m, yaw rad), seen from above."""
+        x, y, yaw = pose
+        return Footprint(
+            x=x - self.axle_ahead_m * math.cos(yaw),
+            y=y - self.axle_ahead_m * math.sin(yaw),
+            half_length=0.5 * self.length_m,
+            half_width=0.5 * self.width_m,
+            yaw=yaw,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class P2DX(DifferentialDrive):
+    """Pioneer 2-DX."""
+
+    radius_m: Positive = 0.25
+    height_m: Positive = 0.22  # Stage
+    mass_kg: Positive = 9.0  # manuals
+    length_m: Positive = 0.511  # p2dx.p
+    width_m: Positive = 0.425  # p2dx.p
+    axle_ahead_m: float = 0.04  # Stage
+    clearance_m: Positive = 0.05  # assumed
+    mass_behind_m: Positive = 0.03  # assumed
+    mass_height_m: Positive = 0.08  # assumed: the batteries lie low
+    caster_behind_m: Positive = 0.20  # assumed
+    wheel_radius_m: Positive = 0.0825  # manuals
+    wheel_mass_kg: Positive = 0.4  # assumed
+    track_m: Positive = 0.357  # p2dx.p; 0.33 between the middles of the tyres
+    torque: Positive = 1.2  # assumed: gives 3 m/s2
+    max_speed: Positive = 1.6  # AMRISim
+    max_yaw_rate: Positive = 8.73  # p2dx.p: 500 deg/s
+    accel: Positive = 0.3  # MobileSim
+    decel: Positive = 0.6  # MobileSim
+    yaw_accel: Positive = 1.75  # assumed: 100 deg/s2
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmigoBot(DifferentialDrive):
+    """AmigoBot, the small robot of Toh 2012."""
+
+    radius_m: Positive = 0.18
+    height_m: Positive = 0.15  # manuals
+    mass_kg: Positive = 3.6  # manuals
+    length_m: Positive = 0.330  # amigo.p
+    width_m: Positive = 0.279  # amigo.p
+    axle_ahead_m: float = 0.01  # Stage
+    clearance_m: Positive = 0.03  # assumed
+    mass_behind_m: Positive = 0.03  # assumed
+    mass_height_m: Positive = 0.06  # assumed
+    caster_behind_m: Positive = 0.12  # assumed
+    wheel_radius_m: Positive = 0.05  # manuals
+    wheel_mass_kg: Positive = 0.2  # assumed
+    track_m: Positive = 0.25  # Gazebo; amigo.p gives 0.182 as effective, which the body's width contradicts
+    torque: Positive = 0.35  # assumed: gives 4 m/s2
+    max_speed: Positive = 1.0  # amigo.p
+    max_yaw_rate: Positive = 5.24  # amigo.p: 300 deg/s
+    accel: Positive = 0.3  # MobileSim
+    decel: Positive = 0.75  # MobileSim
+    yaw_accel: Positive = 1.75  # assumed: 100 deg/s2
+
+
+class VehicleSpec(Value, frozen=True, kw_only=True):
+    """One vehicle of a run: what it is, where it starts, and what it takes for its own pose."""
+
+    name: str
+    model: GroundVehicle
+    pose: tuple[float, float, float]  # x m, y m, yaw rad
+    pose_source: str = "truth"  # "truth" | "odometry" | "positioning"
+    positioning: Positioning | None = None  # the sensor, if fitted
+
+    def __post_init__(self) -> None:
+        key = f"vehicle.{self.name}.pose_source"
+        if self.pose_source not in POSE_SOURCES:
+            raise ScenarioError(f'"{self.pose_source}" is none of {", ".join(POSE_SOURCES)}', key=key)
+        if self.pose_source == "positioning" and self.positioning is None:
+            raise ScenarioError('"positioning" needs the sensor of that name to be fitted to the vehicle', key=key)

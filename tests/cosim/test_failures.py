@@ -1,0 +1,170 @@
+"""A run ends well however it ends: one error, the right exit code, in time, nothing left behind, the recording readable."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pyarrow.parquet as pq
+import pytest
+from mcap.reader import make_reader
+
+AGENTS = '''
+import os, signal, sys, time
+from cosim import Agent, Velocity
+
+class Failing(Agent):
+    """Drives on, and at ``at`` seconds does what ``how`` says."""
+    def __init__(self, how: str, at: float = 1.0) -> None:
+        self.how, self.at = how, at
+
+    def act(self, obs, radio):
+        radio.send(x=obs.state.position[0])
+        if obs.time_s >= self.at:
+            {"raise": self.crash, "exit": self.leave, "kill": self.killed, "hang": self.sleep, "stop": self.stopped,
+             "nan": lambda: None, "junk": lambda: None, "fine": lambda: None}[self.how]()
+        if obs.time_s >= self.at and self.how == "junk":
+            return "forward"
+        return Velocity(linear=(float("nan") if self.how == "nan" and obs.time_s >= self.at else 0.3, 0.0, 0.0))
+
+    def crash(self): raise RuntimeError("lost my way")
+    def leave(self): os._exit(7)
+    def killed(self): os.kill(os.getpid(), signal.SIGKILL)
+    def stopped(self): os.kill(os.getpid(), signal.SIGSTOP)
+    def sleep(self): time.sleep(600)
+'''
+SCENARIO = """
+name = "failing"
+duration_s = {duration}
+[physics]
+kind = "kinematic"
+[agents]
+deadline_s = 1.0
+[[vehicle]]
+name = "car1"
+kind = "kinematic"
+agent = {{ kind = "failing.py:Failing", how = "fine" }}
+[[vehicle]]
+name = "car2"
+kind = "kinematic"
+pose = [3.0, 0.0, 0.0]
+agent = {{ kind = "failing.py:Failing", how = "{how}" }}
+"""
+COMMAND = [sys.executable, "-m", "cosim.cli", "run"]
+
+
+def write(folder: Path, how: str, duration: float = 5.0) -> Path:
+    (folder / "failing.py").write_text(AGENTS)
+    scenario = folder / "failing.toml"
+    scenario.write_text(SCENARIO.format(how=how, duration=duration))
+    return scenario
+
+
+def assert_readable(out: Path, until_s: float) -> dict[str, object]:
+    """All files of the run open, and they reach the instant of the failure."""
+    with (out / "run.mcap").open("rb") as stream:
+        messages = [(channel.topic, message.log_time) for _, channel, message in make_reader(stream).iter_messages()]
+    times, errors = [when for _, when in messages], [topic for topic, _ in messages if topic == "log"]
+    assert max(times) >= until_s * 1e9
+    states = pq.read_table(out / "states.parquet")
+    assert max(states["time_ns"].to_pylist()) == pytest.approx(until_s * 1e9)
+    assert pq.read_table(out / "radio.parquet").num_rows > 0
+    assert errors
+    about: dict[str, object] = json.loads((out / "about.json").read_text())
+    return about
+
+
+CAUSES = {
+    "raise": "raised RuntimeError: lost my way (failing.py line",
+    "nan": "returned a command that is not finite",
+    "junk": "returned 'forward' from act(); it must return a Velocity",
+    "exit": "ended with exit code 7",
+    "kill": "was killed by SIGKILL",
+    "hang": "did not answer within the deadline of 1 s",
+    "stop": "did not answer within the deadline of 1 s",
+}
+
+
+@pytest.mark.parametrize(
+    ("how", "where"),
+    [(how, "process") for how in CAUSES] + [(how, "inprocess") for how in ("raise", "nan", "junk")],
+)
+def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_path: Path) -> None:
+    scenario, out = write(tmp_path, how), tmp_path / "out"
+    shared_before = set(os.listdir("/dev/shm"))
+    begin = time.monotonic()
+    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out)]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    _, errors_said = run.communicate(timeout=60)
+    assert time.monotonic() - begin < 20.0  # start-up, 1 s of deadline, clean-up; the demand of 5 s is for an idle machine
+    assert run.returncode == 3, errors_said
+    errors = [line for line in errors_said.splitlines() if line.startswith("vcmvsp: ")]
+    assert "vehicle car2" in errors[0]
+    assert "failing.py:Failing" in errors[0]
+    assert CAUSES[how] in errors[0]
+    assert "Traceback" not in errors_said
+    about = assert_readable(out, 1.0)
+    assert CAUSES[how] in str(about["error"])
+    assert not [pid for pid in psutil.pids() if session_of(pid) == run.pid]
+    assert set(os.listdir("/dev/shm")) == shared_before
+
+
+@pytest.mark.parametrize("where", ["inprocess", "process"])
+def test_ctrl_c_keeps_the_recording_and_leaves_no_process(where: str, tmp_path: Path) -> None:
+    scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
+    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out), "--realtime"]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0)
+    wait_for(lambda: (out / "run.mcap").exists())
+    time.sleep(1.0)
+    children = psutil.Process(run.pid).children(recursive=True)
+    assert len(children) == (2 if where == "process" else 0)
+    os.killpg(run.pid, signal.SIGINT)
+    _, errors = run.communicate(timeout=30)
+    assert run.returncode == 130
+    assert "interrupted at" in errors
+    assert "Traceback" not in errors
+    psutil.wait_procs(children, timeout=5)
+    assert not [child for child in children if child.is_running()]
+    about = json.loads((out / "about.json").read_text())
+    assert_readable(out, about["simulated_s"])
+    assert about["lateness"]["instants"] > 0
+
+
+def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
+    scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
+    command = [*COMMAND, str(scenario), "--agents", "process", "--out", str(out), "--realtime"]
+    run = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    wait_for(lambda: (out / "run.mcap").exists())
+    children = psutil.Process(run.pid).children(recursive=True)
+    assert len(children) == 2
+    run.kill()
+    run.wait()
+    assert not psutil.wait_procs(children, timeout=10)[1]
+
+
+def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None:
+    scenario = write(tmp_path, "fine")
+    command = [*COMMAND, str(scenario), "--agents", "process", "--set", "vehicle.car2.agent.at=soon", "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert "vehicle.car2.agent.at: must be a number, not 'soon'" in done.stderr
+    assert "--set vehicle.car2.agent.at=soon" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def session_of(pid: int) -> int:
+    try:
+        return os.getsid(pid)
+    except ProcessLookupError:
+        return -1
+
+
+def wait_for(condition: object, timeout_s: float = 30.0) -> None:
+    last = time.monotonic() + timeout_s
+    while not condition():  # type: ignore[operator]
+        assert time.monotonic() < last
+        time.sleep(0.02)

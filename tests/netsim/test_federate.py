@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+
+from cosim.federate import Event, Federate, RunInfo, Slot, Step
+from cosim.types import FrameReport, Message, Reception, States
+from netsim.channel import Channel
+from netsim.federate import RadioFederate
+from tests.netsim.helpers import make_channel
+
+MS = 1_000_000
+NAMES = ("a", "b", "c")
+RUN = RunInfo(scenario="test", seed=4, duration_ns=10**10, vehicles=NAMES)
+
+
+def states(time_ns: int, *x: float) -> Event:
+    n = len(x)
+    position = np.array([(each, 0.0, 0.0) for each in x])
+    zero = np.zeros((n, 3))
+    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    value = States(names=NAMES[:n], position=position, velocity=zero, attitude=attitude, angular_velocity=zero)
+    return Event("world/states", time_ns, value)
+
+
+def sends(time_ns: int, sender: str, to: str | None = None) -> Event:
+    return Event(f"{sender}/send", time_ns, Message(sender=sender, body={"t": time_ns}, size_bytes=100, to=to))
+
+
+def frames(step: Step) -> list[FrameReport]:
+    return [event.value for event in step.events if isinstance(event.value, FrameReport)]
+
+
+@pytest.fixture
+def radio() -> RadioFederate:
+    federate = RadioFederate(make_channel("wifi-b-1"))
+    assert federate.start(RUN) is None
+    return federate
+
+
+def test_it_is_a_federate_that_wakes_for_what_is_sent(radio: RadioFederate) -> None:
+    assert isinstance(radio, Federate)
+    assert (radio.name, radio.slot, radio.wake_slot) == ("radio", Slot.RADIO, Slot.SEND)
+    assert (radio.reads, radio.wakes) == (("world/states", "*/send"), ("*/send",))
+
+
+def test_a_frame_gives_one_report_and_one_reception_for_each_who_hears_it(radio: RadioFederate) -> None:
+    sent = sends(50 * MS, "a")
+    step = radio.step(50 * MS, [states(40 * MS, 0.0, 20.0, 500.0), sent])
+    report, heard = step.events
+    assert isinstance(sent.value, Message)
+    assert step.next_ns is None
+    assert (report.key, report.time_ns) == ("radio/frame", 50 * MS)
+    assert isinstance(report.value, FrameReport)
+    assert report.value.outcome == ("received", "below sensitivity")
+    assert (heard.key, heard.time_ns) == ("b/heard", 50 * MS + 1_280_000)
+    assert heard.value == Reception(
+        message=sent.value,
+        rssi_dbm=report.value.rssi_dbm[0].item(),
+        sent_ns=50 * MS,
+        received_ns=50 * MS + 1_280_000,
+    )
+
+
+def test_the_newest_positions_count(radio: RadioFederate) -> None:
+    inbox = [states(0, 0.0, 20.0, 30.0), states(10 * MS, 0.0, 500.0, 30.0), sends(10 * MS, "a")]
+    assert frames(radio.step(10 * MS, inbox))[0].distance_m.tolist() == [500.0, 30.0]
+    assert frames(radio.step(20 * MS, [sends(20 * MS, "a")]))[0].distance_m.tolist() == [500.0, 30.0]
+    later = radio.step(30 * MS, [states(30 * MS, 0.0, 5.0, 30.0), sends(30 * MS, "b")])
+    assert frames(later)[0].distance_m.tolist() == [5.0, 25.0]
+
+
+def test_frames_enter_in_the_order_in_which_they_were_handed_over(radio: RadioFederate) -> None:
+    step = radio.step(0, [states(0, 0.0, 5.0, 9.0), sends(0, "c"), sends(0, "a"), sends(0, "a", to="c")])
+    assert [(report.frame, report.sender, report.receivers) for report in frames(step)] == [
+        (0, "c", ("a", "b")),
+        (1, "a", ("b", "c")),
+        (2, "a", ("c",)),
+    ]
+    assert frames(step)[2].received_ns.tolist() == [2 * 1_280_000]  # a's second frame waits for its first
+
+
+def test_all_events_lie_in_the_present_or_the_future() -> None:
+    radio = RadioFederate(make_channel("zigbee", delay={"seconds": 0.01, "jitter_s": 0.02}, loss={"probability": 0.3}))
+    radio.start(RUN)
+    inbox = [states(0, 0.0, 5.0, 9.0)]
+    for k in range(200):
+        step = radio.step(k * MS, [*inbox, *(sends(k * MS, name) for name in NAMES)])
+        inbox = []
+        for event in step.events:
+            if isinstance(event.value, Reception):
+                assert event.time_ns == event.value.received_ns > event.value.sent_ns == k * MS
+            else:
+                assert event.time_ns == k * MS
+
+
+def test_a_new_start_repeats_the_run() -> None:
+    def run(radio: RadioFederate, run: RunInfo) -> list[list[int]]:
+        radio.start(run)
+        inbox = [states(0, 0.0, 5.0, 9.0)]
+        steps = [radio.step(k * 100 * MS, [*inbox, sends(k * 100 * MS, "a")]) for k in range(100)]
+        return [frames(step)[0].received_ns.tolist() for step in steps]
+
+    def channel() -> Channel:
+        return make_channel("wifi-b-1", loss={"probability": 0.5})
+
+    radio = RadioFederate(channel())
+    first = run(radio, RUN)
+    assert run(radio, RUN) == first
+    assert run(RadioFederate(channel()), RUN) == first
+    assert run(radio, RunInfo(scenario="test", seed=5, duration_ns=10**10, vehicles=NAMES)) != first
+
+
+def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) -> None:
+    with pytest.raises(ValueError, match="a sends before any position is known"):
+        radio.step(0, [sends(0, "a")])

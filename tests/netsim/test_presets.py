@@ -1,0 +1,31 @@
+import pytest
+
+from cosim.errors import ScenarioError
+from netsim.presets import LAYERS, PRESETS, preset
+from tests.netsim.helpers import KINDS, make_channel, send
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_sets_every_layer_and_delivers_to_a_neighbour(name: str) -> None:
+    layers = preset(name)
+    assert tuple(layers) == LAYERS
+    assert all(layers[layer]["kind"] in KINDS[layer] for layer in LAYERS)
+    assert send(make_channel(name), 5.0).outcome == ("received",)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_loss_and_delay_can_be_set_without_naming_a_kind(name: str) -> None:
+    assert send(make_channel(name, loss={"probability": 1.0}), 5.0).outcome == ("random loss",)
+    assert send(make_channel(name, delay={"seconds": 0.1}), 5.0).received_ns.tolist() == [100_000_000]
+
+
+def test_a_preset_is_the_callers_own() -> None:
+    preset("wss")["path_loss"]["exponent"] = 9.0
+    assert preset("wss")["path_loss"]["exponent"] == 1.0
+    preset("wifi-b-1")["path_loss"]["exponent"] = 9.0
+    assert preset("zigbee")["path_loss"]["exponent"] == 3.0
+
+
+def test_an_unknown_preset_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(ScenarioError, match="'wifi'; presets: ideal, wss, wifi-b-1, zigbee"):
+        preset("wifi")

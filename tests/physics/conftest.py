@@ -1,0 +1,88 @@
+"""A run of the physics alone: commands in, what was published out."""
+
+from collections.abc import Callable, Iterable, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.clock import Ticks, seconds_to_ns
+from cosim.federate import Event, RunInfo
+from cosim.types import Velocity
+from physics.federate import Physics
+from physics.vehicles import GroundVehicle, VehicleSpec
+from physics.world import World
+
+Command = tuple[float, str, float, float]  # from when, s; vehicle; v, m/s; w, rad/s
+Instants = Sequence[tuple[Ticks, int]]
+
+
+def publications(physics: Physics, commands: Iterable[Command], duration_s: float, instants: Instants) -> list[list[Event]]:
+    """Step a federate through a run as a kernel does; a command is handed over at the first step at or after its time."""
+    run = RunInfo(
+        scenario="test",
+        seed=1,
+        duration_ns=seconds_to_ns(duration_s),
+        vehicles=tuple(spec.name for spec in physics.vehicles),
+        instants=tuple(instants),
+    )
+    waiting = [
+        Event(f"{name}/command", seconds_to_ns(at_s), Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
+        for at_s, name, v, w in commands
+    ]
+    published: list[list[Event]] = []
+    next_ns: int | None = physics.start(run)
+    try:
+        while next_ns is not None:
+            now_ns = next_ns
+            inbox = [event for event in waiting if event.time_ns <= now_ns]
+            waiting = [event for event in waiting if event.time_ns > now_ns]
+            step = physics.step(now_ns, inbox)
+            published.append(list(step.events))
+            next_ns = step.next_ns
+    finally:
+        physics.close()
+    return published
+
+
+@pytest.fixture
+def play() -> Callable[..., list[list[Event]]]:
+    return publications
+
+
+@pytest.fixture
+def drive() -> Callable[..., Any]:
+    """Drive one vehicle from the origin; arrays over time of its true motion and odometry."""
+
+    def run(
+        kind: type[Physics],
+        model: GroundVehicle,
+        commands: Sequence[tuple[float, float, float]],
+        duration_s: float,
+        *,
+        hz: float = 10.0,
+        world: World | None = None,
+        **parameters: Any,
+    ) -> SimpleNamespace:
+        spec = VehicleSpec(name="car", model=model, pose=(0.0, 0.0, 0.0))
+        physics = kind(world=world or World(), vehicles=[spec], **parameters)
+        named = [(at_s, "car", v, w) for at_s, v, w in commands]
+        steps = publications(physics, named, duration_s, [(Ticks.rate(hz), 0)])
+        values = [{event.key: event.value for event in events} for events in steps]
+        states: Any = [value["car/estimate"] for value in values]
+        wheels: Any = [value["car/odometry"] for value in values]
+        attitude = np.array([state.attitude for state in states])
+        return SimpleNamespace(
+            t=np.array([events[0].time_ns for events in steps]) / 1e9,
+            position=np.array([state.position for state in states]),
+            yaw=np.unwrap([state.yaw for state in states]),
+            pitch=np.arcsin(2.0 * (attitude[:, 0] * attitude[:, 2] - attitude[:, 3] * attitude[:, 1])),
+            speed=np.array([np.hypot(*state.velocity[:2]) for state in states]),
+            yaw_rate=np.array([state.angular_velocity[2] for state in states]),
+            odometry=np.array([wheel.pose for wheel in wheels]),
+            wheel_speed=np.array([wheel.v for wheel in wheels]),
+            contacts=[event for events in steps for event in events if event.key == "world/contact"],
+        )
+
+    return run

@@ -1,0 +1,281 @@
+"""What the federate publishes, when, and to whom; the same laws for every engine."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from cosim.errors import FederateError, ScenarioError
+from cosim.federate import Event, Federate, RunInfo, Slot
+from cosim.frames import arc
+from cosim.rng import stream
+from cosim.types import Velocity
+from physics.federate import BulletPhysics, KinematicPhysics, Physics
+from physics.positioning import Positioning
+from physics.vehicles import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
+from physics.world import Box, World
+
+Play = Callable[..., list[list[Event]]]
+BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+TENTH = ((Ticks.every(0.1), 0),)
+
+
+def car(
+    name: str = "car1",
+    x: float = 0.0,
+    y: float = 0.0,
+    *,
+    model: GroundVehicle | None = None,
+    source: str = "truth",
+    sensor: Positioning | None = None,
+) -> VehicleSpec:
+    return VehicleSpec(name=name, model=model or P2DX(), pose=(x, y, 0.0), pose_source=source, positioning=sensor)
+
+
+def values(steps: list[list[Event]], key: str) -> list[Any]:
+    return [event.value for events in steps for event in events if event.key == key]
+
+
+@BOTH
+def test_it_is_a_federate(kind: type[Physics]) -> None:
+    physics = kind(world=World(), vehicles=[car(), car("car2", 1.0, model=AmigoBot())])
+    assert isinstance(physics, Federate)
+    assert (physics.name, physics.slot, physics.wake_slot) == ("physics", Slot.WORLD, Slot.APPLY)
+    assert (physics.reads, physics.wakes) == (("*/command",), ())
+    assert physics.radius_m == {"car1": 0.25, "car2": 0.18}
+
+
+@BOTH
+def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type[Physics], play: Play) -> None:
+    steps = play(kind(world=World(), vehicles=[car("b"), car("a", 1.0)]), [], 0.2, TENTH)
+    keys = ["world/states", "b/estimate", "b/odometry", "a/estimate", "a/odometry"]
+    assert [[event.key for event in events] for events in steps] == [keys] * 3
+    assert [{event.time_ns for event in events} for events in steps] == [{0}, {10**8}, {2 * 10**8}]
+    states = values(steps, "world/states")[0]
+    assert states.names == ("b", "a")
+    assert states.position[:, 0] == pytest.approx((0.0, 1.0))
+    for array, width in ((states.position, 3), (states.velocity, 3), (states.attitude, 4), (states.angular_velocity, 3)):
+        assert array.shape == (2, width)
+        assert not array.flags.writeable
+
+
+@BOTH
+def test_instants_are_all_trains_offsets_sensors_and_the_end(kind: type[Physics], play: Play) -> None:
+    physics = kind(world=World(), vehicles=[car(sensor=Positioning(rate_hz=4.0))])
+    steps = play(physics, [], 0.7, ((Ticks.every(0.3), 0), (Ticks.every(0.3), seconds_to_ns(0.05))))
+    assert [events[0].time_ns / 1e9 for events in steps] == pytest.approx([0.0, 0.05, 0.25, 0.3, 0.35, 0.5, 0.6, 0.65, 0.7])
+    fixes = [event.time_ns / 1e9 for events in steps for event in events if event.key == "car1/fix"]
+    assert fixes == pytest.approx([0.0, 0.25, 0.5])
+
+
+@BOTH
+def test_nothing_is_due_after_the_end(kind: type[Physics]) -> None:
+    physics = kind(world=World(), vehicles=[car()])
+    run = RunInfo(scenario="test", seed=1, duration_ns=SECOND_NS, vehicles=("car1",), instants=TENTH)
+    assert physics.start(run) == 0
+    assert physics.step(9 * 10**8, ()).next_ns == SECOND_NS
+    assert physics.step(SECOND_NS, ()).next_ns is None
+    physics.close()
+
+
+@BOTH
+def test_without_an_instant_asked_for_only_start_and_end_are_published(kind: type[Physics], play: Play) -> None:
+    steps = play(kind(world=World(), vehicles=[car()]), [(0.0, "car1", 0.3, 0.0)], 1.0, ())
+    assert [events[0].time_ns for events in steps] == [0, SECOND_NS]
+
+
+@BOTH
+def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: type[Physics], play: Play) -> None:
+    commands = [(0.1, "car1", 0.3, 0.4), (0.7, "car1", 0.1, -0.4), (1.35, "car1", 0.3, 0.0)]
+
+    def end(period_s: float) -> Any:
+        return values(
+            play(kind(world=World(), vehicles=[car()]), commands, 3.0, ((Ticks.every(period_s), 0),)), "world/states"
+        )[-1]
+
+    often, seldom = end(0.05), end(3.0)  # handed over at once; handed over at 3.0 s
+    assert seldom.position == pytest.approx(often.position, abs=1e-12)
+    if kind is KinematicPhysics:
+        pose = arc(arc((0.0, 0.0, 0.0), 0.3, 0.4, 0.6), 0.1, -0.4, 0.65)
+        x, y, _ = arc(pose, 0.3, 0.0, 1.65)
+        assert seldom.position[0] == pytest.approx((x, y, 0.0), abs=1e-12)
+
+
+@BOTH
+def test_more_instants_change_no_value_at_the_old_ones(kind: type[Physics], play: Play) -> None:
+    def run(*instants: tuple[Ticks, int]) -> dict[int, list[Event]]:
+        physics = kind(world=World(), vehicles=[car(), car("car2", 0.0, 1.0, model=Lag())])
+        return {events[0].time_ns: events for events in play(physics, [(0.1, "car1", 0.3, 0.5)], 2.0, instants)}
+
+    few, many = run(*TENTH), run(*TENTH, (Ticks.every(0.05), seconds_to_ns(0.025)))
+    assert len(many) > len(few)
+    for now_ns, events in few.items():
+        for a, b in zip(events, many[now_ns], strict=True):
+            if a.key == "car1/odometry":
+                mine: Any = a.value
+                theirs: Any = b.value
+                assert (*mine.pose, mine.v) == pytest.approx((*theirs.pose, theirs.v), abs=1e-12)
+                if kind is BulletPhysics:
+                    assert mine == theirs
+
+
+@BOTH
+def test_a_vehicle_believes_its_pose_source(kind: type[Physics], play: Play) -> None:
+    sensor = Positioning(rate_hz=5.0)
+    vehicles = [car(source="truth"), car("car2", 2.0, source="odometry"), car("car3", 4.0, source="positioning", sensor=sensor)]
+    commands = [(0.0, spec.name, 0.3, 0.3) for spec in vehicles]
+    steps = play(kind(world=World(floor_friction=0.02), vehicles=vehicles), commands, 2.0, TENTH)
+    fix: Any = None
+    for events in steps:
+        at: dict[str, Any] = {event.key: event.value for event in events}
+        states, fix = at["world/states"], at.get("car3/fix", fix)
+        assert at["car1/estimate"].position == tuple(states.position[0])
+        assert at["car1/estimate"].velocity == tuple(states.velocity[0])
+        for number in (2, 3):
+            estimate, odometry = at[f"car{number}/estimate"], at[f"car{number}/odometry"]
+            assert np.hypot(*estimate.velocity[:2]) == pytest.approx(abs(odometry.v))
+            assert estimate.angular_velocity == (0.0, 0.0, odometry.w)
+        x, y, yaw = at["car2/odometry"].pose
+        assert at["car2/estimate"].position == (x, y, 0.0)
+        assert at["car2/estimate"].yaw == pytest.approx(yaw)
+        assert at["car3/estimate"].position == fix.position
+        assert at["car3/estimate"].yaw == pytest.approx(fix.yaw)
+    assert len(values(steps, "car3/fix")) == 11
+
+
+def test_fixes_are_drawn_from_the_vehicles_own_stream(play: Play) -> None:
+    sensor = Positioning()
+    alone = play(KinematicPhysics(world=World(), vehicles=[car(sensor=sensor)]), [], 1.0, TENTH)
+    among = play(KinematicPhysics(world=World(), vehicles=[car("zero", sensor=sensor), car(sensor=sensor)]), [], 1.0, TENTH)
+    assert values(alone, "car1/fix") == values(among, "car1/fix")
+    assert values(among, "zero/fix") != values(among, "car1/fix")
+    rng, truth = stream(1, "car1/positioning"), values(alone, "car1/estimate")[0]
+    assert values(alone, "car1/fix")[0] == sensor.measure(0, truth, rng)
+
+
+@pytest.mark.parametrize("source", ["positioning", "gps"])
+def test_an_impossible_pose_source_is_refused(source: str) -> None:
+    with pytest.raises(ScenarioError, match=source) as raised:
+        car(source=source)
+    assert raised.value.key == "vehicle.car1.pose_source"
+
+
+@BOTH
+def test_commands_of_vehicles_that_others_move_are_ignored(kind: type[Physics], play: Play) -> None:
+    steps = play(kind(world=World(), vehicles=[car()]), [(0.0, "robot", 0.3, 0.0)], 0.5, TENTH)
+    assert values(steps, "world/states")[-1].position[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
+
+
+@BOTH
+@pytest.mark.parametrize("command", [(float("nan"), 0.0), (0.0, float("inf"))])
+def test_a_command_that_is_no_number_stops_the_run_and_names_the_vehicle(
+    kind: type[Physics], command: tuple[float, float], play: Play
+) -> None:
+    with pytest.raises(FederateError, match="car1 is not finite"):
+        play(kind(world=World(), vehicles=[car()]), [(0.0, "car1", *command)], 0.5, TENTH)
+
+
+@pytest.mark.parametrize(
+    ("instants", "duration_s", "rate_hz", "numbers"),
+    [
+        (((Ticks.every(0.013), 0),), 1.0, 120.0, ("0.013", "1/120 s")),
+        (((Ticks.every(0.1), seconds_to_ns(0.004)),), 1.0, 120.0, ("0.004", "1/120 s")),
+        (TENTH, 1.003, 120.0, ("1.003", "1/120 s")),
+        (TENTH, 1.0, 55.0, ("0.1", "1/55 s")),
+    ],
+)
+def test_publications_between_two_bullet_steps_are_refused(
+    instants: tuple[tuple[Ticks, int], ...], duration_s: float, rate_hz: float, numbers: tuple[str, str], play: Play
+) -> None:
+    with pytest.raises(ScenarioError) as raised:
+        play(BulletPhysics(world=World(), vehicles=[car()], rate_hz=rate_hz), [], duration_s, instants)
+    assert raised.value.key == "physics.rate_hz"
+    assert all(number in raised.value.problem for number in numbers)
+
+
+def test_a_sensor_between_two_bullet_steps_is_refused_and_a_fitting_one_is_not(play: Play) -> None:
+    with pytest.raises(ScenarioError, match="whole number of physics steps"):
+        play(BulletPhysics(world=World(), vehicles=[car(sensor=Positioning(rate_hz=7.0))]), [], 1.0, TENTH)
+    steps = play(BulletPhysics(world=World(), vehicles=[car(sensor=Positioning(rate_hz=60.0))]), [], 1.0, TENTH)
+    assert len(values(steps, "car1/fix")) == 61
+
+
+def test_bodies_that_start_inside_each_other_are_refused_by_name(play: Play) -> None:
+    with pytest.raises(ScenarioError, match="car2 and car1 overlap") as raised:
+        play(BulletPhysics(world=World(), vehicles=[car(), car("car2", 0.5)]), [], 1.0, TENTH)
+    assert raised.value.key == "vehicle.car2.pose"
+    world = World(boxes=(Box(center=(0.0, 0.0, 1.0), size=(4.0, 4.0, 2.0)),))  # round the robot: no side is touched
+    with pytest.raises(ScenarioError, match=r"car1 overlaps the box at \(0.0, 0.0, 1.0\)"):
+        play(BulletPhysics(world=world, vehicles=[car()]), [], 1.0, TENTH)
+
+
+def test_vehicles_without_a_body_ride_along_in_bullet_as_they_move_alone(play: Play) -> None:
+    models = {"body": P2DX(), "unicycle": Kinematic(), "lag": Lag()}
+    commands = [(0.0, name, 0.3, 0.3) for name in models]
+
+    def run(kind: type[Physics], *names: str) -> list[list[Event]]:
+        return play(kind(world=World(), vehicles=[car(name, model=models[name]) for name in names]), commands, 2.0, TENTH)
+
+    mixed, alone = run(BulletPhysics, "unicycle", "body", "lag"), run(KinematicPhysics, "unicycle", "lag")
+    for name in ("unicycle", "lag"):
+        assert values(mixed, f"{name}/estimate") == values(alone, f"{name}/estimate")
+    assert values(mixed, "world/states")[0].names == ("unicycle", "body", "lag")
+    assert values(mixed, "world/contact") == []
+
+
+def settling_s(kind: type[Physics], model: GroundVehicle) -> float:
+    """How long a follower at rest in its slot takes to stay within 5 cm of it, as its leader drives off at 0.30 m/s."""
+    physics = kind(world=World(), vehicles=[car("follower", model=model)])
+    run = RunInfo(scenario="test", seed=1, duration_ns=20 * SECOND_NS, vehicles=("follower",), instants=TENTH)
+    next_ns: int | None = physics.start(run)
+    inbox: tuple[Event, ...] = ()
+    errors = []
+    while next_ns is not None:
+        step = physics.step(next_ns, inbox)
+        at: dict[str, Any] = {event.key: event.value for event in step.events}
+        error = 0.3 * next_ns / 1e9 - at["follower/estimate"].position[0]
+        errors.append(error)
+        command = Velocity(linear=(0.3 + 0.8 * error, 0.0, 0.0))
+        inbox = (Event("follower/command", next_ns, command),)
+        next_ns = step.next_ns
+    physics.close()
+    return 0.1 * max((k + 1 for k, error in enumerate(errors) if abs(error) > 0.05), default=0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "model", "expected_s"),
+    [
+        (KinematicPhysics, P2DX(), 0.0),
+        (KinematicPhysics, Inertial(), 2.6),
+        (BulletPhysics, P2DX(), 2.5),
+        (BulletPhysics, AmigoBot(), 2.5),
+    ],
+)
+def test_momentum_delays_settling(kind: type[Physics], model: GroundVehicle, expected_s: float) -> None:
+    assert settling_s(kind, model) == pytest.approx(expected_s, abs=0.11)  # a tick
+
+
+QUIET = """
+import sys
+from cosim.clock import Ticks
+from cosim.federate import RunInfo
+from physics.federate import {kind}
+from physics.vehicles import P2DX, VehicleSpec
+from physics.world import Box, World
+world = World(boxes=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))
+physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX(), pose=(0.0, 0.0, 0.0))])
+physics.start(RunInfo(scenario="test", seed=1, duration_ns=10**9, vehicles=("car",), instants=((Ticks.every(0.1), 0),)))
+physics.step(10**9, ())
+physics.close()
+sys.exit(40 + ("pybullet" in sys.modules))
+"""
+
+
+@pytest.mark.parametrize(("kind", "code"), [("KinematicPhysics", 40), ("BulletPhysics", 41)])
+def test_nothing_is_printed_and_only_bullet_loads_pybullet(kind: str, code: int) -> None:
+    done = subprocess.run([sys.executable, "-c", QUIET.format(kind=kind)], capture_output=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")
