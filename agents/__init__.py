@@ -1,0 +1,1 @@
+"""Algorithms: one agent per vehicle, and the host that runs them."""

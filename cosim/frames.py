@@ -2,7 +2,7 @@
 
 import math
 
-from cosim.types import Quaternion
+Quaternion = tuple[float, float, float, float]
 
 
 def wrap(angle: float) -> float:

@@ -22,7 +22,7 @@ import simpy
 from cosim.clock import Clock, SimClock
 from cosim.errors import FederateError, VcmvspError
 from cosim.federate import Event, Federate, RemoteFederate, RunInfo, Slot
-from cosim.transport.keys import matches
+from cosim.keys import matches
 
 Observer = Callable[[Event], None]
 

@@ -29,6 +29,8 @@ PIECES: Mapping[str, str] = {
     "radio": "netsim.federate:RadioFederate",
     "channel": "netsim.channel:Channel",
     "radio presets": "netsim.presets",
+    "radio paths": "netsim.layers:Paths",
+    "radio frame": "netsim.layers:Frame",
 }
 """Pieces of parts that are no kinds of a scenario, for `piece`."""
 

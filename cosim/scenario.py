@@ -7,7 +7,7 @@ their keys are the constructor parameters of the kind, checked when it is built 
 import itertools
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -279,7 +279,7 @@ def _mapping(value: Any, key: str, source: Source) -> dict[str, Any]:
     return value
 
 
-def _open_table(kind: type[T], raw: Any, rest: str, key: str, source: Source) -> T:
+def _open_table(kind: Callable[..., T], raw: Any, rest: str, key: str, source: Source) -> T:
     """A table whose keys are those of ``kind``; all others go into its field ``rest``."""
     own = {name for name in table.parameters(kind) if name != rest}
     content = _mapping(raw, key, source)

@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.frames import Quaternion, yaw_of
+
 Vec3 = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 Array = NDArray[Any]
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -35,8 +36,6 @@ class VehicleState(Value, frozen=True, kw_only=True, tag="state"):
     @property
     def yaw(self) -> float:
         """Direction of the body x axis seen from above, rad, counter-clockwise from east."""
-        from cosim.frames import yaw_of
-
         return yaw_of(self.attitude)
 
 

@@ -1,0 +1,1 @@
+"""Real robots as federates: this part holds no driver yet; see its README."""

@@ -158,7 +158,21 @@ def _estimate(pose_source: str, truth: VehicleState, odometry: Odometry, fix: Fi
 
 
 class KinematicPhysics(Physics):
-    """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind."""
+    """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind.
+
+    It takes the keys of `BulletPhysics` and has no use for them, so that a scenario can switch ``physics.kind`` alone.
+    """
+
+    def __init__(
+        self,
+        *,
+        world: World,
+        vehicles: Sequence[VehicleSpec],
+        rate_hz: Positive = 120.0,
+        iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
+        gravity: NonNegative = 9.81,
+    ) -> None:
+        super().__init__(world=world, vehicles=vehicles)
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """One engine for all."""

@@ -55,7 +55,7 @@ class Recorder:
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._now = 0
         self._latest: tuple[int, States] | None = None
-        self._truth: dict[str, VehicleState] = {}  # of the latest instant, once asked for
+        self._estimates: list[tuple[str, VehicleState]] = []  # of the present instant
         self._rows: list[tuple[int, States]] = []
         self._frames: list[FrameReport] = []
         self._follows: list[Placement] = []
@@ -66,13 +66,13 @@ class Recorder:
         self._end_ns: int | None = None
         about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
         self._log = None if mcap is None else McapLog(mcap, about)
-        self._scene_is_due = self._log is not None
+        self._scene_is_due = True
         self._handlers: dict[type, Callable[[str, int, Any], None]] = {
             States: self._on_states,
             VehicleState: self._on_estimate,
             FrameReport: self._on_frame,
             Follows: self._on_follows,
-            Note: self._on_note,
+            Note: self._remember,
             Contact: self._on_contact,
             Fix: self._on_fix,
             Scan: self._on_scan,
@@ -141,7 +141,7 @@ class Recorder:
         write_table(radio, folder / "radio.parquet")
 
     def _on_states(self, key: str, time_ns: int, states: States) -> None:
-        self._latest, self._truth = (time_ns, states), {}
+        self._latest = time_ns, states
         if self._record_ticks.hits(time_ns):
             self._record_states(time_ns, states)
 
@@ -158,16 +158,7 @@ class Recorder:
         self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
 
     def _on_estimate(self, key: str, time_ns: int, estimate: VehicleState) -> None:
-        if self._log is None:
-            return
-        vehicle = _vehicle(key)
-        if self._latest is not None and self._latest[0] == time_ns:
-            if not self._truth:
-                self._truth = dict(_each(self._latest[1]))
-            truth = self._truth.get(vehicle)
-            if truth == estimate:
-                return
-        self._log.write(key, estimate, time_ns)
+        self._estimates.append((key, estimate))  # the truth of this instant may come later within it
 
     def _on_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
         self._frames.append(report)
@@ -179,13 +170,8 @@ class Recorder:
             known = ", ".join(self._run.vehicles)
             raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
         self._follows.append(Placement(time_ns, vehicle, follows))
-        self._scene_is_due = self._log is not None
+        self._scene_is_due = True
         self._remember(key, time_ns, follows)
-
-    def _on_note(self, key: str, time_ns: int, note: Note) -> None:
-        # A whole number becomes a float on its way from another process; here it must too, or the bytes would differ.
-        values = {name: float(value) if type(value) is int else value for name, value in note.values.items()}
-        self._remember(key, time_ns, Note(values=values))
 
     def _on_contact(self, key: str, time_ns: int, contact: Contact) -> None:
         self._collisions += 1
@@ -217,11 +203,22 @@ class Recorder:
             self._log.write(key, value, time_ns)
 
     def _end_instant(self) -> None:
-        """Draw the scene once after an instant that changed it, however many vehicles changed it."""
-        if self._scene_is_due and self._log is not None:
-            places = {placement.vehicle: placement.follows for placement in self._follows}
-            self._log.write("world/scene", scene(self._run.vehicles, self._radius_m, places, self._now), self._now)
-            self._scene_is_due = False
+        """Write what can be judged only once an instant is over."""
+        if self._log is not None:
+            self._write_estimates(self._log)
+            if self._scene_is_due:  # once, however many vehicles changed it
+                places = {placement.vehicle: placement.follows for placement in self._follows}
+                self._log.write("world/scene", scene(self._run.vehicles, self._radius_m, places, self._now), self._now)
+                self._scene_is_due = False
+        self._estimates.clear()
+
+    def _write_estimates(self, log: McapLog) -> None:
+        if not self._estimates:
+            return
+        truth = dict(_each(self._latest[1])) if self._latest is not None and self._latest[0] == self._now else {}
+        for key, estimate in self._estimates:
+            if truth.get(_vehicle(key)) != estimate:
+                log.write(key, estimate, self._now)
 
     def _facts(self) -> RunFacts:
         return RunFacts(

@@ -57,11 +57,6 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
         t, x = k * SECOND_NS // 20, 0.3 * k / 20
         position, velocity = frozen([(x, 0.0, 0.0), (x - 1.0 - 0.5 * math.exp(-x), 0.5, 0.0)]), frozen([(0.3, 0.0, 0.0)] * 2)
         attitude, rates = frozen([quaternion_from_yaw(0.1)] * 2), frozen([(0.0, 0.0, 0.01)] * 2)
-        yield Event(
-            "world/states",
-            t,
-            States(names=NAMES, position=position, velocity=velocity, attitude=attitude, angular_velocity=rates),
-        )
         for name, row in zip(NAMES, position.tolist(), strict=True):
             believed = (row[0], row[1] + (0.02 if name == "car2" else 0.0), row[2])
             attitude_, rate = quaternion_from_yaw(0.1), (0.0, 0.0, 0.01)
@@ -72,6 +67,8 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
             )
             yield Event(f"{name}/odometry", t, Odometry(pose=(x, 0.0, 0.1), v=0.3, w=0.01))
             yield Event(f"{name}/fix", t, Fix(time_ns=t, position=believed, yaw=0.1, sigma_m=0.15, sigma_rad=0.05))
+        truth = States(names=NAMES, position=position, velocity=velocity, attitude=attitude, angular_velocity=rates)
+        yield Event("world/states", t, truth)
         yield Event("car1/imu", t, Imu(acceleration=(0.0, 0.0, 9.81), angular_velocity=(0.0, 0.0, 0.01)))
         ranges = frozen([1.0, math.inf, 2.0], np.float32)
         yield Event("car1/scan", t, Scan(ranges=ranges, angle_min=-1.0, angle_step=1.0, range_max=6.0))
@@ -160,7 +157,7 @@ def test_messages_lie_in_the_file_in_order_of_time() -> None:
 
 def check(value: Any, schema: dict[str, Any]) -> None:
     """Types and required fields, as a reader of simple JSON Schemas would."""
-    kind = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float)}[
+    kind: Any = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float)}[
         schema["type"]
     ]
     assert isinstance(value, kind), (value, schema)
@@ -263,6 +260,28 @@ def test_close_may_be_called_again() -> None:
     recorder.close(0)
     assert len(stream.getvalue()) == size
     assert recorder.metrics(window=(0.0, None))["duration_s"] == 1.0
+
+
+def test_a_viewer_may_jump_to_any_time_and_topic() -> None:
+    """The index at the end of the file leads to the same messages as reading it through."""
+    stream = io.BytesIO()
+    recorded(stream, seconds=60.0)
+    reader = make_reader(io.BytesIO(stream.getvalue()), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 3
+    through = NonSeekingReader(io.BytesIO(stream.getvalue()), validate_crcs=True)
+    everything = [(c.topic, m.log_time, m.data) for _, c, m in through.iter_messages(log_time_order=False)]
+    assert summary.statistics.message_count == len(everything)
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 60 * SECOND_NS + 1000)
+    assert [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()] == everything
+    begin, end = 30 * SECOND_NS, 31 * SECOND_NS
+    part = reader.iter_messages(topics=["car2/heard"], starting_at=begin, ending_before=end)
+    expected = [row for row in everything if row[0] == "car2/heard" and begin <= row[1] < end]
+    assert [(c.topic, m.log_time, m.data) for _, c, m in part] == expected
+    assert len(expected) == 15
+    assert next(iter(reader.iter_metadata())).metadata == {"scenario": "files", "seed": "5", "vehicles": "car1 car2"}
 
 
 def test_a_recording_that_was_cut_off_is_readable_up_to_there() -> None:

@@ -361,8 +361,3 @@ def test_digest_ignores_how_tables_are_cut_and_coded() -> None:
                 )
         for other in (cut, recoded):
             assert digest([other if old is table else old for old in tables]) == plain
-
-
-def test_a_whole_number_in_a_note_is_the_same_as_from_another_process() -> None:
-    one, other = (Event("a/note", 0, Note(values={"n": value})) for value in (2, 2.0))
-    assert digest_of([one]) == digest_of([other])

@@ -1,0 +1,165 @@
+"""Logical time: exact against rational arithmetic, and clocks that pace it, with a wall clock made of plain numbers."""
+
+from collections.abc import Callable
+from decimal import Decimal
+from fractions import Fraction
+from math import floor
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
+
+PERIODS_NS = st.fractions(min_value=1, max_value=10**11, max_denominator=10**6)
+TICKS = PERIODS_NS.map(lambda period: Ticks(period.numerator, period.denominator))
+DECIMALS = st.decimals(min_value="0.000000001", max_value=10_000, places=9)
+
+
+@given(DECIMALS)
+def test_a_decimal_of_nine_places_is_exact_in_nanoseconds(seconds: Decimal) -> None:
+    assume(Decimal(repr(float(seconds))) == seconds)  # fifteen digits are what a float keeps
+    assert seconds_to_ns(float(seconds)) == int(seconds * SECOND_NS)
+
+
+def test_seconds_are_the_decimals_that_were_written() -> None:
+    assert seconds_to_ns(0.1) == 100_000_000
+    assert seconds_to_ns(0.3) == 300_000_000
+    assert sum(seconds_to_ns(0.1) for _ in range(10_000)) == seconds_to_ns(1000.0)
+    assert seconds_to_ns(-0.1) == -100_000_000
+
+
+@pytest.mark.parametrize("hz", [3, 7, 30, 60, 120, 240, 1000])
+def test_a_rate_never_drifts(hz: int) -> None:
+    ticks = Ticks.rate(float(hz))
+    for second in (1, 1000, 10**6):
+        assert ticks.at(hz * second) == second * SECOND_NS
+    assert ticks.at(1) == SECOND_NS // hz
+
+
+@pytest.mark.parametrize("period_s", ["0.1", "0.2", "0.05", "0.013", "0.3", "1e-9"])
+def test_a_period_never_drifts(period_s: str) -> None:
+    ticks = Ticks.every(float(period_s))
+    for k in (0, 1, 3, 10**6, 10**12):
+        assert ticks.at(k) == floor(Fraction(period_s) * SECOND_NS * k)
+
+
+@given(TICKS, st.integers(0, 10**12))
+def test_a_tick_is_its_exact_time_rounded_down(ticks: Ticks, k: int) -> None:
+    assert ticks.at(k) == floor(k * ticks.period)
+
+
+@given(TICKS, st.integers(0, 10**18))
+def test_after_is_the_first_later_tick(ticks: Ticks, now_ns: int) -> None:
+    later = ticks.after(now_ns)
+    k = round(later / ticks.period)
+    number = next(n for n in (k - 1, k, k + 1) if ticks.at(n) == later)  # it is a tick
+    assert ticks.at(number - 1) <= now_ns < later
+
+
+@given(TICKS, st.integers(0, 10**9))
+def test_after_walks_from_tick_to_tick(ticks: Ticks, k: int) -> None:
+    assert ticks.after(ticks.at(k)) == ticks.at(k + 1)
+
+
+@given(TICKS, st.integers(-(10**18), -1))
+def test_before_the_start_the_first_tick_is_at_zero(ticks: Ticks, now_ns: int) -> None:
+    assert ticks.after(now_ns) == 0
+
+
+@given(TICKS, st.integers(0, 10**9), st.integers(0, 10**12))
+def test_only_ticks_hit(ticks: Ticks, k: int, now_ns: int) -> None:
+    assert ticks.hits(ticks.at(k))
+    nearest = floor(now_ns / ticks.period)
+    assert ticks.hits(now_ns) == (now_ns in (ticks.at(nearest), ticks.at(nearest + 1)))
+    assert not ticks.hits(-1)
+
+
+@given(PERIODS_NS, st.integers(1, 1000), st.integers(0, 10**6))
+def test_ticks_of_a_multiple_are_ticks(period: Fraction, times: int, k: int) -> None:
+    fine = Ticks(period.numerator, period.denominator)
+    coarse = Ticks((period * times).numerator, (period * times).denominator)
+    assert coarse.is_multiple_of(fine)
+    assert fine.hits(coarse.at(k))
+    assert fine.is_multiple_of(coarse) == (times == 1)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "rate_hz", "fits"), [(0.1, 120, True), (0.05, 240, True), (1.0, 3, True), (0.013, 120, False), (0.1, 128, False)]
+)
+def test_which_agent_periods_are_whole_physics_steps(period_s: float, rate_hz: float, fits: bool) -> None:
+    assert Ticks.every(period_s).is_multiple_of(Ticks.rate(rate_hz)) is fits
+
+
+@pytest.mark.parametrize(("make", "value"), [(Ticks.every, 1e-10), (Ticks.every, 0.0), (Ticks.every, -0.1), (Ticks.rate, 2e9)])
+def test_a_period_below_a_nanosecond_is_refused(make: Callable[[float], Ticks], value: float) -> None:
+    with pytest.raises(ValueError, match="at least one nanosecond"):
+        make(value)
+
+
+class FakeWall:
+    """A wall clock that moves only when somebody sleeps; each sleep takes ``factor`` times as long as asked."""
+
+    def __init__(self, now_ns: int, factor: Fraction = Fraction(1)) -> None:
+        self.now_ns, self.factor = now_ns, factor
+        self.slept: list[float] = []
+
+    def now(self) -> int:
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.now_ns += max(1, round(Fraction(seconds) * SECOND_NS * self.factor))
+
+    def clock(self, speed: float = 1.0) -> WallClock:
+        clock = WallClock(speed, now=self.now, sleep=self.sleep)
+        clock.start()
+        return clock
+
+
+@pytest.mark.parametrize("speed", [0.25, 1.0, 2.0, 10.0])
+def test_the_wall_clock_follows_the_wall_at_its_speed(speed: float) -> None:
+    wall = FakeWall(now_ns=123_456_789)
+    clock = wall.clock(speed)
+    for due_ns in range(0, 10 * SECOND_NS, SECOND_NS // 4):
+        assert clock.wait_until(due_ns) == 0
+        assert wall.now_ns == 123_456_789 + due_ns / speed
+
+
+def test_a_sleep_that_ends_early_is_continued() -> None:
+    wall = FakeWall(0, factor=Fraction(1, 2))
+    assert wall.clock().wait_until(SECOND_NS) >= 0
+    assert wall.now_ns >= SECOND_NS
+    assert len(wall.slept) > 1
+
+
+def test_a_sleep_that_ends_late_is_reported_and_caught_up() -> None:
+    wall = FakeWall(0, factor=Fraction(3, 2))
+    clock = wall.clock()
+    assert clock.wait_until(SECOND_NS) == SECOND_NS // 2
+    assert clock.wait_until(SECOND_NS + SECOND_NS // 4) == SECOND_NS // 4  # no sleep: it was late already
+    assert len(wall.slept) == 1
+    wall.factor = Fraction(1)
+    assert clock.wait_until(3 * SECOND_NS) == 0
+    assert wall.now_ns == 3 * SECOND_NS  # lateness does not add up
+
+
+def test_late_without_sleeping_is_how_far_the_wall_went_on() -> None:
+    wall = FakeWall(5)
+    clock = wall.clock(2.0)
+    wall.now_ns += 3 * SECOND_NS
+    assert clock.wait_until(2 * SECOND_NS) == 2 * SECOND_NS
+    assert wall.slept == []
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("inf"), float("nan")])
+def test_a_speed_is_positive_and_finite(speed: float) -> None:
+    with pytest.raises(ValueError, match="positive"):
+        WallClock(speed)
+
+
+@given(st.lists(st.integers(0, 10**18)))
+def test_simulated_time_jumps_and_is_never_late(dues: list[int]) -> None:
+    clock: Clock = SimClock()
+    clock.start()
+    assert [clock.wait_until(due) for due in dues] == [0] * len(dues)

@@ -1,0 +1,101 @@
+"""Angles, arcs and quaternions against laws of composition and a second way to compute the same."""
+
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from cosim.frames import arc, quaternion_from_yaw, rotate2, wrap, yaw_of
+
+ANGLES = st.floats(-100.0, 100.0)
+SPEEDS = st.floats(-5.0, 5.0)
+RATES = st.floats(-5.0, 5.0) | st.floats(-1e-6, 1e-6)
+TIMES = st.floats(0.0, 10.0)
+POSES = st.tuples(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), ANGLES)
+
+
+@given(st.floats(-1e6, 1e6))
+def test_wrapping_changes_by_whole_turns_only(angle: float) -> None:
+    wrapped = wrap(angle)
+    assert -math.pi <= wrapped < math.pi
+    turns = (angle - wrapped) / math.tau
+    assert turns == pytest.approx(round(turns), abs=1e-9)
+    assert wrap(wrapped) == pytest.approx(wrapped, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("angle", "wrapped"), [(0.0, 0.0), (math.pi, -math.pi), (-math.pi, -math.pi), (1.5 * math.pi, -0.5 * math.pi), (math.tau, 0.0)]
+)
+def test_the_range_is_half_open(angle: float, wrapped: float) -> None:
+    assert wrap(angle) == wrapped
+    assert wrap(math.nextafter(-math.pi, -4.0)) < math.pi
+
+
+@given(POSES, SPEEDS, RATES, TIMES, TIMES)
+def test_two_arcs_in_a_row_are_one(pose: tuple[float, float, float], v: float, w: float, dt1: float, dt2: float) -> None:
+    assert arc(arc(pose, v, w, dt1), v, w, dt2) == pytest.approx(arc(pose, v, w, dt1 + dt2), rel=1e-9, abs=1e-9)
+
+
+@given(POSES, SPEEDS, RATES, TIMES)
+def test_an_arc_driven_backwards_leads_home(pose: tuple[float, float, float], v: float, w: float, dt: float) -> None:
+    assert arc(arc(pose, v, w, dt), -v, -w, dt) == pytest.approx(pose, rel=1e-9, abs=1e-9)
+
+
+@given(POSES, SPEEDS, st.floats(0.01, 5.0) | st.floats(-5.0, -0.01), TIMES)
+def test_an_arc_stays_on_its_circle(pose: tuple[float, float, float], v: float, w: float, dt: float) -> None:
+    def centre(x: float, y: float, yaw: float) -> tuple[float, float]:
+        return x - v / w * math.sin(yaw), y + v / w * math.cos(yaw)
+
+    assert centre(*arc(pose, v, w, dt)) == pytest.approx(centre(*pose), rel=1e-9, abs=1e-9)
+
+
+@given(POSES, SPEEDS, TIMES)
+def test_without_turning_an_arc_is_a_line(pose: tuple[float, float, float], v: float, dt: float) -> None:
+    x, y, yaw = pose
+    assert arc(pose, v, 0.0, dt) == pytest.approx((x + v * dt * math.cos(yaw), y + v * dt * math.sin(yaw), yaw))
+
+
+def test_a_turn_of_the_radius_two_circle_comes_back() -> None:
+    assert arc((1.0, 2.0, 0.0), 0.3, 0.15, math.tau / 0.15) == pytest.approx((1.0, 2.0, math.tau))
+    assert arc((0.0, 0.0, 0.0), 0.3, 0.15, 0.5 * math.pi / 0.15) == pytest.approx((2.0, 2.0, 0.5 * math.pi))
+
+
+@given(st.floats(-math.pi, math.pi))
+def test_yaw_survives_the_quaternion(yaw: float) -> None:
+    w, x, y, z = quaternion = quaternion_from_yaw(yaw)
+    assert w * w + x * x + y * y + z * z == pytest.approx(1.0)
+    assert wrap(yaw_of(quaternion) - yaw) == pytest.approx(0.0, abs=1e-12)
+
+
+@given(ANGLES, st.floats(-1.4, 1.4), ANGLES)
+def test_yaw_is_where_the_body_x_axis_points_seen_from_above(yaw: float, pitch: float, roll: float) -> None:
+    def product(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float, float]:
+        (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+        return (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        )
+
+    pitching = (math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0)
+    rolling = (math.cos(roll / 2), math.sin(roll / 2), 0.0, 0.0)
+    attitude = product(product(quaternion_from_yaw(yaw), pitching), rolling)
+    w, x, y, z = attitude
+    _, ahead, left, _ = product(product(attitude, (0.0, 1.0, 0.0, 0.0)), (w, -x, -y, -z))
+    assume(math.hypot(ahead, left) > 1e-3)
+    assert wrap(yaw_of(attitude) - math.atan2(left, ahead)) == pytest.approx(0.0, abs=1e-9)
+    assert wrap(yaw_of(attitude) - yaw) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(st.floats(-10.0, 10.0), st.floats(-10.0, 10.0), ANGLES, ANGLES)
+def test_turning_keeps_lengths_and_adds_up(x: float, y: float, a: float, b: float) -> None:
+    turned = rotate2(x, y, a)
+    assert math.hypot(*turned) == pytest.approx(math.hypot(x, y), abs=1e-12)
+    assert rotate2(*turned, b) == pytest.approx(rotate2(x, y, a + b), abs=1e-12)
+
+
+def test_turning_is_counter_clockwise() -> None:
+    assert rotate2(1.0, 0.0, 0.5 * math.pi) == pytest.approx((0.0, 1.0))
+    assert yaw_of(quaternion_from_yaw(0.5 * math.pi)) == pytest.approx(0.5 * math.pi)
