@@ -17,7 +17,7 @@ from cosim.agent import Agent, AgentInfo, AgentSpec
 from cosim.errors import AgentError, VcmvspError
 from cosim.federate import Federate
 from cosim.scenario import AgentsTable
-from cosim.transport.remote import Desk, HostFederate, MemoryLink, RemoteHost
+from cosim.transport.remote import Desk, HostFederate, Link, MemoryLink, RemoteHost
 from cosim.transport.wire import Hello
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Hosts:
         """Host agents in this process, but behind the same bytes as over a wire (for tests of the wire)."""
         desk = Desk(registry.piece("agent host"))
         self._stack.callback(desk.close)
-        self._add(RemoteHost("agents", MemoryLink(desk.handle), specs, deadline_s=self._agents.deadline_s))
+        self._add(self._remote("agents", MemoryLink(desk.handle), specs))
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
@@ -110,7 +110,10 @@ class Hosts:
         numbers = itertools.count(len(self.federates))
         for link, specs in joined:
             self._stack.callback(link.close)
-            self._add(RemoteHost(f"agents-{next(numbers)}", link, specs, deadline_s=self._agents.deadline_s))
+            self._add(self._remote(f"agents-{next(numbers)}", link, specs))
+
+    def _remote(self, name: str, link: Link, specs: Sequence[AgentSpec]) -> RemoteHost:
+        return RemoteHost(name, link, specs, deadline_s=self._agents.deadline_s, build_s=self._agents.join_timeout_s)
 
     def _add(self, host: HostFederate) -> None:
         self.federates.append(host)

@@ -4,8 +4,25 @@ Formation error of a follower (Toh 2012, equations 3-31 and 3-34, for any slot):
 ``h = p_f + ell (cos th_f, sin th_f)``, should lie on the point ``r = p_l + Rot(th_l) (slot + (ell, 0))`` of its leader's frame;
 ``|z| = |r - h|``. All poses are true ones, whatever the vehicles believed.
 
-The schema ``vcmvsp.metrics/1`` is the dictionary that `Recorder.metrics` returns; where there is nothing to measure a value is
-None, never NaN.
+The schema ``vcmvsp.metrics/1``, as `Recorder.metrics` gives it; where there is nothing to measure a value is None, never NaN::
+
+    schema, scenario, seed
+    duration_s                      simulated time that the run lasted
+    formation                       |z| at the recorded instants
+      rms_m, mean_m, max_m          over the window and all followers
+      final_m                       greatest at the last instant
+      settling_s                    from then on no follower is more than 5 cm off, to the end of the run
+      per_follower.<name>           rms_m, mean_m, max_m, final_m of one
+    radio                           of the whole run, but for the ages
+      frames                        frames that entered the channel
+      receptions, delivery_ratio    frames received, and their share of frame x receiver
+      losses.<cause>                how many were lost, by cause
+      delay_s                       mean, p50, p95, p99, max; from sending to reception
+      age_s                         mean, p95, max; age of the newest message at the agents' ticks in the window (`ages_s`)
+    safety
+      collisions                    touches that began
+      min_separation_m              smallest distance of two centres at a recorded instant
+    digest                          SHA-256 of all that was recorded (`cosim.record.digest`)
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -82,12 +82,13 @@ class Recorder:
     def on(self, event: Event) -> None:
         """Take an event at its own time; times never decrease."""
         if event.time_ns != self._now:
-            self._end_instant()
-            self._now = event.time_ns
+            self._advance(event.time_ns)
         self._handlers.get(type(event.value), self._write)(event.key, event.time_ns, event.value)
 
     def log(self, level: str, text: str, time_ns: int) -> None:
         """Write a line into the recording: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
+        if time_ns != self._now:
+            self._advance(time_ns)
         if self._log is not None:
             self._log.write("log", foxglove.Log(foxglove.Time.of(time_ns), foxglove.LEVELS[level], text), time_ns)
 
@@ -201,6 +202,10 @@ class Recorder:
     def _write(self, key: str, time_ns: int, value: Any) -> None:
         if self._log is not None:
             self._log.write(key, value, time_ns)
+
+    def _advance(self, time_ns: int) -> None:
+        self._end_instant()
+        self._now = time_ns
 
     def _end_instant(self) -> None:
         """Write what can be judged only once an instant is over."""

@@ -20,10 +20,10 @@ class LinkError(Exception):
 class Link(Protocol):
     """One host, reachable: questions are answered in order."""
 
-    def ask(self, question: bytes) -> None:
-        """Send a question without waiting."""
+    def ask(self, question: bytes, deadline_s: float) -> None:
+        """Send a question that is to be answered within so much wall-clock time; do not wait."""
 
-    def answer(self, timeout_s: float) -> bytes:
+    def answer(self) -> bytes:
         """Wait for the answer to the oldest open question; `LinkError` if none comes in time or at all."""
 
     def close(self) -> None:
@@ -50,18 +50,19 @@ class RemoteHost:
         name: of the federate.
         link: to the host.
         specs: the agents that it is to build.
-        deadline_s: wall-clock seconds within which it has to answer.
+        deadline_s: wall-clock seconds within which it has to answer a step.
+        build_s: the same for building its agents, which may load large libraries.
     """
 
     slot = wake_slot = Slot.AGENT
     wakes: tuple[str, ...] = ()
 
-    def __init__(self, name: str, link: Link, specs: Sequence[AgentSpec], *, deadline_s: float) -> None:
+    def __init__(self, name: str, link: Link, specs: Sequence[AgentSpec], *, deadline_s: float, build_s: float) -> None:
         self.name, self._link, self._deadline_s = name, link, deadline_s
         self._vehicles = tuple(spec.vehicle for spec in specs)
         self._kinds = ", ".join(dict.fromkeys(spec.kind for spec in specs))
         self._alive, self._open = True, 0
-        self._send(wire.Build(tuple(specs)))
+        self._send(wire.Build(tuple(specs)), build_s)
         built = self._receive()
         if not isinstance(built, wire.Built):
             raise FederateError(name, f"answered {type(built).__name__} to Build")
@@ -101,16 +102,16 @@ class RemoteHost:
         finally:
             self._link.close()
 
-    def _send(self, question: wire.Question) -> None:
+    def _send(self, question: wire.Question, deadline_s: float | None = None) -> None:
         try:
-            self._link.ask(wire.encode(question))
+            self._link.ask(wire.encode(question), deadline_s or self._deadline_s)
         except TypeError as error:
             raise FederateError(self.name, f"a value cannot be sent: {error}") from error
         self._open += 1
 
     def _receive(self) -> wire.Answer:
         try:
-            answer = wire.answers.decode(self._link.answer(self._deadline_s))
+            answer = wire.answers.decode(self._link.answer())
         except LinkError as error:
             self._alive = False
             raise self._error(str(error)) from error
@@ -176,11 +177,11 @@ class MemoryLink:
         self._handle = handle
         self._answers: list[bytes] = []
 
-    def ask(self, question: bytes) -> None:
+    def ask(self, question: bytes, deadline_s: float) -> None:
         """Have it answered at once."""
         self._answers.append(self._handle(question))
 
-    def answer(self, timeout_s: float) -> bytes:
+    def answer(self) -> bytes:
         """The answer to the oldest open question."""
         return self._answers.pop(0)
 

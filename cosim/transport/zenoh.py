@@ -5,7 +5,6 @@ Keys, all under ``vcmvsp/``::
     hub/join            queryable of the hub: a host's `Hello`, answered by a `Welcome`
     hub/alive           liveliness token of the hub
     host/<zid>/ask      queryable of a host: one question, one answer
-    host/<zid>/alive    liveliness token of a host
 
 A query, rather than a pair of publications, carries each question: Zenoh then tells at once when nobody is there to answer.
 Callbacks are always direct (no thread per callback) and only hand over to a queue.
@@ -15,6 +14,7 @@ import contextlib
 import json
 import queue
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -33,7 +33,7 @@ _COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "transport": {"shared_memory": {"enabled": False}},
 }
-_NO_TIMEOUT_S = 1e6  # deadlines are kept where the answer is awaited; Zenoh's own must not strike earlier
+_NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 
 
 class Hub:
@@ -55,11 +55,8 @@ class Hub:
             raise UsageError(f"cannot listen on '{endpoint}': {_first_line(error)}") from error
         self.endpoint = self._locator()
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
-        self._links: dict[str, ZenohLink] = {}
         self._token = self._session.liveliness().declare_token(HUB_ALIVE)
         self._door = self._session.declare_queryable(JOIN, Callback(self._joins.put, indirect=False))
-        watch = Callback(self._on_token, indirect=False)
-        self._watch = self._session.liveliness().declare_subscriber("vcmvsp/host/*/alive", watch)
 
     def next_hello(self, timeout_s: float) -> "tuple[wire.Hello, Callable[[str | None], ZenohLink | None]] | None":
         """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
@@ -76,11 +73,8 @@ class Hub:
         def answer(refused: str | None) -> ZenohLink | None:
             if refused is None and hello.protocol != wire.PROTOCOL:
                 refused = f"this run speaks protocol {wire.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
-            link = None if refused else ZenohLink(self._session, hello.host)
-            if link is not None:
-                self._links[hello.host] = link
             self._reply(query, wire.Welcome(refused=refused))
-            return link
+            return None if refused else ZenohLink(self._session, hello.host)
 
         return hello, answer
 
@@ -91,10 +85,6 @@ class Hub:
     def _reply(self, query: zenoh.Query, welcome: wire.Welcome) -> None:
         with query:
             query.reply(JOIN, wire.encode(welcome))
-
-    def _on_token(self, sample: zenoh.Sample) -> None:
-        if sample.kind == zenoh.SampleKind.DELETE and (link := self._links.get(str(sample.key_expr).split("/")[2])):
-            link.lost()
 
     def _locator(self) -> str:
         """Where the session really listens (the admin space knows the port that 0 became)."""
@@ -110,40 +100,25 @@ class ZenohLink:
     """A `cosim.transport.remote.Link` to one host."""
 
     def __init__(self, session: zenoh.Session, host: str) -> None:
-        self._querier = session.declare_querier(f"vcmvsp/host/{host}/ask", timeout=_NO_TIMEOUT_S)
-        self._open: list[queue.SimpleQueue[bytes | None]] = []
-        self._lost = False
+        self._session, self._key = session, f"vcmvsp/host/{host}/ask"
+        self._open: deque[tuple[zenoh.Handler[zenoh.Reply], float]] = deque()
         self.why_lost: Callable[[], str] = lambda: "left the run: its process ended or the connection broke"
         self.released: Callable[[], None] = lambda: None
 
-    def ask(self, question: bytes) -> None:
-        """Send a question; its answer, or None if none can come any more, lands in a queue of its own."""
-        answer: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self._open.append(answer)
+    def ask(self, question: bytes, deadline_s: float) -> None:
+        """Send a question; Zenoh ends it without a reply as soon as nobody is there who could answer."""
+        self._open.append((self._session.get(self._key, payload=question, timeout=deadline_s), deadline_s))
 
-        def on_reply(reply: zenoh.Reply) -> None:
-            answer.put(None if reply.ok is None else reply.ok.payload.to_bytes())
-
-        self._querier.get(Callback(on_reply, lambda: answer.put(None), indirect=False), payload=question)
-
-    def answer(self, timeout_s: float) -> bytes:
+    def answer(self) -> bytes:
         """Wait for the answer to the oldest open question."""
-        waiting = self._open.pop(0)
-        if self._lost and waiting.empty():
-            raise LinkError(self.why_lost())
+        replies, deadline_s = self._open.popleft()
         try:
-            answer = waiting.get(timeout=timeout_s)
-        except queue.Empty:
-            raise LinkError(f"did not answer within the deadline of {timeout_s:g} s") from None
-        if answer is None:
-            raise LinkError(self.why_lost())
-        return answer
-
-    def lost(self) -> None:
-        """The host's token is gone: no open question will be answered."""
-        self._lost = True
-        for waiting in self._open:
-            waiting.put(None)
+            reply = replies.recv()
+        except zenoh.ZError:
+            raise LinkError(self.why_lost()) from None
+        if reply.ok is None:
+            raise LinkError(f"did not answer within the deadline of {deadline_s:g} s")
+        return reply.ok.payload.to_bytes()
 
     def close(self) -> None:
         """Let go of whatever runs the host."""
@@ -173,7 +148,6 @@ def serve(
         inbox: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
         key = f"vcmvsp/host/{host}/ask"
         queryable = session.declare_queryable(key, Callback(inbox.put, indirect=False))
-        token = session.liveliness().declare_token(f"vcmvsp/host/{host}/alive")
 
         def on_hub(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.DELETE:
@@ -192,7 +166,7 @@ def serve(
             return desk.ended
         finally:
             desk.close()
-            for handle in (watch, token, queryable):
+            for handle in (watch, queryable):
                 handle.undeclare()  # type: ignore[no-untyped-call]
 
 

@@ -85,7 +85,8 @@ def test_ticks_of_a_multiple_are_ticks(period: Fraction, times: int, k: int) -> 
 
 
 @pytest.mark.parametrize(
-    ("period_s", "rate_hz", "fits"), [(0.1, 120, True), (0.05, 240, True), (1.0, 3, True), (0.013, 120, False), (0.1, 128, False)]
+    ("period_s", "rate_hz", "fits"),
+    [(0.1, 120, True), (0.05, 240, True), (1.0, 3, True), (0.013, 120, False), (0.1, 128, False)],
 )
 def test_which_agent_periods_are_whole_physics_steps(period_s: float, rate_hz: float, fits: bool) -> None:
     assert Ticks.every(period_s).is_multiple_of(Ticks.rate(rate_hz)) is fits

@@ -25,7 +25,8 @@ def test_wrapping_changes_by_whole_turns_only(angle: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("angle", "wrapped"), [(0.0, 0.0), (math.pi, -math.pi), (-math.pi, -math.pi), (1.5 * math.pi, -0.5 * math.pi), (math.tau, 0.0)]
+    ("angle", "wrapped"),
+    [(0.0, 0.0), (math.pi, -math.pi), (-math.pi, -math.pi), (1.5 * math.pi, -0.5 * math.pi), (math.tau, 0.0)],
 )
 def test_the_range_is_half_open(angle: float, wrapped: float) -> None:
     assert wrap(angle) == wrapped

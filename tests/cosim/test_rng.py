@@ -118,7 +118,9 @@ def test_seed_and_name_do_not_run_into_each_other() -> None:
     assert key64(1, "2") != key64(12, "")
 
 
-@pytest.mark.parametrize("names", [[f"car{i}" for i in range(100)], [f"radio/car{i}/car{j}" for i in range(30) for j in range(30)]])
+@pytest.mark.parametrize(
+    "names", [[f"car{i}" for i in range(100)], [f"radio/car{i}/car{j}" for i in range(30) for j in range(30)]]
+)
 def test_streams_of_many_names_are_uncorrelated(names: list[str]) -> None:
     first = np.array([stream(7, name).random() for name in names])
     assert abs(first.mean() - 0.5) < 5 / np.sqrt(12 * len(names))

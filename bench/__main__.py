@@ -1,0 +1,140 @@
+"""Times the platform and what it is built on in turn, in one run, and prints the ratios.
+
+CPU seconds wherever one process does the work; wall-clock time only for the round trip between two processes. Medians of
+pairs: read the ratios, since machines differ and drift. Exit code 1 if a demand is missed.
+"""
+
+import contextlib
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+
+from bench import bare
+from bench.measure import Row, in_turn, table
+from bench.workloads import run_cpu_s, star
+from cosim import scenario as scenarios
+from cosim.assemble import Assembly
+from cosim.federate import Event
+from cosim.kernel import Kernel
+from cosim.transport.remote import RemoteHost
+from cosim.transport.zenoh import Hub
+
+ROUNDS = 5
+Question = tuple[int, Sequence[Event]]
+
+
+def kernel_row() -> Row:
+    """Ten kinematic vehicles, everything on: against SimPy alone."""
+    duration_s = 60.0
+    scenario = star(10, physics="kinematic", duration_s=duration_s)
+    ours, other, ratio = in_turn(lambda: run_cpu_s(scenario), lambda: bare.simpy_cpu_s(10, duration_s), ROUNDS)
+    speed = duration_s / ours
+    name = "10 kinematic vehicles, 10 Hz, star broadcast, recorded, in-process; beside it SimPy waking 10 idle processes"
+    return Row(name, f"{speed:.0f} sim s / CPU s", f"{duration_s / other:.0f}", ratio, ">= 100 sim s / CPU s", speed >= 100.0)
+
+
+def bullet_row() -> Row:
+    """Three Pioneers with radio and agents: against stepSimulation alone."""
+    duration_s = 30.0
+    scenario = star(3, physics="bullet", duration_s=duration_s)
+    ours, other, ratio = in_turn(lambda: run_cpu_s(scenario), lambda: bare.bullet_cpu_s(3, duration_s), ROUNDS)
+    speed = duration_s / ours
+    name = "3 p2dx in PyBullet with radio, in-process agents, recorded; beside it stepSimulation alone"
+    return Row(name, f"{speed:.0f} sim s / CPU s", f"{duration_s / other:.0f}", ratio, ">= 20 sim s / CPU s", speed >= 20.0)
+
+
+def federation_row() -> Row:
+    """One round with ten agents in another process: against a bare request and answer of the same bytes."""
+    rounds = 300
+    with _remote_host(star(10, physics="kinematic", duration_s=10.0)) as (host, questions, sizes):
+        asked, answered = sizes
+
+        def ours() -> float:
+            begin = time.perf_counter()
+            for number in range(rounds):
+                host.ask(*questions[number % len(questions)])
+                host.answer()
+            return (time.perf_counter() - begin) / rounds
+
+        hub = Hub()
+        with bare.zenoh_echo(hub.endpoint, answered):
+            question = bare.payload(asked)
+
+            def other() -> float:
+                begin = time.perf_counter()
+                for _ in range(rounds):
+                    bare.ask(hub._session, question)
+                return (time.perf_counter() - begin) / rounds
+
+            mine, its, ratio = in_turn(ours, other, 9)
+        hub.close()
+    name = (
+        f"federation round, 10 agents in one host process; beside it a bare Zenoh request ({asked} B) and answer ({answered} B)"
+    )
+    return Row(name, f"{1e6 * mine:.0f} us", f"{1e6 * its:.0f} us", ratio, "<= 2x", ratio <= 2.0)
+
+
+@contextlib.contextmanager
+def _remote_host(scenario: dict[str, object]) -> Iterator[tuple[RemoteHost, list[Question], tuple[int, int]]]:
+    """A host process with the scenario's agents; the questions of a run of it; the median bytes of question and answer."""
+    questions: list[Question] = []
+    sizes: list[tuple[int, int]] = []
+    scenario["agents"] = {"period_s": 0.1, "processes": 1}
+    parsed, source = scenarios.load(scenario)
+    with Assembly(parsed, source, runs="process") as assembly:
+        host = next(each for each in assembly.federates if isinstance(each, RemoteHost))
+        link, ask, link_ask, link_answer = host._link, host.ask, host._link.ask, host._link.answer
+
+        def note_question(now_ns: int, inbox: Sequence[Event]) -> int | None:
+            questions.append((now_ns, inbox))
+            return ask(now_ns, inbox)
+
+        def note_size(question: bytes, deadline_s: float) -> None:
+            sizes.append((len(question), 0))
+            link_ask(question, deadline_s)
+
+        def note_answer() -> bytes:
+            answer = link_answer()
+            sizes[-1] = (sizes[-1][0], len(answer))
+            return answer
+
+        host.ask, link.ask, link.answer = note_question, note_size, note_answer  # type: ignore[method-assign]
+        kernel = Kernel(assembly.run_info, assembly.federates)
+        kernel.start()
+        kernel.run(lambda _: None)
+        del host.ask, link.ask, link.answer
+        middle = sorted(sizes)[len(sizes) // 2]
+        yield host, questions, middle
+        kernel.close()
+
+
+def start_row() -> Row:
+    """``vcmvsp --help``: against Python doing nothing."""
+
+    def child_cpu_s(arguments: list[str]) -> float:
+        before = os.times()
+        subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
+        after = os.times()
+        return after.children_user + after.children_system - before.children_user - before.children_system
+
+    ours, other, ratio = in_turn(lambda: child_cpu_s(["-m", "cosim.cli", "--help"]), lambda: child_cpu_s(["-c", "pass"]), 9)
+    name = "vcmvsp --help; beside it python -c pass"
+    return Row(name, f"{ours:.2f} CPU s", f"{other:.2f} CPU s", ratio, "<= 0.3 CPU s", ours <= 0.3)
+
+
+def main() -> int:
+    """Print the table."""
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
+    rows = []
+    for measure in (kernel_row, bullet_row, federation_row, start_row):
+        print(f"measuring: {measure.__name__} ...", file=sys.stderr, flush=True)
+        rows.append(measure())
+    print(table(rows))
+    return 0 if all(row.holds for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,47 @@
+"""Timing two things in turn, so that a machine whose speed drifts drifts for both."""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+Timed = Callable[[], float]
+"""Does its work once; the answer is what it cost, in s (its own clock: set-up does not count)."""
+
+
+class Row(NamedTuple):
+    """One line of the table."""
+
+    name: str
+    ours: str
+    other: str
+    ratio: float
+    demand: str
+    holds: bool
+
+
+def cpu(work: Callable[[], object]) -> float:
+    """CPU seconds of this process for one call."""
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
+
+
+def in_turn(ours: Timed, other: Timed, rounds: int) -> tuple[float, float, float]:
+    """Median costs of both and the median of the ratios ours / other, pair by pair, after one round that does not count."""
+    pairs = [(ours(), other()) for _ in range(rounds + 1)][1:]
+    return (
+        statistics.median(a for a, _ in pairs),
+        statistics.median(b for _, b in pairs),
+        statistics.median(a / b for a, b in pairs),
+    )
+
+
+def table(rows: list[Row]) -> str:
+    """The rows as a Markdown table."""
+    lines = ["| what | ours | beside it | ratio | demand | |", "|---|---|---|---|---|---|"]
+    lines += [
+        f"| {row.name} | {row.ours} | {row.other} | {row.ratio:.2f} | {row.demand} | {'holds' if row.holds else 'FAILS'} |"
+        for row in rows
+    ]
+    return "\n".join(lines)

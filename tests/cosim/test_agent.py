@@ -1,0 +1,168 @@
+"""What an author of agents relies on: sizes of messages, plain content, notes, and streams of one's own."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from cosim.rng import stream
+from cosim.types import Message, VehicleState, Velocity
+
+VEHICLES = ("car1", "car2", "car3")
+PLAIN = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats(allow_nan=False)
+    | st.text(max_size=5)
+    | st.binary(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def sent(*args: Any, **values: Any) -> Message:
+    """The one message that a call of ``send`` makes."""
+    radio = Radio("car1", VEHICLES)
+    radio.send(*args, **values)
+    (message,) = radio.drain()
+    return message
+
+
+@given(st.dictionaries(st.text(max_size=5), PLAIN, max_size=4))
+def test_a_mapping_counts_as_many_bytes_as_its_messagepack(body: dict[str, Any]) -> None:
+    message = sent(body)
+    assert message.body == body
+    assert message.size_bytes == len(msgspec.msgpack.encode(body))
+    assert (message.sender, message.to) == ("car1", None)
+
+
+@given(st.binary(max_size=300))
+def test_bytes_count_as_they_are(body: bytes) -> None:
+    message = sent(body)
+    assert message.body == body
+    assert message.size_bytes == len(body)
+
+
+def test_keywords_are_added_to_the_mapping() -> None:
+    assert sent({"x": 1.0}, y=2.0).body == {"x": 1.0, "y": 2.0}
+    assert sent({"x": 1.0}, x=2.0).body == {"x": 2.0}
+    assert sent().body == {}
+    assert sent(body=1).body == {"body": 1}  # the first parameter has no name: any name may be sent
+
+
+def test_a_float_takes_nine_bytes_and_a_small_number_one() -> None:
+    # MessagePack: fixmap 1, fixstr 1 + n, float 64 9, positive fixint 1
+    assert sent(x=1.0).size_bytes == 1 + 2 + 9
+    assert sent(x=1).size_bytes == 1 + 2 + 1
+
+
+def test_the_size_can_be_set() -> None:
+    assert sent(b"abc", size_bytes=1500).size_bytes == 1500
+    assert sent(x=1, size_bytes=0).size_bytes == 0
+    assert sent(x=1, size_bytes=np.int64(7)).size_bytes == 7
+    with pytest.raises(ValueError, match="size_bytes=-1"):
+        sent(x=1, size_bytes=-1)
+
+
+def test_numpy_content_arrives_as_plain_numbers_and_lists() -> None:
+    body = sent(a=np.float64(0.1), b=np.float32(0.5), c=np.int16(3), d=np.bool_(True), e=np.arange(4).reshape(2, 2)).body
+    assert body == {"a": 0.1, "b": 0.5, "c": 3, "d": True, "e": [[0, 1], [2, 3]]}
+    assert isinstance(body, dict)
+    assert [type(each) for each in body.values()] == [float, float, int, bool, list]
+    assert sent(x=np.float64(0.1)).size_bytes == sent(x=0.1).size_bytes
+
+
+def test_tuples_arrive_as_lists_as_over_a_wire() -> None:
+    assert sent(at=(1.0, 2.0)).body == {"at": [1.0, 2.0]}
+
+
+def test_what_is_sent_is_a_copy() -> None:
+    path = [1.0]
+    message = sent(path=path)
+    path.append(2.0)
+    assert message.body == {"path": [1.0]}
+
+
+@pytest.mark.parametrize("to", ["car9", "car1", "", "*"])
+def test_only_another_vehicle_of_the_run_can_be_addressed(to: str) -> None:
+    with pytest.raises(ValueError, match="not another vehicle of this run") as caught:
+        sent(x=1, to=to)
+    assert all(name in str(caught.value) for name in (repr(to), "car2", "car3"))
+
+
+def test_one_vehicle_can_be_addressed() -> None:
+    assert sent(x=1, to="car2").to == "car2"
+
+
+@pytest.mark.parametrize("bad", [object(), 1j, {1, 2}.__iter__(), np.array([object()]), VehicleState])
+def test_what_cannot_cross_the_air_is_refused(bad: Any) -> None:
+    with pytest.raises(TypeError, match=r"radio\.send\(\)"):
+        sent(x=bad)
+
+
+def test_bytes_and_named_values_do_not_mix() -> None:
+    with pytest.raises(TypeError, match="not both"):
+        sent(b"abc", x=1)
+
+
+def test_a_refused_message_is_not_sent_later() -> None:
+    radio = Radio("car1", VEHICLES)
+    with pytest.raises(ValueError, match="car9"):
+        radio.send(x=1, to="car9")
+    radio.send(x=2)
+    radio.send(x=3)
+    assert [message.body for message in radio.drain()] == [{"x": 2}, {"x": 3}]
+    assert radio.drain() == []
+
+
+def test_notes_are_plain_and_taken_once() -> None:
+    one, other = Agent(), Agent()
+    one.note(age_s=np.float64(0.1), count=3)
+    one.note(status="waiting", lost=True, count=4)
+    assert one.drain_notes() == {"age_s": 0.1, "count": 4.0, "status": "waiting", "lost": True}
+    assert one.drain_notes() == {}
+    assert other.drain_notes() == {}
+
+
+def test_an_agent_need_not_call_the_base_constructor() -> None:
+    class Own(Agent):
+        def __init__(self) -> None:
+            self.mine = 1
+
+        def act(self, obs: Observation, radio: Radio) -> Velocity | None:
+            self.note(mine=self.mine)
+            return None
+
+    own = Own()
+    seen = Observation(
+        vehicle="car1", time_ns=1_500_000_000, state=VehicleState(position=(0.0, 0.0, 0.0)), readings={}, heard=()
+    )
+    assert seen.time_s == 1.5
+    assert own.act(seen, Radio("car1", VEHICLES)) is None
+    assert own.drain_notes() == {"mine": 1.0}
+
+
+def test_the_base_class_does_not_act() -> None:
+    seen = Observation(vehicle="car1", time_ns=0, state=VehicleState(position=(0.0, 0.0, 0.0)), readings={}, heard=())
+    with pytest.raises(NotImplementedError):
+        Agent().act(seen, Radio("car1", VEHICLES))
+
+
+def test_the_streams_of_agents_are_their_own() -> None:
+    def info(name: str, seed: int) -> VehicleInfo:
+        return VehicleInfo(name=name, vehicles=VEHICLES, period_s=0.1, latency_s=0.0, seed=seed)
+
+    def head(generator: np.random.Generator) -> list[float]:
+        numbers: list[float] = generator.random(4).tolist()
+        return numbers
+
+    here = head(info("car1", 1).stream("explore"))
+    assert head(info("car1", 1).stream("explore")) == here
+    assert head(stream(1, "car1/agent/explore")) == here
+    others = [info("car1", 1).stream("other"), info("car2", 1).stream("explore"), info("car1", 2).stream("explore")]
+    assert all(head(other) != here for other in others)

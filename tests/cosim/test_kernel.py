@@ -1,0 +1,275 @@
+"""The order of an instant, of events, and of remote answers: the contract of `cosim.federate`, as the kernel keeps it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.clock import WallClock
+from cosim.errors import FederateError
+from cosim.federate import Event, Federate, RunInfo, Slot, Step
+from cosim.kernel import Kernel
+from cosim.types import Note
+
+Log = list[tuple[str, int, list[str]]]  # (federate, time, keys of its inbox)
+
+
+def note(key: str, when: int, value: float = 0.0) -> Event:
+    return Event(key, when, Note(values={"value": value}))
+
+
+class Script:
+    """A federate that does what a table says: at a time, give these events; it notes every step."""
+
+    def __init__(
+        self,
+        name: str,
+        slot: Slot,
+        table: Mapping[int, Sequence[tuple[str, int]]] | None = None,
+        *,
+        reads: tuple[str, ...] = (),
+        wakes: tuple[str, ...] = (),
+        wake_slot: Slot | None = None,
+        answers: Sequence[tuple[str, int]] = (),
+        log: Log | None = None,
+    ) -> None:
+        self.name, self.slot, self.wake_slot = name, slot, slot if wake_slot is None else wake_slot
+        self.reads, self.wakes = (*reads, *wakes), wakes
+        self.table, self.answers, self.log, self.closed = dict(table or {}), answers, log if log is not None else [], 0
+
+    def start(self, run: RunInfo) -> int | None:
+        return min(self.table, default=None)
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        self.log.append((self.name, now_ns, [event.key for event in inbox]))
+        given = self.table.pop(now_ns, self.answers if inbox else ())
+        return Step([note(key, now_ns + after) for key, after in given], min(self.table, default=None))
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Remote(Script):
+    """The same from elsewhere: answers are kept until they are awaited."""
+
+    def __init__(self, *args: Any, lookahead_ns: int = 0, asked: list[str] | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.lookahead_ns, self.asked = lookahead_ns, asked if asked is not None else []
+        self._waiting: list[Sequence[Event]] = []
+
+    def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
+        self.asked.append(f"ask {self.name}")
+        step = self.step(now_ns, inbox)
+        self._waiting.append(step.events)
+        return step.next_ns
+
+    def answer(self) -> Sequence[Event]:
+        self.asked.append(f"answer {self.name}")
+        return self._waiting.pop(0)
+
+
+def run(*federates: Federate, duration: int = 100, **kwargs: Any) -> list[tuple[int, str]]:
+    """All events in the order of publication."""
+    seen: list[tuple[int, str]] = []
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=duration, vehicles=()), federates, **kwargs)
+    kernel.start()
+    kernel.run(lambda event: seen.append((event.time_ns, event.key)))
+    kernel.close()
+    return seen
+
+
+def test_an_instant_goes_world_radio_agent_send_apply() -> None:
+    log: Log = []
+    world = Script("world", Slot.WORLD, {10: [("car/state", 0)]}, wakes=("car/command",), wake_slot=Slot.APPLY, log=log)
+    radio = Script("radio", Slot.RADIO, {10: [("car/heard", 0)]}, wakes=("car/send",), wake_slot=Slot.SEND, log=log)
+    agent = Script("agent", Slot.AGENT, {10: [("car/send", 0), ("car/command", 0)]}, reads=("car/state", "car/heard"), log=log)
+    assert run(agent, radio, world) == [(10, "car/state"), (10, "car/heard"), (10, "car/command"), (10, "car/send")]
+    assert log == [
+        ("world", 10, []),
+        ("radio", 10, []),
+        ("agent", 10, ["car/state", "car/heard"]),
+        ("radio", 10, ["car/send"]),
+        ("world", 10, ["car/command"]),
+    ]
+
+
+def test_within_a_slot_federates_step_by_name() -> None:
+    log: Log = []
+    run(*(Script(name, Slot.AGENT, {5: []}, log=log) for name in ("b", "c", "a")))
+    assert [name for name, _, _ in log] == ["a", "b", "c"]
+
+
+def test_an_event_of_the_future_is_seen_when_its_time_has_come() -> None:
+    log: Log = []
+    radio = Script("radio", Slot.RADIO, {0: [("car/heard", 10), ("car/heard", 15), ("car/heard", 20)]})
+    run(radio, Script("agent", Slot.AGENT, {10: [], 14: [], 20: []}, reads=("car/heard",), log=log))
+    assert [len(inbox) for _, _, inbox in log] == [1, 0, 2]
+
+
+def test_an_event_of_the_future_wakes_at_its_own_time() -> None:
+    log: Log = []
+    agent = Script("agent", Slot.AGENT, {10: [("car/command", 7)]})
+    robot = Script("robot", Slot.WORLD, wakes=("*/command",), wake_slot=Slot.APPLY, log=log)
+    assert run(agent, robot) == [(17, "car/command")]
+    assert log == [("robot", 17, ["car/command"])]
+
+
+def test_a_wake_up_does_not_cancel_the_next_own_step() -> None:
+    log: Log = []
+    robot = Script("robot", Slot.WORLD, {0: [], 50: []}, wakes=("car/command",), wake_slot=Slot.APPLY, log=log)
+    run(Script("agent", Slot.AGENT, {20: [("car/command", 0)]}), robot)
+    assert [when for _, when, _ in log] == [0, 20, 50]
+
+
+def test_the_end_belongs_to_the_world() -> None:
+    log: Log = []
+    federates = [Script(slot.name, slot, {99: [], 100: [], 101: []}, log=log) for slot in (Slot.WORLD, Slot.RADIO, Slot.AGENT)]
+    run(*federates, duration=100)
+    assert [(name, when) for name, when, _ in log] == [
+        ("WORLD", 99),
+        ("RADIO", 99),
+        ("AGENT", 99),
+        ("WORLD", 100),
+        ("RADIO", 100),
+    ]
+
+
+def test_nothing_due_after_the_end_is_published() -> None:
+    radio = Script("radio", Slot.RADIO, {90: [("a/heard", 10), ("b/heard", 11)]})
+    assert run(radio, duration=100) == [(100, "a/heard")]
+
+
+def test_all_remote_federates_are_asked_before_any_is_awaited() -> None:
+    order: list[str] = []
+    hosts = [Remote(f"host-{n}", Slot.AGENT, {0: []}, asked=order) for n in range(3)]
+    run(*hosts)
+    assert order == ["ask host-0", "ask host-1", "ask host-2", "answer host-0", "answer host-1", "answer host-2"]
+
+
+def test_with_a_lookahead_the_answer_is_awaited_only_when_it_takes_effect() -> None:
+    order: list[str] = []
+
+    class Physics(Script):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            order.append(f"physics {now_ns}")
+            return super().step(now_ns, inbox)
+
+    host = Remote("host", Slot.AGENT, {0: [("car/command", 25)], 10: [("car/command", 25)]}, lookahead_ns=25, asked=order)
+    events = run(Physics("world", Slot.WORLD, {0: [], 10: [], 20: [], 30: []}), host, duration=50)
+    assert events == [(25, "car/command"), (35, "car/command")]
+    assert order[:4] == ["physics 0", "ask host", "physics 10", "ask host"]
+    assert order.index("answer host") > order.index("physics 20")
+
+
+@given(
+    plan=st.lists(
+        st.tuples(st.sampled_from(["a", "b", "c"]), st.integers(0, 8), st.lists(st.integers(0, 12), max_size=3)),
+        max_size=12,
+        unique_by=lambda each: each[:2],
+    ),
+    lookahead=st.sampled_from([0, 3]),
+)
+def test_where_agents_run_does_not_change_the_order(plan: list[tuple[str, int, list[int]]], lookahead: int) -> None:
+    tables: dict[str, dict[int, list[tuple[str, int]]]] = {"a": {}, "b": {}, "c": {}}
+    for name, when, delays in plan:
+        tables[name][10 * when] = [(f"{name}/command", lookahead + delay) for delay in delays]
+
+    def radio() -> Script:
+        return Script("radio", Slot.RADIO, wakes=("*/command",), wake_slot=Slot.SEND, answers=[("x/heard", 1), ("x/heard", 4)])
+
+    together: dict[int, list[tuple[str, int]]] = {}
+    for table in tables.values():
+        for when, events in table.items():
+            together.setdefault(when, []).extend(events)
+    local = run(Script("all", Slot.AGENT, together), radio())
+    hosts = [Remote(name, Slot.AGENT, table, lookahead_ns=lookahead) for name, table in tables.items()]
+    assert run(*hosts, radio()) == local
+    assert local == sorted(local, key=lambda event: event[0])
+
+
+def faulty(**change: Any) -> Script:
+    script = Script("faulty", Slot.AGENT, {0: [], 10: []})
+    for name, value in change.items():
+        setattr(script, name, value)
+    return script
+
+
+@pytest.mark.parametrize(
+    ("federate", "words"),
+    [
+        (lambda: faulty(step=lambda now, inbox: Step([], now)), "asked at 0 ns to be stepped next at 0 ns"),
+        (lambda: faulty(step=lambda now, inbox: Step([note("x", now - 1)], None)), "gave x of -1 ns at 0 ns"),
+        (lambda: faulty(step=lambda now, inbox: 1 / 0), "ZeroDivisionError: division by zero"),
+        (lambda: faulty(start=lambda run: int("none")), "ValueError: invalid literal"),
+    ],
+)
+def test_a_faulty_federate_is_named(federate: Callable[[], Script], words: str) -> None:
+    with pytest.raises(FederateError, match=words) as raised:
+        run(federate())
+    assert raised.value.federate == "faulty"
+
+
+def test_an_event_that_comes_too_late_for_whom_it_wakes_is_refused() -> None:
+    radio = Script("radio", Slot.RADIO, wakes=("car/command",), wake_slot=Slot.RADIO)
+    with pytest.raises(FederateError, match="car/command, published in AGENT, comes too late for RADIO"):
+        run(Script("agent", Slot.AGENT, {0: [("car/command", 0)]}), radio)
+
+
+def test_all_are_closed_even_if_one_fails() -> None:
+    good, bad = Script("z", Slot.WORLD), Script("a", Slot.WORLD)
+    bad.close = lambda: 1 / 0  # type: ignore[method-assign, assignment]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [good, bad])
+    with pytest.raises(FederateError, match="a: ZeroDivisionError"):
+        kernel.close()
+    assert good.closed == 1
+
+
+def test_the_wall_clock_waits_for_every_instant_and_notes_lateness() -> None:
+    wall = [0]
+
+    def sleep(seconds: float) -> None:
+        wall[0] += round(seconds * 1e9)
+
+    class Slow(Script):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            wall[0] += 300 if now_ns == 1000 else 10
+            return super().step(now_ns, inbox)
+
+    slow = Slow("slow", Slot.WORLD, {0: [], 1000: [], 1100: [], 2000: []})
+    kernel = Kernel(
+        RunInfo(scenario="test", seed=0, duration_ns=2000, vehicles=()),
+        [slow],
+        clock=WallClock(2.0, now=lambda: wall[0], sleep=sleep),
+    )
+    kernel.start()
+    kernel.run(lambda _: None)
+    assert kernel.late_ns == [0, 0, 250, 0]  # 1100 is due at 550 on the wall, and the step before it took until 800
+    assert wall[0] >= 1000
+
+
+def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
+    log: Log = []
+
+    class Stop(Exception):
+        pass
+
+    class Clock:
+        def start(self) -> None:
+            pass
+
+        def wait_until(self, due_ns: int) -> int:
+            if due_ns == 50:
+                raise Stop
+            return 0
+
+    kernel = Kernel(
+        RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
+        [Script("world", Slot.WORLD, {0: [], 50: []}, log=log)],
+        clock=Clock(),
+    )
+    kernel.start()
+    with pytest.raises(Stop):
+        kernel.run(lambda _: None)
+    assert (kernel.now_ns, [when for _, when, _ in log]) == (0, [0])
