@@ -16,7 +16,7 @@ from bench.measure import cpu
 from cosim.clock import SECOND_NS, Ticks
 from cosim.federate import Event, RunInfo
 from cosim.types import Velocity
-from physics.bullet import p as pybullet
+from physics.bullet import p as pybullet  # type: ignore[attr-defined]  # there it is imported without its greeting
 from physics.federate import BulletPhysics
 from physics.vehicles import P2DX, VehicleSpec
 from physics.world import World

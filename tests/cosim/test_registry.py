@@ -1,4 +1,4 @@
-"""From a kind to a class: short names, modules and files, each with an error that says what to do; and the guard of the parts."""
+"""From a kind to a class: short names, modules and files, each with errors that say what to do; and the guard of the parts."""
 
 import importlib
 import os

@@ -188,13 +188,14 @@ def test_the_last_of_two_settings_wins() -> None:
 
 def test_not_finite_numbers_are_found_wherever_they_are(file: Path) -> None:
     nan = float("nan")
-    for settings, key in [
+    cases: list[tuple[dict[str, Any], str]] = [
         ({"duration_s": nan}, "duration_s"),
         ({"radio.path_loss.exponent": nan}, "radio.path_loss.exponent"),
         ({"vehicle.car2.agent.k1": nan}, "vehicle.car2.agent.k1"),
         ({"vehicle.car2.pose": [0.0, nan, 0.0]}, "vehicle.car2.pose.1"),
         ({"agents.anything": {"deep": [1, {"er": nan}]}}, "agents.anything.deep.1.er"),
-    ]:
+    ]
+    for settings, key in cases:
         with pytest.raises(ScenarioError, match="must be finite, not nan") as caught:
             load(file, settings=settings)
         assert caught.value.key.endswith(key.removeprefix("vehicle."))

@@ -1,0 +1,103 @@
+"""What ``import cosim`` offers, what it costs, and what stands in the way of a robot that has only the core."""
+
+import subprocess
+import sys
+
+import pytest
+
+import cosim
+
+PUBLIC = {
+    "run": "api",
+    "Result": "api",
+    "Agent": "agent",
+    "Observation": "agent",
+    "Radio": "agent",
+    "VehicleInfo": "agent",
+    "VehicleState": "types",
+    "Velocity": "types",
+    "Message": "types",
+    "Reception": "types",
+    "Follows": "types",
+    "Odometry": "types",
+    "Fix": "types",
+    "Imu": "types",
+    "Scan": "types",
+    "Image": "types",
+    "Positive": "types",
+    "NonNegative": "types",
+    "Probability": "types",
+    "arc": "frames",
+    "wrap": "frames",
+    "rotate2": "frames",
+    "yaw_of": "frames",
+    "quaternion_from_yaw": "frames",
+    "VcmvspError": "errors",
+    "ScenarioError": "errors",
+    "UsageError": "errors",
+    "FederateError": "errors",
+    "AgentError": "errors",
+    "Interrupted": "errors",
+}
+HEAVY = {"numpy", "pybullet", "cv2", "zenoh", "matplotlib", "pyarrow", "mcap", "simpy"}
+
+
+def test_the_public_names_are_these() -> None:
+    assert set(cosim.__all__) == set(PUBLIC)
+    assert len(cosim.__all__) == len(PUBLIC)
+
+
+@pytest.mark.parametrize(("name", "home"), PUBLIC.items())
+def test_every_public_name_is_that_of_its_home(name: str, home: str) -> None:
+    module = __import__(f"cosim.{home}", fromlist=[name])
+    assert getattr(cosim, name) is getattr(module, name)
+    assert name in dir(cosim)
+
+
+def test_another_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module 'cosim' has no attribute 'Agnet'"):
+        _ = cosim.Agnet  # type: ignore[attr-defined]
+    with pytest.raises(ImportError, match="Agnet"):
+        exec("from cosim import Agnet", {})
+
+
+def modules_after(code: str) -> set[str]:
+    """The top-level modules of a fresh interpreter that has run this."""
+    script = f"{code}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    return {name.partition(".")[0] for name in done.stderr.split()}
+
+
+@pytest.mark.parametrize("code", ["import cosim", "import cosim.cli", "from cosim import ScenarioError"])
+def test_the_core_and_its_command_line_load_nothing_heavy(code: str) -> None:
+    assert not modules_after(code) & HEAVY
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = "from cosim.cli import main\ntry:\n    main(['run', '--help'])\nexcept SystemExit:\n    pass"
+    assert not modules_after(code) & HEAVY
+
+
+def test_an_author_of_agents_needs_numpy_alone() -> None:
+    code = "from cosim import Agent, Observation, Radio, Velocity, arc, wrap"
+    assert modules_after(code) & (HEAVY | {"physics", "netsim", "agents", "hardware"}) == {"numpy"}
+
+
+def test_the_shipped_agents_load_no_other_part() -> None:
+    code = "import agents.formation.leader_follower, agents.formation.trajectory"
+    assert modules_after(code) & (HEAVY | {"physics", "netsim", "hardware"}) == {"numpy"}
+
+
+def test_every_error_has_its_exit_code() -> None:
+    from cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
+
+    errors: dict[type[VcmvspError], int] = {
+        VcmvspError: 1,
+        ScenarioError: 2,
+        UsageError: 2,
+        FederateError: 3,
+        AgentError: 3,
+        Interrupted: 130,
+    }
+    assert {kind: kind.exit_code for kind in errors} == errors
+    assert all(issubclass(kind, VcmvspError) for kind in errors)
