@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from agents.federate import AgentHost
-from cosim.errors import VcmvspError
+from cosim.errors import UsageError, VcmvspError
 from cosim.transport.remote import Desk
 from cosim.transport.wire import PROTOCOL, Hello
 from cosim.transport.zenoh import serve
@@ -62,8 +62,10 @@ def main() -> int:
     threading.Thread(target=_end_with_parent, args=(pipe,), daemon=True).start()
     try:
         host(options.connect, tuple(options.vehicle), token=token)
-    except VcmvspError as error:
+    except UsageError as error:
         sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    except VcmvspError as error:  # the run has been told, and tells it
         return error.exit_code
     return 0
 

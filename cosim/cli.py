@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -180,6 +181,8 @@ def doctor_command() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: one message and an exit code for whatever goes wrong."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # `kill` ends a run as Ctrl-C does, also one that a script has put aside
+        signal.signal(number, signal.default_int_handler)
     try:
         app(_with_speed(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
     except VcmvspError as error:

@@ -135,17 +135,19 @@ class Desk:
         self._builds = builds
         self._federate: HostFederate | None = None
         self.ended: str | None = None  # why there will be no more questions
+        self.failure: VcmvspError | None = None  # ... if something went wrong here
 
     def handle(self, question: bytes) -> bytes:
         """The answer to a question; whatever goes wrong becomes a `Failed`."""
         try:
             return wire.encode(self._answer(wire.questions.decode(question)))
         except VcmvspError as error:
-            self.ended = str(error)
-            return wire.encode(wire.Failed.of(error))
+            self.failure = error
         except Exception as error:
-            self.ended = f"{type(error).__name__}: {error}"
-            return wire.encode(wire.Failed(self.ended, details="".join(traceback.format_exception(error))))
+            details = "".join(traceback.format_exception(error))
+            self.failure = FederateError("host", f"{type(error).__name__}: {error}", details=details)
+        self.ended = str(self.failure)
+        return wire.encode(wire.Failed.of(self.failure))
 
     def _answer(self, question: wire.Question) -> wire.Answer:
         if isinstance(question, wire.Build):

@@ -21,7 +21,7 @@ from typing import Any
 import zenoh
 from zenoh.handlers import Callback
 
-from cosim.errors import UsageError
+from cosim.errors import FederateError, UsageError
 from cosim.transport import wire
 from cosim.transport.remote import Desk, LinkError
 
@@ -111,11 +111,12 @@ class ZenohLink:
 
     def answer(self) -> bytes:
         """Wait for the answer to the oldest open question."""
-        replies, deadline_s = self._open.popleft()
+        replies, deadline_s = self._open[0]  # it stays open if Ctrl-C ends the waiting
         try:
             reply = replies.recv()
         except zenoh.ZError:
             raise LinkError(self.why_lost()) from None
+        self._open.popleft()
         if reply.ok is None:
             raise LinkError(f"did not answer within the deadline of {deadline_s:g} s")
         return reply.ok.payload.to_bytes()
@@ -132,7 +133,7 @@ def serve(
     *,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Run a host: dial in, wait for a run, answer its questions until it ends, and say why it ended.
+    """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
 
     Args:
         hello: makes the greeting, given the host's own id.
@@ -142,6 +143,7 @@ def serve(
 
     Raises:
         UsageError: the endpoint is none, or the hub refuses this host.
+        FederateError: an agent of this host failed, or the run is gone.
     """
     with _dial(endpoint, on_state) as session:
         host = str(session.zid())
@@ -160,9 +162,11 @@ def serve(
             while desk.ended is None:
                 query = inbox.get()
                 if query is None:
-                    return desk.ended or "the run is gone: its process ended or the connection broke"
+                    raise FederateError("the run", "is gone: its process ended or the connection broke")
                 with query:
                     query.reply(key, desk.handle(query.payload.to_bytes() if query.payload else b""))
+            if desk.failure is not None:
+                raise desk.failure
             return desk.ended
         finally:
             desk.close()
