@@ -50,7 +50,9 @@ class Parameter(msgspec.Struct, frozen=True):
 @functools.lru_cache(maxsize=256)
 def parameters(target: Callable[..., Any]) -> Mapping[str, Parameter]:
     """The parameters that a table can give to ``target`` (a class or function), in order."""
-    holder = vars(target).get("__init__", target) if isinstance(target, type) else target
+    holder = target
+    if isinstance(target, type):
+        holder = next(vars(base)["__init__"] for base in target.__mro__ if "__init__" in vars(base))
     try:
         hints = typing.get_type_hints(holder, include_extras=True)
     except (NameError, TypeError):

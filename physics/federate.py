@@ -34,7 +34,18 @@ from physics.world import World
 
 
 class Physics:
-    """What all physics federates do; a subclass says which engine moves which vehicles."""
+    """What all physics federates do; a subclass says which engine moves which vehicles.
+
+    All take the same keys, so that a scenario can switch ``physics.kind`` alone; where no vehicle has a body, the last three
+    change nothing.
+
+    Args:
+        world: floor and boxes.
+        vehicles: what moves, and where it starts.
+        rate_hz: Bullet steps a second. Every instant at which states are needed must fall on one.
+        iterations: of Bullet's constraint solver in each step; fewer are quicker, and drift more.
+        gravity: m/s2.
+    """
 
     name = "physics"
     slot = Slot.WORLD
@@ -42,7 +53,16 @@ class Physics:
     reads: tuple[str, ...] = ("*/command",)
     wakes: tuple[str, ...] = ()
 
-    def __init__(self, *, world: World, vehicles: Sequence[VehicleSpec]) -> None:
+    def __init__(
+        self,
+        *,
+        world: World,
+        vehicles: Sequence[VehicleSpec],
+        rate_hz: Positive = 120.0,
+        iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
+        gravity: NonNegative = 9.81,
+    ) -> None:
+        self.rate_hz, self.iterations, self.gravity = rate_hz, iterations, gravity
         self.world, self.vehicles = world, tuple(vehicles)
         self.radius_m = {spec.name: spec.model.radius_m for spec in self.vehicles}
         self._names = tuple(spec.name for spec in self.vehicles)
@@ -158,21 +178,7 @@ def _estimate(pose_source: str, truth: VehicleState, odometry: Odometry, fix: Fi
 
 
 class KinematicPhysics(Physics):
-    """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind.
-
-    It takes the keys of `BulletPhysics` and has no use for them, so that a scenario can switch ``physics.kind`` alone.
-    """
-
-    def __init__(
-        self,
-        *,
-        world: World,
-        vehicles: Sequence[VehicleSpec],
-        rate_hz: Positive = 120.0,
-        iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
-        gravity: NonNegative = 9.81,
-    ) -> None:
-        super().__init__(world=world, vehicles=vehicles)
+    """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """One engine for all."""
@@ -180,27 +186,7 @@ class KinematicPhysics(Physics):
 
 
 class BulletPhysics(Physics):
-    """Differential drives are bodies in Bullet; vehicles of other kinds ride along without one.
-
-    Args:
-        world: floor and boxes.
-        vehicles: what moves, and where it starts.
-        rate_hz: Bullet steps a second. Every instant at which states are needed must fall on one.
-        iterations: of Bullet's constraint solver in each step; fewer are quicker, and drift more.
-        gravity: m/s2.
-    """
-
-    def __init__(
-        self,
-        *,
-        world: World,
-        vehicles: Sequence[VehicleSpec],
-        rate_hz: Positive = 120.0,
-        iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
-        gravity: NonNegative = 9.81,
-    ) -> None:
-        super().__init__(world=world, vehicles=vehicles)
-        self.rate_hz, self.iterations, self.gravity = rate_hz, iterations, gravity
+    """Differential drives are bodies in Bullet; vehicles of other kinds ride along without one."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """Bullet for the differential drives, `MotionEngine` for the rest."""
