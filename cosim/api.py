@@ -81,10 +81,13 @@ class Result:
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write everything that a run leaves into a folder."""
         path = check_folder(Path(folder), force=force)
-        path.mkdir(parents=True, exist_ok=True)
-        if self._mcap is not None:
-            (path / "run.mcap").write_bytes(self._mcap.getvalue())
-        self._write(path)
+        with _writing(path):
+            path.mkdir(parents=True, exist_ok=True)
+            if self._mcap is not None:
+                (path / "run.mcap").write_bytes(self._mcap.getvalue())
+            elif self.folder is not None:
+                shutil.copyfile(self.folder / "run.mcap", path / "run.mcap")
+            self._write(path)
         return path
 
     def _write(self, folder: Path) -> None:
@@ -152,8 +155,9 @@ def run(
         with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly:
             clock = SimClock() if realtime is None else WallClock(realtime)
             simulation = _Simulation(assembly, clock, folder, progress)
-            failure = simulation.run()
-            result = simulation.result(failure, started, time.process_time() - cpu)
+            with _writing(folder):
+                failure = simulation.run()
+                result = simulation.result(failure, started, time.process_time() - cpu)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
     if failure is not None:
@@ -243,11 +247,8 @@ class _Simulation:
             if self._folder is None:
                 stream = self._mcap = io.BytesIO()
             else:
-                try:
-                    self._folder.mkdir(parents=True, exist_ok=True)
-                    stream = stack.enter_context((self._folder / "run.mcap").open("wb"))
-                except OSError as error:
-                    raise UsageError(f"cannot write into {self._folder}: {error.strerror}") from error
+                self._folder.mkdir(parents=True, exist_ok=True)
+                stream = stack.enter_context((self._folder / "run.mcap").open("wb"))
             assembly = self._assembly
             self._recorder = Recorder(
                 assembly.run_info,
@@ -318,6 +319,15 @@ def check_folder(folder: Path, *, force: bool) -> Path:
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         raise UsageError(f"--out {folder}: {parent} cannot be written to")
     return folder
+
+
+@contextlib.contextmanager
+def _writing(folder: Path | None) -> Iterator[None]:
+    """A full disk and the like is said in one line."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"cannot write into {folder}: {error.strerror or error}") from error
 
 
 def to_json(value: Any) -> str:

@@ -13,8 +13,8 @@ def examine() -> int:
     checks: list[tuple[str, Callable[[], str]]] = [
         ("python", _python),
         ("parts", _parts),
-        ("pybullet", lambda: _version("pybullet", "pybullet")),
-        ("zenoh", lambda: _version("zenoh", "eclipse-zenoh")),
+        ("pybullet", lambda: _version("physics.bullet", "pybullet")),
+        ("zenoh", lambda: _version("cosim.transport.zenoh", "eclipse-zenoh")),
         ("run in one process", lambda: _run("inprocess")),
         ("run in four processes", lambda: _run("process")),
     ]

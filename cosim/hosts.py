@@ -128,6 +128,7 @@ class Hosts:
                 raise AgentError(tuple(vehicles), "host", cause)
             if knock := hub.next_hello(POLL_S):
                 yield knock
+        hub.shut()
 
     @staticmethod
     def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:

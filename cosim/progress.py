@@ -72,11 +72,12 @@ def summary(result: "Result", folder: Path) -> str:
     """A finished run in four lines."""
     metrics, about = result.metrics, result.about
     formation, radio = metrics["formation"], metrics["radio"]
-    places = sorted(set(about["agents"].values()))
+    places = ", ".join(sorted(set(about["agents"].values())))
+    agents = f"{len(about['agents'])} agents" + (f" ({places})" if places else "")
     speed = metrics["duration_s"] / max(about["simulating_s"], 1e-9)
     lines = [
-        f"{metrics['scenario']}: {len(about['agents'])} agents ({', '.join(places)}), {metrics['duration_s']:g} s simulated in "
-        f"{about['simulating_s']:.1f} s ({speed:.0f}x real time)"
+        f"{metrics['scenario']}: {agents}, {metrics['duration_s']:g} s simulated in {about['simulating_s']:.1f} s "
+        f"({speed:.0f}x real time)"
     ]
     if radio["frames"]:
         lost = ", ".join(f"{count} {cause}" for cause, count in radio["losses"].items()) or "none lost"

@@ -10,6 +10,8 @@ question   meaning                                         answer
 =========  ==============================================  =========================
 """
 
+from typing import Any
+
 import msgspec
 
 from cosim.agent import AgentInfo, AgentSpec
@@ -29,7 +31,7 @@ class Hello(msgspec.Struct, frozen=True, tag=True):
     vehicles: tuple[str, ...]
     kind: str | None = None  # the class it was started with; None: the scenario's
     folder: str = ""  # where a relative file of that kind is
-    params: dict[str, object] = {}
+    params: dict[str, Any] = {}
     token: str = ""  # proves that a spawned host belongs to this run
 
 

@@ -56,7 +56,8 @@ class Hub:
         self.endpoint = self._locator()
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
         self._token = self._session.liveliness().declare_token(HUB_ALIVE)
-        self._door = self._session.declare_queryable(JOIN, Callback(self._joins.put, indirect=False))
+        self._door = self._session.declare_queryable(JOIN, Callback(self._on_join, indirect=False))
+        self._shut = False
 
     def next_hello(self, timeout_s: float) -> "tuple[wire.Hello, Callable[[str | None], ZenohLink | None]] | None":
         """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
@@ -78,9 +79,25 @@ class Hub:
 
         return hello, answer
 
+    def shut(self) -> None:
+        """Nobody is missing any more: refuse whoever still comes."""
+        self._shut = True
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._refuse(self._joins.get_nowait())
+
     def close(self) -> None:
         """Leave; hosts see the hub's token go."""
         self._session.close()  # type: ignore[no-untyped-call]
+
+    def _on_join(self, query: zenoh.Query) -> None:
+        if self._shut:
+            self._refuse(query)
+        else:
+            self._joins.put(query)
+
+    def _refuse(self, query: zenoh.Query) -> None:
+        self._reply(query, wire.Welcome(refused="it has begun, and nobody is missing"))
 
     def _reply(self, query: zenoh.Query, welcome: wire.Welcome) -> None:
         with query:

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from cosim import types
 from cosim.codec import Decoder, encode
 from cosim.federate import Event
-from cosim.types import AnyValue, Array
+from cosim.types import AnyValue, Array, Quaternion, Vec3
 
 FLOATS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 TEXT = st.text(max_size=8)
@@ -36,8 +36,8 @@ PLAIN = st.recursive(
 
 # By annotation, so that a new field of a value is tried without a new line here.
 BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
-    types.Vec3: VEC3,
-    types.Quaternion: QUATERNION,
+    Vec3: VEC3,
+    Quaternion: QUATERNION,
     Array: ARRAYS,
     float: FLOATS,
     int: TIMES,

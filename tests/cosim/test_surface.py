@@ -56,7 +56,7 @@ def test_every_public_name_is_that_of_its_home(name: str, home: str) -> None:
 
 def test_another_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'cosim' has no attribute 'Agnet'"):
-        _ = cosim.Agnet  # type: ignore[attr-defined]
+        _ = cosim.Agnet
     with pytest.raises(ImportError, match="Agnet"):
         exec("from cosim import Agnet", {})
 

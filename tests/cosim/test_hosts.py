@@ -1,0 +1,190 @@
+"""Hosts that somebody starts by hand: who is let in, what the resolved scenario says of them, and how they and the run end."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import cosim
+
+VCMVSP = [sys.executable, "-m", "cosim.cli"]
+SCENARIO = """
+name = "byhand"
+duration_s = {duration}
+[physics]
+kind = "kinematic"
+[agents]
+runs = "zenoh"
+listen = "{endpoint}"
+join_timeout_s = {patience}
+deadline_s = 2.0
+[vehicles]
+kind = "kinematic"
+[[vehicle]]
+name = "car1"
+agent = {{ kind = "trajectory", path = "straight", runs = "inprocess" }}
+[[vehicle]]
+name = "car2"
+pose = [-1.0, 0.0, 0.0]
+agent = {{ kind = "leader_follower", leader = "car1", k1 = 0.7 }}
+"""
+STILL = """
+from cosim import Agent, Velocity
+
+class Still(Agent):
+    def __init__(self, leader: str = "nobody", patience: float = 1.0) -> None:
+        self.leader, self.patience = leader, patience
+    def act(self, obs, radio):
+        return Velocity()
+"""
+
+
+class Stage:
+    """A scenario whose car2 is hosted by hand, and the processes that play in it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.out = folder, folder / "out"
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        (folder / "still.py").write_text(STILL)
+        self.processes: list[subprocess.Popen[str]] = []
+
+    def scenario(self, duration: float = 2.0, patience: float = 30.0) -> Path:
+        path = self.folder / "byhand.toml"
+        path.write_text(SCENARIO.format(duration=duration, endpoint=self.endpoint, patience=patience))
+        return path
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen([*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder)
+        self.processes.append(process)
+        return process
+
+    def run(self, duration: float = 2.0, patience: float = 30.0, *more: str) -> subprocess.Popen[str]:
+        return self.start("run", str(self.scenario(duration, patience)), "--out", str(self.out), *more)
+
+    def host(self, *arguments: str, vehicle: str = "car2") -> subprocess.Popen[str]:
+        return self.start("agent", *arguments, "--vehicle", vehicle, "--connect", self.endpoint)
+
+    def resolved_agent(self) -> dict[str, object]:
+        agent: dict[str, object] = tomllib.loads((self.out / "scenario.toml").read_text())["vehicle"][1]["agent"]
+        return agent
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    made = Stage(tmp_path)
+    yield made
+    for process in made.processes:
+        process.kill()
+        process.communicate()
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    _, said = process.communicate(timeout=60)
+    assert "Traceback" not in said
+    return process.returncode, said
+
+
+def test_a_host_may_bring_parameters_and_the_result_says_so(stage: Stage) -> None:
+    run, host = stage.run(), stage.host("agents.formation.leader_follower:LeaderFollower", "--set", "k2=0.25")
+    assert ended(run)[0] == 0
+    code, said = ended(host)
+    assert (code, said.splitlines()[-1]) == (0, "the run is over")
+    agent = stage.resolved_agent()
+    assert (agent["kind"], agent["k1"], agent["k2"]) == ("leader_follower", 0.7, 0.25)
+    again = cosim.run(str(stage.out / "scenario.toml"))
+    assert again.metrics == cosim.run(str(stage.scenario()), set={"vehicle.car2.agent.k2": 0.25}, agents="inprocess").metrics
+    assert '"car2": "zenoh"' in (stage.out / "about.json").read_text()
+
+
+def test_a_host_may_bring_another_class_and_the_result_says_so(stage: Stage) -> None:
+    run, host = stage.run(), stage.host("still.py:Still", "--set", "patience=3.0")
+    assert (ended(run)[0], ended(host)[0]) == (0, 0)
+    agent = stage.resolved_agent()
+    assert (agent["kind"], agent["leader"], agent["patience"]) == ("still.py:Still", "car1", 3.0)
+    assert "k1" not in agent
+    assert (stage.out / "still.py").read_text() == STILL  # so that the resolved scenario runs from where it is
+    moved = cosim.run(str(stage.out / "scenario.toml")).states.to_pandas().query("vehicle == 'car2'")
+    assert set(moved.x) == {-1.0}
+
+
+def test_who_does_not_belong_is_refused(stage: Stage) -> None:
+    run = stage.run()
+    code, said = ended(stage.host(vehicle="car3"))
+    assert code == 2
+    assert "unknown vehicle 'car3'" in said
+    code, said = ended(stage.host("leader_folower"))
+    assert code == 2
+    assert "did you mean 'leader_follower'" in said
+    assert "did you mean 'leader_follower'" in ended(run)[1]
+    assert run.returncode == 2
+    assert not stage.out.exists()
+
+
+def test_a_vehicle_has_one_host(stage: Stage) -> None:
+    run = stage.run(3600.0, 30.0, "--realtime")
+    first = stage.host()
+    wait_for(stage.out / "run.mcap")
+    code, said = ended(stage.host())
+    assert code == 2
+    assert "the run refuses this host: it has begun, and nobody is missing" in said
+    assert first.poll() is None
+    os.kill(run.pid, signal.SIGINT)
+    assert ended(run)[0] == 130
+    assert ended(first)[0] == 0
+
+
+def test_a_run_that_nobody_joins_ends(stage: Stage) -> None:
+    code, said = ended(stage.run(2.0, 0.5))
+    assert code == 3
+    assert f"vcmvsp agent leader_follower --vehicle car2 --connect {stage.endpoint}" in said
+    assert "agent host of vehicle car2: did not join within 0.5 s (agents.join_timeout_s)" in said
+    assert not stage.out.exists()
+
+
+def test_a_host_that_is_killed_ends_the_run(stage: Stage) -> None:
+    run, host = stage.run(3600.0, 30.0, "--realtime"), stage.host()
+    wait_for(stage.out / "run.mcap")
+    time.sleep(0.5)
+    host.kill()
+    begin = time.monotonic()
+    code, said = ended(run)
+    assert code == 3
+    assert "agent leader_follower of vehicle car2: left the run" in said
+    assert time.monotonic() - begin < 10.0
+    assert (stage.out / "states.parquet").exists()
+
+
+def test_a_run_that_is_killed_ends_the_host(stage: Stage) -> None:
+    run, host = stage.run(3600.0, 30.0, "--realtime"), stage.host()
+    wait_for(stage.out / "run.mcap")
+    run.kill()
+    code, said = ended(host)
+    assert code == 3
+    assert "the run: is gone" in said
+
+
+def test_endpoints_that_cannot_be_used_are_bad_input(stage: Stage) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        code, said = ended(stage.run(2.0, 30.0, "--listen", f"tcp/127.0.0.1:{taken.getsockname()[1]}"))
+        assert code == 2
+        assert "cannot listen on 'tcp/127.0.0.1:" in said
+    stage.endpoint = "nonsense"
+    assert ended(stage.host())[0] == 2
+
+
+def wait_for(path: Path) -> None:
+    last = time.monotonic() + 30.0
+    while not path.exists():
+        assert time.monotonic() < last
+        time.sleep(0.02)
