@@ -16,7 +16,7 @@ $(VENV)/.ready: pyproject.toml uv.lock .python-version
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "vcmvsp needs Python 3.11: make PYTHON=/path/to/python3.11"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "this Python has no venv module; as root, run .ci/debian-packages"; exit 2; }
 	test -x $(UV) || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); }
-	$(UV) sync --frozen --quiet
+	$(UV) sync --frozen --quiet || $(UV) sync --frozen --quiet --system-certs  # behind a proxy with certificates of its own
 	@touch $@
 
 demo: setup

@@ -434,7 +434,6 @@ SEAM = "a class that is no part of this kind is a traceback"
             "vehicle.car2.agent.distance=far",
             "a number > 0",
             and_set=("vehicle.car2.agent.kind=mine.py:Mine",),
-            known="annotations of an inherited constructor are not read",
         ),
         set_case("vehicle of another part", "vehicle.car2.kind=json:JSONDecoder", "vehicle", known=SEAM),
         set_case("loss of another part", "radio.loss.kind=json:JSONDecoder", "lost", known=SEAM),

@@ -14,7 +14,8 @@ from hypothesis.extra import numpy as hnp
 from cosim import types
 from cosim.codec import Decoder, encode
 from cosim.federate import Event
-from cosim.types import AnyValue, Array, Quaternion, Vec3
+from cosim.frames import Quaternion
+from cosim.types import AnyValue, Array, Vec3
 
 FLOATS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 TEXT = st.text(max_size=8)

@@ -159,7 +159,6 @@ def test_annotations_that_cannot_be_read_do_not_matter() -> None:
     assert table.call(Odd, {"a": 1}).content == (1, 1)
 
 
-@pytest.mark.xfail(reason="only a constructor of the class itself is looked at", raises=pytest.fail.Exception)
 def test_an_inherited_constructor_is_checked_too() -> None:
     class Drizzle(Rain):
         """Its constructor is the base class's."""

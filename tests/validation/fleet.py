@@ -78,10 +78,14 @@ def poses(result: cosim.Result) -> tuple[Floats, Floats]:
 
 
 def errors(result: cosim.Result) -> tuple[Floats, Floats]:
-    """Recorded times (m,) in s and z (m, followers, 2) in m, each in its follower's frame; from true poses, not the metrics."""
+    """Recorded times (m,) in s and z (m, followers, 2) in m, each in its follower's frame.
+
+    Computed here from true poses and the last place of each follower: not by the platform's own metrics.
+    """
     times, moved = poses(result)
-    follows = [placement.follows for placement in result._recorder.follows]
-    z = [formation_error(moved[:, 0], moved[:, number], place) for number, place in enumerate(follows, 1)]
+    follows = {placement.vehicle: placement.follows for placement in result._recorder.follows}
+    followers = [f"car{number}" for number in range(2, moved.shape[1] + 1)]
+    z = [formation_error(moved[:, 0], moved[:, column], follows[name]) for column, name in enumerate(followers, 1)]
     return times, np.stack(z, axis=1)
 
 
