@@ -1,0 +1,82 @@
+"""Loss, age and range through the whole platform, against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+import cosim
+from tests.validation.fleet import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, errors, fleet, lossy
+
+FOLLOWERS = 40
+FROM_S = 20.0
+
+
+def mean_age_s(result: cosim.Result, sender: str, receiver: str) -> float:
+    """Age of information over continuous time: the area under a sawtooth that rises at 1 s/s and falls at receptions."""
+    rows = result.radio.to_pandas()
+    rows = rows[(rows.sender == sender) & (rows.receiver == receiver)].dropna(subset="received_ns")
+    sent, received = (rows[name].to_numpy(float) / 1e9 for name in ("sent_ns", "received_ns"))
+    begin, end = received[:-1] - sent[:-1], received[1:] - sent[:-1]  # the age just after and just before receptions
+    return float((end**2 - begin**2).sum() / 2 / (received[-1] - received[0]))
+
+
+@pytest.mark.parametrize("p", [0.1, 0.3, 0.5, 0.7])
+def test_loss_on_a_straight_line(p: float) -> None:
+    """Independent losses p, ``hold`` on a straight leader, age d = T without loss; alpha = 1 - k1 T:
+
+    mean |z| = v (d + T p/(1-p)),  var = v^2 (k1 T)^2/(1-alpha^2) T^2 p/(1-p)^2 (1+alpha p)/(1-alpha p),
+    mean age at ticks = d + T p/(1-p),  over continuous time d' + T (1+p)/(2 (1-p)) with the delay d' of a message itself.
+    """
+    agents = {"estimator": "hold", **NEVER_LOST}
+    scenario = fleet(300.0, [RIGHT_BEHIND, LEFT_BEHIND] * (FOLLOWERS // 2), path="straight", radio=lossy(p), agents=agents)
+    result = cosim.run(scenario, set={"record.period_s": 0.5, "metrics.from_s": FROM_S})
+    alpha, d = 1 - K1 * T, T
+    mean = V * (d + T * p / (1 - p))
+    var = (V * K1 * T) ** 2 / (1 - alpha**2) * T**2 * p / (1 - p) ** 2 * (1 + alpha * p) / (1 - alpha * p)
+
+    formation, radio = result.metrics["formation"], result.metrics["radio"]
+    assert formation["mean_m"] == pytest.approx(mean, rel=0.03)
+    assert formation["rms_m"] == pytest.approx(math.sqrt(mean**2 + var), rel=0.03)
+    times, z = errors(result)
+    z = z[times >= FROM_S]
+    assert np.hypot(z[..., 0], z[..., 1]).mean() == pytest.approx(formation["mean_m"], rel=1e-9)  # computed twice
+    assert z[..., 0].var() == pytest.approx(var, rel=0.12)  # on its own, for the mean outweighs it in the RMS
+    assert radio["age_s"]["mean"] == pytest.approx(d + T * p / (1 - p), rel=0.015)
+    frames = radio["frames"] * FOLLOWERS
+    assert radio["delivery_ratio"] == pytest.approx(1 - p, abs=5 * math.sqrt(p * (1 - p) / frames))
+    continuous = np.mean([mean_age_s(result, "car1", f"car{number}") for number in range(2, FOLLOWERS + 2)])
+    assert continuous == pytest.approx(radio["delay_s"]["mean"] + T * (1 + p) / (2 * (1 - p)), rel=0.015)
+
+
+@pytest.mark.parametrize(("exponent", "range_m"), [(2.0, 293.4), (2.5, 108.2), (3.0, 55.6), (4.0, 24.2)])
+def test_the_range_of_the_wireless_simulation_server(exponent: float, range_m: float) -> None:
+    """d_max = d0 10^((Pd0 - cutoff)/(10 N)) (Toh 2012, 6.2.3): a millionth nearer all is heard, a millionth farther nothing."""
+    reach = 2.0 * 10.0 ** ((-49.67 + 93.0) / (10.0 * exponent))
+    assert reach == pytest.approx(range_m, abs=0.06)
+    leader = {"kind": "trajectory", "path": "straight"}
+    scenario = fleet(5.0, [], path="straight", radio={"preset": "wss", "path_loss": {"exponent": exponent}})
+    # Abreast of the leader, at its speed: the distance stays what it is.
+    scenario["vehicle"] += [
+        {"name": "near", "pose": (0.0, -reach * (1 - 1e-6), 0.0), "agent": leader},
+        {"name": "far", "pose": (0.0, reach * (1 + 1e-6), 0.0), "agent": leader},
+    ]
+    rows = cosim.run(scenario).radio.to_pandas()
+    outcomes = rows[rows.sender == "car1"].groupby("receiver", observed=True).outcome
+    assert outcomes.unique().map(list).to_dict() == {"near": ["received"], "far": ["below sensitivity"]}
+    assert (outcomes.size() == 50).all()
+
+
+def test_a_link_keeps_its_draws_when_vehicles_are_added() -> None:
+    """Losses and delays from car1 to car2 are the same in a fleet of three and of six that all talk."""
+    radio = lossy(0.3, 0.05, 0.04)
+    links = []
+    for followers in (2, 5):
+        names = [{**RIGHT_BEHIND, "pose": (-1.0 - number, -0.5, 0.0)} for number in range(followers)]
+        scenario = fleet(30.0, names, radio=radio, agents={"broadcast": followers > 2})
+        rows = cosim.run(scenario).radio.to_pandas()
+        link = rows[(rows.sender == "car1") & (rows.receiver == "car2")]
+        links.append(link[["sent_ns", "received_ns", "outcome", "delay_ns"]].astype(object).to_numpy().tolist())
+    assert len(links[0]) == 300
+    assert 50 < sum(row[2] == "random loss" for row in links[0]) < 130
+    assert str(links[0]) == str(links[1])

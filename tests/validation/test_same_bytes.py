@@ -1,0 +1,161 @@
+"""Scenario and seed fix every byte that a run leaves, wherever agents run and whatever else the machine does."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cosim
+from agents.formation import LeaderFollower, Trajectory
+from tests.validation.fleet import files
+
+NAMES = {
+    "scenario.toml",
+    "run.mcap",
+    "radio.parquet",
+    "states.parquet",
+    "metrics.json",
+    "trajectory.png",
+    "formation_error.png",
+}
+SHORT = {"duration_s": 6.0, "metrics.from_s": 2.0}  # three p2dx in Bullet; loss and jitter are on
+COMMAND = [sys.executable, "-m", "cosim.cli"]
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What the run leaves when all agents run in this process."""
+    folder = tmp_path_factory.mktemp("reference")
+    cosim.run("formation-circle", set=SHORT, out=folder)
+    left = files(folder)
+    assert set(left) == NAMES
+    return left
+
+
+def assert_same(folder: Path, reference: dict[str, bytes]) -> None:
+    left = files(folder)
+    assert set(left) == set(reference)
+    assert [name for name in reference if left[name] != reference[name]] == []
+
+
+def test_twice_in_one_process_and_saved_later(reference: dict[str, bytes], tmp_path: Path) -> None:
+    np.random.seed(5)  # noqa: NPY002  what others do to the global generator must not matter
+    first = cosim.run("formation-circle", set=SHORT)
+    np.random.random(7)  # noqa: NPY002
+    cosim.run("formation-circle", set={**SHORT, "physics.kind": "kinematic"}, seed=3)
+    assert_same(first.save(tmp_path / "first"), reference)
+
+
+def test_another_seed_is_another_run(reference: dict[str, bytes], tmp_path: Path) -> None:
+    left = files(cosim.run("formation-circle", set=SHORT, seed=2).save(tmp_path / "seed2"))
+    differing = {name for name in reference if left[name] != reference[name]}
+    assert differing >= NAMES - {"trajectory.png"}
+
+
+def test_the_resolved_scenario_gives_the_run_again(reference: dict[str, bytes], tmp_path: Path) -> None:
+    resolved = tmp_path / "scenario.toml"
+    resolved.write_bytes(reference["scenario.toml"])
+    cosim.run(resolved, out=tmp_path / "again")
+    assert_same(tmp_path / "again", reference)
+
+
+def test_behind_the_bytes_of_the_wire(reference: dict[str, bytes], tmp_path: Path) -> None:
+    cosim.run("formation-circle", set=SHORT, agents="encoded", out=tmp_path / "out")  # type: ignore[arg-type]
+    assert_same(tmp_path / "out", reference)
+
+
+@pytest.mark.parametrize("processes", [1, 2, 3])
+def test_in_processes(processes: int, reference: dict[str, bytes], tmp_path: Path) -> None:
+    cosim.run("formation-circle", set={**SHORT, "agents.processes": processes}, agents="process", out=tmp_path / "out")
+    assert_same(tmp_path / "out", reference)
+
+
+@pytest.fixture
+def busy() -> Iterator[None]:
+    """Every core has something else to do."""
+    spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
+    yield
+    for process in spinning:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.usefixtures("busy")
+def test_on_a_busy_machine_with_another_hash_seed(reference: dict[str, bytes], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    settings = [f"--set={key}={value}" for key, value in {**SHORT, "agents.processes": 2}.items()]
+    command = [*COMMAND, "run", "formation-circle", *settings, "--agents", "process", "--out", str(out), "--quiet"]
+    subprocess.run(command, check=True, timeout=100, env={**os.environ, "PYTHONHASHSEED": "12345"})
+    assert_same(out, reference)
+
+
+@pytest.mark.parametrize("latency_s", [0.05, 0.25])
+def test_with_latency_below_and_above_the_period(latency_s: float, reference: dict[str, bytes], tmp_path: Path) -> None:
+    """The kernel does not wait at t for what takes effect at t + latency, and yet nothing changes."""
+    settings = {**SHORT, "physics.kind": "kinematic", "agents.latency_s": latency_s, "agents.processes": 2}
+    for where in ("inprocess", "encoded", "process"):
+        cosim.run("formation-circle", set=settings, agents=where, out=tmp_path / where)  # type: ignore[arg-type]
+    here = files(tmp_path / "inprocess")
+    assert here["states.parquet"] != reference["states.parquet"]
+    assert_same(tmp_path / "encoded", here)
+    assert_same(tmp_path / "process", here)
+
+
+def test_agents_as_objects(reference: dict[str, bytes], tmp_path: Path) -> None:
+    """Built here with the same parameters, they do what the scenario's would do; they may be mixed with these."""
+    leader, follower = Trajectory("circle", 0.3, 0.15), LeaderFollower("car1", 1.0, 30.0)
+    cosim.run("formation-circle", set=SHORT, agents={"car1": leader, "car2": follower}, out=tmp_path / "out")
+    left = files(tmp_path / "out")
+    assert {name for name in NAMES if left[name] != reference[name]} <= {"scenario.toml"}
+
+
+def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> None:
+    """Two hosts elsewhere, one started before the run and one after it; the first serves two vehicles."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    logs = [(tmp_path / name).open("w+") for name in ("early.txt", "late.txt")]
+
+    def host(log: Any, *vehicles: str) -> subprocess.Popen[str]:
+        names = [word for vehicle in vehicles for word in ("--vehicle", vehicle)]
+        return subprocess.Popen([*COMMAND, "agent", *names, "--connect", endpoint], stderr=log, text=True)
+
+    started = [host(logs[0], "car1", "car3")]
+    told: list[str] = []
+
+    def tell(text: str) -> None:
+        told.append(text)
+        if len(told) == 4:  # where to dial in, and a line for each vehicle
+            started.append(host(logs[1], "car2"))
+
+    try:
+        wait_for(lambda: (tmp_path / "early.txt").stat().st_size > 0)
+        cosim.run("formation-circle", set=SHORT, agents="zenoh", listen=endpoint, tell=tell, out=tmp_path / "out")
+        assert [process.wait(timeout=20) for process in started] == [0, 0]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+        for log in logs:
+            log.close()
+    assert_same(tmp_path / "out", reference)
+    assert set(json.loads((tmp_path / "out" / "about.json").read_text())["agents"].values()) == {"zenoh"}
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    last = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < last
+        time.sleep(0.02)
