@@ -14,10 +14,11 @@ import msgspec
 
 from cosim import registry, table
 from cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
-from cosim.clock import Ticks, seconds_to_ns
+from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import AgentError, ScenarioError
 from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.types import Follows, Note, Reading, Reception, VehicleState, Velocity
+from cosim.scenario import AgentTable
+from cosim.types import Follows, Note, Period, Reading, Reception, VehicleState, Velocity
 
 SENSORS = ("odometry", "fix", "imu", "scan", "image")
 
@@ -74,13 +75,18 @@ class _Seat:
             self.agent, params, taken = build(spec)
         else:
             self.agent, params, taken = agent, {**spec.defaults, **spec.params}, tuple(spec.defaults)
-        self._ticks = Ticks.every(spec.period_s or self.agent.period)
+        try:
+            self._ticks = Ticks.every(table.convert(spec.period_s or self.agent.period, Period))
+        except ScenarioError as error:
+            problem = f"the class's own period {error.problem}"
+            raise ScenarioError(problem, key=f"vehicle.{spec.vehicle}.agent.kind", source=spec.source) from error
         self.info = AgentInfo(
             vehicle=spec.vehicle,
             agent=spec.kind,
             ticks=self._ticks,
             latency_ns=seconds_to_ns(spec.latency_s),
             params=params,
+            known=tuple(table.parameters(type(self.agent))),
             taken=taken,
         )
         self._state: VehicleState | None = None
@@ -93,11 +99,17 @@ class _Seat:
         about = VehicleInfo(
             name=self._vehicle,
             vehicles=run.vehicles,
-            period_s=float(self._ticks.period) / 1e9,
+            period_s=float(self._ticks.period / SECOND_NS),
             latency_s=self.spec.latency_s,
             seed=run.seed,
         )
-        self.guarded(self.agent.start, about)
+        try:
+            self.agent.start(about)
+        except ValueError as error:  # a name or number of the scenario that this agent cannot work with
+            key = f"vehicle.{self._vehicle}.agent"
+            raise ScenarioError(str(error), key=key, source=self.spec.source) from error
+        except (Exception, SystemExit):
+            self.guarded(self.agent.start, about)
 
     def take(self, what: str, value: Any) -> None:
         """Note what was published about this vehicle."""
@@ -129,7 +141,7 @@ class _Seat:
         if self.agent.follows != self._follows:
             self._follows = self.agent.follows
             if self._follows is not None:
-                events.append(Event(f"{vehicle}/follows", when, msgspec.convert(msgspec.to_builtins(self._follows), Follows)))
+                events.append(Event(f"{vehicle}/follows", when, self._place(self._follows)))
         if notes := self.agent.drain_notes():
             events.append(Event(f"{vehicle}/note", when, Note(values=notes)))
         events.extend(Event(f"{vehicle}/send", when, message) for message in self._radio.drain())
@@ -139,17 +151,27 @@ class _Seat:
         """The command in plain floats, as it would come over a wire."""
         if not isinstance(command, Velocity):
             raise self._error(f"returned {table.show(command)} from act(); it must return a Velocity, or None")
-        x, y, z = map(float, command.linear)
-        plain = Velocity(linear=(x, y, z), yaw_rate=float(command.yaw_rate))
+        try:
+            x, y, z = map(float, command.linear)
+            plain = Velocity(linear=(x, y, z), yaw_rate=float(command.yaw_rate))
+        except (TypeError, ValueError):
+            raise self._error(f"returned {command}; linear must be three numbers, and yaw_rate one") from None
         if not math.isfinite(x + y + z + plain.yaw_rate):
             raise self._error(f"returned a command that is not finite: {plain}")
         return plain
+
+    def _place(self, follows: Any) -> Follows:
+        """The place to keep in plain floats, as it would come over a wire."""
+        try:
+            return msgspec.convert(msgspec.to_builtins(follows), Follows)
+        except (msgspec.ValidationError, TypeError):
+            raise self._error(f"has set follows to {table.show(follows)}; it must be a Follows, or None") from None
 
     def guarded(self, method: Any, *args: Any) -> Any:
         """Call a method of the agent; what it raises becomes an error that names agent, vehicle, and the line."""
         try:
             return method(*args)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             frames = traceback.extract_tb(error.__traceback__)[1:]
             place = f" ({Path(frames[-1].filename).name} line {frames[-1].lineno}, in {frames[-1].name})" if frames else ""
             cause = f"raised {type(error).__name__}: {error}{place}"
@@ -163,16 +185,16 @@ def build(spec: AgentSpec) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
     """Build the agent of a spec: (agent, all its parameters, the [agents] defaults that it takes)."""
     key, origin = f"vehicle.{spec.vehicle}.agent", table.Named(spec.source)
     kind = registry.find("agent", spec.kind, folder=Path(spec.folder), key=f"{key}.kind", origin=origin)
-    if not callable(getattr(kind, "act", None)):
-        raise ScenarioError(
-            f"'{spec.kind}' is no agent: it has no method act(obs, radio)", key=f"{key}.kind", source=spec.source
-        )
+    if kind.act is Agent.act:
+        raise ScenarioError(f"'{spec.kind}' has no act(obs, radio) of its own", key=f"{key}.kind", source=spec.source)
     known = table.parameters(kind)
     taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
-    for name in taken:  # so that a wrong value is reported where it stands
-        table.convert(spec.defaults[name], known[name].annotation, key=f"agents.{name}", origin=origin)
     params = {**{name: spec.defaults[name] for name in taken}, **spec.params}
-    agent: Agent = table.call(kind, params, key=key, origin=origin)
+    try:
+        agent: Agent = table.call(kind, params, key=key, origin=origin, also=table.parameters(AgentTable))
+    except ScenarioError as error:
+        name = error.key.removeprefix(f"{key}.")
+        raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if name in taken else error) from error
     return agent, table.complete(kind, params), taken
 
 

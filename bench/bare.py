@@ -14,7 +14,7 @@ import zenoh
 
 from bench.measure import cpu
 from cosim.clock import SECOND_NS, Ticks
-from cosim.federate import Event, RunInfo
+from cosim.federate import Event, Instants, RunInfo
 from cosim.types import Velocity
 from physics.bullet import p as pybullet  # type: ignore[attr-defined]  # there it is imported without its greeting
 from physics.federate import BulletPhysics
@@ -44,7 +44,9 @@ def bullet_cpu_s(vehicles: int, duration_s: float) -> float:
     cars = [VehicleSpec(name=f"car{n}", model=P2DX(), pose=(0.0, 1.0 * n, 0.0)) for n in range(vehicles)]
     physics = BulletPhysics(world=World(), vehicles=cars)
     names = tuple(car.name for car in cars)
-    physics.start(RunInfo(scenario="bare", seed=0, duration_ns=SECOND_NS, vehicles=names, instants=((Ticks.every(1.0), 0),)))
+    physics.start(
+        RunInfo(scenario="bare", seed=0, duration_ns=SECOND_NS, vehicles=names, instants=(Instants(Ticks.every(1.0)),))
+    )
     physics.step(SECOND_NS, [Event(f"{name}/command", 0, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.15)) for name in names])
     client = physics._engines[0][0]._client  # type: ignore[attr-defined]
     steps = range(int(duration_s * physics.rate_hz))

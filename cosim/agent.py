@@ -64,7 +64,8 @@ class AgentInfo(Value, frozen=True, kw_only=True):
     agent: str  # its kind, for messages
     ticks: Ticks
     latency_ns: int
-    params: dict[str, Any]  # every parameter, defaults included
+    params: dict[str, Any]  # every parameter, defaults included, as far as TOML can say it
+    known: tuple[str, ...]  # the names of all its parameters
     taken: tuple[str, ...]  # the [agents] defaults that it takes
 
 

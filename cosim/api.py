@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import math
 import os
 import platform
 import shutil
@@ -175,10 +176,10 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
         ScenarioError: the scenario cannot be run as it is.
     """
     parsed, source = scenarios.load(scenario, settings=set)
-    with Assembly(parsed, source, runs="inprocess") as assembly:
+    with Assembly(parsed, source, runs="here") as assembly:
         kernel = Kernel(assembly.run_info, assembly.federates)
         try:
-            kernel.start()
+            assembly.start(kernel)
         finally:
             kernel.close()
         return assembly.resolved()
@@ -192,10 +193,11 @@ def plot(run_dir: Path, out: Path) -> list[Path]:
     scenario = run_dir / "scenario.toml"
     window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
     figures = _figures(recording.states, recording.radio, recording.follows, (window.get("from_s", 0.0), window.get("to_s")))
-    out.mkdir(parents=True, exist_ok=True)
     paths = {out / f"{name}.png": figure for name, figure in figures.items()}
-    for path, figure in paths.items():
-        plots.save_png(figure, path)
+    with _writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        for path, figure in paths.items():
+            plots.save_png(figure, path)
     return list(paths)
 
 
@@ -212,7 +214,7 @@ class _Simulation:
         """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
         self._kernel = kernel = Kernel(self._assembly.run_info, self._assembly.federates, clock=self._clock)
         try:
-            kernel.start()
+            self._assembly.start(kernel)
             with self._recording() as recorder:
                 failure = self._go(recorder)
         except BaseException:
@@ -265,7 +267,7 @@ class _Simulation:
         if recorder is None:
             raise failure or VcmvspError("the run did not begin")
         resolved = assembly.resolved()
-        metrics = recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s")))
+        metrics = _finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
         wall_s = (datetime.now(UTC) - started).total_seconds()
         about = {
             "schema": ABOUT_SCHEMA,
@@ -308,9 +310,9 @@ _PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet
 
 def check_folder(folder: Path, *, force: bool) -> Path:
     """A folder that may be written into: new, empty, or ``force``."""
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder}: is a file, not a folder")
     try:
+        if folder.exists() and not folder.is_dir():
+            raise UsageError(f"--out {folder}: is a file, not a folder")
         if folder.is_dir() and any(folder.iterdir()) and not force:
             raise UsageError(f"--out {folder}: is not empty; give another folder, or --force to overwrite")
     except OSError as error:
@@ -328,6 +330,13 @@ def _writing(folder: Path | None) -> Iterator[None]:
         yield
     except OSError as error:
         raise UsageError(f"cannot write into {folder}: {error.strerror or error}") from error
+
+
+def _finite(value: Any) -> Any:
+    """The value with None for numbers that JSON cannot say: a vehicle that was sent to infinity is infinitely far away."""
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def to_json(value: Any) -> str:

@@ -1,6 +1,7 @@
 """From a scenario to federates: every part is found, checked and built here, and the scenario resolved on the way."""
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -8,11 +9,14 @@ import msgspec
 
 from cosim import registry, table
 from cosim.agent import Agent, AgentSpec
-from cosim.clock import Ticks, seconds_to_ns
+from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError
-from cosim.federate import Federate, RunInfo
+from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
-from cosim.scenario import Runs, Scenario, Source, VehicleTable
+from cosim.kernel import Kernel
+from cosim.scenario import AgentsTable, Scenario, Source, VehicleTable
+
+_NOT_SHARED = {"name", "pose", "agent", "params"}  # keys of a vehicle for which [vehicles] has no default
 
 
 class Assembly:
@@ -24,7 +28,8 @@ class Assembly:
         scenario: what to build.
         source: where it was read from.
         objects: agents that exist already, by vehicle; they run in this process.
-        runs: where all agents run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes.
+        runs: where all agents run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes,
+            ``"here"`` in this process as far as the scenario names their classes.
         listen: where hosts started by hand dial in, instead of the scenario's ``agents.listen``.
         tell: takes lines for the user.
     """
@@ -35,7 +40,7 @@ class Assembly:
         source: Source,
         *,
         objects: Mapping[str, Agent] | None = None,
-        runs: Runs | None = None,
+        runs: str | None = None,
         listen: str | None = None,
         tell: Tell = lambda _: None,
     ) -> None:
@@ -45,7 +50,8 @@ class Assembly:
         self.where: dict[str, str] = {}  # vehicle -> where its agent runs
         unknown = [name for name in self._objects if name not in {each.name for each in scenario.vehicle}]
         if unknown:
-            raise ScenarioError(table.unknown("vehicle", unknown[0], [each.name for each in scenario.vehicle]), key="agents")
+            problem = table.unknown("vehicle", unknown[0], [each.name for each in scenario.vehicle])
+            raise ScenarioError(problem, key="agents")
         agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)
         self._tables: dict[str, Any] = {}  # the resolved tables of what is built
         radio, physics = self._build_radio(), self._build_physics()
@@ -74,6 +80,19 @@ class Assembly:
     def __exit__(self, *error: Any) -> None:
         self._hosts.__exit__(None, None, None)
 
+    def start(self, kernel: Kernel) -> None:
+        """Start the federates; what they find wrong with the scenario is said with its place in it."""
+        with self._placed():
+            kernel.start()
+
+    @contextlib.contextmanager
+    def _placed(self) -> Iterator[None]:
+        """A federate knows the key that is wrong, and at most the file; here the line or --set is known too."""
+        try:
+            yield
+        except ScenarioError as error:
+            raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
+
     def resolved(self) -> dict[str, Any]:
         """The scenario with everything filled in; where agents ran is not part of it, since it changes no result."""
         scenario = self._scenario
@@ -84,8 +103,8 @@ class Assembly:
             "duration_s": scenario.duration_s,
             "seed": scenario.seed,
             **self._tables,
-            "agents": {**{k: v for k, v in agents.items() if k != "defaults"}, **agents["defaults"]},
-            "vehicles": table.plain(scenario.vehicles),
+            "agents": {**{k: v for k, v in agents.items() if k != "defaults"}, **self._shared_by_agents()},
+            "vehicles": self._shared_by_vehicles(),
             "record": table.plain(scenario.record),
             "metrics": table.plain(scenario.metrics),
             "vehicle": [self._resolved_vehicle(each) for each in scenario.vehicle],
@@ -143,13 +162,12 @@ class Assembly:
         specs = [self._vehicle_spec(each) for each in self._scenario.vehicle]
         content = {"kind": "bullet", **self._scenario.physics}
         physics, self._tables["physics"] = self._component("physics", content, "physics", world=world.build(), vehicles=specs)
+        known = {key for each in self._scenario.vehicle for key in table.parameters(self._vehicle_class(each))}
         for name in self._scenario.vehicles:
-            takers = [
-                each for each in self._scenario.vehicle if name in VehicleTable.__struct_fields__ or name in self._own(each)
-            ]
-            if not takers:
-                key = f"vehicles.{name}"
-                raise ScenarioError("no vehicle takes this default", key=key, source=self._source.of(key))
+            if name not in VehicleTable.__struct_fields__ and name not in known:
+                key, allowed = f"vehicles.{name}", {*known, *table.parameters(VehicleTable)} - _NOT_SHARED
+                problem = f"no vehicle takes this default: {table.unknown('key', name, allowed)}"
+                raise ScenarioError(problem, key=key, source=self._source.of(key))
         return physics
 
     def _vehicle_class(self, vehicle: VehicleTable) -> Any:
@@ -164,7 +182,8 @@ class Assembly:
 
     def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
         key = f"vehicle.{vehicle.name}"
-        model = table.call(self._vehicle_class(vehicle), self._own(vehicle), key=key, origin=self._source)
+        also = {*table.parameters(VehicleTable)} - {"params"}
+        model = table.call(self._vehicle_class(vehicle), self._own(vehicle), key=key, origin=self._source, also=also)
         sensor = None
         if vehicle.positioning is not None:
             positioning = registry.piece("positioning")
@@ -185,8 +204,12 @@ class Assembly:
         for vehicle in self._scenario.vehicle:
             if vehicle.agent is None and vehicle.name not in self._objects:
                 continue
-            own = vehicle.agent.runs if vehicle.agent else None
-            where = "inprocess" if vehicle.name in self._objects else runs or own or self._scenario.agents.runs
+            where: str = (vehicle.agent and vehicle.agent.runs) or self._scenario.agents.runs
+            if runs == "here":  # all but what only a host elsewhere can name
+                if where == "zenoh" and not self._kind(vehicle):
+                    continue
+                where = "inprocess"
+            where = "inprocess" if vehicle.name in self._objects else runs if runs and runs != "here" else where
             places.setdefault(where, []).append(self._agent_spec(vehicle, where))
             self.where[vehicle.name] = where
         start = {
@@ -195,15 +218,17 @@ class Assembly:
             "process": self._hosts.run_in_processes,
             "zenoh": self._hosts.await_by_hand,
         }
-        try:
+        with self._placed():
             for where, specs in sorted(places.items()):
                 start[where](specs)
-        except ScenarioError as error:  # the host knows only the file; here the line or --set is known too
-            raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
+
+    def _kind(self, vehicle: VehicleTable) -> str:
+        """The kind of a vehicle's agent, as far as the scenario says it."""
+        return (vehicle.agent and vehicle.agent.kind) or self._scenario.agents.defaults.get("kind", "")
 
     def _agent_spec(self, vehicle: VehicleTable, where: str) -> AgentSpec:
         agents, own = self._scenario.agents, vehicle.agent
-        kind = (own and own.kind) or agents.defaults.get("kind", "")
+        kind = self._kind(vehicle)
         if not kind and vehicle.name in self._objects:
             kind = f"{type(self._objects[vehicle.name]).__module__}:{type(self._objects[vehicle.name]).__qualname__}"
         if not kind and where != "zenoh":
@@ -228,23 +253,46 @@ class Assembly:
         for name in self._scenario.agents.defaults:
             if name not in taken:
                 key = f"agents.{name}"
-                problem = "no agent takes this default; agents take: " + ", ".join(
-                    sorted({known for info in self.infos for known in info.params})
-                )
+                known = {each for info in self.infos for each in info.known}
+                why = f"every agent that has it sets its own '{name}'" if name in known else None
+                allowed = {*known, *table.parameters(AgentsTable), "kind"} - {"defaults"}
+                problem = f"no agent takes this default: {why or table.unknown('key', name, allowed)}"
                 raise ScenarioError(problem, key=key, source=self._source.of(key))
 
-    def _instants(self) -> tuple[tuple[Ticks, int], ...]:
+    def _instants(self) -> tuple[Instants, ...]:
         """When states are needed: at agents' ticks, when what they decided takes effect, and where they are recorded."""
-        trains = [(self.record_ticks, 0)]
+        trains = [Instants(self.record_ticks, 0, "record.period_s")]
         for info in self.infos:
-            trains += [(info.ticks, 0), (info.ticks, info.latency_ns)]
-        return tuple(dict.fromkeys(trains))
+            for name, offset_ns in (("period_s", 0), ("latency_s", info.latency_ns)):
+                own = f"vehicle.{info.vehicle}.agent.{name}"
+                trains.append(Instants(info.ticks, offset_ns, own if self._is_own(info.vehicle, name) else f"agents.{name}"))
+        return tuple({(each.ticks, each.offset_ns): each for each in reversed(trains)}.values())
+
+    def _is_own(self, vehicle: str, name: str) -> bool:
+        agent = next(each.agent for each in self._scenario.vehicle if each.name == vehicle)
+        return agent is not None and getattr(agent, name) is not None
 
     # --- the resolved scenario ----------------------------------------------------------------------------------------------
 
+    def _shared_by_vehicles(self) -> dict[str, Any]:
+        """``[vehicles]`` with its tables complete."""
+        shared = {name: table.plain(value) for name, value in self._scenario.vehicles.items()}
+        if "kind" in shared:
+            shared["kind"] = self._portable(shared["kind"])
+        if "positioning" in shared:
+            shared["positioning"] = table.complete(registry.piece("positioning"), shared["positioning"])
+        return shared
+
+    def _shared_by_agents(self) -> dict[str, Any]:
+        """The defaults of ``[agents]``."""
+        shared = {name: table.plain(value) for name, value in self._scenario.agents.defaults.items()}
+        if "kind" in shared:
+            shared["kind"] = self._portable_agent(shared["kind"])
+        return shared
+
     def _resolved_vehicle(self, vehicle: VehicleTable) -> dict[str, Any]:
         """Everything of one vehicle that is not a default for all."""
-        shared = self._scenario.vehicles
+        shared = self._shared_by_vehicles()
         full = {
             "name": vehicle.name,
             "kind": self._portable(vehicle.kind),
@@ -253,7 +301,8 @@ class Assembly:
             "positioning": vehicle.positioning and table.complete(registry.piece("positioning"), vehicle.positioning),
             **table.complete(self._vehicle_class(vehicle), self._own(vehicle)),
         }
-        result: dict[str, Any] = {k: table.plain(v) for k, v in full.items() if k not in shared and v is not None}
+        result = {name: table.plain(value) for name, value in full.items() if value is not None}
+        result = {name: value for name, value in result.items() if name not in shared or value != shared[name]}
         info = next((each for each in self.infos if each.vehicle == vehicle.name), None)
         if info is not None:
             result["agent"] = self._resolved_agent(vehicle, info)
@@ -266,7 +315,7 @@ class Assembly:
             {} if "kind" in agents.defaults and not (own and own.kind) else {"kind": self._portable_agent(kind)}
         )
         if (own and own.period_s) or agents.period_s is None:
-            agent["period_s"] = float(info.ticks.period) / 1e9
+            agent["period_s"] = float(info.ticks.period / SECOND_NS)
         if own and own.latency_s is not None:
             agent["latency_s"] = own.latency_s
         shared = {name for name in info.taken if name in agents.defaults and info.params[name] == agents.defaults[name]}

@@ -141,7 +141,7 @@ def show_command(
 
         sys.stdout.write(tomli_w.dumps(_checked(scenario, scenarios.settings_of(set_ or []))))
     else:
-        sys.stdout.write(scenarios.path_of(scenario).read_text("utf-8"))
+        sys.stdout.write(scenarios.text_of(scenario))
 
 
 @app.command("check")
@@ -186,7 +186,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         app(_with_speed(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
     except VcmvspError as error:
-        _say(f"vcmvsp: {error}")
+        _say(f"vcmvsp: {' '.join(str(error).splitlines())}")
         _point_to_result(error)
         raise SystemExit(error.exit_code) from None
     except KeyboardInterrupt:

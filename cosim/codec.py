@@ -1,5 +1,6 @@
 """Values as MessagePack bytes, exactly: floats keep every bit, arrays travel as (dtype, shape, raw bytes)."""
 
+import re
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -14,7 +15,7 @@ def encode(value: Any) -> bytes:
 
 
 class Decoder(Generic[T]):
-    """Reads bytes of one type; anything else raises `msgspec.ValidationError` or `msgspec.DecodeError`."""
+    """Reads bytes of one type; anything else raises a `ValueError` (msgspec's errors are such)."""
 
     def __init__(self, kind: Any) -> None:
         self._decoder: msgspec.msgpack.Decoder[T] = msgspec.msgpack.Decoder(kind, dec_hook=_decode_array)
@@ -25,7 +26,7 @@ class Decoder(Generic[T]):
 
 
 def _encode_array(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
     if isinstance(value, np.generic):
         return value.item()
@@ -37,10 +38,9 @@ def _decode_array(kind: Any, value: Any) -> Any:
     if getattr(kind, "__origin__", kind) is not np.ndarray:
         raise NotImplementedError(f"cannot read a {kind}")
     dtype, shape, raw = value
-    plain = np.dtype(dtype)
-    if plain.kind not in "biuf":
+    if not re.fullmatch(r"[<>|=]?[biuf]\d+", dtype):
         raise ValueError(f"arrays of {dtype!r} do not travel")
-    return np.frombuffer(raw, plain).reshape(shape)
+    return np.frombuffer(raw, np.dtype(dtype)).reshape(shape)
 
 
 _encoder = msgspec.msgpack.Encoder(enc_hook=_encode_array)

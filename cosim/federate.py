@@ -50,6 +50,14 @@ class Step(msgspec.Struct, frozen=True):
     next_ns: int | None = None
 
 
+class Instants(msgspec.Struct, frozen=True):
+    """Times at which states are needed: those of a train of ticks, each shifted by an offset."""
+
+    ticks: Ticks
+    offset_ns: int = 0
+    key: str = ""  # of the scenario, that asks for them; for messages
+
+
 class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     """What every federate is told before time 0."""
 
@@ -57,7 +65,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     duration_ns: int
     vehicles: tuple[str, ...]
-    instants: tuple[tuple[Ticks, int], ...] = ()  # when states are needed: ticks, each shifted by an offset in ns
+    instants: tuple[Instants, ...] = ()  # when states are needed
 
 
 @runtime_checkable

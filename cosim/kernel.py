@@ -152,9 +152,9 @@ class Kernel:
         self._schedule(index, when)
 
     def _collect(self, now: int, slot: Slot) -> None:
-        """Await all answers that fall due by now."""
+        """Await all answers that fall due in this slot."""
         for index, due in sorted(self._open.items()):
-            while due and due[0] <= now:
+            while due and due[0] == now and slot == self._remote[index].slot:
                 due.popleft()
                 with _blame(self._remote[index]):
                     events = self._remote[index].answer()

@@ -21,6 +21,19 @@ from cosim.table import Named, Origin, unknown
 
 PARTS = ("physics", "netsim", "agents", "hardware", "scenarios")
 
+VERBS: Mapping[str, str] = {
+    "physics": "step",
+    "world": "build",
+    "vehicle": "radius_m",
+    "agent": "act",
+    "estimator": "predict",
+    "path_loss": "loss_db",
+    "phy": "air_time_ns",
+    "loss": "lost",
+    "delay": "delay_ns",
+}
+"""What a class of each group must have."""
+
 PIECES: Mapping[str, str] = {
     "agent host": "agents.federate:AgentHost",
     "host process": "agents.serve:host",
@@ -48,6 +61,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "trajectory": "agents.formation.trajectory:Trajectory",
         "leader_follower": "agents.formation.leader_follower:LeaderFollower",
     },
+    "estimator": {"hold": "agents.formation.prediction:Hold", "dr": "agents.formation.prediction:DeadReckoning"},
     "path_loss": {"log_distance": "netsim.propagation:LogDistance", "none": "netsim.propagation:NoPathLoss"},
     "phy": {
         "constant_rate": "netsim.phy:ConstantRate",
@@ -74,16 +88,21 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     """
     origin = origin or Named()
     where, _, name = target(group, kind, key=key, origin=origin).rpartition(":")
+    path = file_of(kind, folder).resolve() if is_file_kind(kind) else None
+    if path and not path.is_file():
+        raise ScenarioError(f"there is no file {path}", key=key, source=origin.of(key))
     try:
-        module = load_file(file_of(kind, folder)) if where.endswith(".py") else importlib.import_module(where)
-        return getattr(module, name)
-    except FileNotFoundError as error:
-        raise ScenarioError(f"there is no file {error.filename}", key=key, source=origin.of(key)) from error
-    except AttributeError as error:
-        raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key)) from error
-    except Exception as error:
+        module = load_file(path) if path else importlib.import_module(where)
+    except (Exception, SystemExit) as error:
         problem = f"'{where}' cannot be imported: {type(error).__name__}: {error}{_line_in(error)}"
         raise ScenarioError(problem, key=key, source=origin.of(key)) from error
+    found = getattr(module, name, None)
+    if found is None:
+        raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key))
+    if not callable(found) or not hasattr(found, VERBS[group]):
+        problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {VERBS[group]}"
+        raise ScenarioError(problem, key=key, source=origin.of(key))
+    return found
 
 
 def piece(name: str) -> Any:
@@ -97,11 +116,14 @@ def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = 
     """``module:Class`` or ``file.py:Class`` of a kind that may be a short name."""
     if ":" in kind:
         return kind
-    names = {**_entry_points(group), **KINDS[group]}
-    if kind not in names:
+    if kind in KINDS[group]:
+        return KINDS[group][kind]
+    others = _entry_points(group)  # looks through all installed distributions: only where it must
+    if kind not in others:
+        names = [*KINDS[group], *others]
         problem = unknown(f"{group.replace('_', '-')} kind", kind, names) + "; or give module:Class or file.py:Class"
         raise ScenarioError(problem, key=key, source=(origin or Named()).of(key))
-    return names[kind]
+    return others[kind]
 
 
 def file_of(kind: str, folder: Path | None) -> Path:
@@ -116,9 +138,6 @@ def is_file_kind(kind: str) -> bool:
 
 def load_file(path: Path) -> ModuleType:
     """Import a Python file by its path, afresh; modules beside it can be imported by it."""
-    path = path.resolve()
-    if not path.is_file():
-        raise FileNotFoundError(2, "no such file", str(path))
     name = f"_vcmvsp_{path.stem}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
     loader = importlib.machinery.SourceFileLoader(name, str(path))
     module = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, loader, origin=str(path)))
@@ -153,7 +172,9 @@ def _entry_points(group: str) -> dict[str, str]:
     return {entry.name: entry.value for entry in importlib.metadata.entry_points(group=f"cosim.{group}")}
 
 
-def _line_in(error: Exception) -> str:
+def _line_in(error: BaseException) -> str:
     """Where in a file that was being imported the error arose."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "importlib" not in frame.filename]
-    return f" ({Path(frames[-1].filename).name} line {frames[-1].lineno})" if len(frames) > 1 else ""
+    if isinstance(error, SyntaxError) or len(frames) < 2:
+        return ""  # a syntax error names its own line
+    return f" ({Path(frames[-1].filename).name} line {frames[-1].lineno})"

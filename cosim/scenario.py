@@ -9,15 +9,16 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 
 from cosim import table
 from cosim.errors import ScenarioError, UsageError
-from cosim.types import Count, Name, NonNegative, Positive
+from cosim.types import Count, Name, NonNegative, Period, Seconds, Seed
 
 BUILT_IN = Path(__file__).resolve().parent.parent / "scenarios"
+Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Runs = Literal["inprocess", "process", "zenoh"]
 PoseSource = Literal["truth", "odometry", "positioning"]
 T = TypeVar("T")
@@ -29,10 +30,10 @@ class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
     runs: Runs = "inprocess"  # inprocess | process (child processes) | zenoh (hosts that are started by hand)
     processes: Count | None = None  # with runs = "process": how many share the agents; default: one each
     listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": the endpoint that hosts dial
-    deadline_s: Positive = 3.0  # wall-clock time within which a remote agent must answer
-    join_timeout_s: Positive = 60.0  # wall-clock time within which all hosts must have joined
-    period_s: Positive | None = None  # s between ticks; default: the agent's own period
-    latency_s: NonNegative = 0.0  # s from an observation to the effect of the command
+    deadline_s: Period = 3.0  # wall-clock time within which a remote agent must answer
+    join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
+    period_s: Period | None = None  # s between ticks; default: the agent's own period
+    latency_s: Seconds = 0.0  # s from an observation to the effect of the command
     defaults: Mapping[str, Any] = {}
 
 
@@ -41,8 +42,8 @@ class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
 
     kind: str | None = None  # short name | module:Class | file.py:Class; default: agents.kind
     runs: Runs | None = None  # default: agents.runs
-    period_s: Positive | None = None
-    latency_s: NonNegative | None = None
+    period_s: Period | None = None
+    latency_s: Seconds | None = None
     params: Mapping[str, Any] = {}
 
 
@@ -61,7 +62,7 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
 class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[record]``."""
 
-    period_s: Positive = 0.1  # s between recorded states
+    period_s: Period = 0.1  # s between recorded states
 
 
 class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,8 +76,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     """A whole scenario. ``duration_s`` is simulated time; agents act at 0 <= t < duration."""
 
     name: Name
-    duration_s: Positive
-    seed: Count = 0
+    duration_s: Duration
+    seed: Seed = 0
     physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic"
     world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
     radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
@@ -159,7 +160,8 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
             if name in raw
         },
     }
-    parsed = table.call(Scenario, {k: v for k, v in raw.items() if k not in given}, origin=source, given=given)
+    rest = {name: value for name, value in raw.items() if name not in given}
+    parsed = table.call(Scenario, rest, origin=source, given=given, also=table.parameters(Scenario))
     _check_window(parsed, source)
     return parsed
 
@@ -182,19 +184,34 @@ def path_of(scenario: str | Path) -> Path:
     if text in names():
         return BUILT_IN / f"{text}.toml"
     path = Path(scenario)
-    if path.is_file():
-        return path
+    try:
+        if path.is_file():
+            return path
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", source=text) from error
     if path.suffix == ".toml" or "/" in text:
         raise ScenarioError("there is no such file" if not path.is_dir() else "is a folder, not a scenario file", source=text)
     raise ScenarioError(table.unknown("scenario", text, names()) + "; or give the path of a .toml file")
 
 
+def text_of(scenario: str | Path) -> str:
+    """What stands in the file of a scenario."""
+    path = path_of(scenario)
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError("is not a text file in UTF-8", source=str(path)) from error
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", source=str(path)) from error
+
+
 def value_of(text: str) -> Any:
     """The value that ``--set KEY=text`` gives: TOML if it reads as TOML, else the text itself."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        parsed = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
+    return parsed["value"] if len(parsed) == 1 else text
 
 
 def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
@@ -214,21 +231,20 @@ def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
 def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Source]:
     if isinstance(scenario, Mapping):
         return msgspec.to_builtins(dict(scenario)), Source("scenario", Path())
-    path = path_of(scenario)
+    path, text = path_of(scenario), text_of(scenario)
     try:
-        text = path.read_text("utf-8")
         return tomllib.loads(text), Source(str(scenario), path.parent, text)
-    except UnicodeDecodeError as error:
-        raise ScenarioError("is not a text file in UTF-8", source=str(path)) from error
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
-    except OSError as error:
-        raise ScenarioError(f"cannot be read: {error.strerror}", source=str(path)) from error
 
 
 def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
     """Set one key path; ``vehicle.NAME`` finds a vehicle by its name."""
     *parents, last = key.split(".")
+    if key.startswith("vehicle") and (parents[:1] == ["vehicle"] or last == "vehicle"):
+        listed = raw.get("vehicle")
+        if len(parents) < 2 or not isinstance(listed, list):
+            raise ScenarioError("write vehicle.NAME.KEY for a key of one vehicle", key=key, source=source.of(key))
     here: Any = raw
     for depth, part in enumerate(parents):
         if depth == 0 and part == "vehicle":

@@ -9,6 +9,7 @@ import difflib
 import functools
 import inspect
 import math
+import re
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -47,9 +48,13 @@ class Parameter(msgspec.Struct, frozen=True):
     required: bool
 
 
-@functools.lru_cache(maxsize=256)
 def parameters(target: Callable[..., Any]) -> Mapping[str, Parameter]:
     """The parameters that a table can give to ``target`` (a class or function), in order."""
+    return _parameters(target)
+
+
+@functools.lru_cache(maxsize=256)
+def _parameters(target: Any) -> Mapping[str, Parameter]:
     holder = target
     if isinstance(target, type):
         holder = next(vars(base)["__init__"] for base in target.__mro__ if "__init__" in vars(base))
@@ -74,6 +79,7 @@ def call(
     key: str = "",
     origin: Origin | None = None,
     given: Mapping[str, Any] | None = None,
+    also: Iterable[str] = (),
 ) -> T:
     """Call ``target`` with the table's values, each checked and converted by its annotation.
 
@@ -83,16 +89,17 @@ def call(
         key: path of the table in the scenario, for messages.
         origin: where the scenario came from, for messages.
         given: arguments that come from the program, not from the table.
+        also: other keys that may stand in this table, for messages.
 
     Raises:
-        ScenarioError: unknown or missing key, wrong type or range, or a `ValueError` of ``target`` itself.
+        ScenarioError: unknown or missing key, wrong type or range, or whatever ``target`` itself raises.
     """
     origin, given = origin or Named(), given or {}
     known = {name: each for name, each in parameters(target).items() if name not in given}
     for name in table:
         if name not in known:
             where = join(key, name)
-            raise ScenarioError(unknown("key", name, known), key=where, source=origin.of(where))
+            raise ScenarioError(unknown("key", name, [*known, *also]), key=where, source=origin.of(where))
     values = {}
     for name, parameter in known.items():
         where = join(key, name)
@@ -107,8 +114,11 @@ def call(
             raise
         where = join(key, error.key)
         raise ScenarioError(error.problem, key=where, source=origin.of(where)) from error
-    except ValueError as error:
-        raise ScenarioError(str(error), key=key, source=origin.of(key)) from error
+    except (Exception, SystemExit) as error:
+        problem = str(error) if isinstance(error, ValueError) else f"{target.__name__} raised {type(error).__name__}: {error}"
+        mentioned = [name for name in values if re.search(rf"\b{name}\b", problem)]  # a constructor says which one it means
+        where = join(key, mentioned[0]) if len(mentioned) == 1 else key
+        raise ScenarioError(problem, key=where, source=origin.of(where)) from error
 
 
 def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iterable[str] = ()) -> dict[str, Any]:
@@ -145,7 +155,8 @@ def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
-        raise _refused(f"must be {describe(annotation)}, not {show(value)}", key, origin) from error
+        inside = f" ({error})" if " - at `" in str(error) else ""
+        raise _refused(f"must be {describe(annotation)}, not {show(value)}{inside}", key, origin) from error
     except TypeError:
         return value  # an annotation that only Python objects meet; the target checks it itself
 
@@ -204,4 +215,4 @@ def describe(annotation: Any) -> str:
 
 
 _SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
-_WORDS = {float: "a number", int: "a whole number", str: "a string", bool: "true or false"}
+_WORDS = {Any: "any value", float: "a number", int: "a whole number", str: "a string", bool: "true or false"}

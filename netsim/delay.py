@@ -3,7 +3,7 @@
 import numpy as np
 
 from cosim.clock import seconds_to_ns
-from cosim.types import NonNegative
+from cosim.types import Seconds
 from netsim.layers import Draw, Frame, Ints
 
 
@@ -27,7 +27,7 @@ class FixedDelay:
     [-jitter_s, +jitter_s], drawn for each frame and receiver; one that exceeds half the sending period lets frames overtake.
     """
 
-    def __init__(self, seconds: NonNegative, jitter_s: NonNegative = 0.0) -> None:
+    def __init__(self, seconds: Seconds, jitter_s: Seconds = 0.0) -> None:
         self._fixed_ns, self._jitter_ns = seconds_to_ns(seconds), seconds_to_ns(jitter_s)
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:

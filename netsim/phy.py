@@ -5,10 +5,15 @@ Payload is what the agent sends (``Message.size_bytes``); each standard adds its
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
 
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
-from cosim.types import NonNegative, Positive
+from cosim.types import Seconds
+
+BitRate = Annotated[float, msgspec.Meta(ge=1.0, le=1e15)]  # bit/s
 
 US = 1_000  # ns
 
@@ -21,8 +26,8 @@ class ConstantRate:
     1 us + 1 ns a bit, 1.8 us for 100 bytes. The default sensitivity, 1e-33 W, hears everything.
     """
 
-    rate_bps: Positive = 1e9
-    overhead_s: NonNegative = 1e-6
+    rate_bps: BitRate = 1e9
+    overhead_s: Seconds = 1e-6
     tx_power_dbm: float = 0.0
     sensitivity_dbm: float = -300.0
 
@@ -43,7 +48,7 @@ class Dsss:
     below which its receivers detect no preamble (``ThresholdPreambleDetectionModel::MinimumRssi``).
     """
 
-    rate_bps: Positive = 1e6
+    rate_bps: BitRate = 1e6
     tx_power_dbm: float = 16.0206
     sensitivity_dbm: float = -82.0
 

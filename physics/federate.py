@@ -26,7 +26,7 @@ from cosim.errors import FederateError, ScenarioError
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.frames import quaternion_from_yaw
 from cosim.rng import stream
-from cosim.types import Contact, Fix, NonNegative, Odometry, Positive, States, VehicleState, Velocity, frozen
+from cosim.types import Contact, Fix, NonNegative, Odometry, Rate, States, VehicleState, Velocity, frozen
 from physics.engine import Engine
 from physics.motion import MotionEngine
 from physics.vehicles import DifferentialDrive, VehicleSpec
@@ -58,7 +58,7 @@ class Physics:
         *,
         world: World,
         vehicles: Sequence[VehicleSpec],
-        rate_hz: Positive = 120.0,
+        rate_hz: Rate = 120.0,
         iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
         gravity: NonNegative = 9.81,
     ) -> None:
@@ -82,7 +82,7 @@ class Physics:
             for number, spec in enumerate(self.vehicles)
             if spec.positioning is not None
         ]
-        trains = (*run.instants, *((ticks, 0) for _, _, ticks, _ in self._sensors))
+        trains = [(each.ticks, each.offset_ns) for each in run.instants] + [(ticks, 0) for _, _, ticks, _ in self._sensors]
         self._trains = tuple(dict.fromkeys(trains))  # equal ones once, in order
         self._engines = self.engines()
         self._mover = {
@@ -213,17 +213,19 @@ class BulletPhysics(Physics):
 
     def _check_instants(self) -> None:
         """Refuse publications between two steps of Bullet, naming both numbers."""
-        step = Ticks.rate(self.rate_hz)
-        needed = [(f"the period {ticks.ns / ticks.per / 1e9:.9g} s", ticks.is_multiple_of(step)) for ticks, _ in self._trains]
-        needed += [(f"the offset {offset_ns / 1e9:.9g} s", step.hits(offset_ns)) for _, offset_ns in self._trains]
-        needed += [(f"the duration {self._run.duration_ns / 1e9:.9g} s", step.hits(self._run.duration_ns))]
-        for what, fits in needed:
+        step, end_ns = Ticks.rate(self.rate_hz), self._run.duration_ns
+        needed = [("duration_s", f"the duration {end_ns / 1e9:.9g} s", step.hits(end_ns))]
+        for each in self._run.instants:
+            period_ok = each.ticks.is_multiple_of(step)
+            needed.append((each.key, f"the period {float(each.ticks.period) / 1e9:.9g} s", period_ok))
+            needed.append((each.key, f"the offset {each.offset_ns / 1e9:.9g} s", step.hits(each.offset_ns)))
+        for number, _, ticks, _ in self._sensors:
+            key = f"vehicle.{self._names[number]}.positioning.rate_hz"
+            needed.append((key, f"the period {float(ticks.period) / 1e9:.9g} s", ticks.is_multiple_of(step)))
+        for key, what, fits in needed:
             if not fits:
-                raise ScenarioError(
-                    f"{what} is not a whole number of physics steps (1/{self.rate_hz:g} s); "
-                    "use a multiple, or set physics.rate_hz",
-                    key="physics.rate_hz",
-                )
+                problem = f"{what} is not a whole number of physics steps (1/{self.rate_hz:g} s); "
+                raise ScenarioError(problem + "use a multiple, or set physics.rate_hz", key=key or "physics.rate_hz")
 
     def _check_overlaps(self, bodies: Sequence[tuple[int, DifferentialDrive, tuple[float, float, float]]]) -> None:
         """Refuse bodies that start inside each other or inside a box: Bullet would fling them apart."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.frames import wrap
-from cosim.types import Fix, NonNegative, Positive, Probability, VehicleState
+from cosim.types import Fix, NonNegative, Probability, Rate, VehicleState
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class Positioning:
         outlier_m: how far an outlier is displaced, m, in a random direction.
     """
 
-    rate_hz: Positive = 10.0
+    rate_hz: Rate = 10.0
     sigma_m: NonNegative = 0.15
     sigma_rad: NonNegative = 0.05
     outlier_probability: Probability = 0.0

@@ -191,7 +191,7 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
     positioning: Positioning | None = None  # the sensor, if fitted
 
     def __post_init__(self) -> None:
-        key = f"vehicle.{self.name}.pose_source"
+        key = "pose_source"
         if self.pose_source not in POSE_SOURCES:
             raise ScenarioError(f'"{self.pose_source}" is none of {", ".join(POSE_SOURCES)}', key=key)
         if self.pose_source == "positioning" and self.positioning is None:

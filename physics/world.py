@@ -6,6 +6,8 @@ One description serves every engine: Bullet collides with its triangles (`World.
 import math
 from dataclasses import dataclass
 
+import msgspec
+
 from cosim.types import NonNegative, Vec3
 
 Triangle = tuple[int, int, int]
@@ -39,8 +41,7 @@ class Footprint:
         return True
 
 
-@dataclass(frozen=True, kw_only=True)
-class Box:
+class Box(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A box that stands still: a wall, a table, a building.
 
     Args:

@@ -134,6 +134,11 @@ def save_png(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG: no date, no library version inside."""
     with _style():
         canvas: Any = FigureCanvasAgg(figure)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # it leaves the last bit of a position to chance: round it away
+        for axes in figure.axes:
+            left, bottom, width, height = (round(edge, 6) for edge in axes.get_position().bounds)
+            axes.set_position((left, bottom, width, height))
         canvas.print_png(str(path), metadata={"Software": None})
 
 

@@ -24,7 +24,7 @@ def case(name: str, text: str | bytes, *words: str, sets: tuple[str, ...] = (), 
 def set_case(name: str, setting: str, *words: str, and_set: tuple[str, ...] = (), known: str | None = None) -> Any:
     """A good scenario with one bad ``--set``, whose argument the message must name."""
     key = setting.partition("=")[0]
-    return case(name, two_cars(), f"--set {key}", *words, sets=(setting, *and_set), known=known)
+    return case(name, two_cars(), f"--set {key}", *words, sets=(setting, *and_set))
 
 
 def check_refused(folder: Path, text: str | bytes, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
@@ -53,8 +53,8 @@ NO_SUGGESTION = "a default that nobody takes suggests nothing"
 UNKNOWN_KEYS = [
     case("top", two_cars(top="durations = 1"), "s.toml line", "durations", "did you mean 'duration_s'?", "allowed"),
     case("top table", two_cars(tail="[recrd]"), "s.toml line", "recrd", "did you mean 'record'?"),
-    case("top table agents", two_cars(tail="[agent]"), "did you mean 'agents'?", known=NOT_OF_ALL),
-    case("top table vehicles", two_cars(tail="[vehicels]"), "did you mean 'vehicles'?", known=NOT_OF_ALL),
+    case("top table agents", two_cars(tail="[agent]"), "did you mean 'agents'?"),
+    case("top table vehicles", two_cars(tail="[vehicels]"), "did you mean 'vehicles'?"),
     case(
         "physics",
         two_cars(physics="gravty = 1").replace('"kinematic"', '"bullet"'),
@@ -78,14 +78,14 @@ UNKNOWN_KEYS = [
         "radio layer", two_cars(tail="[radio.loss]\nprobabilty = 0"), "s.toml line", "radio.loss.probabilty", "'probability'?"
     ),
     case("agents", two_cars(agents="hroizon_s = 1"), "s.toml line", "agents.hroizon_s", "no agent takes", "horizon_s"),
-    case("agents suggests", two_cars(agents="hroizon_s = 1"), "did you mean 'horizon_s'?", known=NO_SUGGESTION),
+    case("agents suggests", two_cars(agents="hroizon_s = 1"), "did you mean 'horizon_s'?"),
     case("agents own", two_cars(agents="perod_s = 1"), "s.toml line", "agents.perod_s", "no agent takes"),
-    case("agents own suggests", two_cars(agents="perod_s = 1"), "did you mean 'period_s'?", known=NO_SUGGESTION),
+    case("agents own suggests", two_cars(agents="perod_s = 1"), "did you mean 'period_s'?"),
     case("vehicles", two_cars(tail="[vehicles]\nmax_sped = 1"), "s.toml line", "vehicles.max_sped", "no vehicle takes"),
-    case("vehicles suggests", two_cars(tail="[vehicles]\nmax_sped = 1"), "did you mean 'max_speed'?", known=NO_SUGGESTION),
+    case("vehicles suggests", two_cars(tail="[vehicles]\nmax_sped = 1"), "did you mean 'max_speed'?"),
     case("vehicle", two_cars(car2="max_sped = 1"), "s.toml line", "vehicle.car2.max_sped", "did you mean 'max_speed'?"),
     case("vehicle own", two_cars(car2="pose_sorce = 'truth'"), "s.toml line", "vehicle.car2.pose_sorce", "unknown key"),
-    case("vehicle own suggests", two_cars(car2="pose_sorce = 'truth'"), "did you mean 'pose_source'?", known=NOT_OF_ALL),
+    case("vehicle own suggests", two_cars(car2="pose_sorce = 'truth'"), "did you mean 'pose_source'?"),
     case(
         "positioning", two_cars(car2="positioning = { rate = 1 }"), "s.toml line", "vehicle.car2.positioning.rate", "'rate_hz'?"
     ),
@@ -96,7 +96,7 @@ UNKNOWN_KEYS = [
         "car2.agent.distanc",
         "'distance'?",
     ),
-    case("agent own", two_cars(agent="kind='trajectory', latncy_s=1"), "did you mean 'latency_s'?", known=NOT_OF_ALL),
+    case("agent own", two_cars(agent="kind='trajectory', latncy_s=1"), "did you mean 'latency_s'?"),
     case("record", two_cars(tail="[record]\nperiod = 1"), "s.toml line", "record.period", "did you mean 'period_s'?"),
     case("metrics", two_cars(tail="[metrics]\nfrom = 1"), "s.toml line", "metrics.from", "did you mean 'from_s'?"),
     case(
@@ -104,13 +104,10 @@ UNKNOWN_KEYS = [
         two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1], size=[1,1,1], yaw=1}]"),
         "world.boxes",
         "yaw",
-        known="an unknown key of a box is ignored",
     ),
     set_case("set", "radio.loss.probabilty=0.1", "radio.loss.probabilty", "did you mean 'probability'?"),
     set_case("set vehicle", "vehicle.car3.kind=lag", "unknown vehicle 'car3'", "allowed: car1, car2"),
-    set_case(
-        "set whole vehicle", "vehicle.car2=3", "vehicle.car2", known="a vehicle that is set as a whole is silently ignored"
-    ),
+    set_case("set whole vehicle", "vehicle.car2=3", "vehicle.car2"),
     set_case("set in a value", "duration_s.x=1", "'duration_s' is a value, not a table"),
 ]
 
@@ -173,7 +170,6 @@ WRONG_VALUES = [
         "no positioning sensor key",
         two_cars(car2="pose_source = 'positioning'"),
         ": vehicle.car2.pose_source:",
-        known="the key path is given twice: vehicle.car2.vehicle.car2.pose_source",
     ),
     case(
         "unknown pose source",
@@ -188,11 +184,8 @@ WRONG_VALUES = [
         "leader",
         "car9",
         "car1",
-        known="exit code 3",
     ),
-    case(
-        "leader itself", two_cars(agent="kind='leader_follower', leader='car2'"), "car2", "leader", "car1", known="exit code 3"
-    ),
+    case("leader itself", two_cars(agent="kind='leader_follower', leader='car2'"), "car2", "leader", "car1"),
     case("name with a space", two_cars().replace('"car2"', '"car 2"'), "s.toml line", "name", "[A-Za-z0-9_-]", "not 'car 2'"),
     case("name with a slash", two_cars().replace('"car2"', '"car/2"'), "s.toml line", "name", "[A-Za-z0-9_-]"),
     case("name with a star", two_cars().replace('"car2"', '"*"'), "s.toml line", "name", "[A-Za-z0-9_-]"),
@@ -229,9 +222,9 @@ WRONG_VALUES = [
     set_case("set a table to a value", "radio.loss=0.1", "radio.loss", "must be a table, not 0.1"),
     set_case("set the seed", "seed=-1", "a whole number >= 0", "not -1"),
     set_case("set a fraction as seed", "seed=1.5", "a whole number >= 0", "not 1.5"),
-    set_case("set an estimator", "vehicle.car2.agent.estimator=foo", "unknown estimator 'foo'", "dr, hold", known=ESTIMATOR),
-    set_case("set estimators", "agents.estimator=foo", "unknown estimator 'foo'", "dr, hold", known=ESTIMATOR),
-    set_case("set two values", "duration_s=1\nseed=3", "duration_s", known="the lines after the first are silently dropped"),
+    set_case("set an estimator", "vehicle.car2.agent.estimator=foo", "unknown estimator 'foo'", "dr, hold"),
+    set_case("set estimators", "agents.estimator=foo", "unknown estimator 'foo'", "dr, hold"),
+    set_case("set two values", "duration_s=1\nseed=3", "duration_s"),
 ]
 
 
@@ -244,22 +237,22 @@ BULLET = ("physics.kind=bullet",)
 TINY = "a period below a nanosecond is a ValueError"
 HUGE = "a number beyond 64 bits of nanoseconds comes out as an OverflowError in the middle of the run, or not at all"
 TIMES = [
-    set_case("agents period", "agents.period_s=0.013", "0.013", "1/120", and_set=BULLET, known=UNPLACED),
-    set_case("agent period", "vehicle.car2.agent.period_s=0.013", "0.013", "1/120", and_set=BULLET, known=UNPLACED),
-    set_case("latency", "agents.latency_s=0.013", "0.013", "1/120", and_set=BULLET, known=UNPLACED),
-    set_case("record period", "record.period_s=0.013", "0.013", "1/120", and_set=BULLET, known=UNPLACED),
-    set_case("positioning rate", "vehicle.car2.positioning.rate_hz=7", "0.142857", "1/120", and_set=BULLET, known=UNPLACED),
-    set_case("duration", "duration_s=0.501", "0.501", "1/120", and_set=BULLET, known=UNPLACED),
-    set_case("tiny agents period", "agents.period_s=1e-12", "nanosecond", known=TINY),
-    set_case("tiny record period", "record.period_s=1e-12", "nanosecond", known=TINY),
-    set_case("tiny positioning period", "vehicle.car2.positioning.rate_hz=1e12", "nanosecond", known=TINY),
-    set_case("tiny physics period", "physics.rate_hz=1e12", "nanosecond", and_set=BULLET, known=TINY),
-    set_case("tiny duration", "duration_s=1e-12", "nanosecond", known="a duration that rounds to nothing is accepted"),
-    set_case("huge agents period", "agents.period_s=1e300", "agents.period_s", known=HUGE),
-    set_case("huge delay", "radio.delay.seconds=1e10", "radio.delay.seconds", known=HUGE),
-    set_case("huge jitter", "radio.delay.jitter_s=1e300", "radio.delay.jitter_s", known=HUGE),
-    set_case("huge overhead", "radio.phy.overhead_s=1e300", "radio.phy.overhead_s", known=HUGE),
-    set_case("huge seed", "seed=" + "9" * 30, "seed", known="accepted in one process, an OverflowError in several"),
+    set_case("agents period", "agents.period_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("agent period", "vehicle.car2.agent.period_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("latency", "agents.latency_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("record period", "record.period_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("positioning rate", "vehicle.car2.positioning.rate_hz=7", "0.142857", "1/120", and_set=BULLET),
+    set_case("duration", "duration_s=0.501", "0.501", "1/120", and_set=BULLET),
+    set_case("tiny agents period", "agents.period_s=1e-12", "nanosecond"),
+    set_case("tiny record period", "record.period_s=1e-12", "nanosecond"),
+    set_case("tiny positioning period", "vehicle.car2.positioning.rate_hz=1e12", "nanosecond"),
+    set_case("tiny physics period", "physics.rate_hz=1e12", "nanosecond", and_set=BULLET),
+    set_case("tiny duration", "duration_s=1e-12", "nanosecond"),
+    set_case("huge agents period", "agents.period_s=1e300", "agents.period_s"),
+    set_case("huge delay", "radio.delay.seconds=1e10", "radio.delay.seconds"),
+    set_case("huge jitter", "radio.delay.jitter_s=1e300", "radio.delay.jitter_s"),
+    set_case("huge overhead", "radio.phy.overhead_s=1e300", "radio.phy.overhead_s"),
+    set_case("huge seed", "seed=" + "9" * 30, "seed"),
 ]
 
 
@@ -345,7 +338,6 @@ def without_vehicles() -> str:
             "vehicle = 3\n" + without_vehicles(),
             "vehicle",
             sets=("vehicle.car1.kind=lag",),
-            known="TypeError: 'int' object is not iterable",
         ),
         case("no vehicle", without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
         case("empty", "", "s.toml", "needs at least one [[vehicle]]"),
@@ -419,25 +411,20 @@ SEAM = "a class that is no part of this kind is a traceback"
             "act of the base class",
             "vehicle.car2.agent.kind=mine.py:Unfinished",
             "act",
-            known="found at the first tick, exit code 3",
         ),
-        set_case("constructor refuses", "vehicle.car2.agent.kind=mine.py:Picky", "n = 1 is not my number", known=ESTIMATOR),
-        set_case(
-            "constructor fails", "vehicle.car2.agent.kind=mine.py:Broken", "mine.py line 11", "AttributeError", known=ODD_CLASS
-        ),
-        set_case(
-            "constructor leaves", "vehicle.car2.agent.kind=mine.py:Leaving", "SystemExit", known="exit code 3 without a message"
-        ),
-        set_case("negative period of the class", "vehicle.car2.agent.kind=mine.py:Hasty", "period", known=TINY),
+        set_case("constructor refuses", "vehicle.car2.agent.kind=mine.py:Picky", "n = 1 is not my number"),
+        set_case("constructor fails", "vehicle.car2.agent.kind=mine.py:Broken", "mine.py line 11", "AttributeError"),
+        set_case("constructor leaves", "vehicle.car2.agent.kind=mine.py:Leaving", "SystemExit"),
+        set_case("negative period of the class", "vehicle.car2.agent.kind=mine.py:Hasty", "period"),
         set_case(
             "inherited constructor",
             "vehicle.car2.agent.distance=far",
             "a number > 0",
             and_set=("vehicle.car2.agent.kind=mine.py:Mine",),
         ),
-        set_case("vehicle of another part", "vehicle.car2.kind=json:JSONDecoder", "vehicle", known=SEAM),
-        set_case("loss of another part", "radio.loss.kind=json:JSONDecoder", "lost", known=SEAM),
-        set_case("number for loss", "radio.loss.kind=math:pi", "math:pi", known=SEAM),
+        set_case("vehicle of another part", "vehicle.car2.kind=json:JSONDecoder", "vehicle"),
+        set_case("loss of another part", "radio.loss.kind=json:JSONDecoder", "lost"),
+        set_case("number for loss", "radio.loss.kind=math:pi", "math:pi"),
     ],
 )
 def test_a_class_that_cannot_be_used_is_refused(

@@ -179,13 +179,16 @@ def test_where_agents_run_does_not_change_the_order(plan: list[tuple[str, int, l
     def radio() -> Script:
         return Script("radio", Slot.RADIO, wakes=("*/command",), wake_slot=Slot.SEND, answers=[("x/heard", 1), ("x/heard", 4)])
 
+    def world() -> Script:
+        return Script("world", Slot.WORLD, {when: [("x/state", 0)] for when in range(0, 100, 3)})
+
     together: dict[int, list[tuple[str, int]]] = {}
     for table in tables.values():
         for when, events in table.items():
             together.setdefault(when, []).extend(events)
-    local = run(Script("all", Slot.AGENT, together), radio())
+    local = run(world(), Script("all", Slot.AGENT, together), radio())
     hosts = [Remote(name, Slot.AGENT, table, lookahead_ns=lookahead) for name, table in tables.items()]
-    assert run(*hosts, radio()) == local
+    assert run(world(), *hosts, radio()) == local
     assert local == sorted(local, key=lambda event: event[0])
 
 

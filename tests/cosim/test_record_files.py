@@ -95,7 +95,7 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
 def recorded(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
     """A closed recorder of those events."""
     run = RunInfo(scenario="files", seed=5, duration_ns=round(seconds * SECOND_NS), vehicles=NAMES)
-    agents = [AgentInfo(vehicle=name, agent="x", ticks=TENTH, latency_ns=0, params={}, taken=()) for name in NAMES]
+    agents = [AgentInfo(vehicle=name, agent="x", ticks=TENTH, latency_ns=0, params={}, known=(), taken=()) for name in NAMES]
     recorder = Recorder(run, record_ticks=TENTH, mcap=mcap, agents=agents, radius_m={"car1": 0.25})
     for event in events(seconds):
         recorder.on(event)

@@ -59,7 +59,7 @@ def follows(vehicle: str, leader: str, slot: tuple[float, float], handle_m: floa
 def recorded(names: Sequence[str], events: Iterable[Event], end_ns: int, ticks: Ticks = TENTH) -> Recorder:
     """A recorder that has seen these events and is closed."""
     run = RunInfo(scenario="test", seed=3, duration_ns=end_ns, vehicles=tuple(names))
-    agents = [AgentInfo(vehicle=name, agent="x", ticks=ticks, latency_ns=0, params={}, taken=()) for name in names]
+    agents = [AgentInfo(vehicle=name, agent="x", ticks=ticks, latency_ns=0, params={}, known=(), taken=()) for name in names]
     recorder = Recorder(run, record_ticks=TENTH, mcap=None, agents=agents, radius_m={})
     for event in sorted(events, key=lambda event: event.time_ns):
         recorder.on(event)

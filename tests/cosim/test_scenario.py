@@ -132,7 +132,6 @@ def test_a_key_has_its_line(file: Path, key: str, where: str) -> None:
     assert source.of(key) == f"{file} {where}".rstrip()
 
 
-@pytest.mark.xfail(reason="a [vehicle.agent] table is not seen as its vehicle's")
 def test_a_key_in_a_table_of_a_vehicle_has_its_line(file: Path) -> None:
     _, source = load(file)
     assert source.of("vehicle.car2.agent.leader") == f"{file} line 27"

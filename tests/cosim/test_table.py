@@ -89,12 +89,21 @@ def test_what_the_program_gives_is_no_key() -> None:
     assert "unknown key 'db_per_km'" in refusal({"db_per_km": 1}, given={"db_per_km": 2}).problem
 
 
-def test_a_value_error_of_the_target_names_the_table() -> None:
-    def storm(force: int) -> None:
-        raise ValueError(f"force {force} is beyond all scales")
+@pytest.mark.parametrize(
+    ("problem", "key"),
+    [
+        ("this is beyond all scales", "radio.rain"),
+        ("force 13 is beyond all scales", "radio.rain.force"),
+        ("forceful", "radio.rain"),
+        ("force and wind do not go together", "radio.rain"),
+    ],
+)
+def test_a_value_error_of_the_target_names_the_table_or_the_one_key_that_it_mentions(problem: str, key: str) -> None:
+    def storm(force: int, wind: int) -> None:
+        raise ValueError(problem)
 
-    error = refusal({"force": 13}, storm)
-    assert (error.key, error.problem) == ("radio.rain", "force 13 is beyond all scales")
+    error = refusal({"force": 13, "wind": 1}, storm)
+    assert (error.key, error.problem) == (key, problem)
 
 
 def test_a_scenario_error_of_the_target_is_placed_in_its_table() -> None:

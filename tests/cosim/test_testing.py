@@ -10,7 +10,7 @@ from agents.formation.leader_follower import LeaderFollower
 from agents.formation.trajectory import Trajectory
 from cosim.agent import Agent, Observation, Radio
 from cosim.clock import Ticks
-from cosim.federate import Event, Federate, RunInfo, Slot, Step
+from cosim.federate import Event, Federate, Instants, RunInfo, Slot, Step
 from cosim.rng import stream
 from cosim.testing import check_agent, check_channel, check_federate
 from cosim.types import Message, Note, States, Velocity, frozen
@@ -25,7 +25,7 @@ from physics.positioning import Positioning
 from physics.vehicles import P2DX, VehicleSpec
 from physics.world import World
 
-RUN = RunInfo(scenario="check", seed=1, duration_ns=10**9, vehicles=("car1", "car2"), instants=((Ticks.every(0.1), 0),))
+RUN = RunInfo(scenario="check", seed=1, duration_ns=10**9, vehicles=("car1", "car2"), instants=(Instants(Ticks.every(0.1)),))
 
 
 @pytest.mark.parametrize(

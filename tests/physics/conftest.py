@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from cosim.clock import Ticks, seconds_to_ns
-from cosim.federate import Event, RunInfo
+from cosim.federate import Event, Instants, RunInfo
 from cosim.types import Velocity
 from physics.federate import Physics
 from physics.vehicles import GroundVehicle, VehicleSpec
 from physics.world import World
 
 Command = tuple[float, str, float, float]  # from when, s; vehicle; v, m/s; w, rad/s
-Instants = Sequence[tuple[Ticks, int]]
 
 
-def publications(physics: Physics, commands: Iterable[Command], duration_s: float, instants: Instants) -> list[list[Event]]:
+def publications(
+    physics: Physics, commands: Iterable[Command], duration_s: float, instants: Sequence[Instants]
+) -> list[list[Event]]:
     """Step a federate through a run as a kernel does; a command is handed over at the first step at or after its time."""
     run = RunInfo(
         scenario="test",
@@ -68,7 +69,7 @@ def drive() -> Callable[..., Any]:
         spec = VehicleSpec(name="car", model=model, pose=(0.0, 0.0, 0.0))
         physics = kind(world=world or World(), vehicles=[spec], **parameters)
         named = [(at_s, "car", v, w) for at_s, v, w in commands]
-        steps = publications(physics, named, duration_s, [(Ticks.rate(hz), 0)])
+        steps = publications(physics, named, duration_s, [Instants(Ticks.rate(hz))])
         values = [{event.key: event.value for event in events} for events in steps]
         states: Any = [value["car/estimate"] for value in values]
         wheels: Any = [value["car/odometry"] for value in values]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.clock import SECOND_NS, Ticks
-from cosim.federate import Event
+from cosim.federate import Event, Instants
 from cosim.types import Contact
 from physics.bullet import BulletEngine
 from physics.federate import BulletPhysics
@@ -138,7 +138,7 @@ def test_robots_collide_and_both_are_named(play: Callable[..., list[list[Event]]
         VehicleSpec(name="late", model=AmigoBot(), pose=(2.0, 0.0, math.pi)),
         VehicleSpec(name="early", model=P2DX(), pose=(0.0, 0.0, 0.0)),
     ]
-    steps = play(BulletPhysics(world=World(), vehicles=vehicles), [(0.0, "early", 0.5, 0.0)], 5.0, [(Ticks.every(0.1), 0)])
+    steps = play(BulletPhysics(world=World(), vehicles=vehicles), [(0.0, "early", 0.5, 0.0)], 5.0, [Instants(Ticks.every(0.1))])
     contacts = [event for events in steps for event in events if event.key == "world/contact"]
     assert contacts[0].value == Contact(vehicle="late", other="early")
     touch_s = 0.5 / 0.3 / 2.0 + (2.0 - (0.5 * 0.511 - 0.04) - (0.5 * 0.33 - 0.01)) / 0.5  # ramp, then the gap between bodies

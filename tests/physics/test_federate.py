@@ -10,7 +10,7 @@ import pytest
 
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import FederateError, ScenarioError
-from cosim.federate import Event, Federate, RunInfo, Slot
+from cosim.federate import Event, Federate, Instants, RunInfo, Slot
 from cosim.frames import arc
 from cosim.rng import stream
 from cosim.types import Velocity
@@ -21,7 +21,7 @@ from physics.world import Box, World
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
-TENTH = ((Ticks.every(0.1), 0),)
+TENTH = (Instants(Ticks.every(0.1)),)
 
 
 def car(
@@ -66,7 +66,7 @@ def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type
 @BOTH
 def test_instants_are_all_trains_offsets_sensors_and_the_end(kind: type[Physics], play: Play) -> None:
     physics = kind(world=World(), vehicles=[car(sensor=Positioning(rate_hz=4.0))])
-    steps = play(physics, [], 0.7, ((Ticks.every(0.3), 0), (Ticks.every(0.3), seconds_to_ns(0.05))))
+    steps = play(physics, [], 0.7, (Instants(Ticks.every(0.3)), Instants(Ticks.every(0.3), seconds_to_ns(0.05))))
     assert [events[0].time_ns / 1e9 for events in steps] == pytest.approx([0.0, 0.05, 0.25, 0.3, 0.35, 0.5, 0.6, 0.65, 0.7])
     fixes = [event.time_ns / 1e9 for events in steps for event in events if event.key == "car1/fix"]
     assert fixes == pytest.approx([0.0, 0.25, 0.5])
@@ -94,7 +94,7 @@ def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: t
 
     def end(period_s: float) -> Any:
         return values(
-            play(kind(world=World(), vehicles=[car()]), commands, 3.0, ((Ticks.every(period_s), 0),)), "world/states"
+            play(kind(world=World(), vehicles=[car()]), commands, 3.0, [Instants(Ticks.every(period_s))]), "world/states"
         )[-1]
 
     often, seldom = end(0.05), end(3.0)  # handed over at once; handed over at 3.0 s
@@ -107,11 +107,11 @@ def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: t
 
 @BOTH
 def test_more_instants_change_no_value_at_the_old_ones(kind: type[Physics], play: Play) -> None:
-    def run(*instants: tuple[Ticks, int]) -> dict[int, list[Event]]:
+    def run(*instants: Instants) -> dict[int, list[Event]]:
         physics = kind(world=World(), vehicles=[car(), car("car2", 0.0, 1.0, model=Lag())])
         return {events[0].time_ns: events for events in play(physics, [(0.1, "car1", 0.3, 0.5)], 2.0, instants)}
 
-    few, many = run(*TENTH), run(*TENTH, (Ticks.every(0.05), seconds_to_ns(0.025)))
+    few, many = run(*TENTH), run(*TENTH, Instants(Ticks.every(0.05), seconds_to_ns(0.025)))
     assert len(many) > len(few)
     for now_ns, events in few.items():
         for a, b in zip(events, many[now_ns], strict=True):
@@ -182,14 +182,14 @@ def test_a_command_that_is_no_number_stops_the_run_and_names_the_vehicle(
 @pytest.mark.parametrize(
     ("instants", "duration_s", "rate_hz", "numbers"),
     [
-        (((Ticks.every(0.013), 0),), 1.0, 120.0, ("0.013", "1/120 s")),
-        (((Ticks.every(0.1), seconds_to_ns(0.004)),), 1.0, 120.0, ("0.004", "1/120 s")),
+        ((Instants(Ticks.every(0.013)),), 1.0, 120.0, ("0.013", "1/120 s")),
+        ((Instants(Ticks.every(0.1), seconds_to_ns(0.004)),), 1.0, 120.0, ("0.004", "1/120 s")),
         (TENTH, 1.003, 120.0, ("1.003", "1/120 s")),
         (TENTH, 1.0, 55.0, ("0.1", "1/55 s")),
     ],
 )
 def test_publications_between_two_bullet_steps_are_refused(
-    instants: tuple[tuple[Ticks, int], ...], duration_s: float, rate_hz: float, numbers: tuple[str, str], play: Play
+    instants: tuple[Instants, ...], duration_s: float, rate_hz: float, numbers: tuple[str, str], play: Play
 ) -> None:
     with pytest.raises(ScenarioError) as raised:
         play(BulletPhysics(world=World(), vehicles=[car()], rate_hz=rate_hz), [], duration_s, instants)
@@ -262,13 +262,13 @@ def test_momentum_delays_settling(kind: type[Physics], model: GroundVehicle, exp
 QUIET = """
 import sys
 from cosim.clock import Ticks
-from cosim.federate import RunInfo
+from cosim.federate import Instants, RunInfo
 from physics.federate import {kind}
 from physics.vehicles import P2DX, VehicleSpec
 from physics.world import Box, World
 world = World(boxes=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))
 physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX(), pose=(0.0, 0.0, 0.0))])
-physics.start(RunInfo(scenario="test", seed=1, duration_ns=10**9, vehicles=("car",), instants=((Ticks.every(0.1), 0),)))
+physics.start(RunInfo(scenario="test", seed=1, duration_ns=10**9, vehicles=("car",), instants=(Instants(Ticks.every(0.1)),)))
 physics.step(10**9, ())
 physics.close()
 sys.exit(40 + ("pybullet" in sys.modules))
