@@ -15,7 +15,7 @@ import msgspec
 from cosim import registry, table
 from cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
-from cosim.errors import AgentError, ScenarioError
+from cosim.errors import AgentError, ScenarioError, place_of
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.scenario import AgentTable
 from cosim.types import Follows, Note, Period, Reading, Reception, VehicleState, Velocity
@@ -172,9 +172,7 @@ class _Seat:
         try:
             return method(*args)
         except (Exception, SystemExit) as error:
-            frames = traceback.extract_tb(error.__traceback__)[1:]
-            place = f" ({Path(frames[-1].filename).name} line {frames[-1].lineno}, in {frames[-1].name})" if frames else ""
-            cause = f"raised {type(error).__name__}: {error}{place}"
+            cause = f"raised {type(error).__name__}: {error}{place_of(error)}"
             raise self._error(cause, details="".join(traceback.format_exception(error))) from error
 
     def _error(self, cause: str, *, details: str = "") -> AgentError:

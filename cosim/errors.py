@@ -10,7 +10,18 @@
     `-- Interrupted           130   Ctrl-C; the recording so far is complete and readable
 """
 
+import traceback
+from pathlib import Path
 from typing import Any
+
+
+def place_of(error: BaseException) -> str:
+    """Where an error arose, as the end of a message: `` (file.py line 12, in act)``; empty if that is not known."""
+    frames = [each for each in traceback.extract_tb(error.__traceback__)[1:] if "importlib" not in each.filename]
+    if not frames or isinstance(error, SyntaxError):  # which names its own line
+        return ""
+    inside = "" if frames[-1].name == "<module>" else f", in {frames[-1].name}"
+    return f" ({Path(frames[-1].filename).name} line {frames[-1].lineno}{inside})"
 
 
 class VcmvspError(Exception):

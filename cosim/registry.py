@@ -10,27 +10,26 @@ import importlib.machinery
 import importlib.metadata
 import importlib.util
 import sys
-import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import ScenarioError, UsageError, place_of
 from cosim.table import Named, Origin, unknown
 
 PARTS = ("physics", "netsim", "agents", "hardware", "scenarios")
 
 VERBS: Mapping[str, str] = {
-    "physics": "step",
-    "world": "build",
+    "physics": "step(now_ns, inbox)",
+    "world": "build()",
     "vehicle": "radius_m",
-    "agent": "act",
-    "estimator": "predict",
-    "path_loss": "loss_db",
-    "phy": "air_time_ns",
-    "loss": "lost",
-    "delay": "delay_ns",
+    "agent": "act(obs, radio)",
+    "estimator": "predict(report, age_s)",
+    "path_loss": "loss_db(paths)",
+    "phy": "air_time_ns(size_bytes)",
+    "loss": "lost(frame, draw)",
+    "delay": "delay_ns(frame, draw)",
 }
 """What a class of each group must have."""
 
@@ -94,12 +93,12 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     try:
         module = load_file(path) if path else importlib.import_module(where)
     except (Exception, SystemExit) as error:
-        problem = f"'{where}' cannot be imported: {type(error).__name__}: {error}{_line_in(error)}"
+        problem = f"'{where}' cannot be imported: {type(error).__name__}: {error}{place_of(error)}"
         raise ScenarioError(problem, key=key, source=origin.of(key)) from error
     found = getattr(module, name, None)
     if found is None:
         raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key))
-    if not callable(found) or not hasattr(found, VERBS[group]):
+    if not callable(found) or not hasattr(found, VERBS[group].partition("(")[0]):
         problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {VERBS[group]}"
         raise ScenarioError(problem, key=key, source=origin.of(key))
     return found
@@ -170,11 +169,3 @@ def guard() -> None:
 
 def _entry_points(group: str) -> dict[str, str]:
     return {entry.name: entry.value for entry in importlib.metadata.entry_points(group=f"cosim.{group}")}
-
-
-def _line_in(error: BaseException) -> str:
-    """Where in a file that was being imported the error arose."""
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "importlib" not in frame.filename]
-    if isinstance(error, SyntaxError) or len(frames) < 2:
-        return ""  # a syntax error names its own line
-    return f" ({Path(frames[-1].filename).name} line {frames[-1].lineno})"

@@ -101,10 +101,13 @@ class Source:
         self._set[key] = argument
 
     def of(self, key: str) -> str:
-        """The argument that set the key, or file and line."""
+        """The argument that set the key or something in it, or file and line."""
         for prefix in _prefixes(key):
             if prefix in self._set:
                 return self._set[prefix]
+        inside = [argument for path, argument in self._set.items() if path.startswith(f"{key}.")]
+        if key and inside:
+            return inside[-1]
         line = next((self._lines[prefix] for prefix in _prefixes(key) if prefix in self._lines), None)
         return f"{self.name} line {line}" if line and key else self.name
 
@@ -265,17 +268,17 @@ _KEY = re.compile(r"^\s*([A-Za-z0-9_.\"'-]+)\s*=\s*(.*)$")
 def _lines_of(text: str) -> dict[str, int]:
     """Key path -> line, for messages: table headers and keys that begin a line, vehicles by name."""
     found: dict[str, int] = {}
-    here, pending = "", {}
+    here, pending, vehicle = "", {}, "vehicle"
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
-            here = header[2]
+            here = header[2].replace("vehicle", vehicle, 1) if header[2].startswith("vehicle.") else header[2]
             pending = {here: number}
             if here != "vehicle":
                 found.setdefault(here, number)
         elif key := _KEY.match(line):
             pending[f"{here}.{key[1]}".lstrip(".")] = number
             if here == "vehicle" and key[1] == "name":
-                here = f"vehicle.{key[2].split('#')[0].strip().strip(chr(34) + chr(39))}"
+                here = vehicle = f"vehicle.{key[2].split('#')[0].strip().strip(chr(34) + chr(39))}"
                 pending = {path.replace("vehicle", here, 1): line_number for path, line_number in pending.items()}
         found.update({path: line_number for path, line_number in pending.items() if path != "vehicle"})
     return found

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 import msgspec
 
-from cosim.errors import ScenarioError
+from cosim.errors import ScenarioError, place_of
 
 T = TypeVar("T")
 
@@ -115,7 +115,9 @@ def call(
         where = join(key, error.key)
         raise ScenarioError(error.problem, key=where, source=origin.of(where)) from error
     except (Exception, SystemExit) as error:
-        problem = str(error) if isinstance(error, ValueError) else f"{target.__name__} raised {type(error).__name__}: {error}"
+        problem = str(error)
+        if not isinstance(error, ValueError):
+            problem = f"{target.__name__} raised {type(error).__name__}: {error}{place_of(error)}"
         mentioned = [name for name in values if re.search(rf"\b{name}\b", problem)]  # a constructor says which one it means
         where = join(key, mentioned[0]) if len(mentioned) == 1 else key
         raise ScenarioError(problem, key=where, source=origin.of(where)) from error
@@ -196,9 +198,9 @@ def describe(annotation: Any) -> str:
     """What values an annotation allows, in words."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
-        limits = [meta for meta in inner[1:] if isinstance(meta, msgspec.Meta)]
+        limits = [(sign, getattr(meta, name)) for meta in inner[1:] for name, sign in _SIGNS]
         bounds = [
-            f"{sign} {getattr(meta, name)}" for meta in limits for name, sign in _SIGNS if getattr(meta, name) is not None
+            f"{sign} {limit if isinstance(limit, str) else format(limit, 'g')}" for sign, limit in limits if limit is not None
         ]
         return " ".join([describe(inner[0]), " and ".join(bounds)])
     if origin is typing.Literal:

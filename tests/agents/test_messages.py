@@ -195,7 +195,7 @@ def test_a_scenario_reaches_both_agents_by_their_short_names() -> None:
     [
         ({"leader": "car1", "distance": -1.0}, r"agent.distance: must be a number > 0"),
         ({"leader": "car1", "bearing_deg": 90.0}, r"agent: .* give one, e.g. handle = 0.4"),
-        ({"leader": "car1", "estimator": "hodl"}, r"agent: unknown estimator 'hodl'; did you mean 'hold'\?"),
+        ({"leader": "car1", "estimator": "hodl"}, r"agent.estimator: unknown estimator 'hodl'; did you mean 'hold'\?"),
         ({"leader": "car1", "fade_s": 0}, r"agent.fade_s: must be a number > 0"),
         ({}, r"agent.leader: is missing"),
     ],
