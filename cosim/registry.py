@@ -60,7 +60,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "trajectory": "agents.formation.trajectory:Trajectory",
         "leader_follower": "agents.formation.leader_follower:LeaderFollower",
     },
-    "estimator": {"hold": "agents.formation.prediction:Hold", "dr": "agents.formation.prediction:DeadReckoning"},
+    "estimator": {},  # a parameter of agents, which know their own
     "path_loss": {"log_distance": "netsim.propagation:LogDistance", "none": "netsim.propagation:NoPathLoss"},
     "phy": {
         "constant_rate": "netsim.phy:ConstantRate",
