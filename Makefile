@@ -20,7 +20,7 @@ $(VENV)/.ready: pyproject.toml uv.lock .python-version
 	@touch $@
 
 demo: setup
-	$(BIN)/vcmvsp run formation-circle --agents process
+	$(BIN)/vcmvsp run formation-circle
 
 check: setup
 	$(BIN)/ruff check .

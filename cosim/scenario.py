@@ -30,7 +30,7 @@ class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
     runs: Runs = "inprocess"  # inprocess | process (child processes) | zenoh (hosts that are started by hand)
     processes: Count | None = None  # with runs = "process": how many share the agents; default: one each
     listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": the endpoint that hosts dial
-    deadline_s: Period = 3.0  # wall-clock time within which a remote agent must answer
+    deadline_s: Period = 2.0  # wall-clock time within which a remote agent must answer
     join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
     period_s: Period | None = None  # s between ticks; default: the agent's own period
     latency_s: Seconds = 0.0  # s from an observation to the effect of the command

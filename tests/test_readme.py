@@ -60,7 +60,7 @@ def test_the_lines_for_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_demo_prints_what_the_readme_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    vcmvsp("run", "formation-circle", "--agents", "process", "--out", str(tmp_path / "out"))
+    vcmvsp("run", "formation-circle", "--out", str(tmp_path / "out"))
     timing = re.compile(r"in \S+ s \(\S+ real time\)|results: .*")
     shown = timing.sub("", block("", "formation-circle: 3 agents"))
     assert timing.sub("", capsys.readouterr().out) == shown

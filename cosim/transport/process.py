@@ -6,7 +6,8 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
-PATIENCE_S = 1.0  # for a host to leave by itself, before it is made to
+LEAVE_S = 0.3  # for a host to leave by itself, before it is made to; its agents are closed by then
+DIE_S = 1.0  # for the end of a process that has broken its connection to become known
 
 
 class HostProcess:
@@ -37,7 +38,7 @@ class HostProcess:
     def why_ended(self) -> str:
         """How it ended, in words; waits a moment for an end that is on its way."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            code = self._process.wait(PATIENCE_S)
+            code = self._process.wait(DIE_S)
             if code < 0:
                 return f"was killed by {signal.Signals(-code).name}"
             return f"ended with exit code {code}"
@@ -49,7 +50,7 @@ class HostProcess:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
         try:
-            self._process.wait(PATIENCE_S)
+            self._process.wait(LEAVE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
