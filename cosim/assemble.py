@@ -1,4 +1,4 @@
-"""From a scenario to federates: every part is found, checked and built here, and the scenario resolved on the way."""
+"""From a scenario to federates: every part is found, checked and built here."""
 
 import contextlib
 from collections.abc import Iterator, Mapping
@@ -9,11 +9,12 @@ import msgspec
 
 from cosim import registry, table
 from cosim.agent import Agent, AgentSpec
-from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from cosim.clock import Ticks, seconds_to_ns
 from cosim.errors import ScenarioError
 from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
 from cosim.kernel import Kernel
+from cosim.resolve import Resolution
 from cosim.scenario import AgentsTable, Scenario, Source, VehicleTable
 
 _NOT_SHARED = {"name", "pose", "agent", "params"}  # keys of a vehicle for which [vehicles] has no default
@@ -46,14 +47,13 @@ class Assembly:
     ) -> None:
         registry.guard()
         self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
-        self.files: dict[str, Path] = {}  # name -> Python file that the scenario uses
         self.where: dict[str, str] = {}  # vehicle -> where its agent runs
         unknown = [name for name in self._objects if name not in {each.name for each in scenario.vehicle}]
         if unknown:
             problem = table.unknown("vehicle", unknown[0], [each.name for each in scenario.vehicle])
             raise ScenarioError(problem, key="agents")
         agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)
-        self._tables: dict[str, Any] = {}  # the resolved tables of what is built
+        self._resolution = Resolution(scenario, source)
         radio, physics = self._build_radio(), self._build_physics()
         self.radius_m: Mapping[str, float] = physics.radius_m
         self._hosts = Hosts(agents, tell)
@@ -94,21 +94,13 @@ class Assembly:
             raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
 
     def resolved(self) -> dict[str, Any]:
-        """The scenario with everything filled in; where agents ran is not part of it, since it changes no result."""
-        scenario = self._scenario
-        kept = {"runs", "processes", "listen", "deadline_s", "join_timeout_s"}
-        agents = table.plain({f: getattr(scenario.agents, f) for f in scenario.agents.__struct_fields__ if f not in kept})
-        return {
-            "name": scenario.name,
-            "duration_s": scenario.duration_s,
-            "seed": scenario.seed,
-            **self._tables,
-            "agents": {**{k: v for k, v in agents.items() if k != "defaults"}, **self._shared_by_agents()},
-            "vehicles": self._shared_by_vehicles(),
-            "record": table.plain(scenario.record),
-            "metrics": table.plain(scenario.metrics),
-            "vehicle": [self._resolved_vehicle(each) for each in scenario.vehicle],
-        }
+        """The scenario with everything filled in (`cosim.resolve`)."""
+        return self._resolution.scenario(self.infos, self._hosts.kinds)
+
+    @property
+    def files(self) -> Mapping[str, Path]:
+        """Python files that the scenario uses, by the name under which they are kept beside the resolved one."""
+        return self._resolution.files
 
     # --- parts --------------------------------------------------------------------------------------------------------------
 
@@ -121,16 +113,7 @@ class Assembly:
         target = registry.find(group, kind, folder=self._source.folder, key=f"{key}.kind", origin=self._source)
         params = {name: value for name, value in content.items() if name != "kind"}
         built = table.call(target, params, key=key, origin=self._source, given=given)
-        return built, {"kind": self._portable(kind), **table.complete(target, params, without=given)}
-
-    def _portable(self, kind: str) -> str:
-        """The kind without a folder; a Python file that it names is kept beside the resolved scenario."""
-        if not registry.is_file_kind(kind):
-            return kind
-        path = registry.file_of(kind, self._source.folder).resolve()
-        if self.files.setdefault(path.name, path) != path:
-            raise ScenarioError(f"two different files are called {path.name}; give one another name", source=self._source.name)
-        return f"{path.name}:{kind.rpartition(':')[2]}"
+        return built, {"kind": self._resolution.portable(kind), **table.complete(target, params, without=given)}
 
     def _build_radio(self) -> Federate:
         presets = registry.piece("radio presets")
@@ -145,7 +128,7 @@ class Assembly:
             problem = table.unknown("preset", str(preset), presets.PRESETS)
             raise ScenarioError(problem, key="radio.preset", source=self._source.of("radio.preset"))
         base = presets.preset(preset)
-        self._tables["radio"] = {"preset": preset}
+        resolved: dict[str, Any] = {"preset": preset}
         for name in presets.LAYERS:
             own = radio.get(name, {})
             if not isinstance(own, dict):
@@ -153,15 +136,17 @@ class Assembly:
                 raise ScenarioError(f"must be a table, not {table.show(own)}", key=key, source=self._source.of(key))
             same_kind = own.get("kind", base[name]["kind"]) == base[name]["kind"]
             merged = {**base[name], **own} if same_kind else own
-            layers[name], self._tables["radio"][name] = self._component(name, merged, f"radio.{name}")
+            layers[name], resolved[name] = self._component(name, merged, f"radio.{name}")
+        self._resolution.tables["radio"] = resolved
         federate: Federate = registry.piece("radio")(registry.piece("channel")(**layers))
         return federate
 
     def _build_physics(self) -> Any:
-        world, self._tables["world"] = self._component("world", {"kind": "empty", **self._scenario.world}, "world")
+        world, self._resolution.tables["world"] = self._component("world", {"kind": "empty", **self._scenario.world}, "world")
         specs = [self._vehicle_spec(each) for each in self._scenario.vehicle]
         content = {"kind": "bullet", **self._scenario.physics}
-        physics, self._tables["physics"] = self._component("physics", content, "physics", world=world.build(), vehicles=specs)
+        physics, resolved = self._component("physics", content, "physics", world=world.build(), vehicles=specs)
+        self._resolution.tables["physics"] = resolved
         known = {key for each in self._scenario.vehicle for key in table.parameters(self._vehicle_class(each))}
         for name in self._scenario.vehicles:
             if name not in VehicleTable.__struct_fields__ and name not in known:
@@ -181,9 +166,10 @@ class Assembly:
         return {n: v for n, v in vehicle.params.items() if n in known or n not in defaults}
 
     def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
-        key = f"vehicle.{vehicle.name}"
+        key, kind, own = f"vehicle.{vehicle.name}", self._vehicle_class(vehicle), self._own(vehicle)
         also = {*table.parameters(VehicleTable)} - {"params"}
-        model = table.call(self._vehicle_class(vehicle), self._own(vehicle), key=key, origin=self._source, also=also)
+        model = table.call(kind, own, key=key, origin=self._source, also=also)
+        self._resolution.vehicles[vehicle.name] = table.complete(kind, own)
         sensor = None
         if vehicle.positioning is not None:
             positioning = registry.piece("positioning")
@@ -271,56 +257,3 @@ class Assembly:
     def _is_own(self, vehicle: str, name: str) -> bool:
         agent = next(each.agent for each in self._scenario.vehicle if each.name == vehicle)
         return agent is not None and getattr(agent, name) is not None
-
-    # --- the resolved scenario ----------------------------------------------------------------------------------------------
-
-    def _shared_by_vehicles(self) -> dict[str, Any]:
-        """``[vehicles]`` with its tables complete."""
-        shared = {name: table.plain(value) for name, value in self._scenario.vehicles.items()}
-        if "kind" in shared:
-            shared["kind"] = self._portable(shared["kind"])
-        if "positioning" in shared:
-            shared["positioning"] = table.complete(registry.piece("positioning"), shared["positioning"])
-        return shared
-
-    def _shared_by_agents(self) -> dict[str, Any]:
-        """The defaults of ``[agents]``."""
-        shared = {name: table.plain(value) for name, value in self._scenario.agents.defaults.items()}
-        if "kind" in shared:
-            shared["kind"] = self._portable_agent(shared["kind"])
-        return shared
-
-    def _resolved_vehicle(self, vehicle: VehicleTable) -> dict[str, Any]:
-        """Everything of one vehicle that is not a default for all."""
-        shared = self._shared_by_vehicles()
-        full = {
-            "name": vehicle.name,
-            "kind": self._portable(vehicle.kind),
-            "pose": vehicle.pose,
-            "pose_source": vehicle.pose_source,
-            "positioning": vehicle.positioning and table.complete(registry.piece("positioning"), vehicle.positioning),
-            **table.complete(self._vehicle_class(vehicle), self._own(vehicle)),
-        }
-        result = {name: table.plain(value) for name, value in full.items() if value is not None}
-        result = {name: value for name, value in result.items() if name not in shared or value != shared[name]}
-        info = next((each for each in self.infos if each.vehicle == vehicle.name), None)
-        if info is not None:
-            result["agent"] = self._resolved_agent(vehicle, info)
-        return result
-
-    def _resolved_agent(self, vehicle: VehicleTable, info: Any) -> dict[str, Any]:
-        agents, own = self._scenario.agents, vehicle.agent
-        kind = self._hosts.kinds.get(vehicle.name) or (own and own.kind) or agents.defaults.get("kind") or info.agent
-        agent: dict[str, Any] = (
-            {} if "kind" in agents.defaults and not (own and own.kind) else {"kind": self._portable_agent(kind)}
-        )
-        if (own and own.period_s) or agents.period_s is None:
-            agent["period_s"] = float(info.ticks.period / SECOND_NS)
-        if own and own.latency_s is not None:
-            agent["latency_s"] = own.latency_s
-        shared = {name for name in info.taken if name in agents.defaults and info.params[name] == agents.defaults[name]}
-        return {**agent, **{name: value for name, value in info.params.items() if name not in shared}}
-
-    def _portable_agent(self, kind: str) -> str:
-        here = registry.is_file_kind(kind) and registry.file_of(kind, self._source.folder).is_file()
-        return self._portable(kind) if here else kind

@@ -1,0 +1,112 @@
+"""The scenario as it really is: every key of every component filled in, so that running it again gives the same bytes.
+
+Where agents ran is not part of it, since that changes no result. Defaults for all agents or vehicles stay defaults: a study can
+still change them in one place.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim import registry, table
+from cosim.agent import AgentInfo
+from cosim.clock import SECOND_NS
+from cosim.errors import ScenarioError
+from cosim.scenario import Scenario, Source, VehicleTable
+
+
+class Resolution:
+    """Collects what is found out while a scenario is being assembled.
+
+    Attributes:
+        tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
+        vehicles: the parameters of each vehicle's kind, complete.
+        files: Python files that the scenario uses, by the name under which they are kept beside the resolved scenario.
+    """
+
+    def __init__(self, scenario: Scenario, source: Source) -> None:
+        self._scenario, self._source = scenario, source
+        self.tables: dict[str, Any] = {}
+        self.vehicles: dict[str, dict[str, Any]] = {}
+        self.files: dict[str, Path] = {}
+
+    def portable(self, kind: str) -> str:
+        """The kind without a folder; a Python file that it names is kept."""
+        path = registry.file_of(kind, self._source.folder).resolve()
+        if not registry.is_file_kind(kind) or not path.is_file():  # that of a host elsewhere is not on this machine
+            return kind
+        if self.files.setdefault(path.name, path) != path:
+            raise ScenarioError(f"two different files are called {path.name}; give one another name", source=self._source.name)
+        return f"{path.name}:{kind.rpartition(':')[2]}"
+
+    def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str]) -> dict[str, Any]:
+        """The resolved scenario, in TOML's types.
+
+        Args:
+            infos: what the hosts say of the agents.
+            brought: the classes that hosts brought along instead of the scenario's, by vehicle.
+        """
+        scenario, agents = self._scenario, self._scenario.agents
+        told = {info.vehicle: info for info in infos}
+        shared = self._shared_by_vehicles()
+        return {
+            "name": scenario.name,
+            "duration_s": scenario.duration_s,
+            "seed": scenario.seed,
+            **self.tables,
+            "agents": {**_present(period_s=agents.period_s, latency_s=agents.latency_s), **self._shared_by_agents()},
+            "vehicles": shared,
+            "record": table.plain(scenario.record),
+            "metrics": table.plain(scenario.metrics),
+            "vehicle": [
+                {**self._vehicle(each, shared), **self._agent(each, told.get(each.name), brought)} for each in scenario.vehicle
+            ],
+        }
+
+    def _shared_by_agents(self) -> dict[str, Any]:
+        shared = {name: table.plain(value) for name, value in self._scenario.agents.defaults.items()}
+        return {**shared, "kind": self.portable(shared["kind"])} if "kind" in shared else shared
+
+    def _shared_by_vehicles(self) -> dict[str, Any]:
+        shared = {name: table.plain(value) for name, value in self._scenario.vehicles.items()}
+        if "kind" in shared:
+            shared["kind"] = self.portable(shared["kind"])
+        if "positioning" in shared:
+            shared["positioning"] = _sensor(shared["positioning"])
+        return shared
+
+    def _vehicle(self, vehicle: VehicleTable, shared: Mapping[str, Any]) -> dict[str, Any]:
+        """Everything of one vehicle that is not a default for all."""
+        full = _present(
+            name=vehicle.name,
+            kind=self.portable(vehicle.kind),
+            pose=vehicle.pose,
+            pose_source=vehicle.pose_source,
+            positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
+        )
+        full |= self.vehicles[vehicle.name]
+        return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
+
+    def _agent(self, vehicle: VehicleTable, info: AgentInfo | None, brought: Mapping[str, str]) -> dict[str, Any]:
+        """``agent = {...}``: what is not a default for all, under the kind that really ran."""
+        if info is None:
+            return {}
+        agents, own = self._scenario.agents, vehicle.agent
+        shared = agents.defaults
+        kind = brought.get(vehicle.name) or (own and own.kind) or shared.get("kind") or info.agent
+        full = _present(
+            kind=None if kind == shared.get("kind") else self.portable(kind),
+            period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
+            latency_s=own.latency_s if own else None,
+        )
+        taken = {name for name in info.taken if name in shared and info.params[name] == shared[name]}
+        return {"agent": {**full, **{name: value for name, value in info.params.items() if name not in taken}}}
+
+
+def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:
+    return table.complete(registry.piece("positioning"), content)
+
+
+def _present(**values: Any) -> dict[str, Any]:
+    """What has a value, in TOML's types."""
+    return {name: table.plain(value) for name, value in values.items() if value is not None}
