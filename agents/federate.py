@@ -37,10 +37,12 @@ class AgentHost:
 
     def __init__(self, name: str, specs: Sequence[AgentSpec], objects: Mapping[str, Agent] | None = None) -> None:
         self.name = name
-        given = objects or {}
-        self._seats = {spec.vehicle: _Seat(spec, given.get(spec.vehicle)) for spec in sorted(specs, key=lambda s: s.vehicle)}
+        given, kinds = objects or {}, Kinds()
+        ordered = sorted(specs, key=lambda spec: spec.vehicle)
+        self._seats = {spec.vehicle: _Seat(spec, given.get(spec.vehicle), kinds) for spec in ordered}
         self.agents = tuple(seat.info for seat in self._seats.values())
-        self.reads = tuple(f"{vehicle}/{what}" for vehicle in self._seats for what in ("estimate", "heard", *SENSORS))
+        self.reads = tuple(f"{vehicle}/heard" for vehicle in self._seats)
+        self.latest = tuple(f"{vehicle}/{what}" for vehicle in self._seats for what in ("estimate", *SENSORS))
 
     def start(self, run: RunInfo) -> int | None:
         """Tell every agent who and where it is; all act first at time 0."""
@@ -60,21 +62,25 @@ class AgentHost:
         return Step(events, min(seat.next_ns for seat in self._seats.values()))
 
     def close(self) -> None:
-        """Close every agent."""
-        for seat in self._seats.values():
-            seat.guarded(seat.agent.close)
+        """Close every agent that was started, even if one of them fails; the first failure is raised at the end."""
+        failures = [error for seat in self._seats.values() if (error := seat.close())]
+        if failures:
+            raise failures[0]
 
 
 class _Seat:
     """One agent, what it will see at its next tick, and what it has said."""
 
-    def __init__(self, spec: AgentSpec, agent: Agent | None) -> None:
+    def __init__(self, spec: AgentSpec, agent: Agent | None, kinds: "Kinds") -> None:
         self.spec, self.next_ns = spec, 0
+        self._started = False
         self._vehicle = spec.vehicle
         if agent is None:
-            self.agent, params, taken = build(spec)
-        else:
-            self.agent, params, taken = agent, {**spec.defaults, **spec.params}, tuple(spec.defaults)
+            self.agent, params, taken = build(spec, kinds)
+        else:  # what it was made with is its maker's to know; what the scenario says is as good as any
+            known = table.parameters(type(agent))
+            said = {name: value for name, value in {**spec.defaults, **spec.params}.items() if name in known}
+            self.agent, params, taken = agent, table.complete(type(agent), said), tuple(spec.defaults)
         try:
             self._ticks = Ticks.every(table.convert(spec.period_s or self.agent.period, Period))
         except ScenarioError as error:
@@ -95,7 +101,8 @@ class _Seat:
         self._follows: Follows | None = None
 
     def start(self, run: RunInfo) -> None:
-        self._radio = Radio(self._vehicle, run.vehicles)
+        self._radio, self._started = Radio(self._vehicle, run.vehicles), True
+        self._others = frozenset(run.vehicles) - {self._vehicle}
         about = VehicleInfo(
             name=self._vehicle,
             vehicles=run.vehicles,
@@ -108,8 +115,17 @@ class _Seat:
         except ValueError as error:  # a name or number of the scenario that this agent cannot work with
             key = f"vehicle.{self._vehicle}.agent"
             raise ScenarioError(str(error), key=key, source=self.spec.source) from error
-        except (Exception, SystemExit):
-            self.guarded(self.agent.start, about)
+        except Exception as error:
+            self.guarded(_raise, error)
+
+    def close(self) -> AgentError | None:
+        """Close the agent; what goes wrong is the answer."""
+        try:
+            if self._started:
+                self.guarded(self.agent.close)
+        except AgentError as error:
+            return error
+        return None
 
     def take(self, what: str, value: Any) -> None:
         """Note what was published about this vehicle."""
@@ -140,8 +156,7 @@ class _Seat:
             events.append(Event(f"{vehicle}/command", when, self._checked(command)))
         if self.agent.follows != self._follows:
             self._follows = self.agent.follows
-            if self._follows is not None:
-                events.append(Event(f"{vehicle}/follows", when, self._place(self._follows)))
+            events.append(Event(f"{vehicle}/follows", when, self._place(self._follows)))
         if notes := self.agent.drain_notes():
             events.append(Event(f"{vehicle}/note", when, Note(values=notes)))
         events.extend(Event(f"{vehicle}/send", when, message) for message in self._radio.drain())
@@ -162,16 +177,23 @@ class _Seat:
 
     def _place(self, follows: Any) -> Follows:
         """The place to keep in plain floats, as it would come over a wire."""
+        if follows is None:
+            return Follows(leader=None)
         try:
-            return msgspec.convert(msgspec.to_builtins(follows), Follows)
-        except (msgspec.ValidationError, TypeError):
+            place = msgspec.convert(msgspec.to_builtins(follows, enc_hook=lambda number: number.item()), Follows)
+        except (msgspec.ValidationError, TypeError, AttributeError):
             raise self._error(f"has set follows to {table.show(follows)}; it must be a Follows, or None") from None
+        if place.leader not in self._others:
+            raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
+        return place
 
     def guarded(self, method: Any, *args: Any) -> Any:
         """Call a method of the agent; what it raises becomes an error that names agent, vehicle, and the line."""
         try:
             return method(*args)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever an agent raises must not end the recording
             cause = f"raised {type(error).__name__}: {error}{place_of(error)}"
             raise self._error(cause, details="".join(traceback.format_exception(error))) from error
 
@@ -179,10 +201,29 @@ class _Seat:
         return AgentError((self._vehicle,), self.spec.kind, cause, details=details)
 
 
-def build(spec: AgentSpec) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
+def _raise(error: Exception) -> None:
+    raise error
+
+
+class Kinds:
+    """Classes of agents, each looked up once per host: a file is not executed again for every vehicle."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str], Any] = {}
+
+    def find(self, spec: AgentSpec) -> Any:
+        """The class that a spec names."""
+        if (spec.kind, spec.folder) not in self._found:
+            key, origin = f"vehicle.{spec.vehicle}.agent.kind", table.Named(spec.source)
+            found = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
+            self._found[spec.kind, spec.folder] = found
+        return self._found[spec.kind, spec.folder]
+
+
+def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
     """Build the agent of a spec: (agent, all its parameters, the [agents] defaults that it takes)."""
     key, origin = f"vehicle.{spec.vehicle}.agent", table.Named(spec.source)
-    kind = registry.find("agent", spec.kind, folder=Path(spec.folder), key=f"{key}.kind", origin=origin)
+    kind = kinds.find(spec)
     if kind.act is Agent.act:
         raise ScenarioError(f"'{spec.kind}' has no act(obs, radio) of its own", key=f"{key}.kind", source=spec.source)
     known = table.parameters(kind)

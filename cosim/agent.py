@@ -14,6 +14,8 @@ from cosim.clock import Ticks
 from cosim.rng import stream
 from cosim.types import Follows, Message, Reading, Reception, Value, VehicleState, Velocity
 
+LARGEST_MESSAGE_BYTES = 2**31 - 1
+
 
 class Observation(Value, frozen=True, kw_only=True):
     """All that an agent may know at a tick: never the truth of others."""
@@ -97,15 +99,16 @@ class Radio:
         if isinstance(body, bytes):
             if values:
                 raise TypeError("radio.send(): give either bytes or named values, not both")
-            content: dict[str, Any] | bytes = body
+            content: dict[str, Any] | bytes = bytes(body)
             natural = len(body)
         else:
             encoded = msgspec.msgpack.encode({**(body or {}), **values}, enc_hook=_plain)
-            content = msgspec.msgpack.decode(encoded)  # what receivers get: the same in one process as over a wire
+            content = msgspec.msgpack.decode(encoded, type=dict[str, Any])  # what receivers get, here or over a wire
+            msgspec.json.encode(content)  # refuses what the recording could not hold
             natural = len(encoded)
         size = natural if size_bytes is None else int(size_bytes)
-        if size < 0:
-            raise ValueError(f"radio.send(size_bytes={size}): must not be negative")
+        if not 0 <= size <= LARGEST_MESSAGE_BYTES:
+            raise ValueError(f"radio.send(size_bytes={size}): must be from 0 to {LARGEST_MESSAGE_BYTES}")
         self._outbox.append(Message(sender=self._vehicle, body=content, size_bytes=size, to=to))
 
     def drain(self) -> list[Message]:
@@ -140,7 +143,13 @@ class Agent:
         if self._notes is None:
             self._notes = {}
         for name, value in values.items():
-            self._notes[name] = value if isinstance(value, str | bool) else float(value)
+            self._notes[name] = (
+                value.encode().decode()
+                if isinstance(value, str)
+                else value
+                if value is True or value is False
+                else float(value)
+            )
 
     def drain_notes(self) -> dict[str, float | str | bool]:
         """Take what was noted since the last call (for the host of the agent)."""

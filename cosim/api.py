@@ -1,12 +1,16 @@
 """``cosim.run``: a scenario in, a `Result` out. What the command line does, notebooks and studies do through here."""
 
 import contextlib
+import functools
 import io
+import itertools
 import json
 import math
 import os
 import platform
 import shutil
+import signal
+import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -56,13 +60,14 @@ class Result:
         metrics: dict[str, Any],
         about: dict[str, Any],
         resolved: dict[str, Any],
-        files: Mapping[str, Path],
+        files: Mapping[str, bytes],
+        mcap: io.BytesIO | None,
     ) -> None:
         self.metrics, self.about = metrics, about
         self.scenario = tomli_w.dumps(resolved)
         self._recorder, self._files = recorder, dict(files)
         self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
-        self._mcap: io.BytesIO | None = None
+        self._mcap = mcap
 
     @property
     def states(self) -> "pa.Table":
@@ -81,25 +86,25 @@ class Result:
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write everything that a run leaves into a folder."""
-        path = check_folder(Path(folder), force=force)
-        with _writing(path):
-            path.mkdir(parents=True, exist_ok=True)
+        with _writing(Path(folder)):
+            path = Folder(Path(folder), force=force).claim()
             if self._mcap is not None:
                 (path / "run.mcap").write_bytes(self._mcap.getvalue())
-            elif self.folder is not None:
+            elif self.folder is not None and not path.samefile(self.folder):
+                if to_json(self.about) != (self.folder / "about.json").read_text("utf-8"):
+                    raise UsageError(f"{self.folder} holds another run by now, and the recording of this one was there")
                 shutil.copyfile(self.folder / "run.mcap", path / "run.mcap")
-            self._write(path)
+            self.write(path)
         return path
 
-    def _write(self, folder: Path) -> None:
+    def write(self, folder: Path) -> None:
         """Everything but the MCAP file, which is written as the run goes on."""
         from cosim.record import plots
 
         self.folder = folder
         (folder / "scenario.toml").write_text(self.scenario, "utf-8")
-        for name, path in self._files.items():
-            if path != (folder / name).resolve():
-                shutil.copyfile(path, folder / name)
+        for name, content in self._files.items():
+            (folder / name).write_bytes(content)
         self._recorder.write_tables(folder)
         (folder / "metrics.json").write_text(to_json(self.metrics), "utf-8")
         (folder / "about.json").write_text(to_json(self.about), "utf-8")
@@ -125,6 +130,7 @@ def run(
     listen: str | None = None,
     realtime: float | None = None,
     out: str | Path | None = None,
+    numbered: bool = False,
     force: bool = False,
     progress: Progress | None = None,
     tell: Tell = lambda _: None,
@@ -139,6 +145,7 @@ def run(
         listen: endpoint for hosts that are started by hand, instead of ``agents.listen``.
         realtime: simulated seconds per wall-clock second; None: as fast as possible.
         out: folder to write into; the recording then grows on disk while the run goes on.
+        numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...: ``result.folder`` says which it was.
         force: write into a folder that is not empty.
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
@@ -149,14 +156,14 @@ def run(
         Interrupted: Ctrl-C; ``error.result`` likewise.
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
-    folder = None if out is None else check_folder(Path(out), force=force)
+    folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     parsed, source = scenarios.load(scenario, settings=set, seed=seed)
     started, cpu = datetime.now(UTC), time.process_time()
     try:
         with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly:
             clock = SimClock() if realtime is None else WallClock(realtime)
             simulation = _Simulation(assembly, clock, folder, progress)
-            with _writing(folder):
+            with _writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
                 result = simulation.result(failure, started, time.process_time() - cpu)
     except KeyboardInterrupt:
@@ -180,8 +187,11 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
         kernel = Kernel(assembly.run_info, assembly.federates)
         try:
             assembly.start(kernel)
-        finally:
-            kernel.close()
+        except BaseException:
+            with contextlib.suppress(VcmvspError):
+                kernel.close()
+            raise
+        kernel.close()
         return assembly.resolved()
 
 
@@ -189,9 +199,12 @@ def plot(run_dir: Path, out: Path) -> list[Path]:
     """Draw the figures of a run that was saved, into the folder ``out``; the answer is what was written."""
     from cosim.record import plots
 
-    recording = load(run_dir)
     scenario = run_dir / "scenario.toml"
-    window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
+    try:
+        recording = load(run_dir)
+        window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
+    except ValueError as error:  # a damaged table or scenario
+        raise UsageError(f"{run_dir} cannot be read: {error}") from error
     figures = _figures(recording.states, recording.radio, recording.follows, (window.get("from_s", 0.0), window.get("to_s")))
     paths = {out / f"{name}.png": figure for name, figure in figures.items()}
     with _writing(out):
@@ -204,15 +217,17 @@ def plot(run_dir: Path, out: Path) -> list[Path]:
 class _Simulation:
     """One run: kernel and recording, from the first event to the files."""
 
-    def __init__(self, assembly: Assembly, clock: Clock, folder: Path | None, progress: Progress | None) -> None:
+    def __init__(self, assembly: Assembly, clock: Clock, folder: "Folder | None", progress: Progress | None) -> None:
         self._assembly, self._clock, self._folder = assembly, clock, folder
         self._progress = progress
+        self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
+        self._kernel = Kernel(assembly.run_info, assembly.federates, clock=clock)
         self._mcap: io.BytesIO | None = None
         self._recorder: Recorder | None = None
 
     def run(self) -> VcmvspError | None:
         """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
-        self._kernel = kernel = Kernel(self._assembly.run_info, self._assembly.federates, clock=self._clock)
+        kernel = self._kernel
         try:
             self._assembly.start(kernel)
             with self._recording() as recorder:
@@ -227,6 +242,26 @@ class _Simulation:
             failure = failure or error
         return failure
 
+    @contextlib.contextmanager
+    def calm(self) -> Iterator[None]:
+        """Let Ctrl-C strike only where it breaks nothing: while waiting, or between two slots. A second one strikes at once."""
+        kernel, saved = self._kernel, {}
+
+        def on_signal(number: int, frame: Any) -> None:
+            if kernel.waiting or kernel.stop:
+                signal.default_int_handler(number, frame)
+            kernel.stop = True
+
+        if threading.current_thread() is threading.main_thread():  # elsewhere signals do not arrive
+            for number in (signal.SIGINT, signal.SIGTERM):
+                if signal.getsignal(number) is signal.default_int_handler:  # else somebody has plans of their own
+                    saved[number] = signal.signal(number, on_signal)
+        try:
+            yield
+        finally:
+            for number, handler in saved.items():
+                signal.signal(number, handler)
+
     def _go(self, recorder: Recorder) -> VcmvspError | None:
         kernel, progress, end_ns = self._kernel, self._progress, self._assembly.run_info.duration_ns
         failure: VcmvspError | None = None
@@ -235,7 +270,7 @@ class _Simulation:
             kernel.run(recorder.on, on_instant=None if progress is None else lambda now: progress(now, end_ns))
         except KeyboardInterrupt:
             failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
-        except FederateError as error:
+        except VcmvspError as error:
             failure = error
         self._simulating_s = time.monotonic() - begin
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
@@ -249,8 +284,7 @@ class _Simulation:
             if self._folder is None:
                 stream = self._mcap = io.BytesIO()
             else:
-                self._folder.mkdir(parents=True, exist_ok=True)
-                stream = stack.enter_context((self._folder / "run.mcap").open("wb"))
+                stream = stack.enter_context((self._folder.claim() / "run.mcap").open("wb" if self._folder.force else "xb"))
             assembly = self._assembly
             self._recorder = Recorder(
                 assembly.run_info,
@@ -266,7 +300,7 @@ class _Simulation:
         assembly, recorder = self._assembly, self._recorder
         if recorder is None:
             raise failure or VcmvspError("the run did not begin")
-        resolved = assembly.resolved()
+        resolved = self._resolved
         metrics = _finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
         wall_s = (datetime.now(UTC) - started).total_seconds()
         about = {
@@ -280,12 +314,11 @@ class _Simulation:
             "lateness": self._lateness(),
             "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
             "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
-            "versions": {name: metadata.version(name) for name in _PACKAGES},
+            "versions": _versions(),
         }
-        result = Result(recorder, metrics, about, resolved, assembly.files)
-        result._mcap = self._mcap  # noqa: SLF001
+        result = Result(recorder, metrics, about, resolved, assembly.files, self._mcap)
         if self._folder is not None:
-            result._write(self._folder)  # noqa: SLF001
+            result.write(self._folder.path)
         return result
 
     def _lateness(self) -> dict[str, Any] | None:
@@ -308,19 +341,56 @@ class _Simulation:
 _PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet", "eclipse-zenoh", "matplotlib")
 
 
-def check_folder(folder: Path, *, force: bool) -> Path:
-    """A folder that may be written into: new, empty, or ``force``."""
+@functools.cache
+def _versions() -> dict[str, str]:
+    return {name: metadata.version(name) for name in _PACKAGES}
+
+
+class Folder:
+    """Where a run is to be written. It is looked at when it is named, and taken, by one run alone, when it is needed.
+
+    Args:
+        path: the folder; it must be new or empty, unless ``force`` or ``numbered``.
+        force: write into it whatever it holds.
+        numbered: if it exists, take the first of ``path-2``, ``path-3``, ... that does not.
+    """
+
+    def __init__(self, path: Path, *, force: bool = False, numbered: bool = False) -> None:
+        self.path, self.force, self._numbered = path, force, numbered
+        if not numbered:
+            self._check()
+
+    def claim(self) -> Path:
+        """Make it, and say where it is."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        if self._numbered:
+            numbers = (self.path.with_name(f"{self.path.name}-{number}") for number in itertools.count(2))
+            self.path = next(path for path in itertools.chain([self.path], numbers) if _make(path))
+        else:
+            self._check()
+            _make(self.path)
+        return self.path
+
+    def _check(self) -> None:
+        try:
+            if self.path.exists() and not self.path.is_dir():
+                raise UsageError(f"--out {self.path}: is a file, not a folder")
+            if self.path.is_dir() and any(self.path.iterdir()) and not self.force:
+                raise UsageError(f"--out {self.path}: is not empty; give another folder, or --force to overwrite")
+            parent = next(each for each in (self.path, *self.path.absolute().parents) if each.exists())
+        except OSError as error:
+            raise UsageError(f"--out {self.path}: {error.strerror}") from error
+        if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+            raise UsageError(f"--out {self.path}: {parent} cannot be written to")
+
+
+def _make(path: Path) -> bool:
+    """Make a folder; whether it is new. Of several processes that try, one succeeds."""
     try:
-        if folder.exists() and not folder.is_dir():
-            raise UsageError(f"--out {folder}: is a file, not a folder")
-        if folder.is_dir() and any(folder.iterdir()) and not force:
-            raise UsageError(f"--out {folder}: is not empty; give another folder, or --force to overwrite")
-    except OSError as error:
-        raise UsageError(f"--out {folder}: {error.strerror}") from error
-    parent = next(each for each in (folder, *folder.absolute().parents) if each.exists())
-    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-        raise UsageError(f"--out {folder}: {parent} cannot be written to")
-    return folder
+        path.mkdir()
+    except FileExistsError:
+        return False
+    return True
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, Self
 
 import msgspec
@@ -48,6 +47,7 @@ class Assembly:
         registry.guard()
         self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
         self.where: dict[str, str] = {}  # vehicle -> where its agent runs
+        self._classes: dict[str, Any] = {}  # of vehicles, by kind
         unknown = [name for name in self._objects if name not in {each.name for each in scenario.vehicle}]
         if unknown:
             problem = table.unknown("vehicle", unknown[0], [each.name for each in scenario.vehicle])
@@ -62,7 +62,7 @@ class Assembly:
             self.infos = tuple(sorted(self._hosts.infos, key=lambda info: info.vehicle))
             self._check_defaults_taken()
         except BaseException:
-            self._hosts.__exit__(None, None, None)
+            self._hosts.close()
             raise
         self.federates: list[Federate] = [physics, radio, *self._hosts.federates]
         self.record_ticks = Ticks.every(scenario.record.period_s)
@@ -78,7 +78,7 @@ class Assembly:
         return self
 
     def __exit__(self, *error: Any) -> None:
-        self._hosts.__exit__(None, None, None)
+        self._hosts.close()
 
     def start(self, kernel: Kernel) -> None:
         """Start the federates; what they find wrong with the scenario is said with its place in it."""
@@ -98,7 +98,7 @@ class Assembly:
         return self._resolution.scenario(self.infos, self._hosts.kinds)
 
     @property
-    def files(self) -> Mapping[str, Path]:
+    def files(self) -> Mapping[str, bytes]:
         """Python files that the scenario uses, by the name under which they are kept beside the resolved one."""
         return self._resolution.files
 
@@ -156,8 +156,12 @@ class Assembly:
         return physics
 
     def _vehicle_class(self, vehicle: VehicleTable) -> Any:
-        key = f"vehicle.{vehicle.name}.kind"
-        return registry.find("vehicle", vehicle.kind, folder=self._source.folder, key=key, origin=self._source)
+        """The class of a vehicle's kind, looked up once: a file is not executed again for every vehicle."""
+        if vehicle.kind not in self._classes:
+            key = f"vehicle.{vehicle.name}.kind"
+            found = registry.find("vehicle", vehicle.kind, folder=self._source.folder, key=key, origin=self._source)
+            self._classes[vehicle.kind] = found
+        return self._classes[vehicle.kind]
 
     def _own(self, vehicle: VehicleTable) -> dict[str, Any]:
         """The parameters of a vehicle; a default of ``[vehicles]`` counts only where the kind takes it."""
@@ -215,8 +219,11 @@ class Assembly:
     def _agent_spec(self, vehicle: VehicleTable, where: str) -> AgentSpec:
         agents, own = self._scenario.agents, vehicle.agent
         kind = self._kind(vehicle)
-        if not kind and vehicle.name in self._objects:
-            kind = f"{type(self._objects[vehicle.name]).__module__}:{type(self._objects[vehicle.name]).__qualname__}"
+        if vehicle.name in self._objects:
+            made = type(self._objects[vehicle.name])
+            if not kind or registry.target("agent", kind).rpartition(":")[2] != made.__qualname__:
+                self._hosts.kinds[vehicle.name] = kind = f"{made.__module__}:{made.__qualname__}"
+                own = None  # what the scenario says is meant for another class
         if not kind and where != "zenoh":
             key = f"vehicle.{vehicle.name}.agent.kind"
             raise ScenarioError("is missing, and [agents] has no kind for all", key=key, source=self._source.of(key))

@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -59,11 +60,12 @@ def run_command(
 
     if agents not in (None, "inprocess", "process", "zenoh"):
         raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
+    if out is not None and str(out) == ".":
+        raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
     if realtime is not None and not 0.0 < realtime < float("inf"):
         raise UsageError(f"--realtime {realtime}: must be a positive number")
     settings = scenarios.settings_of(set_ or [])
     with Progress(quiet=quiet) as progress, _stdout_to_stderr():
-        folder = out or _free_folder(scenario, settings, seed)
         result = api.run(
             scenario,
             seed=seed,
@@ -71,7 +73,8 @@ def run_command(
             agents=agents,  # type: ignore[arg-type]  # checked above
             listen=listen,
             realtime=realtime,
-            out=folder,
+            out=out if out is not None else _default_folder(scenario, settings, seed),
+            numbered=out is None,
             force=force,
             progress=progress.on_instant,
             tell=progress.tell,
@@ -79,7 +82,7 @@ def run_command(
     if json:
         sys.stdout.write(api.to_json(result.metrics))
     elif not quiet:
-        sys.stdout.write(summary(result, folder))
+        sys.stdout.write(summary(result))
 
 
 @app.command("agent")
@@ -219,19 +222,26 @@ def _checked(scenario: str, settings: dict[str, Any]) -> dict[str, Any]:
         return api.check(scenario, set=settings)
 
 
-def _free_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
-    """``runs/NAME-SEED``, with a number behind it if that is taken."""
+def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
+    """``runs/NAME-SEED``."""
     from cosim import scenario as scenarios
 
     parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
-    first = Path("runs") / f"{parsed.name}-{parsed.seed}"
-    numbered = (first.with_name(f"{first.name}-{number}") for number in range(2, sys.maxsize))
-    return first if not first.exists() else next(path for path in numbered if not path.exists())
+    return Path("runs") / f"{parsed.name}-{parsed.seed}"
 
 
-def _stdout_to_stderr() -> contextlib.AbstractContextManager[Any]:
-    """What agents print must not mix with our own output."""
-    return contextlib.redirect_stdout(sys.stderr)
+@contextlib.contextmanager
+def _stdout_to_stderr() -> Iterator[None]:
+    """What agents print, and what they start prints, must not mix with our own output."""
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # where these are no files, there is nothing to turn
+            sys.__stdout__.flush()  # type: ignore[union-attr]
+            saved = os.dup(1)
+            stack.callback(os.close, saved)
+            stack.callback(os.dup2, saved, 1)
+            os.dup2(2, 1)
+        yield
 
 
 def _say(text: str) -> None:

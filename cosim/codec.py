@@ -10,8 +10,11 @@ T = TypeVar("T")
 
 
 def encode(value: Any) -> bytes:
-    """Any `cosim.types` value, or a structure of them, as bytes."""
-    return _encoder.encode(value)
+    """Any `cosim.types` value, or a structure of them, as bytes; what cannot be sent raises a `ValueError`."""
+    try:
+        return _encoder.encode(value)
+    except (TypeError, NotImplementedError, OverflowError) as error:
+        raise ValueError(f"{error}") from error
 
 
 class Decoder(Generic[T]):

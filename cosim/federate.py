@@ -12,7 +12,8 @@ A reception is always later than its sending, so no instant can loop.
 
 **Events** carry the time at which they take effect. One that lies in the future (a command delayed by an agent's latency, a
 frame on the air) is handed over when that time has come. ``reads`` says which keys land in a federate's inbox, to be seen
-at its next step; ``wakes`` which of them step the federate at the event's own time, in its ``wake_slot``.
+at its next step, ``latest`` of which keys only the newest event does; ``wakes`` which of the former step the federate at the
+event's own time, in its ``wake_slot``.
 """
 
 from collections.abc import Sequence
@@ -76,6 +77,7 @@ class Federate(Protocol):
     slot: Slot  # where it steps at its own wake-ups
     wake_slot: Slot  # where it steps when woken by an event
     reads: tuple[str, ...]  # key expressions: ``*`` is one chunk, ``**`` any number of chunks
+    latest: tuple[str, ...]  # likewise, of which it is given only the newest event of each key since its last step
     wakes: tuple[str, ...]  # those of them that wake it
 
     def start(self, run: RunInfo) -> int | None:
@@ -103,3 +105,6 @@ class RemoteFederate(Federate, Protocol):
 
     def answer(self) -> Sequence[Event]:
         """Wait for the answer to the oldest open question."""
+
+    def release(self) -> None:
+        """Say that there will be no more questions, without waiting; `close` waits."""

@@ -1,14 +1,12 @@
 """Where agents run: in this process, in child processes, or in hosts that somebody starts elsewhere."""
 
 import contextlib
-import itertools
 import os
 import secrets
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
@@ -49,10 +47,8 @@ class Hosts:
         self.infos: list[AgentInfo] = []
         self.kinds: dict[str, str] = {}  # vehicle -> class that a host brought along instead of the scenario's
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def close(self) -> None:
+        """Let go of them all."""
         self._stack.close()
 
     def run_here(self, specs: Sequence[AgentSpec], objects: Mapping[str, Agent]) -> None:
@@ -64,7 +60,9 @@ class Hosts:
         """Host agents in this process, but behind the same bytes as over a wire (for tests of the wire)."""
         desk = Desk(registry.piece("agent host"))
         self._stack.callback(desk.close)
-        self._add(self._remote("agents", MemoryLink(desk.handle), specs))
+        host = self._remote("agents", MemoryLink(desk.handle), specs)
+        host.build()
+        self._add(host)
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
@@ -107,10 +105,13 @@ class Hosts:
         self._add_remote(joined)
 
     def _add_remote(self, joined: Any) -> None:
-        numbers = itertools.count(len(self.federates))
-        for link, specs in joined:
+        hosts = []
+        for number, (link, specs) in enumerate(joined, len(self.federates)):
             self._stack.callback(link.close)
-            self._add(self._remote(f"agents-{next(numbers)}", link, specs))
+            hosts.append(self._remote(f"agents-{number}", link, specs))
+        for host in hosts:
+            host.build()
+            self._add(host)
 
     def _remote(self, name: str, link: Link, specs: Sequence[AgentSpec]) -> RemoteHost:
         return RemoteHost(name, link, specs, deadline_s=self._agents.deadline_s, build_s=self._agents.join_timeout_s)
@@ -153,6 +154,8 @@ class Hosts:
 
 def _refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Sequence[str]) -> str | None:
     """Why a host that knocks may not come in; None: it may."""
+    if len(set(hello.vehicles)) < len(hello.vehicles):
+        return "it names a vehicle twice"
     for vehicle in hello.vehicles:
         if vehicle not in expected:
             return f"{table.unknown('vehicle', vehicle, expected)}, or its agent runs elsewhere"

@@ -16,6 +16,7 @@ import heapq
 import traceback
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 
 import simpy
 
@@ -25,6 +26,9 @@ from cosim.federate import Event, Federate, RemoteFederate, RunInfo, Slot
 from cosim.keys import matches
 
 Observer = Callable[[Event], None]
+Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
+"""Of a key: who reads every event, whom it wakes, who keeps only the newest."""
+_time = attrgetter("time_ns")
 
 
 class Kernel:
@@ -45,13 +49,16 @@ class Kernel:
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
         self._clock = clock or SimClock()
         self._observe: Observer = lambda _: None
+        self.waiting = False  # for the clock or for an answer: an interruption may strike at once
+        self.stop = False  # set it to have the run end, as by Ctrl-C, before the next slot
         self._env = simpy.Environment(initial_time=0)
         self._due: dict[tuple[int, Slot], dict[int, bool]] = {}  # (time, slot) -> {federate: woken by an event?}
         self._next: list[int | None] = [None] * len(self._federates)
         self._inbox: list[list[Event]] = [[] for _ in self._federates]
+        self._newest: list[dict[str, Event]] = [{} for _ in self._federates]
         self._future: list[tuple[int, Slot, str, int, Event]] = []  # heap of events not yet published
         self._given = 0  # events given so far; keeps the order of giving among equal keys
-        self._routes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}  # key -> (readers, those it wakes)
+        self._routes: dict[str, Route] = {}
         self._open: defaultdict[int, deque[int]] = defaultdict(deque)  # federate -> due times of its open questions
 
     def start(self) -> None:
@@ -73,17 +80,28 @@ class Kernel:
         while (now := self._env.peek()) <= end_ns:
             if now != last:
                 last = int(now)
-                self.late_ns.append(self._clock.wait_until(last))
-                self.now_ns = last
+                self._wait_until(last)
                 if on_instant:
                     on_instant(last)
+            if self.stop:
+                raise KeyboardInterrupt
             self._env.step()
         self.now_ns = end_ns
         self._publish(end_ns, Slot.RADIO)
 
+    def _wait_until(self, when: int) -> None:
+        self.waiting = True
+        late_ns = self._clock.wait_until(when)
+        self.waiting = False
+        self.now_ns = when
+        if not isinstance(self._clock, SimClock):
+            self.late_ns.append(late_ns)
+
     def close(self) -> None:
         """Close every federate, even if one of them fails; the first failure is raised at the end."""
         failure: VcmvspError | None = None
+        for remote in self._remote.values():
+            remote.release()
         for federate in self._federates:
             try:
                 with _blame(federate):
@@ -156,12 +174,17 @@ class Kernel:
         for index, due in sorted(self._open.items()):
             while due and due[0] == now and slot == self._remote[index].slot:
                 due.popleft()
+                self.waiting = True
                 with _blame(self._remote[index]):
                     events = self._remote[index].answer()
+                self.waiting = False
                 self._give(index, events, now, slot)
 
     def _take_inbox(self, index: int) -> Sequence[Event]:
         inbox, self._inbox[index] = self._inbox[index], []
+        if newest := self._newest[index]:
+            inbox = sorted([*newest.values(), *inbox], key=_time)
+            newest.clear()
         return inbox
 
     # --- events -------------------------------------------------------------------------------------------------------------
@@ -192,18 +215,29 @@ class Kernel:
         future, limit = self._future, (now, slot + 1)
         while future and future[0][:2] < limit:
             event = heapq.heappop(future)[4]
-            self._observe(event)
-            for index in self._route(event.key)[0]:
+            try:
+                self._observe(event)
+            except (Exception, SystemExit) as error:
+                raise FederateError("recording", f"{type(error).__name__}: {error}") from error
+            readers, _, keepers = self._route(event.key)
+            for index in readers:
                 self._inbox[index].append(event)
+            for index in keepers:
+                self._newest[index][event.key] = event
 
-    def _route(self, key: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def _route(self, key: str) -> Route:
         route = self._routes.get(key)
         if route is None:
-            everyone = list(enumerate(self._federates))
-            readers = tuple(i for i, each in everyone if any(matches(pattern, key) for pattern in each.reads))
-            wakes = tuple(i for i, each in everyone if any(matches(pattern, key) for pattern in each.wakes))
-            route = self._routes[key] = readers, wakes
+            route = self._routes[key] = (
+                self._whose(lambda each: each.reads, key),
+                self._whose(lambda each: each.wakes, key),
+                self._whose(lambda each: each.latest, key),
+            )
         return route
+
+    def _whose(self, expressions: Callable[[Federate], Sequence[str]], key: str) -> tuple[int, ...]:
+        """The federates with an expression that matches the key."""
+        return tuple(i for i, each in enumerate(self._federates) if any(matches(one, key) for one in expressions(each)))
 
 
 class _blame:  # noqa: N801  reads as a word: with _blame(federate)
@@ -216,6 +250,6 @@ class _blame:  # noqa: N801  reads as a word: with _blame(federate)
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, _: object) -> None:
-        if isinstance(error, Exception) and not isinstance(error, VcmvspError):
+        if error is not None and not isinstance(error, VcmvspError | KeyboardInterrupt):
             details = "".join(traceback.format_exception(error))
             raise FederateError(self._name, f"{type(error).__name__}: {error}", details=details) from error

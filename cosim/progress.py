@@ -2,7 +2,6 @@
 
 import sys
 import time
-from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -68,7 +67,7 @@ class Progress:
         self._bar.update(self._task, completed=now_s)
 
 
-def summary(result: "Result", folder: Path) -> str:
+def summary(result: "Result") -> str:
     """A finished run in four lines."""
     metrics, about = result.metrics, result.about
     formation, radio = metrics["formation"], metrics["radio"]
@@ -93,5 +92,5 @@ def summary(result: "Result", folder: Path) -> str:
             f"lateness:  {1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "
             f"{late['over_one_period']} of {late['instants']} instants late by more than a period"
         )
-    lines.append(f"results:   {folder}")
+    lines.append(f"results:   {result.folder}")
     return "\n".join(lines) + "\n"

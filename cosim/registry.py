@@ -140,13 +140,21 @@ def load_file(path: Path) -> ModuleType:
     name = f"_vcmvsp_{path.stem}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
     loader = importlib.machinery.SourceFileLoader(name, str(path))
     module = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, loader, origin=str(path)))
+    before = {*sys.modules, name}
     sys.modules[name] = module
     sys.path.insert(0, str(path.parent))
     try:
         loader.exec_module(module)
     finally:
         sys.path.remove(str(path.parent))
+        for other in [each for each in sys.modules if each not in before and _lies_in(sys.modules[each], path.parent)]:
+            del sys.modules[other]  # what it imported from beside it is its own, and is read afresh next time
     return module
+
+
+def _lies_in(module: ModuleType, folder: Path) -> bool:
+    file = getattr(module, "__file__", None)
+    return file is not None and Path(file).resolve().is_relative_to(folder)
 
 
 def guard() -> None:

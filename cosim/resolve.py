@@ -21,22 +21,24 @@ class Resolution:
     Attributes:
         tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
         vehicles: the parameters of each vehicle's kind, complete.
-        files: Python files that the scenario uses, by the name under which they are kept beside the resolved scenario.
+        files: Python files that the scenario uses as they are now, by the name under which they are kept beside it.
     """
 
     def __init__(self, scenario: Scenario, source: Source) -> None:
         self._scenario, self._source = scenario, source
         self.tables: dict[str, Any] = {}
         self.vehicles: dict[str, dict[str, Any]] = {}
-        self.files: dict[str, Path] = {}
+        self.files: dict[str, bytes] = {}
+        self._paths: dict[str, Path] = {}
 
     def portable(self, kind: str) -> str:
         """The kind without a folder; a Python file that it names is kept."""
         path = registry.file_of(kind, self._source.folder).resolve()
         if not registry.is_file_kind(kind) or not path.is_file():  # that of a host elsewhere is not on this machine
             return kind
-        if self.files.setdefault(path.name, path) != path:
+        if self._paths.setdefault(path.name, path) != path:
             raise ScenarioError(f"two different files are called {path.name}; give one another name", source=self._source.name)
+        self.files.setdefault(path.name, path.read_bytes())
         return f"{path.name}:{kind.rpartition(':')[2]}"
 
     def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str]) -> dict[str, Any]:
@@ -99,7 +101,7 @@ class Resolution:
             period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
             latency_s=own.latency_s if own else None,
         )
-        taken = {name for name in info.taken if name in shared and info.params[name] == shared[name]}
+        taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
         return {"agent": {**full, **{name: value for name, value in info.params.items() if name not in taken}}}
 
 

@@ -4,6 +4,7 @@ Tables that configure one of several kinds (``physics``, ``world``, the layers o
 their keys are the constructor parameters of the kind, checked when it is built (`cosim.assemble`).
 """
 
+import copy
 import itertools
 import re
 import tomllib
@@ -17,6 +18,7 @@ from cosim import table
 from cosim.errors import ScenarioError, UsageError
 from cosim.types import Count, Name, NonNegative, Period, Seconds, Seed
 
+RESERVED = ("world", "radio", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = Path(__file__).resolve().parent.parent / "scenarios"
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Runs = Literal["inprocess", "process", "zenoh"]
@@ -212,7 +214,7 @@ def value_of(text: str) -> Any:
     """The value that ``--set KEY=text`` gives: TOML if it reads as TOML, else the text itself."""
     try:
         parsed = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return text
     return parsed["value"] if len(parsed) == 1 else text
 
@@ -237,7 +239,7 @@ def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Sou
     path, text = path_of(scenario), text_of(scenario)
     try:
         return tomllib.loads(text), Source(str(scenario), path.parent, text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
 
 
@@ -258,7 +260,7 @@ def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
             here = here.setdefault(part, {})
         if not isinstance(here, dict):
             raise ScenarioError(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key=key, source=source.of(key))
-    here[last] = value
+    here[last] = copy.deepcopy(value)  # the caller's mapping is not ours to write into
 
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
@@ -320,6 +322,11 @@ def _vehicle(raw: Any, index: int, defaults: Mapping[str, Any], source: Source) 
 
 def _unique(vehicle_names: Sequence[str], source: Source) -> None:
     for index, name in enumerate(vehicle_names):
+        if name in RESERVED:
+            key = f"vehicle.{name}.name"
+            raise ScenarioError(
+                f"'{name}' is a topic of its own; call the vehicle something else", key=key, source=source.of(key)
+            )
         if name in vehicle_names[:index]:
             key = f"vehicle.{name}.name"
             raise ScenarioError(

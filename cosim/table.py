@@ -177,7 +177,7 @@ def non_finite(value: Any) -> float | None:
 
 def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
     """``unknown key 'probabilty'; did you mean 'probability'? (allowed: ...)``."""
-    names = sorted(allowed)
+    names = sorted(set(allowed))
     near = difflib.get_close_matches(name, names, n=1)
     guess = f"; did you mean '{near[0]}'?" if near else ""
     return f"unknown {what} '{name}'{guess} (allowed: {', '.join(names) or 'none'})"

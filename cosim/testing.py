@@ -193,7 +193,8 @@ def _frame(rx: Any) -> Any:
 
 def _step_through(federate: Federate, run: RunInfo, inputs: Sequence[Event]) -> bytes:
     _require(isinstance(federate, Federate), f"{type(federate).__name__} lacks an attribute or method of Federate")
-    waiting = sorted((event for event in inputs if _any(federate.reads, event.key)), key=lambda event: event.time_ns)
+    heard = (*federate.reads, *federate.latest)
+    waiting = sorted((event for event in inputs if _any(heard, event.key)), key=lambda event: event.time_ns)
     given: list[Event] = []
     try:
         due = federate.start(run)

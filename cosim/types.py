@@ -26,7 +26,7 @@ Name = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-]+\Z")]
 
 
 class Value(msgspec.Struct, frozen=True, kw_only=True):
-    """Base of all values: immutable, compared by content, encodable (see `cosim.codec`)."""
+    """Base of all values: immutable and encodable (see `cosim.codec`)."""
 
 
 class VehicleState(Value, frozen=True, kw_only=True, tag="state"):
@@ -138,9 +138,9 @@ class Follows(Value, frozen=True, kw_only=True, tag="follows"):
     handle, ``handle_m`` ahead of its centre, with the point ``slot + (handle_m, 0)`` of the leader's frame.
     """
 
-    leader: str
-    slot: tuple[float, float]  # m
-    handle_m: float  # m
+    leader: str | None  # None: it follows nobody any more
+    slot: tuple[float, float] = (0.0, 0.0)  # m
+    handle_m: float = 0.0  # m
 
 
 class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
@@ -183,9 +183,14 @@ AnyValue = (
 
 
 def frozen(array: Any, dtype: Any = None) -> Array:
-    """A C-contiguous, read-only array of this content (a copy only where one is needed)."""
-    result = np.ascontiguousarray(array, dtype)
-    if result.flags.writeable:
-        result = result.view()
-        result.flags.writeable = False
+    """A C-contiguous, read-only array of this content: a copy, unless it is one already."""
+    if (
+        isinstance(array, np.ndarray)
+        and not array.flags.writeable
+        and array.flags.c_contiguous
+        and dtype in (None, array.dtype)
+    ):
+        return array
+    result: Array = np.array(array, dtype, order="C")
+    result.flags.writeable = False
     return result

@@ -23,7 +23,8 @@ class RadioFederate:
     name = "radio"
     slot = Slot.RADIO
     wake_slot = Slot.SEND
-    reads: tuple[str, ...] = ("world/states", "*/send")
+    reads: tuple[str, ...] = ("*/send",)
+    latest: tuple[str, ...] = ("world/states",)
     wakes: tuple[str, ...] = ("*/send",)
 
     def __init__(self, channel: Channel) -> None:

@@ -84,8 +84,12 @@ class BulletEngine:
             physicsClientId=self._client,
         )
         p.setGravity(0.0, 0.0, -gravity, physicsClientId=self._client)
-        self._build(world)
-        self._robots = [_Robot(self._client, model, pose) for model, pose in zip(models, poses, strict=True)]
+        try:
+            self._build(world)
+            self._robots = [_Robot(self._client, model, pose) for model, pose in zip(models, poses, strict=True)]
+        except BaseException:
+            self.close()
+            raise
         self._vehicle_of = {robot.body: number for number, robot in enumerate(self._robots)}
         self._ramping: list[_Robot] = []  # those whose set points have not reached the command
 

@@ -51,6 +51,7 @@ class Physics:
     slot = Slot.WORLD
     wake_slot = Slot.APPLY
     reads: tuple[str, ...] = ("*/command",)
+    latest: tuple[str, ...] = ()
     wakes: tuple[str, ...] = ()
 
     def __init__(

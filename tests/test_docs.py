@@ -10,7 +10,7 @@ import cosim
 from cosim import progress, registry, scenario, table
 from physics.world import Box
 
-FOLDER = Path(scenario.BUILT_IN)
+FOLDER = Path(__file__).parent.parent / "scenarios"
 TEXT = (FOLDER / "README.md").read_text("utf-8")
 Documented = dict[str, dict[str, str]]  # column of defaults -> key -> what it says
 
@@ -103,7 +103,7 @@ def test_a_built_in_scenario_prints_what_its_gallery_says(name: str) -> None:
     section = TEXT.partition(f"### {name}\n")[2].partition("\n## ")[0].partition("\n### ")[0]
     shown = section.partition("```\n")[2].partition("```")[0]
     result = cosim.run(name)
-    assert shown.splitlines() == progress.summary(result, FOLDER).splitlines()[1:3]
+    assert shown.splitlines() == progress.summary(result).splitlines()[1:3]
     (other,) = re.findall(r"`--set agents.estimator=(\w+)`", section)
     (rms,) = re.findall(r"(0\.\d{4}) m\s+RMS", section.rpartition("With `--set")[2])
     changed = cosim.run(name, set={"agents.estimator": other})

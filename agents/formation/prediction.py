@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from agents.formation.report import LeaderState, Report
 from cosim.frames import arc
-from cosim.registry import find
+from cosim.registry import find, is_file_kind
 from cosim.table import unknown
 
 
@@ -64,6 +64,8 @@ def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
         return DeadReckoning(horizon_s, fade_s)
     if isinstance(kind, str) and ":" not in kind:
         raise ValueError(unknown("estimator", kind, ESTIMATORS) + "; or give module:Class with a method predict(report, age_s)")
+    if isinstance(kind, str) and is_file_kind(kind):
+        raise ValueError(f"estimator {kind!r}: a file cannot be named here; install it as a module, and give module:Class")
     estimator: Estimator = find("estimator", kind, key="estimator")() if isinstance(kind, str) else kind
     if not hasattr(estimator, "predict"):
         raise ValueError(

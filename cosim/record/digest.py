@@ -1,4 +1,4 @@
-"""A fingerprint of everything a run recorded: equal digests, equal values.
+"""A fingerprint of what a run recorded: states, frames, commands, messages, odometry, fixes, notes, places and contacts.
 
 It is taken over the values themselves, so it does not depend on how a table is chunked, in which order a dictionary lists its
 names, or on the versions of the file formats.

@@ -95,6 +95,8 @@ def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, A
         error = np.full(len(moved.time_ns), np.nan)
         f = moved.column(name)
         for begin, end, placed in _spans(name, follows):
+            if placed.leader is None:
+                continue
             span = slice(*np.searchsorted(moved.time_ns, [begin, end]))
             leader, (slot_x, slot_y), ell = moved.column(placed.leader), placed.slot, placed.handle_m
             th_l, th_f = moved.yaw[span, leader], moved.yaw[span, f]
@@ -144,7 +146,8 @@ def ages_s(radio: pa.Table, follows: Sequence[Placement], ticks: Mapping[str, Ti
     heard = links(radio)
     if follows:
         followers = _followers(ticks, follows)
-        wanted = [((name, at.leader), since, until) for name in followers for since, until, at in _spans(name, follows)]
+        spans = [(name, *span) for name in followers for span in _spans(name, follows)]
+        wanted = [((name, at.leader), since, until) for name, since, until, at in spans if at.leader]
     else:
         wanted = [(key, 0, FOREVER_NS) for key in heard if key[0] in ticks]
     parts = [np.empty(0, np.int64)]
@@ -156,17 +159,21 @@ def ages_s(radio: pa.Table, follows: Sequence[Placement], ticks: Mapping[str, Ti
     return np.concatenate(parts) / SECOND_NS
 
 
-def radio_metrics(radio: pa.Table, ages: Array) -> dict[str, Any]:
-    """The ``radio`` part: counts of the whole run, delays of all receptions, ages as given."""
+def radio_metrics(radio: pa.Table, ages: Array, end_ns: int) -> dict[str, Any]:
+    """The ``radio`` part: counts of the whole run, delays of all receptions, ages as given.
+
+    A frame that is still under way when the run ends is neither received nor lost.
+    """
     outcomes, code = names_of(radio, "outcome")
     counts = dict(zip(outcomes, np.bincount(code, minlength=len(outcomes)).tolist(), strict=True))
-    receptions = counts.get("received", 0)
+    under_way = int((numbers(radio, "received_ns", null=-1) > end_ns).sum())
+    receptions, decided = counts.get("received", 0) - under_way, radio.num_rows - under_way
     delays = numbers(radio, "delay_ns", null=-1)
-    delays = delays[delays >= 0] / SECOND_NS
+    delays = delays[(delays >= 0) & (numbers(radio, "received_ns", null=-1) <= end_ns)] / SECOND_NS
     return {
         "frames": len(np.unique(numbers(radio, "frame"))),
         "receptions": receptions,
-        "delivery_ratio": receptions / radio.num_rows if radio.num_rows else None,
+        "delivery_ratio": receptions / decided if decided else None,
         "losses": {cause: counts[cause] for cause in sorted(counts) if cause != "received" and counts[cause]},
         "delay_s": _quantiles(delays, ("mean", "p50", "p95", "p99", "max")),
         "age_s": _quantiles(ages, ("mean", "p95", "max")),

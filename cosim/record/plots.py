@@ -159,6 +159,8 @@ def _draw_formation(axes: Axes, moved: Motion, follows: Sequence[Placement], ins
     now = moved.time_ns[instant]
     leader_of = {placement.vehicle: placement.follows.leader for placement in follows if placement.time_ns <= now}
     for follower, leader in leader_of.items():
+        if leader is None:
+            continue
         pair = [moved.column(follower), moved.column(leader)]
         axes.plot(*moved.position[:2, instant, pair], color=GREY, linewidth=0.7, zorder=2)
 
@@ -202,7 +204,8 @@ def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[P
 
 
 def _leaders(name: str, follows: Sequence[Placement]) -> list[str]:
-    return list(dict.fromkeys(placement.follows.leader for placement in follows if placement.vehicle == name))
+    of_name = (placement.follows.leader for placement in follows if placement.vehicle == name)
+    return list(dict.fromkeys(leader for leader in of_name if leader is not None))
 
 
 def _line(moved: Motion, name: str) -> dict[str, Any]:

@@ -28,7 +28,21 @@ from cosim.record.digest import digest
 from cosim.record.mcap import McapLog
 from cosim.record.scene import scene
 from cosim.record.tables import Placement, RunFacts, radio_table, states_table, write_table
-from cosim.types import Contact, Fix, Follows, FrameReport, Image, Note, Scan, States, Value, VehicleState
+from cosim.types import (
+    Contact,
+    Fix,
+    Follows,
+    FrameReport,
+    Image,
+    Message,
+    Note,
+    Odometry,
+    Scan,
+    States,
+    Value,
+    VehicleState,
+    Velocity,
+)
 
 
 class Recorder:
@@ -60,7 +74,7 @@ class Recorder:
         self._frames: list[FrameReport] = []
         self._follows: list[Placement] = []
         self._collisions = 0
-        self._others = hashlib.sha256()  # notes, places and contacts, for the digest
+        self._others = hashlib.sha256()  # what is in no table, for the digest
         self._pack = msgspec.msgpack.Encoder(enc_hook=foxglove.to_json).encode
         self._tables: tuple[pa.Table, pa.Table] | None = None
         self._end_ns: int | None = None
@@ -73,6 +87,9 @@ class Recorder:
             FrameReport: self._on_frame,
             Follows: self._on_follows,
             Note: self._remember,
+            Velocity: self._remember,
+            Message: self._remember,
+            Odometry: self._remember,
             Contact: self._on_contact,
             Fix: self._on_fix,
             Scan: self._on_scan,
@@ -130,7 +147,7 @@ class Recorder:
             "seed": self._run.seed,
             "duration_s": end_ns / SECOND_NS,
             "formation": metrics.formation_metrics(moved, self._follows, window),
-            "radio": metrics.radio_metrics(radio, ages),
+            "radio": metrics.radio_metrics(radio, ages, end_ns),
             "safety": {"collisions": self._collisions, "min_separation_m": metrics.min_separation_m(moved)},
             "digest": digest([states, radio], self._others.digest()),
         }
@@ -167,7 +184,7 @@ class Recorder:
 
     def _on_follows(self, key: str, time_ns: int, follows: Follows) -> None:
         vehicle = _vehicle(key)
-        if follows.leader not in self._run.vehicles:
+        if follows.leader is not None and follows.leader not in self._run.vehicles:
             known = ", ".join(self._run.vehicles)
             raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
         self._follows.append(Placement(time_ns, vehicle, follows))
@@ -179,6 +196,7 @@ class Recorder:
         self._remember(key, time_ns, contact)
 
     def _on_fix(self, key: str, time_ns: int, fix: Fix) -> None:
+        self._others.update(self._pack((key, time_ns, fix)))
         if self._log is not None:
             qw, qx, qy, qz = quaternion_from_yaw(fix.yaw)
             pose = foxglove.Pose(foxglove.Vector3(*fix.position), foxglove.Quaternion(qx, qy, qz, qw))
@@ -241,6 +259,8 @@ class Recorder:
         tables = states_table(self._rows, self._facts()), radio_table(self._frames, self._facts())
         if self._end_ns is not None:
             self._tables = tables
+            self._rows.clear()
+            self._frames.clear()
         return tables
 
 

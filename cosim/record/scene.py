@@ -29,7 +29,7 @@ def scene(vehicles: Sequence[str], radius_m: Mapping[str, float], places: Mappin
     for index, name in enumerate(vehicles):
         color, radius = Color(*rgb_of(index)), radius_m.get(name, DEFAULT_RADIUS_M)
         entities.append(_body(name, radius, color, now))
-        if name in places:
+        if name in places and places[name].leader is not None:
             entities.append(_place(name, places[name], radius, color, now))
     return SceneUpdate(entities)
 
@@ -51,4 +51,4 @@ def _place(name: str, follows: Follows, radius: float, color: Color, now: Time) 
     line = LinePrimitive(0, Pose(), 1.5, True, [Vector3(), Vector3(x, y)], color)
     ring = [Vector3(x + radius * c, y + radius * s) for c, s in _RING]
     outline = LinePrimitive(1, Pose(), 1.5, True, ring, color)
-    return SceneEntity(now, follows.leader, f"{name}/place", Duration(), True, lines=[line, outline])
+    return SceneEntity(now, str(follows.leader), f"{name}/place", Duration(), True, lines=[line, outline])

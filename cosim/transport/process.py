@@ -1,6 +1,7 @@
 """Child processes that host agents: started afresh (never forked), ended with the run, however it ends."""
 
 import contextlib
+import json
 import signal
 import subprocess
 import sys
@@ -8,6 +9,17 @@ from collections.abc import Sequence
 
 LEAVE_S = 0.3  # for a host to leave by itself, before it is made to; its agents are closed by then
 DIE_S = 1.0  # for the end of a process that has broken its connection to become known
+
+
+BOOT = """
+import json, os, sys
+line = b""
+while not line.endswith(b"\\n"):
+    line += os.read(0, 1)
+sys.path[:] = json.loads(line)
+from {module} import main
+sys.exit(main())
+"""
 
 
 class HostProcess:
@@ -21,13 +33,14 @@ class HostProcess:
     """
 
     def __init__(self, module: str, endpoint: str, vehicles: Sequence[str], token: str) -> None:
-        command = [sys.executable, "-m", module, "--connect", endpoint]
+        # The child looks for modules where this process does, and nowhere else: not in the current folder.
+        command = [sys.executable, "-P", "-c", BOOT.format(module=module), "--connect", endpoint]
         for vehicle in vehicles:
             command += ["--vehicle", vehicle]
         # A group of its own keeps Ctrl-C away from it; what agents print must not mix with the run's own output.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.__stderr__, process_group=0)
         if self._process.stdin:
-            self._process.stdin.write(f"{token}\n".encode())
+            self._process.stdin.write(f"{json.dumps(sys.path)}\n{token}\n".encode())
             self._process.stdin.flush()
 
     @property
@@ -44,8 +57,10 @@ class HostProcess:
             return f"ended with exit code {code}"
         return "broke the connection"
 
-    def close(self) -> None:
-        """Let it leave, or make it."""
+    def close(self, patient: bool = True) -> None:
+        """Let it leave, or make it; at once if it has been waited for already."""
+        if not patient:
+            self._process.kill()
         if self._process.stdin:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()

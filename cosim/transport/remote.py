@@ -61,12 +61,15 @@ class RemoteHost:
         self.name, self._link, self._deadline_s = name, link, deadline_s
         self._vehicles = tuple(spec.vehicle for spec in specs)
         self._kinds = ", ".join(dict.fromkeys(spec.kind for spec in specs))
-        self._alive, self._open = True, 0
+        self._alive, self._open, self._released = True, 0, False
         self._send(wire.Build(tuple(specs)), build_s)
+
+    def build(self) -> None:
+        """Wait until the agents stand; the constructor has asked for it, so that all hosts build at once."""
         built = self._receive()
         if not isinstance(built, wire.Built):
-            raise FederateError(name, f"answered {type(built).__name__} to Build")
-        self.agents, self.reads = built.agents, built.reads
+            raise self._error(f"answered {type(built).__name__} to Build")
+        self.agents, self.reads, self.latest = built.agents, built.reads, built.latest
         self.lookahead_ns = min(info.latency_ns for info in self.agents)
 
     def start(self, run: RunInfo) -> int | None:
@@ -92,21 +95,26 @@ class RemoteHost:
         next_ns = self.ask(now_ns, inbox)
         return Step(self.answer(), next_ns)
 
+    def release(self) -> None:
+        """Tell the host that the run is over, if it still answers."""
+        if self._alive and not self._released:
+            self._released = True
+            self._send(wire.End("the run is over"))
+
     def close(self) -> None:
-        """End the agents if they still answer, and let the host go."""
+        """Wait until the agents are closed, and let the host go."""
         try:
-            if self._alive:
-                self._send(wire.End("the run is over"))
-                while self._open:
-                    self._receive()
+            self.release()
+            while self._alive and self._open:
+                self._receive()
         finally:
             self._link.close()
 
     def _send(self, question: wire.Question, deadline_s: float | None = None) -> None:
         try:
             self._link.ask(wire.encode(question), deadline_s or self._deadline_s)
-        except TypeError as error:
-            raise FederateError(self.name, f"a value cannot be sent: {error}") from error
+        except ValueError as error:
+            raise self._error(f"cannot be asked: {error}") from error
         self._open += 1
 
     def _receive(self) -> wire.Answer:
@@ -143,7 +151,7 @@ class Desk:
             return wire.encode(self._answer(wire.questions.decode(question)))
         except VcmvspError as error:
             self.failure = error
-        except Exception as error:
+        except BaseException as error:  # a host must answer, whatever its agents do
             details = "".join(traceback.format_exception(error))
             self.failure = FederateError("host", f"{type(error).__name__}: {error}", details=details)
         self.ended = str(self.failure)
@@ -152,7 +160,7 @@ class Desk:
     def _answer(self, question: wire.Question) -> wire.Answer:
         if isinstance(question, wire.Build):
             self._federate = self._builds("host", question.specs)
-            return wire.Built(self._federate.agents, self._federate.reads)
+            return wire.Built(self._federate.agents, self._federate.reads, self._federate.latest)
         if isinstance(question, wire.End):
             self.ended = question.reason
             self.close()

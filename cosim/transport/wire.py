@@ -19,7 +19,7 @@ from cosim.codec import Decoder, encode
 from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from cosim.federate import Event, RunInfo
 
-PROTOCOL = 1
+PROTOCOL = 2
 """Version of this table; a host of another version is refused."""
 
 
@@ -71,6 +71,7 @@ class Built(msgspec.Struct, frozen=True, tag=True):
 
     agents: tuple[AgentInfo, ...]
     reads: tuple[str, ...]
+    latest: tuple[str, ...]
 
 
 class Stepped(msgspec.Struct, frozen=True, tag=True):

@@ -120,7 +120,8 @@ class ZenohLink:
         self._session, self._key = session, f"vcmvsp/host/{host}/ask"
         self._open: deque[tuple[zenoh.Handler[zenoh.Reply], float]] = deque()
         self.why_lost: Callable[[], str] = lambda: "left the run: its process ended or the connection broke"
-        self.released: Callable[[], None] = lambda: None
+        self.released: Callable[[bool], None] = lambda _: None
+        self._failed = False
 
     def ask(self, question: bytes, deadline_s: float) -> None:
         """Send a question; Zenoh ends it without a reply as soon as nobody is there who could answer."""
@@ -132,15 +133,17 @@ class ZenohLink:
         try:
             reply = replies.recv()
         except zenoh.ZError:
+            self._failed = True
             raise LinkError(self.why_lost()) from None
         self._open.popleft()
         if reply.ok is None:
+            self._failed = True
             raise LinkError(f"did not answer within the deadline of {deadline_s:g} s")
         return reply.ok.payload.to_bytes()
 
     def close(self) -> None:
         """Let go of whatever runs the host."""
-        self.released()
+        self.released(not self._failed)
 
 
 def serve(
@@ -227,4 +230,4 @@ def _config(values: dict[str, Any]) -> zenoh.Config:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0]
+    return str(error).splitlines()[0].partition(" at /")[0]  # the rest is where in Zenoh's sources

@@ -31,12 +31,13 @@ class Script:
         *,
         reads: tuple[str, ...] = (),
         wakes: tuple[str, ...] = (),
+        latest: tuple[str, ...] = (),
         wake_slot: Slot | None = None,
         answers: Sequence[tuple[str, int]] = (),
         log: Log | None = None,
     ) -> None:
         self.name, self.slot, self.wake_slot = name, slot, slot if wake_slot is None else wake_slot
-        self.reads, self.wakes = (*reads, *wakes), wakes
+        self.reads, self.wakes, self.latest = (*reads, *wakes), wakes, latest
         self.table, self.answers, self.log, self.closed = dict(table or {}), answers, log if log is not None else [], 0
 
     def start(self, run: RunInfo) -> int | None:
@@ -64,6 +65,9 @@ class Remote(Script):
         step = self.step(now_ns, inbox)
         self._waiting.append(step.events)
         return step.next_ns
+
+    def release(self) -> None:
+        self.asked.append(f"release {self.name}")
 
     def answer(self) -> Sequence[Event]:
         self.asked.append(f"answer {self.name}")
@@ -108,6 +112,13 @@ def test_an_event_of_the_future_is_seen_when_its_time_has_come() -> None:
     assert [len(inbox) for _, _, inbox in log] == [1, 0, 2]
 
 
+def test_of_what_is_read_by_its_newest_only_the_newest_is_given() -> None:
+    log: Log = []
+    world = Script("world", Slot.WORLD, {when: [("car/scan", 0), ("car/heard", 0)] for when in (0, 10, 20, 30)})
+    run(world, Script("agent", Slot.AGENT, {20: [], 25: [], 30: []}, reads=("car/heard",), latest=("*/scan",), log=log))
+    assert [sorted(inbox) for _, _, inbox in log] == [["car/heard"] * 3 + ["car/scan"], [], ["car/heard", "car/scan"]]
+
+
 def test_an_event_of_the_future_wakes_at_its_own_time() -> None:
     log: Log = []
     agent = Script("agent", Slot.AGENT, {10: [("car/command", 7)]})
@@ -145,7 +156,8 @@ def test_all_remote_federates_are_asked_before_any_is_awaited() -> None:
     order: list[str] = []
     hosts = [Remote(f"host-{n}", Slot.AGENT, {0: []}, asked=order) for n in range(3)]
     run(*hosts)
-    assert order == ["ask host-0", "ask host-1", "ask host-2", "answer host-0", "answer host-1", "answer host-2"]
+    everyone = [f"host-{n}" for n in range(3)]
+    assert order == [f"{verb} {name}" for verb in ("ask", "answer", "release") for name in everyone]
 
 
 def test_with_a_lookahead_the_answer_is_awaited_only_when_it_takes_effect() -> None:

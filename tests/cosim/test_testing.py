@@ -169,6 +169,7 @@ class Stuck:
     name, slot, wake_slot = "stuck", Slot.WORLD, Slot.APPLY
     reads: tuple[str, ...] = ()
     wakes: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
     delay_ns, back_ns, value = 10**8, 0, 1.0
 
     def start(self, run: RunInfo) -> int | None:

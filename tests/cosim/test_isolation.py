@@ -1,0 +1,156 @@
+"""Runs that could get in each other's way, and agents that could get in the platform's way: none of them does."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cosim
+from cosim.agent import Agent, Observation, Radio
+from cosim.errors import AgentError
+from cosim.types import Follows, Velocity
+
+VCMVSP = [sys.executable, "-m", "cosim.cli"]
+
+
+def alone(kind: str = "trajectory", **more: Any) -> dict[str, Any]:
+    agent = {"kind": kind, **more}
+    second = {"name": "car2", "kind": "kinematic", "pose": [3.0, 0.0, 0.0]}
+    first = {"name": "car1", "kind": "kinematic", "agent": agent}
+    return {"name": "alone", "duration_s": 1.0, "physics": {"kind": "kinematic"}, "vehicle": [first, second]}
+
+
+class Doing(Agent):
+    """Does something at half a second, and drives on."""
+
+    def __init__(self, what: Callable[["Doing", Radio], object]) -> None:
+        self.what = what
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        if obs.time_ns == 500_000_000:
+            self.what(self, radio)
+        return Velocity(linear=(0.1, 0.0, 0.0))
+
+
+def test_runs_at_once_never_share_a_folder(tmp_path: Path) -> None:
+    command = [*VCMVSP, "run", "formation-circle", "--agents", "inprocess", "--set", "duration_s=2", "--quiet"]
+    seeds = [subprocess.Popen([*command, "--set", f"radio.loss.probability=0.{n}"], cwd=tmp_path) for n in range(3)]
+    assert [run.wait(60) for run in seeds] == [0, 0, 0]
+    texts = {(path / "scenario.toml").read_text() for path in (tmp_path / "runs").iterdir()}
+    assert len(texts) == 3
+
+
+def test_the_current_folder_does_not_shadow_the_hosts_modules(tmp_path: Path) -> None:
+    for name in ("agents", "cosim"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit('the wrong one')")
+    (tmp_path / "random.py").write_text("raise SystemExit('the wrong one')")
+    vcmvsp = Path(sys.executable).parent / "vcmvsp"
+    command = [str(vcmvsp), "run", "formation-circle", "--set", "duration_s=1", "--quiet"]
+    assert subprocess.run(command, cwd=tmp_path, check=False, timeout=60).returncode == 0
+
+
+def test_files_beside_two_agents_do_not_mix_and_are_read_afresh(tmp_path: Path) -> None:
+    scenario = alone()
+    for vehicle, gain in zip(scenario["vehicle"], ("0.1", "0.4"), strict=True):
+        folder = tmp_path / vehicle["name"]
+        folder.mkdir()
+        (folder / "gains.py").write_text(f"SPEED = {gain}")
+        (folder / f"{vehicle['name']}.py").write_text(
+            "from gains import SPEED\nfrom cosim import Agent, Velocity\n"
+            "class A(Agent):\n    def act(self, obs, radio):\n        return Velocity(linear=(SPEED, 0.0, 0.0))\n"
+        )
+        vehicle["agent"] = {"kind": f"{folder}/{vehicle['name']}.py:A"}
+
+    def moved() -> list[float]:
+        end = cosim.run(scenario).states.to_pandas().groupby("vehicle").x.last()
+        return [round(end["car1"], 9), round(end["car2"] - 3.0, 9)]
+
+    assert moved() == [0.1, 0.4]
+    (tmp_path / "car2" / "gains.py").write_text("SPEED = -0.25")
+    assert moved() == [0.1, -0.25]
+
+
+BAD: dict[str, Callable[[Doing, Radio], object]] = {
+    "keys that are no strings": lambda _, radio: radio.send({1: 2.0}),  # type: ignore[dict-item]
+    "a value that cannot be written": lambda _, radio: radio.send(x=object()),
+    "a number too large": lambda _, radio: radio.send(x=2**70),
+    "a size too large": lambda _, radio: radio.send(x=1, size_bytes=10**30),
+    "a note that is no text": lambda agent, _: agent.note(words="\ud800"),
+    "an unknown leader": lambda agent, _: setattr(agent, "follows", Follows(leader="car9")),
+    "itself as leader": lambda agent, _: setattr(agent, "follows", Follows(leader="car1")),
+    "no place": lambda agent, _: setattr(agent, "follows", 3),
+    "a way out": lambda _, __: sys.exit(0),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_what_an_agent_does_wrong_names_it_and_keeps_the_recording(what: str) -> None:
+    with pytest.raises(AgentError, match="vehicle car1") as raised:
+        cosim.run(alone(), agents={"car1": Doing(BAD[what])})
+    assert raised.value.result.states["time_ns"].to_numpy().max() == 500_000_000
+
+
+def test_every_agent_is_closed_even_if_one_fails() -> None:
+    closed = []
+
+    class Closing(Agent):
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def act(self, obs: Observation, radio: Radio) -> None:
+            pass
+
+        def close(self) -> None:
+            closed.append(self.name)
+            raise RuntimeError(self.name)
+
+    with pytest.raises(AgentError, match="RuntimeError: car1"):
+        cosim.run(alone(), agents={"car1": Closing("car1"), "car2": Closing("car2")})
+    assert closed == ["car1", "car2"]
+
+
+def test_the_digest_tells_runs_apart_that_differ_in_commands_or_messages_alone() -> None:
+    def digest(what: Callable[[Doing, Radio], object]) -> str:
+        text: str = cosim.run(alone(), agents={"car1": Doing(what)}).metrics["digest"]
+        return text
+
+    digests = [digest(lambda _, radio, x=x: radio.send(x=x)) for x in (1.0, 2.0)]  # type: ignore[misc]
+    assert len({*digests, digest(lambda _, __: None)}) == 3
+
+
+def test_a_follower_that_stops_following_is_measured_no_longer() -> None:
+    class Leaving(Agent):
+        def act(self, obs: Observation, radio: Radio) -> Velocity:
+            self.follows = Follows(leader="car2", slot=(-1.0, 0.0), handle_m=0.5) if obs.time_s < 0.5 else None
+            return Velocity(linear=(-1.0, 0.0, 0.0))
+
+    formation = cosim.run(alone(), agents={"car1": Leaving()}).metrics["formation"]
+    assert formation["max_m"] == pytest.approx(2.0 + 0.4, abs=0.11)  # it starts 2 m off, and drives away while it follows
+    assert formation["final_m"] is None
+
+
+def test_a_frame_under_way_at_the_end_is_neither_received_nor_lost() -> None:
+    scenario = {**alone(), "radio": {"delay": {"seconds": 0.35}}}
+    radio = cosim.run(scenario).metrics["radio"]
+    assert (radio["frames"], radio["receptions"], radio["delivery_ratio"], radio["losses"]) == (10, 7, 1.0, {})
+
+
+def test_settings_are_left_as_they_were_given() -> None:
+    settings = {"vehicle.car1.agent": {"kind": "trajectory"}, "vehicle.car1.agent.speed": 0.5}
+    cosim.run(alone(), set=settings)
+    assert settings == {"vehicle.car1.agent": {"kind": "trajectory"}, "vehicle.car1.agent.speed": 0.5}
+
+
+def test_a_result_can_be_saved_where_it_is_and_elsewhere(tmp_path: Path) -> None:
+    first = cosim.run(alone(), out=tmp_path / "a")
+    first.save(tmp_path / "a", force=True)
+    first.save(tmp_path / "b")
+    assert (tmp_path / "a" / "run.mcap").read_bytes() == (tmp_path / "b" / "run.mcap").read_bytes()
+    second = cosim.run(alone(), out=tmp_path / "d")
+    cosim.run(alone(), out=tmp_path / "d", force=True, set={"duration_s": 0.5})
+    with pytest.raises(cosim.UsageError, match="holds another run by now"):
+        second.save(tmp_path / "c")
