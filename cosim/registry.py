@@ -61,14 +61,26 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "leader_follower": "agents.formation.leader_follower:LeaderFollower",
     },
     "estimator": {},  # a parameter of agents, which know their own
-    "path_loss": {"log_distance": "netsim.propagation:LogDistance", "none": "netsim.propagation:NoPathLoss"},
+    "path_loss": {
+        "log_distance": "netsim.propagation:LogDistance",
+        "friis": "netsim.ground:Friis",
+        "two_ray_ground": "netsim.ground:TwoRayGround",
+        "none": "netsim.propagation:NoPathLoss",
+    },
     "phy": {
         "constant_rate": "netsim.phy:ConstantRate",
         "dsss": "netsim.phy:Dsss",
         "ieee802154": "netsim.phy:Ieee802154",
     },
     "loss": {"bernoulli": "netsim.loss:Bernoulli", "none": "netsim.loss:NoLoss"},
-    "delay": {"fixed": "netsim.delay:FixedDelay", "none": "netsim.delay:NoDelay"},
+    "delay": {
+        "fixed": "netsim.delay:FixedDelay",
+        "uniform": "netsim.random_delay:UniformDelay",
+        "normal": "netsim.random_delay:NormalDelay",
+        "gamma": "netsim.random_delay:GammaDelay",
+        "empirical": "netsim.random_delay:EmpiricalDelay",
+        "none": "netsim.delay:NoDelay",
+    },
 }
 
 

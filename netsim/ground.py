@@ -1,0 +1,57 @@
+"""Path loss over open ground: free space, and the ray that the ground reflects."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.types import NonNegative, Positive
+from netsim.layers import Floats, Paths
+from netsim.propagation import SPEED_OF_LIGHT
+
+_TOUCHING_M = 1e-3  # antennas and heights nearer than this to each other, or to the ground, are taken to be as near as this
+
+
+@dataclass(frozen=True)
+class Friis:
+    """Free space between isotropic antennas: ``L = 20 log10(4 pi d / lambda)``, but never a gain (Friis 1946).
+
+    ns-3: ``FriisPropagationLossModel`` with its ``Frequency``.
+    """
+
+    frequency_hz: Positive = 2.4e9
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Loss of each path, (n,) dB."""
+        factor = 4.0 * math.pi * self.frequency_hz / SPEED_OF_LIGHT
+        loss: Floats = 20.0 * np.log10(np.maximum(factor * paths.distance_m, 1.0))
+        return loss
+
+
+@dataclass(frozen=True)
+class TwoRayGround:
+    """Flat ground, whose reflection meets the direct ray almost in opposite phase far away.
+
+    Up to the crossover distance ``4 pi h1 h2 / lambda`` it is free space, beyond it (Rappaport, Wireless Communications, 2002,
+    equation 4.52)::
+
+        L = 10 log10(d^4 / (h1 h2)^2)
+
+    where h is an antenna's height above z = 0: ``antenna_height_m`` above its vehicle's position. Both agree at the crossover.
+    ns-3: ``TwoRayGroundPropagationLossModel``, where the height is ``HeightAboveZ``. That one loses nothing nearer than
+    its ``MinDistance``, 0.5 m; here it is free space down to contact.
+    """
+
+    frequency_hz: Positive = 2.4e9
+    antenna_height_m: NonNegative = 0.5
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Loss of each path, (n,) dB."""
+        heights = np.maximum(paths.rx[:, 2] + self.antenna_height_m, _TOUCHING_M)
+        product = heights * max(float(paths.tx[2]) + self.antenna_height_m, _TOUCHING_M)
+        wave = 4.0 * math.pi * self.frequency_hz / SPEED_OF_LIGHT
+        distance = np.maximum(paths.distance_m, _TOUCHING_M)
+        near = 20.0 * np.log10(np.maximum(wave * distance, 1.0))
+        far = 40.0 * np.log10(distance) - 20.0 * np.log10(product)
+        loss: Floats = np.where(distance <= wave * product, near, far)
+        return loss

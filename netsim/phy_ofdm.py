@@ -1,0 +1,45 @@
+"""OFDM: time on the air of IEEE 802.11a and g."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from cosim.errors import ScenarioError
+from netsim.phy import US, BitRate
+
+RATES_BPS = (6e6, 9e6, 12e6, 18e6, 24e6, 36e6, 48e6, 54e6)
+
+
+@dataclass(frozen=True)
+class Ofdm:
+    """IEEE 802.11a (``band`` 5GHz) or 802.11g (2.4GHz, no protection) in 20 MHz, at 6, 9, 12, 18, 24, 36, 48 or 54 Mbit/s.
+
+    Air time (IEEE 802.11-2016, 17.4.3 and 18.5.3): preamble and header 20 us, then symbols of 4 us with 16 bits of service, the
+    PSDU and 6 bits of tail, the last one filled up; at 2.4 GHz 6 us of silence end it (signal extension). The PSDU is the
+    payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8.
+
+    Power and sensitivity are those of ns-3.44, as for `netsim.phy.Dsss`: 16.0206 dBm, and -82 dBm for every rate. The
+    standard asks for -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2).
+    """
+
+    rate_bps: BitRate = 6e6
+    band: Literal["2.4GHz", "5GHz"] = "2.4GHz"
+    tx_power_dbm: float = 16.0206
+    sensitivity_dbm: float = -82.0
+
+    def __post_init__(self) -> None:
+        if self.rate_bps not in RATES_BPS:
+            allowed = ", ".join(f"{rate / 1e6:g}e6" for rate in RATES_BPS)
+            raise ScenarioError(f"rate_bps = {self.rate_bps:g}: 802.11a and g send at {allowed} bit/s", key="rate_bps")
+
+    def air_time_ns(self, size_bytes: int) -> int:
+        """20 us + 4 us x ceil((22 + 8 PSDU) / (4 us x rate)), + 6 us at 2.4 GHz."""
+        return 20 * US + self._payload_us(size_bytes) * US
+
+    def payload_bits(self, size_bytes: int) -> int:
+        """Rate x the time behind preamble and header: these bits an error rate counts, filling and extension included."""
+        return int(self.rate_bps) // 1_000_000 * self._payload_us(size_bytes)
+
+    def _payload_us(self, size_bytes: int) -> int:
+        bits = 22 + 8 * (size_bytes + 36)
+        symbols = -(-bits // (4 * int(self.rate_bps) // 1_000_000))
+        return 4 * symbols + (6 if self.band == "2.4GHz" else 0)
