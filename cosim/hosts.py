@@ -97,12 +97,21 @@ class Hosts:
         for spec in specs:
             kind = spec.kind or "MODULE_OR_FILE:Class"
             self._tell(shlex.join(["vcmvsp", "agent", kind, "--vehicle", spec.vehicle, "--connect", hub.endpoint]))
-        joined: list[tuple[ZenohLink, list[AgentSpec]]] = []
-        for hello, answer in self._knocking(hub, lambda: list(waiting)):
+        joined: dict[str, tuple[ZenohLink, list[AgentSpec]]] = {}
+
+        def missing() -> list[str]:
+            for host in sorted(hub.gone & joined.keys()):
+                for left in joined.pop(host)[1]:
+                    waiting[left.vehicle] = next(spec for spec in specs if spec.vehicle == left.vehicle)
+                    self.kinds.pop(left.vehicle, None)
+                    self._tell(f"the host of {left.vehicle} has left; waiting for another")
+            return list(waiting)
+
+        for hello, answer in self._knocking(hub, missing):
             if link := answer(_refusal(hello, waiting, [each.vehicle for each in specs])):
-                joined.append((link, [self._as_host_says(waiting.pop(vehicle), hello) for vehicle in hello.vehicles]))
+                joined[hello.host] = link, [self._as_host_says(waiting.pop(vehicle), hello) for vehicle in hello.vehicles]
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
-        self._add_remote(joined)
+        self._add_remote(joined.values())
 
     def _add_remote(self, joined: Any) -> None:
         hosts = []

@@ -17,6 +17,10 @@ class LinkError(Exception):
     """No answer will come; the message says why, e.g. ``was killed by SIGKILL``."""
 
 
+class LateError(LinkError, TimeoutError):
+    """No answer came in time."""
+
+
 class Link(Protocol):
     """One host, reachable: questions are answered in order."""
 
@@ -62,11 +66,17 @@ class RemoteHost:
         self._vehicles = tuple(spec.vehicle for spec in specs)
         self._kinds = ", ".join(dict.fromkeys(spec.kind for spec in specs))
         self._alive, self._open, self._released = True, 0, False
+        self._build_s = build_s
         self._send(wire.Build(tuple(specs)), build_s)
 
     def build(self) -> None:
         """Wait until the agents stand; the constructor has asked for it, so that all hosts build at once."""
-        built = self._receive()
+        try:
+            built = self._receive()
+        except AgentError as error:
+            if isinstance(error.__cause__, TimeoutError):
+                raise self._error(f"did not build its agents within {self._build_s:g} s (agents.join_timeout_s)") from error
+            raise
         if not isinstance(built, wire.Built):
             raise self._error(f"answered {type(built).__name__} to Build")
         self.agents, self.reads, self.latest = built.agents, built.reads, built.latest

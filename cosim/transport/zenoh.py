@@ -5,6 +5,7 @@ Keys, all under ``vcmvsp/``::
     hub/join            queryable of the hub: a host's `Hello`, answered by a `Welcome`
     hub/alive           liveliness token of the hub
     host/<zid>/ask      queryable of a host: one question, one answer
+    host/<zid>/alive    liveliness token of a host
 
 A query, rather than a pair of publications, carries each question: Zenoh then tells at once when nobody is there to answer.
 Callbacks are always direct (no thread per callback) and only hand over to a queue.
@@ -23,7 +24,7 @@ from zenoh.handlers import Callback
 
 from cosim.errors import FederateError, UsageError
 from cosim.transport import wire
-from cosim.transport.remote import Desk, LinkError
+from cosim.transport.remote import Desk, LateError, LinkError
 
 JOIN, HUB_ALIVE = "vcmvsp/hub/join", "vcmvsp/hub/alive"
 LOOPBACK = "tcp/127.0.0.1:0"
@@ -58,6 +59,9 @@ class Hub:
         self._token = self._session.liveliness().declare_token(HUB_ALIVE)
         self._door = self._session.declare_queryable(JOIN, Callback(self._on_join, indirect=False))
         self._shut = False
+        self.gone: set[str] = set()  # hosts that have left
+        watch = Callback(self._on_token, indirect=False)
+        self._watch = self._session.liveliness().declare_subscriber("vcmvsp/host/*/alive", watch)
 
     def next_hello(self, timeout_s: float) -> "tuple[wire.Hello, Callable[[str | None], ZenohLink | None]] | None":
         """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
@@ -89,6 +93,10 @@ class Hub:
     def close(self) -> None:
         """Leave; hosts see the hub's token go."""
         self._session.close()  # type: ignore[no-untyped-call]
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self.gone.add(str(sample.key_expr).split("/")[2])
 
     def _on_join(self, query: zenoh.Query) -> None:
         if self._shut:
@@ -138,7 +146,7 @@ class ZenohLink:
         self._open.popleft()
         if reply.ok is None:
             self._failed = True
-            raise LinkError(f"did not answer within the deadline of {deadline_s:g} s")
+            raise LateError(f"did not answer within the deadline of {deadline_s:g} s")
         return reply.ok.payload.to_bytes()
 
     def close(self) -> None:
@@ -170,6 +178,7 @@ def serve(
         inbox: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
         key = f"vcmvsp/host/{host}/ask"
         queryable = session.declare_queryable(key, Callback(inbox.put, indirect=False))
+        token = session.liveliness().declare_token(f"vcmvsp/host/{host}/alive")
 
         def on_hub(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.DELETE:
@@ -190,7 +199,7 @@ def serve(
             return desk.ended
         finally:
             desk.close()
-            for handle in (watch, queryable):
+            for handle in (watch, token, queryable):
                 handle.undeclare()  # type: ignore[no-untyped-call]
 
 

@@ -142,6 +142,15 @@ def test_a_vehicle_has_one_host(stage: Stage) -> None:
     assert ended(first)[0] == 0
 
 
+def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: Stage) -> None:
+    run = stage.start("run", str(stage.scenario()), "--agents", "zenoh", "--out", str(stage.out), "--quiet")
+    early = stage.host()
+    time.sleep(2.0)
+    early.kill()
+    later, leader = stage.host(), stage.host(vehicle="car1")
+    assert [ended(each)[0] for each in (run, later, leader)] == [0, 0, 0]
+
+
 def test_a_run_that_nobody_joins_ends(stage: Stage) -> None:
     code, said = ended(stage.run(2.0, 0.5))
     assert code == 3
