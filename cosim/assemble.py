@@ -111,7 +111,7 @@ class Assembly:
             raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=self._source.of(f"{key}.kind"))
         kind = content["kind"]
         target = registry.find(group, kind, folder=self._source.folder, key=f"{key}.kind", origin=self._source)
-        params = {name: value for name, value in content.items() if name != "kind"}
+        params = self._source.kept(content, key, table.parameters(target))
         built = table.call(target, params, key=key, origin=self._source, given=given)
         return built, {"kind": self._resolution.portable(kind), **table.complete(target, params, without=given)}
 
@@ -167,7 +167,8 @@ class Assembly:
         """The parameters of a vehicle; a default of ``[vehicles]`` counts only where the kind takes it."""
         known = table.parameters(self._vehicle_class(vehicle))
         defaults = self._scenario.vehicles
-        return {n: v for n, v in vehicle.params.items() if n in known or n not in defaults}
+        params = self._source.kept(vehicle.params, f"vehicle.{vehicle.name}", known)
+        return {n: v for n, v in params.items() if n in known or n not in defaults}
 
     def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
         key, kind, own = f"vehicle.{vehicle.name}", self._vehicle_class(vehicle), self._own(vehicle)
@@ -227,13 +228,17 @@ class Assembly:
         if not kind and where != "zenoh":
             key = f"vehicle.{vehicle.name}.agent.kind"
             raise ScenarioError("is missing, and [agents] has no kind for all", key=key, source=self._source.of(key))
+        defaults = {name: value for name, value in agents.defaults.items() if name != "kind"}
+        params = self._source.kept(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
+        if own and len(params) < len(own.params):  # for another class than the file's: where it takes them
+            defaults |= {name: value for name, value in own.params.items() if name not in params}
         latency = own.latency_s if own and own.latency_s is not None else agents.latency_s
         return AgentSpec(
             vehicle=vehicle.name,
             kind=kind,
             folder=str(self._source.folder.resolve()),
-            params=dict(own.params) if own else {},
-            defaults={name: value for name, value in agents.defaults.items() if name != "kind"},
+            params=params,
+            defaults=defaults,
             period_s=(own and own.period_s) or agents.period_s,
             latency_s=latency,
             source=self._source.name,

@@ -8,7 +8,7 @@ import copy
 import itertools
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -101,6 +101,15 @@ class Source:
     def note_set(self, key: str, argument: str) -> None:
         """The value of ``key`` comes from a command-line argument."""
         self._set[key] = argument
+
+    def kept(self, content: Mapping[str, Any], key: str, known: Container[str]) -> dict[str, Any]:
+        """The parameters of a table: where another ``kind`` has been set, the file's count only as far as that one knows them."""
+        switched = f"{key}.kind" in self._set
+        return {
+            name: value
+            for name, value in content.items()
+            if name != "kind" and (not switched or name in known or f"{key}.{name}" in self._set)
+        }
 
     def of(self, key: str) -> str:
         """The argument that set the key or something in it, or file and line."""

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -154,3 +155,30 @@ def test_a_result_can_be_saved_where_it_is_and_elsewhere(tmp_path: Path) -> None
     cosim.run(alone(), out=tmp_path / "d", force=True, set={"duration_s": 0.5})
     with pytest.raises(cosim.UsageError, match="holds another run by now"):
         second.save(tmp_path / "c")
+
+
+@pytest.mark.parametrize(
+    ("settings", "changed"),
+    [
+        ({"radio.loss.kind": "none"}, {"loss": {"kind": "none"}}),
+        ({"radio.delay.kind": "uniform", "radio.delay.from_s": 0.1, "radio.delay.to_s": 0.2}, {}),
+        ({"radio.path_loss.kind": "friis"}, {"path_loss": {"kind": "friis", "frequency_hz": 2.4e9}}),
+    ],
+)
+def test_another_kind_can_be_set_as_it_is(settings: dict[str, Any], changed: dict[str, Any]) -> None:
+    short = {"duration_s": 0.5, "physics.kind": "kinematic"}
+    resolved = tomllib.loads(cosim.run("formation-circle", set={**short, **settings}, agents="inprocess").scenario)
+    assert resolved["radio"] == {**resolved["radio"], **changed}
+
+
+def test_another_agent_takes_what_it_knows_of_the_files_parameters() -> None:
+    settings = {"duration_s": 0.5, "physics.kind": "kinematic", "vehicle.car2.agent.kind": "trajectory"}
+    first = cosim.run("formation-circle", set=settings, agents="inprocess")
+    agent = tomllib.loads(first.scenario)["vehicle"][1]["agent"]
+    assert (agent["kind"], "leader" in agent) == ("trajectory", False)
+    assert cosim.run(tomllib.loads(first.scenario)).metrics == first.metrics
+
+
+def test_a_wrong_parameter_beside_a_kind_that_is_set_is_still_refused() -> None:
+    with pytest.raises(cosim.ScenarioError, match="unknown key 'probabilty'"):
+        cosim.run("formation-circle", set={"radio.loss.kind": "bernoulli", "radio.loss.probabilty": 0.5})
