@@ -103,7 +103,7 @@ class Source:
         self._set[key] = argument
 
     def kept(self, content: Mapping[str, Any], key: str, known: Container[str]) -> dict[str, Any]:
-        """The parameters of a table: where another ``kind`` has been set, the file's count only as far as that one knows them."""
+        """The parameters of a table: if another ``kind`` has been set, the file's count as far as that one knows them."""
         switched = f"{key}.kind" in self._set
         return {
             name: value
