@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,8 @@ from cosim.errors import UsageError, VcmvspError
 from cosim.transport.remote import Desk
 from cosim.transport.wire import PROTOCOL, Hello
 from cosim.transport.zenoh import serve
+
+GRACE_S = 0.2
 
 
 def host(
@@ -47,6 +50,7 @@ def host(
 def _end_with_parent(pipe: io.FileIO) -> None:
     """Leave at once when the run's process is gone: its end of the pipe closes, however it died."""
     pipe.read()
+    time.sleep(GRACE_S)  # to end by itself, as it does after a run that went well
     os._exit(1)
 
 
@@ -57,6 +61,8 @@ def main() -> int:
     parser.add_argument("--connect", required=True)
     parser.add_argument("--vehicle", action="append", required=True)
     options = parser.parse_args()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # what agents print is seen, however this process ends
     pipe = io.FileIO(0, closefd=False)  # unbuffered: a thread that waits in it must not hold a lock when Python exits
     token = pipe.readline().decode().strip()
     threading.Thread(target=_end_with_parent, args=(pipe,), daemon=True).start()
