@@ -74,7 +74,3 @@ def main() -> int:
     except VcmvspError as error:  # the run has been told, and tells it
         return error.exit_code
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
