@@ -111,12 +111,10 @@ class _Seat:
             seed=run.seed,
         )
         try:
-            self.agent.start(about)
+            self.guarded(self.agent.start, about, passes=ValueError)
         except ValueError as error:  # a name or number of the scenario that this agent cannot work with
             key = f"vehicle.{self._vehicle}.agent"
             raise ScenarioError(str(error), key=key, source=self.spec.source) from error
-        except Exception as error:
-            self.guarded(_raise, error)
 
     def close(self) -> AgentError | None:
         """Close the agent; what goes wrong is the answer."""
@@ -187,11 +185,13 @@ class _Seat:
             raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
         return place
 
-    def guarded(self, method: Any, *args: Any) -> Any:
+    def guarded(self, method: Any, *args: Any, passes: type[Exception] | tuple[()] = ()) -> Any:
         """Call a method of the agent; what it raises becomes an error that names agent, vehicle, and the line."""
         try:
             return method(*args)
         except KeyboardInterrupt:
+            raise
+        except passes:
             raise
         except BaseException as error:  # whatever an agent raises must not end the recording
             cause = f"raised {type(error).__name__}: {error}{place_of(error)}"
@@ -199,10 +199,6 @@ class _Seat:
 
     def _error(self, cause: str, *, details: str = "") -> AgentError:
         return AgentError((self._vehicle,), self.spec.kind, cause, details=details)
-
-
-def _raise(error: Exception) -> None:
-    raise error
 
 
 class Kinds:

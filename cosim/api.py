@@ -185,12 +185,7 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
     parsed, source = scenarios.load(scenario, settings=set)
     with Assembly(parsed, source, runs="here") as assembly:
         kernel = Kernel(assembly.run_info, assembly.federates)
-        try:
-            assembly.start(kernel)
-        except BaseException:
-            with contextlib.suppress(VcmvspError):
-                kernel.close()
-            raise
+        assembly.start(kernel)
         kernel.close()
         return assembly.resolved()
 
@@ -228,8 +223,8 @@ class _Simulation:
     def run(self) -> VcmvspError | None:
         """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
         kernel = self._kernel
+        self._assembly.start(kernel)
         try:
-            self._assembly.start(kernel)
             with self._recording() as recorder:
                 failure = self._go(recorder)
         except BaseException:

@@ -9,7 +9,7 @@ import msgspec
 from cosim import registry, table
 from cosim.agent import Agent, AgentSpec
 from cosim.clock import Ticks, seconds_to_ns
-from cosim.errors import ScenarioError
+from cosim.errors import ScenarioError, VcmvspError
 from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
 from cosim.kernel import Kernel
@@ -81,9 +81,14 @@ class Assembly:
         self._hosts.close()
 
     def start(self, kernel: Kernel) -> None:
-        """Start the federates; what they find wrong with the scenario is said with its place in it."""
-        with self._placed():
-            kernel.start()
+        """Start the federates, or close them all; what they find wrong with the scenario is said with its place in it."""
+        try:
+            with self._placed():
+                kernel.start()
+        except BaseException:
+            with contextlib.suppress(VcmvspError):
+                kernel.close()
+            raise
 
     @contextlib.contextmanager
     def _placed(self) -> Iterator[None]:

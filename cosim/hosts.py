@@ -5,7 +5,7 @@ import os
 import secrets
 import shlex
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
@@ -19,7 +19,7 @@ from cosim.transport.remote import Desk, HostFederate, Link, MemoryLink, RemoteH
 from cosim.transport.wire import Hello
 
 if TYPE_CHECKING:
-    from cosim.transport.zenoh import Hub, ZenohLink
+    from cosim.transport.zenoh import Hub, Knock, ZenohLink
 
 HOST_PROCESS = "agents.serve"
 POLL_S = 0.05
@@ -92,7 +92,8 @@ class Hosts:
 
         hub = Hub(self._agents.listen)
         self._stack.callback(hub.close)
-        waiting = {spec.vehicle: spec for spec in specs}
+        wanted = {spec.vehicle: spec for spec in specs}
+        waiting = dict(wanted)
         self._tell(f"waiting for {len(waiting)} agents at {hub.endpoint}; start each with")
         for spec in specs:
             kind = spec.kind or "MODULE_OR_FILE:Class"
@@ -102,18 +103,18 @@ class Hosts:
         def missing() -> list[str]:
             for host in sorted(hub.gone & joined.keys()):
                 for left in joined.pop(host)[1]:
-                    waiting[left.vehicle] = next(spec for spec in specs if spec.vehicle == left.vehicle)
+                    waiting[left.vehicle] = wanted[left.vehicle]
                     self.kinds.pop(left.vehicle, None)
                     self._tell(f"the host of {left.vehicle} has left; waiting for another")
             return list(waiting)
 
         for hello, answer in self._knocking(hub, missing):
-            if link := answer(_refusal(hello, waiting, [each.vehicle for each in specs])):
+            if link := answer(_refusal(hello, waiting, wanted)):
                 joined[hello.host] = link, [self._as_host_says(waiting.pop(vehicle), hello) for vehicle in hello.vehicles]
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
         self._add_remote(joined.values())
 
-    def _add_remote(self, joined: Any) -> None:
+    def _add_remote(self, joined: Iterable[tuple[Link, Sequence[AgentSpec]]]) -> None:
         hosts = []
         for number, (link, specs) in enumerate(joined, len(self.federates)):
             self._stack.callback(link.close)
@@ -129,7 +130,7 @@ class Hosts:
         self.federates.append(host)
         self.infos.extend(host.agents)
 
-    def _knocking(self, hub: "Hub", missing: Callable[[], Sequence[str]]) -> Any:
+    def _knocking(self, hub: "Hub", missing: Callable[[], Sequence[str]]) -> "Iterator[Knock]":
         """Hosts that want to join, until nobody is missing; too late is an error that names who is."""
         last = time.monotonic() + self._agents.join_timeout_s
         while vehicles := missing():
@@ -161,7 +162,7 @@ class Hosts:
         return msgspec.structs.replace(spec, kind=hello.kind, folder=hello.folder, params=params, defaults=defaults)
 
 
-def _refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Sequence[str]) -> str | None:
+def _refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection[str]) -> str | None:
     """Why a host that knocks may not come in; None: it may."""
     if len(set(hello.vehicles)) < len(hello.vehicles):
         return "it names a vehicle twice"

@@ -17,6 +17,7 @@ import traceback
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from operator import attrgetter
+from typing import TypeVar
 
 import simpy
 
@@ -25,6 +26,7 @@ from cosim.errors import FederateError, VcmvspError
 from cosim.federate import Event, Federate, RemoteFederate, RunInfo, Slot
 from cosim.keys import matches
 
+T = TypeVar("T")
 Observer = Callable[[Event], None]
 Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """Of a key: who reads every event, whom it wakes, who keeps only the newest."""
@@ -90,22 +92,26 @@ class Kernel:
         self._publish(end_ns, Slot.RADIO)
 
     def _wait_until(self, when: int) -> None:
-        self.waiting = True
-        late_ns = self._clock.wait_until(when)
-        self.waiting = False
+        late_ns = self._await(lambda: self._clock.wait_until(when))
         self.now_ns = when
         if not isinstance(self._clock, SimClock):
             self.late_ns.append(late_ns)
 
+    def _await(self, wait: Callable[[], T]) -> T:
+        self.waiting = True
+        try:
+            return wait()
+        finally:
+            self.waiting = False
+
     def close(self) -> None:
         """Close every federate, even if one of them fails; the first failure is raised at the end."""
         failure: VcmvspError | None = None
-        for remote in self._remote.values():
-            remote.release()
-        for federate in self._federates:
+        farewells = [(each, each.release) for each in self._remote.values()]
+        for federate, farewell in [*farewells, *((each, each.close) for each in self._federates)]:
             try:
                 with _blame(federate):
-                    federate.close()
+                    farewell()
             except VcmvspError as error:
                 failure = failure or error
         if failure:
@@ -174,10 +180,8 @@ class Kernel:
         for index, due in sorted(self._open.items()):
             while due and due[0] == now and slot == self._remote[index].slot:
                 due.popleft()
-                self.waiting = True
                 with _blame(self._remote[index]):
-                    events = self._remote[index].answer()
-                self.waiting = False
+                    events = self._await(self._remote[index].answer)
                 self._give(index, events, now, slot)
 
     def _take_inbox(self, index: int) -> Sequence[Event]:

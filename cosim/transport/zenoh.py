@@ -63,7 +63,7 @@ class Hub:
         watch = Callback(self._on_token, indirect=False)
         self._watch = self._session.liveliness().declare_subscriber("vcmvsp/host/*/alive", watch)
 
-    def next_hello(self, timeout_s: float) -> "tuple[wire.Hello, Callable[[str | None], ZenohLink | None]] | None":
+    def next_hello(self, timeout_s: float) -> "Knock | None":
         """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
         try:
             query = self._joins.get(timeout=timeout_s)
@@ -119,6 +119,10 @@ class Hub:
                 if locators:
                     return locators[0]
         raise UsageError("the Zenoh session does not say where it listens")
+
+
+Knock = tuple[wire.Hello, Callable[[str | None], "ZenohLink | None"]]
+"""A host that wants to join, and how to answer it."""
 
 
 class ZenohLink:

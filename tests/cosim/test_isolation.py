@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import cosim
-from cosim.agent import Agent, Observation, Radio
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.errors import AgentError
 from cosim.types import Follows, Velocity
 
@@ -93,6 +93,15 @@ def test_what_an_agent_does_wrong_names_it_and_keeps_the_recording(what: str) ->
     with pytest.raises(AgentError, match="vehicle car1") as raised:
         cosim.run(alone(), agents={"car1": Doing(BAD[what])})
     assert raised.value.result.states["time_ns"].to_numpy().max() == 500_000_000
+
+
+def test_an_agent_that_leaves_before_the_start_is_named() -> None:
+    class Leaving(Agent):
+        def start(self, info: VehicleInfo) -> None:
+            sys.exit(0)
+
+    with pytest.raises(AgentError, match="vehicle car1: raised SystemExit"):
+        cosim.run(alone(), agents={"car1": Leaving()})
 
 
 def test_every_agent_is_closed_even_if_one_fails() -> None:

@@ -241,6 +241,25 @@ def test_all_are_closed_even_if_one_fails() -> None:
     assert good.closed == 1
 
 
+def test_a_host_that_cannot_be_told_of_the_end_keeps_nobody_open() -> None:
+    remote, good = Remote("a", Slot.AGENT), Script("z", Slot.WORLD)
+    remote.release = lambda: 1 / 0  # type: ignore[method-assign, assignment]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [good, remote])
+    with pytest.raises(FederateError, match="a: ZeroDivisionError"):
+        kernel.close()
+    assert (remote.closed, good.closed) == (1, 1)
+
+
+def test_a_wait_that_fails_is_over() -> None:
+    remote = Remote("a", Slot.AGENT, {0: []})
+    remote.answer = lambda: 1 / 0  # type: ignore[method-assign, assignment]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [remote])
+    kernel.start()
+    with pytest.raises(FederateError):
+        kernel.run(lambda _: None)
+    assert not kernel.waiting
+
+
 def test_the_wall_clock_waits_for_every_instant_and_notes_lateness() -> None:
     wall = [0]
 
