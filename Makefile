@@ -6,7 +6,7 @@ VENV = .venv
 BIN = $(VENV)/bin
 UV = .uv/bin/uv
 
-.PHONY: setup demo test check bench clean
+.PHONY: setup demo test check docs bench clean
 
 setup: $(VENV)/.ready
 
@@ -27,6 +27,10 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m cosim.reference
+
+docs: setup
+	$(BIN)/python -m cosim.reference --write
 
 test: check
 	$(BIN)/pytest -n auto --dist loadfile

@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import msgspec
 
-from cosim import registry, table
+from cosim import component, radio, registry, table
 from cosim.agent import Agent, AgentSpec
 from cosim.clock import Ticks, seconds_to_ns
 from cosim.errors import ScenarioError, VcmvspError
@@ -54,7 +54,8 @@ class Assembly:
             raise ScenarioError(problem, key="agents")
         agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)
         self._resolution = Resolution(scenario, source)
-        radio, physics = self._build_radio(), self._build_physics()
+        world = self._build_world()
+        air, physics = self._build_radio(world), self._build_physics(world)
         self.radius_m: Mapping[str, float] = physics.radius_m
         self._hosts = Hosts(agents, tell)
         try:
@@ -64,7 +65,7 @@ class Assembly:
         except BaseException:
             self._hosts.close()
             raise
-        self.federates: list[Federate] = [physics, radio, *self._hosts.federates]
+        self.federates: list[Federate] = [physics, air, *self._hosts.federates]
         self.record_ticks = Ticks.every(scenario.record.period_s)
         self.run_info = RunInfo(
             scenario=scenario.name,
@@ -110,47 +111,39 @@ class Assembly:
     # --- parts --------------------------------------------------------------------------------------------------------------
 
     def _component(self, group: str, content: Mapping[str, Any], key: str, **given: Any) -> tuple[Any, dict[str, Any]]:
-        """Build what a table with a ``kind`` describes; also the table with all its defaults."""
-        if not isinstance(content.get("kind"), str):
-            allowed = ", ".join(registry.KINDS[group])
-            raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=self._source.of(f"{key}.kind"))
-        kind = content["kind"]
-        target = registry.find(group, kind, folder=self._source.folder, key=f"{key}.kind", origin=self._source)
-        params = self._source.kept(content, key, table.parameters(target))
-        built = table.call(target, params, key=key, origin=self._source, given=given)
-        return built, {"kind": self._resolution.portable(kind), **table.complete(target, params, without=given)}
+        portable = self._resolution.portable
+        return component.build(group, content, key=key, source=self._source, portable=portable, given=given)
 
-    def _build_radio(self) -> Federate:
-        presets = registry.piece("radio presets")
-        radio, layers = self._scenario.radio, {}
-        for name in radio:
-            if name not in ("preset", *presets.LAYERS):
-                key = f"radio.{name}"
-                problem = table.unknown("key", name, ["preset", *presets.LAYERS])
-                raise ScenarioError(problem, key=key, source=self._source.of(key))
-        preset = radio.get("preset", "ideal")
-        if preset not in presets.PRESETS:
-            problem = table.unknown("preset", str(preset), presets.PRESETS)
-            raise ScenarioError(problem, key="radio.preset", source=self._source.of("radio.preset"))
-        base = presets.preset(preset)
-        resolved: dict[str, Any] = {"preset": preset}
-        for name in presets.LAYERS:
-            own = radio.get(name, {})
-            if not isinstance(own, dict):
-                key = f"radio.{name}"
-                raise ScenarioError(f"must be a table, not {table.show(own)}", key=key, source=self._source.of(key))
-            same_kind = own.get("kind", base[name]["kind"]) == base[name]["kind"]
-            merged = {**base[name], **own} if same_kind else own
-            layers[name], resolved[name] = self._component(name, merged, f"radio.{name}")
-        self._resolution.tables["radio"] = resolved
-        federate: Federate = registry.piece("radio")(registry.piece("channel")(**layers))
-        return federate
-
-    def _build_physics(self) -> Any:
+    def _build_world(self) -> Any:
         world, self._resolution.tables["world"] = self._component("world", {"kind": "empty", **self._scenario.world}, "world")
+        return world.build()
+
+    def _build_radio(self, world: Any) -> Federate:
+        radios = {each.name: self._vehicle_radio(each) for each in self._scenario.vehicle}
+        federate: Any = registry.piece("radio")
+        own = {name: value for name, value in self._scenario.radio.items() if name in table.parameters(federate)}
+        channel, resolved = radio.build(
+            {name: value for name, value in self._scenario.radio.items() if name not in own},
+            self._source,
+            boxes=world.boxes,
+            radios=radios,
+            vehicles=[each.name for each in self._scenario.vehicle],
+            portable=self._resolution.portable,
+            keep=self._resolution.keep,
+            also=[name for name in table.parameters(federate) if name != "channel"],
+        )
+        self._resolution.tables["radio"] = {**table.complete(federate, own, without=("channel",)), **resolved}
+        built: Federate = table.call(federate, own, key="radio", origin=self._source, given={"channel": channel})
+        return built
+
+    def _vehicle_radio(self, vehicle: VehicleTable) -> Any:
+        key = f"vehicle.{vehicle.name}.radio"
+        return table.call(registry.piece("vehicle radio"), vehicle.radio, key=key, origin=self._source)
+
+    def _build_physics(self, world: Any) -> Any:
         specs = [self._vehicle_spec(each) for each in self._scenario.vehicle]
         content = {"kind": "bullet", **self._scenario.physics}
-        physics, resolved = self._component("physics", content, "physics", world=world.build(), vehicles=specs)
+        physics, resolved = self._component("physics", content, "physics", world=world, vehicles=specs)
         self._resolution.tables["physics"] = resolved
         known = {key for each in self._scenario.vehicle for key in table.parameters(self._vehicle_class(each))}
         for name in self._scenario.vehicles:

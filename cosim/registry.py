@@ -27,9 +27,17 @@ VERBS: Mapping[str, str] = {
     "agent": "act(obs, radio)",
     "estimator": "predict(report, age_s)",
     "path_loss": "loss_db(paths)",
+    "walls": "loss_db(paths)",
+    "shadowing": "loss_db(paths)",
+    "fading": "gain_db(frame, draw)",
     "phy": "air_time_ns(size_bytes)",
+    "mac": "open(phy, count, keys, noise_mw)",
     "loss": "lost(frame, draw)",
     "delay": "delay_ns(frame, draw)",
+    "script": "gain_db(frame, draw)",
+    "trace": "level_dbm(frame)",
+    "jammer": "interference_mw(start_ns, end_ns, rx, loss_db, where)",
+    "delivery": "deliver(sender_row, rows, received_ns, size_bytes, draw)",
 }
 """What a class of each group must have."""
 
@@ -43,8 +51,14 @@ PIECES: Mapping[str, str] = {
     "radio presets": "netsim.presets",
     "radio paths": "netsim.layers:Paths",
     "radio frame": "netsim.layers:Frame",
+    "radio links": "netsim.layers:Links",
+    "vehicle radio": "netsim.radios:Radio",
+    "sightline": "physics.sightline:Sightline",
 }
 """Pieces of parts that are no kinds of a scenario, for `piece`."""
+
+NOTHING = "cosim.component:nothing"
+"""A kind of a layer that may be left out."""
 
 KINDS: Mapping[str, Mapping[str, str]] = {
     "physics": {"bullet": "physics.federate:BulletPhysics", "kinematic": "physics.federate:KinematicPhysics"},
@@ -67,12 +81,34 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "two_ray_ground": "netsim.ground:TwoRayGround",
         "none": "netsim.propagation:NoPathLoss",
     },
+    "walls": {
+        "itu": "netsim.materials:ItuWalls",
+        "fixed": "netsim.materials:FixedWalls",
+        "none": NOTHING,
+    },
+    "shadowing": {"gudmundson": "netsim.shadowing:Shadowing", "none": NOTHING},
+    "fading": {
+        "rayleigh": "netsim.fading:Rayleigh",
+        "nakagami": "netsim.fading:Nakagami",
+        "rician": "netsim.fading:Rician",
+        "none": NOTHING,
+    },
+    "script": {"script": "netsim.script:Script", "none": NOTHING},
+    "trace": {"trace": "netsim.trace:Trace", "none": NOTHING},
+    "jammer": {"jammer": "netsim.jammer:Jammer", "none": NOTHING},
     "phy": {
         "constant_rate": "netsim.phy:ConstantRate",
         "dsss": "netsim.phy:Dsss",
+        "ofdm": "netsim.phy_ofdm:Ofdm",
         "ieee802154": "netsim.phy:Ieee802154",
     },
-    "loss": {"bernoulli": "netsim.loss:Bernoulli", "none": "netsim.loss:NoLoss"},
+    "mac": {"ideal": "netsim.mac:Ideal", "dcf": "netsim.dcf:Dcf", "csma154": "netsim.csma154:Csma154"},
+    "loss": {
+        "bernoulli": "netsim.loss:Bernoulli",
+        "gilbert_elliott": "netsim.burst:GilbertElliott",
+        "none": "netsim.loss:NoLoss",
+    },
+    "delivery": {"delivery": "netsim.delivery:Delivery", "none": NOTHING},
     "delay": {
         "fixed": "netsim.delay:FixedDelay",
         "uniform": "netsim.random_delay:UniformDelay",
@@ -98,7 +134,8 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         ScenarioError: there is no such kind, or what it names cannot be imported.
     """
     origin = origin or Named()
-    where, _, name = target(group, kind, key=key, origin=origin).rpartition(":")
+    aim = target(group, kind, key=key, origin=origin)
+    where, _, name = aim.rpartition(":")
     path = file_of(kind, folder).resolve() if is_file_kind(kind) else None
     if path and not path.is_file():
         raise ScenarioError(f"there is no file {path}", key=key, source=origin.of(key))
@@ -110,7 +147,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     found = getattr(module, name, None)
     if found is None:
         raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key))
-    if not callable(found) or not hasattr(found, VERBS[group].partition("(")[0]):
+    if aim != NOTHING and not (callable(found) and hasattr(found, VERBS[group].partition("(")[0])):
         problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {VERBS[group]}"
         raise ScenarioError(problem, key=key, source=origin.of(key))
     return found

@@ -21,7 +21,7 @@ class Resolution:
     Attributes:
         tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
         vehicles: the parameters of each vehicle's kind, complete.
-        files: Python files that the scenario uses as they are now, by the name under which they are kept beside it.
+        files: files that the scenario uses as they are now, by the name under which they are kept beside it.
     """
 
     def __init__(self, scenario: Scenario, source: Source) -> None:
@@ -33,13 +33,18 @@ class Resolution:
 
     def portable(self, kind: str) -> str:
         """The kind without a folder; a Python file that it names is kept."""
-        path = registry.file_of(kind, self._source.folder).resolve()
+        path = registry.file_of(kind, self._source.folder)
         if not registry.is_file_kind(kind) or not path.is_file():  # that of a host elsewhere is not on this machine
             return kind
+        return f"{self.keep(path)}:{kind.rpartition(':')[2]}"
+
+    def keep(self, path: Path) -> str:
+        """Keep a file that the scenario uses, as it is now; its name beside the resolved scenario."""
+        path = path.resolve()
         if self._paths.setdefault(path.name, path) != path:
             raise ScenarioError(f"two different files are called {path.name}; give one another name", source=self._source.name)
         self.files.setdefault(path.name, path.read_bytes())
-        return f"{path.name}:{kind.rpartition(':')[2]}"
+        return path.name
 
     def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str]) -> dict[str, Any]:
         """The resolved scenario, in TOML's types.
@@ -75,6 +80,8 @@ class Resolution:
             shared["kind"] = self.portable(shared["kind"])
         if "positioning" in shared:
             shared["positioning"] = _sensor(shared["positioning"])
+        if "radio" in shared:
+            shared["radio"] = table.complete(registry.piece("vehicle radio"), shared["radio"])
         return shared
 
     def _vehicle(self, vehicle: VehicleTable, shared: Mapping[str, Any]) -> dict[str, Any]:
@@ -85,6 +92,7 @@ class Resolution:
             pose=vehicle.pose,
             pose_source=vehicle.pose_source,
             positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
+            radio=table.complete(registry.piece("vehicle radio"), vehicle.radio),
         )
         full |= self.vehicles[vehicle.name]
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}

@@ -57,6 +57,7 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x m, y m, yaw rad
     pose_source: PoseSource = "truth"  # what its agent takes for its own pose
     positioning: Mapping[str, Any] | None = None  # the positioning sensor, if it carries one
+    radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
     agent: AgentTable | None = None  # None: it has no agent and stands still
     params: Mapping[str, Any] = {}
 

@@ -47,12 +47,18 @@ def check_agent(
 
 
 def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
-    """Check that a layer of the radio keeps the contract of `netsim.layers`, whichever of the four verbs it has.
+    """Check that a layer of the radio keeps the contract of `netsim.layers`, whichever of its verbs it has.
 
     The laws: one finite answer per receiver, of the right type; the same question gets the same answer; a receiver's answer
     does not depend on who else listens; a path loss is the same in both directions (unless ``reciprocal`` is false).
     """
-    verbs = {"loss_db": _check_path_loss, "air_time_ns": _check_phy, "lost": _check_drawn, "delay_ns": _check_drawn}
+    verbs = {
+        "loss_db": _check_path_loss,
+        "air_time_ns": _check_phy,
+        "gain_db": _check_drawn,
+        "lost": _check_drawn,
+        "delay_ns": _check_drawn,
+    }
     found = [verb for verb in verbs if callable(getattr(layer, verb, None))]
     _require(bool(found), f"{type(layer).__name__} has none of the verbs of a layer: {', '.join(verbs)}")
     for verb in found:
@@ -170,22 +176,26 @@ def _check_phy(layer: Any, verb: str) -> None:
 def _check_drawn(layer: Any, verb: str) -> None:
     rng = np.random.default_rng(2)
     draws = rng.random((20, 2))
-    frame, pick = _frame(rng.uniform(-100.0, 100.0, (20, 3))), getattr(layer, verb)
+    names = tuple(f"car{i}" for i in range(20))
+    frame, pick = _frame(rng.uniform(-100.0, 100.0, (20, 3)), names), getattr(layer, verb)
     answer = pick(frame, lambda: draws)
-    wanted = np.bool_ if verb == "lost" else np.integer
+    wanted: Any = {"lost": np.bool_, "delay_ns": np.integer, "gain_db": np.floating}[verb]
     _require(np.shape(answer) == (20,), f"{verb} gave shape {np.shape(answer)} for 20 receivers")
     _require(bool(np.issubdtype(np.asarray(answer).dtype, wanted)), f"{verb} gave {np.asarray(answer).dtype}")
     _require(np.array_equal(answer, pick(frame, lambda: draws)), f"{verb} answers the same question differently")
     order = rng.permutation(20)
-    moved = pick(_frame(frame.paths.rx[order]), lambda: draws[order])
+    moved = pick(_frame(frame.paths.rx[order], tuple(names[i] for i in order)), lambda: draws[order])
     _require(np.array_equal(np.asarray(answer)[order], moved), f"{verb} of a receiver depends on who else listens")
     if verb == "lost":
         _require(bool(layer.cause) and layer.cause != "received", "a loss must name its cause")
+    else:
+        _require(bool(np.isfinite(answer).all()), f"{verb} is not finite: {answer}")
 
 
-def _frame(rx: Any) -> Any:
+def _frame(rx: Any, receivers: tuple[str, ...]) -> Any:
     paths = registry.piece("radio paths").between(np.zeros(3), rx)
-    return registry.piece("radio frame")(0, 0, SECOND // 1000, 60, paths, -60.0 - paths.distance_m / 10.0)
+    links = registry.piece("radio links")(1, "sender", receivers)
+    return registry.piece("radio frame")(0, 0, SECOND // 1000, 60, paths, -60.0 - paths.distance_m / 10.0, links)
 
 
 # --- federates --------------------------------------------------------------------------------------------------------------

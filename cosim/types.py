@@ -155,6 +155,19 @@ class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     rssi_dbm: Array  # (n,) float64
     received_ns: Array  # (n,) int64; -1: lost
     outcome: tuple[str, ...]  # "received" or the cause of the loss, per receiver
+    air_time_ns: int = 0  # one transmission; 0: it was never sent
+    queue_ns: int = 0  # waited behind the sender's earlier frames
+    access_ns: int = 0  # waited for the air, earlier attempts included
+    copy_ns: Array | None = None  # (n,) int64, when a second copy arrives; -1: none does
+    # The link budget, (n,) each; None where the channel has no such layer.
+    snr_db: Array | None = None  # over noise alone
+    sinr_db: Array | None = None  # over noise and interference, the least while it was on the air
+    path_loss_db: Array | None = None
+    walls: Array | None = None  # int64, how many are crossed
+    wall_materials: tuple[str, ...] | None = None  # e.g. "2 brick, 1 wood"
+    wall_loss_db: Array | None = None
+    shadowing_db: Array | None = None
+    fading_db: Array | None = None  # a gain
 
 
 class Contact(Value, frozen=True, kw_only=True, tag="contact"):

@@ -10,8 +10,8 @@ import numpy as np
 from cosim.clock import SECOND_NS
 from cosim.rng import link_uniform
 from cosim.types import Probability
-from netsim.layers import Bools, Draw, Floats
-from netsim.links import BURST_SLOT, Keys, LinkFrame
+from netsim.draws import BURST_SLOT
+from netsim.layers import Bools, Draw, Floats, Frame, Keys
 
 PerSecond = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]
 
@@ -35,13 +35,13 @@ class GilbertElliott:
     Each link (each direction) has a history of its own, a function of the seed, the link and time alone.
     """
 
-    to_bad_per_s: PerSecond = 0.1  # p
-    to_good_per_s: PerSecond = 1.0  # r
-    bad_loss: Probability = 1.0  # 1 - h
-    good_loss: Probability = 0.0  # 1 - k
+    to_bad_per_s: PerSecond = 0.1  # p: how often a good link turns bad
+    to_good_per_s: PerSecond = 1.0  # r: how often a bad link turns good; 1/r is the mean length of a burst
+    bad_loss: Probability = 1.0  # 1 - h: of a frame to be lost while the link is bad
+    good_loss: Probability = 0.0  # 1 - k: of a frame to be lost while the link is good
     cause: ClassVar[str] = "burst"
 
-    def lost(self, frame: LinkFrame, draw: Draw) -> Bools:
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
         """Which receivers lose the frame, (n,); the state counts in which it begins on the air."""
         probability = np.where(self.bad(frame.keys, frame.start_ns), self.bad_loss, self.good_loss)
         lost: Bools = draw()[..., 0] < probability

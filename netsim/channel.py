@@ -1,111 +1,225 @@
-"""The channel: the chain of layers through which a frame passes to all its receivers.
+"""The channel: from a message that is handed over to what becomes of it at every receiver.
 
 ::
 
-    queue of the sender -> air time (phy) -> path loss -> sensitivity (phy) -> loss -> delay -> received, or lost with a cause
+    queue -> access (mac) -> time on the air (phy) -> level (path loss, walls, shadowing, fading) -> SINR, packet errors (phy)
+          -> jammers, losses, delays -> received, or lost with a cause
+
+With the mac ``ideal`` the fate of a frame is known when it is sent. With one that contends for the air it is known when the
+frame ends, after whatever else was sent meanwhile: `Channel.next_ns` says when that will be.
 """
 
+from collections.abc import Mapping
+from heapq import heappop, heappush
+
+import msgspec
 import numpy as np
 
-from cosim.types import FrameReport, Message, frozen
-from netsim.draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
-from netsim.layers import Delay, Floats, Frame, Loss, PathLoss, Paths, Phy
+from cosim.types import FrameReport, Message
+from netsim.budget import Budgets, Heard, Hearing
+from netsim.delivery import Delivery
+from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
+from netsim.jammer import Jammer
+from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy
+from netsim.mac import Ideal, Mac
+from netsim.medium import Codes, Decided, Fate, Medium, Offered
+from netsim.outcome import OnAir, Outcomes
+from netsim.radios import Radio
+from netsim.script import Script
+from netsim.sending import Sender, Sent
+from netsim.trace import Trace
 
-RECEIVED = "received"
-BELOW_SENSITIVITY = "below sensitivity"
+_SURE = 2.0**-54  # a hazard that no draw is below, but for 0
+_FAINT = 1e-30  # a ratio of powers, so that none is zero in dB
 
 
 class Channel:
     """All links between all vehicles.
 
-    A sender transmits one frame at a time: one that is handed over while the last is still on the air begins when that one
-    ends. Frames of different senders do not disturb each other.
+    Args:
+        path_loss, walls, shadowing, fading, phy, mac, script, trace, jammer, loss, delay, delivery: the layers; None is a
+            layer that does nothing.
+        radios: what vehicles have of their own; the antenna of one that is not named is at its position.
     """
 
-    def __init__(self, *, path_loss: PathLoss, phy: Phy, loss: Loss, delay: Delay) -> None:
-        self.path_loss, self.phy, self.loss, self.delay = path_loss, phy, loss, delay
+    def __init__(
+        self,
+        *,
+        path_loss: PathLoss,
+        phy: Phy,
+        loss: Loss,
+        delay: Delay,
+        walls: PathLoss | None = None,
+        shadowing: PathLoss | None = None,
+        fading: Fading | None = None,
+        mac: Mac | None = None,
+        script: Script | None = None,
+        trace: Trace | None = None,
+        jammer: Jammer | None = None,
+        delivery: Delivery | None = None,
+        radios: Mapping[str, Radio] | None = None,
+    ) -> None:
+        self.phy, self.mac = phy, mac or Ideal()
+        self.budgets = Budgets(path_loss, walls, shadowing, phy, dict(radios or {}))
+        self.hearing = Hearing(phy)
+        self._fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
+        self._varies = any(layer is not None for layer in (fading, script, trace))  # levels, from attempt to attempt
+        self._outcomes = Outcomes(self.hearing, loss, delay, script, trace, delivery)
         self.start(seed=0)
 
     def start(self, seed: int) -> None:
         """Forget all frames and draw from ``seed`` from now on."""
         self._seed = seed
         self._frames = 0
-        self._senders: dict[str, _Sender] = {}
+        self._names: tuple[str, ...] = ()
+        self._senders: dict[str, Sender] = {}
+        self._medium: Medium | None = None
+        self._waiting: dict[int, Sent] = {}  # by frame: those that contend
+        self._coming: list[tuple[int, int, Offered]] = []  # heap of (time, frame): those of them on their way to the radio
+        self.budgets.start()
 
-    def transmit(self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats) -> FrameReport:
-        """Send one frame and say what becomes of it at every receiver it is meant for.
+    @property
+    def contends(self) -> bool:
+        """Whether radios share the air, so that a frame's fate is known only when it ends."""
+        return not isinstance(self.mac, Ideal)
+
+    def send(
+        self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats, *, handover_ns: int = 0
+    ) -> list[FrameReport]:
+        """Hand over one message.
 
         Args:
-            sent_ns: when it is handed to the radio; must not decrease from call to call.
+            sent_ns: now; must not decrease from call to call.
             message: what is sent, by whom, to whom.
             names: the vehicles, in the order in which receivers are reported.
-            position: where they are, (len(names), 3) m, world.
-        """
-        sender = self._senders.setdefault(message.sender, _Sender())
-        if sender.links is None or (sender.links.names is not names and sender.links.names != names):
-            sender.links = _Links(self._seed, message.sender, names)
-        links, number = sender.links, sender.frames
-        to = links.meant(message.to)
+            position: where they are, (len(names), 3) m, world; they are taken to stay there until the frame has arrived.
+                The same array object means the same places.
+            handover_ns: how much later it reaches the queue of its radio.
 
+        Returns:
+            The report of this frame, if its fate is known already.
+        """
+        if names is not self._names and names != self._names:
+            self._meet(names)
+        sender = self._sender(message.sender)
         air_ns = self.phy.air_time_ns(message.size_bytes)
         if air_ns < 1:
             raise ValueError(f"{type(self.phy).__name__}.air_time_ns({message.size_bytes}) is {air_ns}: must be at least 1 ns")
-        start_ns = max(sent_ns, sender.free_ns)
-        end_ns = start_ns + air_ns
-
-        paths = Paths.between(position[links.tx], position[links.rx[to]])
-        rssi_dbm = self.phy.tx_power_dbm - self.path_loss.loss_db(paths)
-        frame = Frame(sent_ns, start_ns, end_ns, message.size_bytes, paths, rssi_dbm)
-
-        audible = rssi_dbm >= self.phy.sensitivity_dbm
-        received = audible & ~self.loss.lost(frame, lambda: links.draws.uniform(number, LOSS_SLOT)[to])
-        earliest = sent_ns + self.delay.delay_ns(frame, lambda: links.draws.uniform(number, DELAY_SLOT)[to])
-
-        report = FrameReport(
-            frame=self._frames,
-            sender=message.sender,
-            sent_ns=sent_ns,
-            size_bytes=message.size_bytes,
-            receivers=links.receivers[to],
-            distance_m=frozen(paths.distance_m),
-            rssi_dbm=frozen(rssi_dbm),
-            received_ns=frozen(np.where(received, np.maximum(earliest, end_ns), -1)),
-            outcome=tuple(
-                RECEIVED if arrived else self.loss.cause if heard else BELOW_SENSITIVITY
-                for arrived, heard in zip(received.tolist(), audible.tolist(), strict=True)
-            ),
-        )
-        sender.frames, sender.free_ns = number + 1, end_ns
+        mean, meant = self.budgets.mean(sender.links, names, position), sender.meant(message.to)
+        sent = Sent(self._frames, sender, sender.frames, message, meant, sent_ns, air_ns, mean, mean.level_dbm)
+        sender.frames += 1
         self._frames += 1
-        return report
+        if self._medium is not None:
+            self._offer(sent, sent_ns + handover_ns)
+            return []
+        start_ns = max(sent_ns + handover_ns, sender.free_ns)
+        heard = self._hear(sent, start_ns)
+        end_ns = start_ns + air_ns
+        return [self._report(sent, heard, OnAir(self._endure(sent, heard), start_ns, end_ns, end_ns))]
+
+    def advance(self, until_ns: int) -> list[FrameReport]:
+        """Report all frames whose fate is decided up to ``until_ns``."""
+        if self._medium is None or not self._waiting:
+            return []
+        while self._coming and self._coming[0][0] <= until_ns:
+            self._medium.offer(heappop(self._coming)[2])
+        return [self._settle(each) for each in self._medium.advance(until_ns)]
+
+    def next_ns(self) -> int | None:
+        """Before this no frame is decided, as long as nothing else is sent; None: none is waiting."""
+        if self._medium is None or not self._waiting:
+            return None
+        times = [arrival_ns + self._waiting[frame].air_ns for arrival_ns, frame, _ in self._coming[:1]]
+        due = self._medium.next_ns()
+        return min(times if due is None else [*times, due])
+
+    def finish(self) -> list[FrameReport]:
+        """Report the frames that were handed over and are not decided yet, as under way."""
+        waiting, self._waiting, self._coming = list(self._waiting.values()), {}, []
+        return [self._outcomes.unfinished(sent, self._judge(sent)) for sent in waiting]
+
+    def _meet(self, names: tuple[str, ...]) -> None:
+        if self._waiting:
+            raise ValueError(f"the vehicles changed while frames were under way: {', '.join(names)}")
+        self._names = names
+        self._medium = self.mac.open(self.phy, len(names), Links(self._seed, "", names).keys, self.hearing.noise_mw)
+        if self._delivery is not None:
+            self._delivery.open(len(names))
+
+    def _sender(self, name: str) -> Sender:
+        found = self._senders.setdefault(name, Sender())
+        if found.names is not self._names:
+            if name not in self._names:
+                raise ValueError(f"{name} sends, but its position is unknown; known: {', '.join(self._names) or 'none'}")
+            found.meet(Links(self._seed, name, tuple(each for each in self._names if each != name)), self._names)
+        return found
+
+    # --- from a message to its fate -----------------------------------------------------------------------------------------
+
+    def _hear(self, sent: Sent, start_ns: int) -> Heard:
+        """How an attempt to send a frame arrives where nobody else sends."""
+        if not self._varies:
+            return self._judge(sent)
+        frame = sent.frame_at(start_ns, start_ns + sent.air_ns, sent.mean.level_dbm)
+        level_dbm = sent.mean.level_dbm
+        if self._fading is not None:
+            slot = RETRY_FADING_SLOT + sent.attempts if sent.attempts > 1 else FADING_SLOT
+            sent.fading_db = self._fading.gain_db(frame, sent.draw(slot))
+            level_dbm = level_dbm + sent.fading_db
+        if self._trace is not None:
+            traced_dbm = self._trace.level_dbm(frame)
+            level_dbm = np.where(np.isnan(traced_dbm), level_dbm, traced_dbm)
+        if self._script is not None:
+            level_dbm = level_dbm + self._script.gain_db(frame, sent.draw(SCRIPT_SLOT))
+        sent.level_dbm = level_dbm
+        return self._judge(sent)
+
+    def _judge(self, sent: Sent) -> Heard:
+        return self.hearing.hear(sent.mean, sent.level_dbm, sent.message.size_bytes)
+
+    def _endure(self, sent: Sent, heard: Heard) -> Codes:
+        """The fate of a frame that no other disturbs, (n,)."""
+        fate = np.where(heard.detected, np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED))
+        if heard.hazard is not None:
+            doubtful = np.flatnonzero(heard.detected & (heard.hazard > _SURE))
+            if doubtful.size:
+                uniform = sent.sender.draws.some(sent.number, ERROR_SLOT, doubtful)[:, 0]
+                fate[doubtful[-np.log1p(-uniform) <= heard.hazard[doubtful]]] = Fate.ERROR
+        return fate
+
+    def _offer(self, sent: Sent, arrival_ns: int) -> None:
+        row = sent.sender.row
+
+        def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
+            sent.attempts = attempt + 1
+            self._hear(sent, start_ns)
+            uniform = sent.draw(ERROR_SLOT + attempt)()[:, 0]
+            return _at_all(10.0 ** (sent.level_dbm / 10.0), row), _at_all(-np.log1p(-uniform), row)
+
+        power_mw, patience = (None, None) if self._varies else renew(0, 0)
+        to = -1 if sent.message.to is None else self._names.index(sent.message.to)
+        self._waiting[sent.frame] = sent
+        offered = Offered(sent.frame, arrival_ns, row, to, sent.message.size_bytes, 0, power_mw, patience, renew)
+        heappush(self._coming, (arrival_ns, sent.frame, offered))
+
+    def _settle(self, decided: Decided) -> FrameReport:
+        sent = self._waiting.pop(decided.number)
+        heard = self._judge(sent)
+        if decided.attempts:
+            least_sinr = np.delete(decided.least_sinr, sent.sender.row)
+            heard = msgspec.structs.replace(heard, sinr_db=10.0 * np.log10(np.maximum(least_sinr, _FAINT)))
+        fate = np.delete(decided.fate, sent.sender.row)
+        return self._report(sent, heard, OnAir(fate, decided.start_ns, decided.end_ns, decided.received_ns))
+
+    def _report(self, sent: Sent, heard: Heard, air: OnAir) -> FrameReport:
+        interference_mw = None
+        if self._jammer is not None and air.start_ns >= 0:
+            interference_mw = self._jammer.interference_mw(
+                air.start_ns, air.end_ns, sent.mean.paths.rx, self.budgets.loss_db, self.budgets.antenna
+            )
+        return self._outcomes.report(sent, heard, air, interference_mw)
 
 
-class _Sender:
-    """What a transmitter remembers from frame to frame."""
-
-    def __init__(self) -> None:
-        self.frames = 0  # sent so far: the number that its draws go by, whatever others send
-        self.free_ns = 0  # when its last frame ends
-        self.links: _Links | None = None
-
-
-class _Links:
-    """The links from one sender to every other vehicle."""
-
-    def __init__(self, seed: int, sender: str, names: tuple[str, ...]) -> None:
-        if sender not in names:
-            raise ValueError(f"{sender} sends, but its position is unknown; known: {', '.join(names) or 'none'}")
-        self.names = names
-        self.receivers = tuple(name for name in names if name != sender)
-        self.tx = names.index(sender)  # its row
-        self.rx = np.array([row for row, name in enumerate(names) if name != sender], np.intp)  # theirs
-        self.draws = LinkDraws(seed, sender, self.receivers)
-
-    def meant(self, to: str | None) -> slice:
-        """Which receivers a message to ``to`` is meant for; None: all."""
-        if to is None:
-            return slice(None)
-        if to not in self.receivers:
-            raise ValueError(f"a message is addressed to {to!r}; possible: {', '.join(self.receivers) or 'none'}")
-        row = self.receivers.index(to)
-        return slice(row, row + 1)
+def _at_all(values: Floats, row: int) -> Floats:
+    """Values of all but one, with a zero for that one."""
+    return np.insert(values, row, 0.0)

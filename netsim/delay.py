@@ -25,6 +25,10 @@ class FixedDelay:
 
     So agents at 10 Hz with ``seconds = 0.1`` hear each message exactly one period after it was sent. The jitter is uniform in
     [-jitter_s, +jitter_s], drawn for each frame and receiver; one that exceeds half the sending period lets frames overtake.
+
+    Args:
+        seconds: from sending to reception, time on the air included.
+        jitter_s: uniform, give or take.
     """
 
     def __init__(self, seconds: Seconds, jitter_s: Seconds = 0.0) -> None:

@@ -4,16 +4,25 @@ Each number is a pure function of seed, link, frame and layer (`cosim.rng.link_u
 calls however little is asked of it, so a block of frames is drawn at once; blocks change no number.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
+from numpy.typing import NDArray
 
-from cosim.rng import key64, link_uniform
-from netsim.layers import Floats
+from cosim.rng import link_uniform
+from netsim.layers import Floats, Links
 
-# The draws of each layer. A number that is changed changes every recorded run: new layers take new ones.
+# The draws of each layer, by frame. A number that is changed changes every recorded run: new layers take new ones.
 LOSS_SLOT = 1
 DELAY_SLOT = 2
+FADING_SLOT = 3
+SCRIPT_SLOT = 4
+TRACE_SLOT = 5
+DELIVERY_SLOT = 6
+ERROR_SLOT = 32  # and those behind it: one for each attempt to send the frame
+RETRY_FADING_SLOT = 64  # the same: fading of each attempt but the first
+# Draws that do not go by frames.
+WAVE_SLOT = 16  # fading in time: the waves of a pair
+BURST_SLOT = 17  # bursts: what changes a link, and when
+BACKOFF_SLOT = 18  # of a radio: its backoffs
 
 _BLOCK_LINKS = 4096  # links x frames in a block: 64 KiB, where the cost per number has become flat
 _BLOCK_FRAMES = 64  # at most, so that short runs do not pay for what they never use
@@ -22,9 +31,9 @@ _BLOCK_FRAMES = 64  # at most, so that short runs do not pay for what they never
 class LinkDraws:
     """Draws for the links from one sender to each of n receivers."""
 
-    def __init__(self, seed: int, sender: str, receivers: Sequence[str]) -> None:
-        self._keys = np.array([key64(seed, f"radio/{sender}/{receiver}") for receiver in receivers], np.uint64)
-        self._frames = max(1, min(_BLOCK_FRAMES, _BLOCK_LINKS // max(1, len(receivers))))
+    def __init__(self, links: Links) -> None:
+        self._links = links
+        self._frames = max(1, min(_BLOCK_FRAMES, _BLOCK_LINKS // max(1, len(links.receivers))))
         self._blocks: dict[int, tuple[int, Floats]] = {}  # slot: number of the block, its draws (frames, n, 2)
 
     def uniform(self, frame: int, slot: int) -> Floats:
@@ -33,6 +42,10 @@ class LinkDraws:
         cached = self._blocks.get(slot)
         if cached is None or cached[0] != block:
             frames = np.arange(block * self._frames, (block + 1) * self._frames, dtype=np.uint64)
-            cached = self._blocks[slot] = (block, link_uniform(self._keys, frames[:, None], slot))
+            cached = self._blocks[slot] = (block, link_uniform(self._links.keys, frames[:, None], slot))
         draws: Floats = cached[1][index]
         return draws
+
+    def some(self, frame: int, slot: int, which: NDArray[np.intp]) -> Floats:
+        """The same for some receivers only, by their place: (len(which), 2)."""
+        return link_uniform(self._links.keys[which], np.array(frame, np.uint64), slot)

@@ -60,10 +60,16 @@ class ErrorRate(ABC):
         success: Floats = np.exp(bits * self.log_success_per_bit(sinr_db))
         return success
 
+    def frame_hazard(self, sinr_db: Floats, size_bytes: int) -> Floats:
+        """``-log`` of the chance that a frame with this payload survives, header included, at a SINR that lasts."""
+        header, bits = self.header
+        hazard: Floats = -self.payload_bits(size_bytes) * self.log_success_per_bit(sinr_db)
+        return hazard - bits * header.log_success_per_bit(sinr_db) if bits else hazard
+
     def frame_success(self, sinr_db: Floats, size_bytes: int) -> Floats:
         """Chance that a frame with this payload survives, header included, at a SINR that lasts; the shape of ``sinr_db``."""
-        header, bits = self.header
-        return header.success(sinr_db, bits) * self.success(sinr_db, self.payload_bits(size_bytes))
+        success: Floats = np.exp(-self.frame_hazard(sinr_db, size_bytes))
+        return success
 
 
 def hazard_of(bit_error: Floats) -> Floats:

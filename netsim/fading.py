@@ -9,7 +9,7 @@ its level for about 0.4 / fd, 50 ms.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from cosim.clock import SECOND_NS
 from cosim.rng import link_uniform
 from cosim.types import NonNegative
-from netsim.layers import Draw, Floats
-from netsim.links import WAVE_SLOT, Keys, LinkFrame
+from netsim.draws import WAVE_SLOT
+from netsim.layers import Draw, Floats, Frame, Keys
 from netsim.quantiles import gamma_quantile
 
 Complex = NDArray[np.complex128]
@@ -30,28 +30,13 @@ _FAINTEST = 2.0**-54  # stands for a uniform of 0, so that every gain is finite 
 _WAVES = 128  # of a process: it has the normalised variance 1 - 1 / _WAVES instead of 1
 
 
-class Fading(Protocol):
-    """What is between the mean level and the level of one frame."""
-
-    def gain_db(self, frame: LinkFrame, draw: Draw) -> Floats:
-        """Power gain at each receiver, (n,) dB, to be added to the level: finite, and 1 on average as a ratio."""
-
-
-class NoFading:
-    """Every frame has the mean level."""
-
-    def gain_db(self, frame: LinkFrame, draw: Draw) -> Floats:
-        """Zeros, (n,) dB."""
-        return np.zeros(len(frame.receivers))
-
-
 @dataclass(frozen=True)
 class Rayleigh:
     """No direct path: g is exponential, the squared magnitude of a complex normal number."""
 
-    doppler_hz: Doppler | None = None
+    doppler_hz: Doppler | None = None  # greatest shift, v f / c; None: frames fade independently
 
-    def gain_db(self, frame: LinkFrame, draw: Draw) -> Floats:
+    def gain_db(self, frame: Frame, draw: Draw) -> Floats:
         """Power gain at each receiver, (n,) dB."""
         return _db(_exponential(frame, draw, self.doppler_hz))
 
@@ -64,10 +49,10 @@ class Nakagami:
     1.5 up to 80 m and 0.75 beyond. In time it is the Rayleigh process carried over from quantile to quantile.
     """
 
-    m: Shape = 1.5
-    doppler_hz: Doppler | None = None
+    m: Shape = 1.5  # shape: 1 is Rayleigh, less is worse, more comes nearer to no fading
+    doppler_hz: Doppler | None = None  # greatest shift, v f / c; None: frames fade independently
 
-    def gain_db(self, frame: LinkFrame, draw: Draw) -> Floats:
+    def gain_db(self, frame: Frame, draw: Draw) -> Floats:
         """Power gain at each receiver, (n,) dB."""
         exponential = np.maximum(_exponential(frame, draw, self.doppler_hz), _FAINTEST)
         logit = exponential + np.log(-np.expm1(-exponential))  # of p = 1 - exp(-g), where log(p / (1 - p)) = log(exp(g) - 1)
@@ -81,10 +66,10 @@ class Rician:
     ``k_factor`` is a ratio, not dB (10 is 10 dB). In time the direct path stands still and h has the Doppler spread.
     """
 
-    k_factor: NonNegative = 4.0
-    doppler_hz: Doppler | None = None
+    k_factor: NonNegative = 4.0  # power of the direct path over that of all others, a ratio
+    doppler_hz: Doppler | None = None  # greatest shift, v f / c; None: frames fade independently
 
-    def gain_db(self, frame: LinkFrame, draw: Draw) -> Floats:
+    def gain_db(self, frame: Frame, draw: Draw) -> Floats:
         """Power gain at each receiver, (n,) dB."""
         if self.doppler_hz is None:
             uniforms = draw()
@@ -124,7 +109,7 @@ def _waves(pair_keys: bytes) -> tuple[Floats, Floats]:
     return np.cos(directions), uniforms[..., 1]
 
 
-def _exponential(frame: LinkFrame, draw: Draw, doppler_hz: float | None) -> Floats:
+def _exponential(frame: Frame, draw: Draw, doppler_hz: float | None) -> Floats:
     """Exponential gains with mean 1, (n,)."""
     if doppler_hz is None:
         return -np.log1p(-draw()[..., 0])

@@ -2,8 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from cosim.clock import seconds_to_ns
 from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.types import Message, Reception, States
+from cosim.rng import stream
+from cosim.types import FrameReport, Message, Reception, Seconds, States
 from netsim.channel import Channel
 
 
@@ -15,9 +19,16 @@ class RadioFederate:
     ====================  =========  ===============================================================================
     ``world/states``      in         `States`: where everybody is; the newest counts
     ``<vehicle>/send``    in         `Message`: enters the channel at the event's time
-    ``radio/frame``       out        `FrameReport`: what becomes of the frame at each receiver, known at its sending
+    ``radio/frame``       out        `FrameReport`: what became of a frame, as soon as that is known: at its sending where
+                                     nobody contends for the air, else when it ends; at the end of the run for the rest
     ``<vehicle>/heard``   out        `Reception`, at the time at which it arrives
     ====================  =========  ===============================================================================
+
+    Agents that act at the same instant hand their messages over at the same nanosecond, which no two computers do: radios that
+    contend for the air would then all find it free, and collide. So a message takes up to ``handover_s`` to reach the queue of
+    its radio, uniformly distributed, in the order in which its sender sent them.
+
+    It is stepped with the senders, and once more for every frame that ends on a contended air: nothing is polled.
     """
 
     name = "radio"
@@ -27,37 +38,65 @@ class RadioFederate:
     latest: tuple[str, ...] = ("world/states",)
     wakes: tuple[str, ...] = ("*/send",)
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: Channel, handover_s: Seconds = 0.002) -> None:
         self._channel = channel
-        self._states: States | None = None
+        self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:
         """Begin with an idle channel; nothing to do until a message is sent."""
         self._channel.start(run.seed)
-        self._states = None
+        self._end_ns = run.duration_ns
+        self._states: States | None = None
+        self._messages: dict[int, Message] = {}  # by frame: those whose fate is open
+        self._sent = 0
+        self._seed = run.seed
+        self._handover: dict[str, np.random.Generator] = {}
+        self._handed_ns: dict[str, int] = {}
         return None
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        """Send what was handed over, in that order. Receptions lie in the future: no wake-up is needed for them."""
-        events: list[Event] = []
+        """Report what is decided by now, and hand over what was sent, in that order."""
+        reports = self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
         for event in inbox:
             if isinstance(event.value, States):
                 self._states = event.value
             elif isinstance(event.value, Message):
-                events += self._transmit(event.time_ns, event.value)
-        return Step(events)
+                reports += self._send(event.time_ns, event.value)
+        reports += self._channel.advance(now_ns)
+        if now_ns == self._end_ns:
+            reports += self._channel.finish()
+        events = [event for report in reports for event in self._events(report, now_ns)]
+        due = self._channel.next_ns()
+        return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
     def close(self) -> None:
         """Nothing to release."""
 
-    def _transmit(self, sent_ns: int, message: Message) -> list[Event]:
+    def _send(self, sent_ns: int, message: Message) -> list[FrameReport]:
         if self._states is None:
             raise ValueError(f"{message.sender} sends before any position is known (world/states)")
-        report = self._channel.transmit(sent_ns, message, self._states.names, self._states.position)
-        events = [Event("radio/frame", sent_ns, report)]
-        rows = zip(report.receivers, report.rssi_dbm.tolist(), report.received_ns.tolist(), strict=True)
-        for receiver, rssi_dbm, received_ns in rows:
-            if received_ns >= 0:
-                reception = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=sent_ns, received_ns=received_ns)
-                events.append(Event(f"{receiver}/heard", received_ns, reception))
+        self._messages[self._sent] = message
+        self._sent += 1
+        after_ns = self._handed_over(message.sender, sent_ns) - sent_ns
+        return self._channel.send(sent_ns, message, self._states.names, self._states.position, handover_ns=after_ns)
+
+    def _handed_over(self, sender: str, sent_ns: int) -> int:
+        """When a message reaches the queue of its radio."""
+        if not self._handover_ns:
+            return sent_ns
+        if sender not in self._handover:
+            self._handover[sender] = stream(self._seed, f"radio/{sender}/handover")
+        at_ns = sent_ns + int(self._handover[sender].random() * self._handover_ns)
+        self._handed_ns[sender] = max(at_ns, self._handed_ns.get(sender, 0))
+        return self._handed_ns[sender]
+
+    def _events(self, report: FrameReport, now_ns: int) -> list[Event]:
+        message = self._messages.pop(report.frame)
+        events = [Event("radio/frame", now_ns, report)]
+        times = [report.received_ns] if report.copy_ns is None else [report.received_ns, report.copy_ns]
+        for arrival_ns in times:
+            for receiver, rssi_dbm, at_ns in zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True):
+                if at_ns >= 0:
+                    heard = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
+                    events.append(Event(f"{receiver}/heard", at_ns, heard))
         return events

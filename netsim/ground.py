@@ -4,9 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cosim.types import NonNegative, Positive
-from netsim.layers import Floats, Paths
+from netsim.layers import Floats, Paths, distance_of
 from netsim.propagation import SPEED_OF_LIGHT
 
 _TOUCHING_M = 1e-3  # antennas and heights nearer than this to each other, or to the ground, are taken to be as near as this
@@ -19,12 +20,12 @@ class Friis:
     ns-3: ``FriisPropagationLossModel`` with its ``Frequency``.
     """
 
-    frequency_hz: Positive = 2.4e9
+    frequency_hz: Positive = 2.4e9  # of the carrier
 
-    def loss_db(self, paths: Paths) -> Floats:
-        """Loss of each path, (n,) dB."""
+    def loss_db(self, paths: Paths | ArrayLike) -> Floats:
+        """Loss of each path, or over each distance in m, (n,) dB."""
         factor = 4.0 * math.pi * self.frequency_hz / SPEED_OF_LIGHT
-        loss: Floats = 20.0 * np.log10(np.maximum(factor * paths.distance_m, 1.0))
+        loss: Floats = 20.0 * np.log10(np.maximum(factor * distance_of(paths), 1.0))
         return loss
 
 
@@ -37,20 +38,22 @@ class TwoRayGround:
 
         L = 10 log10(d^4 / (h1 h2)^2)
 
-    where h is an antenna's height above z = 0: ``antenna_height_m`` above its vehicle's position. Both agree at the crossover.
-    ns-3: ``TwoRayGroundPropagationLossModel``, where the height is ``HeightAboveZ``. That one loses nothing nearer than
-    its ``MinDistance``, 0.5 m; here it is free space down to contact.
+    where h is an antenna's height above z = 0; where only distances are given, ``antenna_height_m``. Both agree at the
+    crossover. ns-3: ``TwoRayGroundPropagationLossModel``, where the height is ``HeightAboveZ``. That one loses nothing nearer
+    than its ``MinDistance``, 0.5 m; here it is free space down to contact.
     """
 
-    frequency_hz: Positive = 2.4e9
-    antenna_height_m: NonNegative = 0.5
+    frequency_hz: Positive = 2.4e9  # of the carrier
+    antenna_height_m: NonNegative = 0.5  # where only distances are known; vehicles have antennas of their own
 
-    def loss_db(self, paths: Paths) -> Floats:
-        """Loss of each path, (n,) dB."""
-        heights = np.maximum(paths.rx[:, 2] + self.antenna_height_m, _TOUCHING_M)
-        product = heights * max(float(paths.tx[2]) + self.antenna_height_m, _TOUCHING_M)
+    def loss_db(self, paths: Paths | ArrayLike) -> Floats:
+        """Loss of each path, or over each distance in m between two antennas of ``antenna_height_m``, (n,) dB."""
+        here = there = np.array(self.antenna_height_m)
+        if isinstance(paths, Paths):
+            here, there = paths.tx[2], paths.rx[:, 2]
+        product = np.maximum(here, _TOUCHING_M) * np.maximum(there, _TOUCHING_M)
         wave = 4.0 * math.pi * self.frequency_hz / SPEED_OF_LIGHT
-        distance = np.maximum(paths.distance_m, _TOUCHING_M)
+        distance = np.maximum(distance_of(paths), _TOUCHING_M)
         near = 20.0 * np.log10(np.maximum(wave * distance, 1.0))
         far = 40.0 * np.log10(distance) - 20.0 * np.log10(product)
         loss: Floats = np.where(distance <= wave * product, near, far)

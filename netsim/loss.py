@@ -23,10 +23,12 @@ class NoLoss:
 class Bernoulli:
     """Every frame is lost with the same probability on every link, each independently of all others."""
 
-    probability: Probability
+    probability: Probability  # of a message to be lost, whatever its size
     cause: ClassVar[str] = "random loss"
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
         """Which receivers lose the frame, (n,)."""
+        if not self.probability:
+            return np.zeros(frame.rssi_dbm.shape, np.bool_)
         lost: Bools = draw()[..., 0] < self.probability
         return lost

@@ -3,13 +3,13 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative, Positive
-from netsim.layers import Bools, Floats, Paths
+from netsim.layers import Bools, Floats, Ints, Paths
 from netsim.propagation import SPEED_OF_LIGHT
 
 ITU_MATERIALS: dict[str, tuple[float, float, float, float]] = {
@@ -46,12 +46,12 @@ class Sightline(Protocol):
         """
 
 
-class NoWalls:
-    """Obstacles do not weaken the signal."""
+class Through(NamedTuple):
+    """What lies on n paths."""
 
-    def loss_db(self, paths: Paths) -> Floats:
-        """Zeros, (n,) dB."""
-        return np.zeros(paths.distance_m.shape)
+    loss_db: Floats  # (n,)
+    walls: Ints  # (n,) how many
+    materials: tuple[str, ...]  # (n,) e.g. "2 brick, 1 wood"; "": none
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,20 @@ class ItuWalls:
     """Each obstacle on the way takes the loss of a slab of its material and thickness (`slab_loss_db`), whatever the angle."""
 
     sightline: Sightline
-    frequency_hz: Positive = 2.4e9
+    frequency_hz: Positive = 2.4e9  # of the carrier
     cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
 
     def __post_init__(self) -> None:
         for material in self.sightline.materials:
             _require_known(material)
 
+    def through(self, paths: Paths) -> Through:
+        """What lies between, on each path."""
+        return _through(self.sightline, paths, self._walls_db, self.cap_db)
+
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each path by walls, (n,) dB."""
-        return _sum(self.sightline, paths, self._walls_db, self.cap_db)
+        return self.through(paths).loss_db
 
     @cached_property
     def _walls_db(self) -> Floats:
@@ -85,13 +89,17 @@ class FixedWalls:
     """
 
     sightline: Sightline
-    wall_db: NonNegative = 6.325
-    materials_db: dict[str, NonNegative] | None = None
-    cap_db: NonNegative = _DARK_DB  # of all walls together
+    wall_db: NonNegative = 6.325  # loss of each obstacle
+    materials_db: dict[str, NonNegative] | None = None  # by material: ``{ brick = 3.5 }``; None: all are alike
+    cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
+
+    def through(self, paths: Paths) -> Through:
+        """What lies between, on each path."""
+        return _through(self.sightline, paths, self._walls_db, self.cap_db)
 
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each path by walls, (n,) dB."""
-        return _sum(self.sightline, paths, self._walls_db, self.cap_db)
+        return self.through(paths).loss_db
 
     @cached_property
     def _walls_db(self) -> Floats:
@@ -128,9 +136,14 @@ def _require_known(material: str) -> None:
         raise ScenarioError(f"no loss is known for walls of {material!r}; known: {allowed}; or give kind = 'fixed'", key="kind")
 
 
-def _sum(sightline: Sightline, paths: Paths, walls_db: Floats, cap_db: float) -> Floats:
+def _through(sightline: Sightline, paths: Paths, walls_db: Floats, cap_db: float) -> Through:
+    count = len(paths.distance_m)
     if not walls_db.size:
-        return np.zeros(paths.distance_m.shape)
+        return Through(np.zeros(count), np.zeros(count, np.int64), ("",) * count)
     crossed, _ = sightline.crossings(paths.tx, paths.rx)
-    loss: Floats = np.minimum(np.where(crossed, walls_db, 0.0).sum(axis=-1), cap_db)
-    return loss
+    loss = np.minimum(np.where(crossed, walls_db, 0.0).sum(axis=-1), cap_db)
+    kinds = sorted(set(sightline.materials))
+    of_kind = np.array([[material == kind for kind in kinds] for material in sightline.materials], np.int64)
+    each = crossed.astype(np.int64) @ of_kind
+    words = [", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n) for row in each.tolist()]
+    return Through(loss, crossed.sum(axis=-1), tuple(words))

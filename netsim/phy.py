@@ -1,17 +1,22 @@
-"""Radio standards: time on the air, transmitted power, sensitivity.
+"""Radio standards: time on the air, transmitted power, noise, sensitivity, packet errors.
 
 Payload is what the agent sends (``Message.size_bytes``); each standard adds its own headers. Air times are whole nanoseconds.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
 from cosim.types import Seconds
+from netsim.noise import ThermalNoise
+
+if TYPE_CHECKING:  # error rates reckon with air times, and so know this module
+    from netsim.error_rate import ErrorRate
 
 BitRate = Annotated[float, msgspec.Meta(ge=1.0, le=1e15)]  # bit/s
 
@@ -26,10 +31,10 @@ class ConstantRate:
     1 us + 1 ns a bit, 1.8 us for 100 bytes. The default sensitivity, 1e-33 W, hears everything.
     """
 
-    rate_bps: BitRate = 1e9
-    overhead_s: Seconds = 1e-6
-    tx_power_dbm: float = 0.0
-    sensitivity_dbm: float = -300.0
+    rate_bps: BitRate = 1e9  # of the payload
+    overhead_s: Seconds = 1e-6  # time on the air besides the payload
+    tx_power_dbm: float = 0.0  # transmitted power
+    sensitivity_dbm: float = -300.0  # weakest level at which a frame is noticed
 
     def air_time_ns(self, size_bytes: int) -> int:
         """Overhead and payload, rounded up to 1 ns; at least 1 ns."""
@@ -44,17 +49,32 @@ class Dsss:
     Air time (IEEE 802.11-2016, 15.2 and 16.2): preamble and header 192 us, then the PSDU, rounded up to 1 us. The PSDU is the
     payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8.
 
-    Power and sensitivity are those of ns-3.44: 16.0206 dBm (40 mW; ``WifiPhy::TxPowerStart``), and -82 dBm for every rate,
-    below which its receivers detect no preamble (``ThresholdPreambleDetectionModel::MinimumRssi``).
+    Power, sensitivity and noise are those of ns-3.44: 16.0206 dBm (40 mW; ``WifiPhy::TxPowerStart``); a preamble is noticed
+    from -82 dBm and 4 dB above noise and interference on (``ThresholdPreambleDetectionModel``), at every rate; the noise
+    figure is 7 dB. With these the gain of spreading is out of reach: at -82 dBm the SNR is 12 dB, and 1 Mbit/s needs -5.
     """
 
-    rate_bps: BitRate = 1e6
-    tx_power_dbm: float = 16.0206
-    sensitivity_dbm: float = -82.0
+    rate_bps: BitRate = 1e6  # 1e6, 2e6, 5.5e6 or 11e6
+    tx_power_dbm: float = 16.0206  # transmitted power
+    sensitivity_dbm: float = -82.0  # weakest level at which a frame is noticed
+    noise_figure_db: float = 7.0  # of the receiver, above the thermal noise in 20 MHz
+    preamble_snr_db: float = 4.0  # least ratio to noise and interference at which a frame is noticed
 
     def __post_init__(self) -> None:
         if self.rate_bps not in (1e6, 2e6, 5.5e6, 11e6):
             raise ScenarioError(f"rate_bps = {self.rate_bps:g}: 802.11b sends at 1e6, 2e6, 5.5e6 or 11e6 bit/s", key="rate_bps")
+
+    @property
+    def noise_dbm(self) -> float:
+        """Thermal noise in the 20 MHz with which its error rates reckon."""
+        return ThermalNoise(noise_figure_db=self.noise_figure_db).dbm
+
+    @cached_property
+    def errors(self) -> "ErrorRate":
+        """Packet errors by SINR."""
+        from netsim.error_rate import DsssErrors
+
+        return DsssErrors(self.rate_bps)
 
     def air_time_ns(self, size_bytes: int) -> int:
         """192 us + 8 PSDU / rate, in whole microseconds."""
@@ -74,8 +94,21 @@ class Ieee802154:
     a typical transceiver (TI CC2420 data sheet), is the default.
     """
 
-    tx_power_dbm: float = 0.0
+    tx_power_dbm: float = 0.0  # transmitted power
+    # sets the noise, 0.4 dB below it; weakest level at which a frame is noticed, but not with mac csma154
     sensitivity_dbm: float = -85.0
+
+    @property
+    def noise_dbm(self) -> float:
+        """As in ns-3.44, 0.4 dB below the sensitivity (`netsim.noise.ThermalNoise.ieee802154`)."""
+        return ThermalNoise.ieee802154(self.sensitivity_dbm).dbm
+
+    @cached_property
+    def errors(self) -> "ErrorRate":
+        """Packet errors by SINR."""
+        from netsim.error_rate import OqpskErrors
+
+        return OqpskErrors()
 
     def air_time_ns(self, size_bytes: int) -> int:
         """(6 + 11 + payload) x 32 us, of each frame that the message needs, and the spaces between them."""

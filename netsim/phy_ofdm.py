@@ -1,10 +1,15 @@
 """OFDM: time on the air of IEEE 802.11a and g."""
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
 
 from cosim.errors import ScenarioError
+from netsim.noise import ThermalNoise
 from netsim.phy import US, BitRate
+
+if TYPE_CHECKING:  # error rates reckon with air times, and so know this module
+    from netsim.error_rate import ErrorRate
 
 RATES_BPS = (6e6, 9e6, 12e6, 18e6, 24e6, 36e6, 48e6, 54e6)
 
@@ -17,19 +22,35 @@ class Ofdm:
     PSDU and 6 bits of tail, the last one filled up; at 2.4 GHz 6 us of silence end it (signal extension). The PSDU is the
     payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8.
 
-    Power and sensitivity are those of ns-3.44, as for `netsim.phy.Dsss`: 16.0206 dBm, and -82 dBm for every rate. The
-    standard asks for -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2).
+    Power, sensitivity and noise are those of ns-3.44, as for `netsim.phy.Dsss`: 16.0206 dBm, and -82 dBm for every rate. The
+    standard asks for -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here the packet errors of ``error_model`` see to that
+    (`netsim.error_rate_ofdm`, whose three models differ by up to 5 dB).
     """
 
-    rate_bps: BitRate = 6e6
-    band: Literal["2.4GHz", "5GHz"] = "2.4GHz"
-    tx_power_dbm: float = 16.0206
-    sensitivity_dbm: float = -82.0
+    rate_bps: BitRate = 6e6  # 6e6, 9e6, 12e6, 18e6, 24e6, 36e6, 48e6 or 54e6
+    band: Literal["2.4GHz", "5GHz"] = "2.4GHz"  # 802.11g or 802.11a
+    tx_power_dbm: float = 16.0206  # transmitted power
+    sensitivity_dbm: float = -82.0  # weakest level at which a frame is noticed
+    noise_figure_db: float = 7.0  # of the receiver, above the thermal noise in 20 MHz
+    preamble_snr_db: float = 4.0  # least ratio to noise and interference at which a frame is noticed
+    error_model: Literal["table", "yans", "nist"] = "table"  # packet errors by SINR; they differ by up to 5 dB
 
     def __post_init__(self) -> None:
         if self.rate_bps not in RATES_BPS:
             allowed = ", ".join(f"{rate / 1e6:g}e6" for rate in RATES_BPS)
             raise ScenarioError(f"rate_bps = {self.rate_bps:g}: 802.11a and g send at {allowed} bit/s", key="rate_bps")
+
+    @property
+    def noise_dbm(self) -> float:
+        """Thermal noise in 20 MHz."""
+        return ThermalNoise(noise_figure_db=self.noise_figure_db).dbm
+
+    @cached_property
+    def errors(self) -> "ErrorRate":
+        """Packet errors by SINR."""
+        from netsim.error_rate_ofdm import OfdmErrors
+
+        return OfdmErrors(self.rate_bps, self.band, self.error_model)
 
     def air_time_ns(self, size_bytes: int) -> int:
         """20 us + 4 us x ceil((22 + 8 PSDU) / (4 us x rate)), + 6 us at 2.4 GHz."""

@@ -5,48 +5,90 @@ from typing import Any
 
 from cosim.errors import ScenarioError
 
-LAYERS = ("path_loss", "phy", "loss", "delay")
+LAYERS = (
+    "path_loss",
+    "walls",
+    "shadowing",
+    "fading",
+    "phy",
+    "mac",
+    "script",
+    "trace",
+    "jammer",
+    "loss",
+    "delay",
+    "delivery",
+)
 
-_INDOOR = {"kind": "log_distance", "exponent": 3.0, "reference_distance_m": 1.0, "reference_loss_db": 40.052}
-# Nothing is lost or late beyond the layers above, but both can be set: ``radio.loss.probability = 0.2``.
-_NO_MORE: dict[str, dict[str, Any]] = {
+Tables = dict[str, dict[str, Any]]
+
+# What every preset leaves out, but can be set without naming a kind: ``radio.loss.probability = 0.2``.
+_LEFT_OUT: Tables = {
+    "shadowing": {"kind": "gudmundson", "sigma_db": 0.0, "correlation_distance_m": 10.0},
+    **{layer: {"kind": "none"} for layer in ("fading", "script", "trace", "jammer", "delivery")},
     "loss": {"kind": "bernoulli", "probability": 0.0},
     "delay": {"kind": "fixed", "seconds": 0.0, "jitter_s": 0.0},
 }
+# No bandwidth: 1 us + 1 ns a bit on the air, and nobody waits for anybody else.
+_INSTANT: Tables = {
+    "phy": {"kind": "constant_rate", "rate_bps": 1e9, "overhead_s": 1e-6, "tx_power_dbm": 0.0, "sensitivity_dbm": -300.0},
+    "mac": {"kind": "ideal"},
+}
+_B_RATES = {"1": 1e6, "2": 2e6, "5.5": 5.5e6, "11": 11e6}
+_OFDM_RATES = {f"{rate}": rate * 1e6 for rate in (6, 9, 12, 18, 24, 36, 48, 54)}
 
-_PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+
+def _indoor(frequency_hz: float, reference_loss_db: float) -> Tables:
+    """Exponent 3 (ns-3's default) behind a metre of free space, and walls of the world's materials."""
+    law = {"kind": "log_distance", "exponent": 3.0, "reference_distance_m": 1.0, "reference_loss_db": reference_loss_db}
+    return {"path_loss": law, "walls": {"kind": "itu", "frequency_hz": frequency_hz}}
+
+
+def _wifi(phy: dict[str, Any], frequency_hz: float, reference_loss_db: float) -> Tables:
+    """802.11 with the power, the preamble threshold and the channel access of ns-3."""
+    full = {**phy, "tx_power_dbm": 16.0206, "sensitivity_dbm": -82.0}
+    return {**_indoor(frequency_hz, reference_loss_db), "phy": full, "mac": {"kind": "dcf"}, **_LEFT_OUT}
+
+
+_PRESETS: dict[str, Tables] = {
     # Everybody hears everything, 1 us + 1 ns a bit after it was sent.
-    "ideal": {
-        "path_loss": {"kind": "none"},
-        "phy": {"kind": "constant_rate", "rate_bps": 1e9, "overhead_s": 1e-6},
-        **_NO_MORE,
-    },
-    # The USARSim Wireless Simulation Server, distance only, with its defaults: ePdo -49.67 dBm at eDo 2 m, eN 1 (range 43 km),
-    # eCutoff -93 dBm. It gives the received level at d0; sent at 0 dBm, the loss at d0 is its negative. It has no bandwidth.
+    "ideal": {"path_loss": {"kind": "none"}, "walls": {"kind": "none"}, **_INSTANT, **_LEFT_OUT},
+    # The USARSim Wireless Simulation Server with its defaults: ePdo -49.67 dBm at eDo 2 m, eN 1 (range 43 km), eCutoff -93
+    # dBm, eAttenFac 6.325 dB for every obstacle. It gives the received level at d0; sent at 0 dBm, the loss at d0 is its
+    # negative. It has no bandwidth.
     "wss": {
-        "path_loss": {"kind": "log_distance", "exponent": 1.0, "reference_distance_m": 2.0, "reference_loss_db": 49.67},
-        "phy": {"kind": "constant_rate", "rate_bps": 1e9, "overhead_s": 1e-6, "tx_power_dbm": 0.0, "sensitivity_dbm": -93.0},
-        **_NO_MORE,
+        "path_loss": {
+            "kind": "log_distance",
+            "exponent": 1.0,
+            "reference_distance_m": 2.0,
+            "reference_loss_db": 49.67,
+            "clamp": False,
+        },
+        "walls": {"kind": "fixed", "wall_db": 6.325},
+        "phy": {**_INSTANT["phy"], "sensitivity_dbm": -93.0},
+        "mac": _INSTANT["mac"],
+        **_LEFT_OUT,
     },
-    # 802.11b at 1 Mbit/s with the power and the preamble threshold of ns-3: range 85.6 m.
-    "wifi-b-1": {
-        "path_loss": _INDOOR,
-        "phy": {"kind": "dsss", "rate_bps": 1e6, "tx_power_dbm": 16.0206, "sensitivity_dbm": -82.0},
-        **_NO_MORE,
+    **{f"wifi-b-{name}": _wifi({"kind": "dsss", "rate_bps": rate}, 2.4e9, 40.052) for name, rate in _B_RATES.items()},
+    **{
+        f"wifi-{letter}-{name}": _wifi({"kind": "ofdm", "rate_bps": rate, "band": band}, frequency_hz, reference_loss_db)
+        for letter, band, frequency_hz, reference_loss_db in (("g", "2.4GHz", 2.4e9, 40.052), ("a", "5GHz", 5.15e9, 46.684))
+        for name, rate in _OFDM_RATES.items()
     },
-    # 802.15.4 at 1 mW and the sensitivity that the standard asks for: range 31.5 m.
+    # 802.15.4 at 1 mW and the sensitivity that the standard asks for.
     "zigbee": {
-        "path_loss": _INDOOR,
+        **_indoor(2.4e9, 40.052),
         "phy": {"kind": "ieee802154", "tx_power_dbm": 0.0, "sensitivity_dbm": -85.0},
-        **_NO_MORE,
+        "mac": {"kind": "csma154"},
+        **_LEFT_OUT,
     },
 }
 
 PRESETS = tuple(_PRESETS)
 
 
-def preset(name: str) -> dict[str, dict[str, Any]]:
-    """The layers of a preset: ``{"path_loss": {"kind": ..., parameters}, "phy": ..., "loss": ..., "delay": ...}``, to keep."""
+def preset(name: str) -> Tables:
+    """The layers of a preset: ``{"path_loss": {"kind": ..., parameters}, ...}`` for all `LAYERS`, to keep."""
     if name not in _PRESETS:
         raise ScenarioError(f"no preset is called {name!r}; presets: {', '.join(PRESETS)}", key="preset")
-    return deepcopy(_PRESETS[name])
+    return {layer: deepcopy(_PRESETS[name][layer]) for layer in LAYERS}

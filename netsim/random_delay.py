@@ -21,8 +21,8 @@ from netsim.quantiles import gamma_quantile
 class UniformDelay:
     """Anything between two bounds, equally likely."""
 
-    from_s: Seconds
-    to_s: Seconds
+    from_s: Seconds  # shortest
+    to_s: Seconds  # longest
 
     def __post_init__(self) -> None:
         if self.to_s < self.from_s:
@@ -37,8 +37,8 @@ class UniformDelay:
 class NormalDelay:
     """Normal; what is drawn below zero, or before the frame's end, becomes the frame's end."""
 
-    mean_s: Seconds
-    sigma_s: Seconds
+    mean_s: Seconds  # mean
+    sigma_s: Seconds  # standard deviation
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Earliest reception, counted from the sending, (n,) whole ns."""
@@ -56,9 +56,9 @@ class GammaDelay:
     1000; where they are equal it is exponential.
     """
 
-    mean_s: Seconds
-    sigma_s: Seconds
-    fixed_s: Seconds = 0.0
+    mean_s: Seconds  # mean of the random part
+    sigma_s: Seconds  # standard deviation of the random part
+    fixed_s: Seconds = 0.0  # a part that is always there
 
     def __post_init__(self) -> None:
         if not 0.1 * self.sigma_s**2 <= self.mean_s**2 <= 1000.0 * self.sigma_s**2 or not self.sigma_s:
@@ -79,7 +79,7 @@ class EmpiricalDelay:
     ``quantiles = [[0, 0.002], [0.5, 0.004], [0.99, 0.03], [1, 0.2]]``: half of all frames take 2 to 4 ms.
     """
 
-    quantiles: tuple[tuple[Probability, Seconds], ...]
+    quantiles: tuple[tuple[Probability, Seconds], ...]  # pairs [probability, s] that rise from 0 to 1, linear in between
 
     def __post_init__(self) -> None:
         probabilities, seconds = ([pair[k] for pair in self.quantiles] for k in (0, 1))

@@ -10,8 +10,7 @@ import numpy as np
 
 from cosim.rng import stream
 from cosim.types import NonNegative, Positive
-from netsim.layers import Floats
-from netsim.links import LinkPaths
+from netsim.layers import Floats, Paths
 
 Waves = Annotated[int, msgspec.Meta(ge=1, le=4096)]
 
@@ -38,11 +37,11 @@ class Shadowing:
     and 13 m.
     """
 
-    sigma_db: NonNegative = 4.0
-    correlation_distance_m: Positive = 10.0
-    waves: Waves = 256
+    sigma_db: NonNegative = 4.0  # standard deviation
+    correlation_distance_m: Positive = 10.0  # when one end has moved so far, the correlation is 1/e
+    waves: Waves = 256  # of which the field is the sum
 
-    def loss_db(self, paths: LinkPaths) -> Floats:
+    def loss_db(self, paths: Paths) -> Floats:
         """Loss of each path beyond the mean, (n,) dB, of either sign."""
         # Sums have the same operands in the same order for both directions, so that they agree to the last bit.
         here, there, phase = _waves(paths.seed, self.correlation_distance_m, self.waves)

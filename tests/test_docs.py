@@ -7,7 +7,10 @@ from typing import Any
 import pytest
 
 import cosim
-from cosim import progress, registry, scenario, table
+from cosim import progress, reference, registry, scenario, table
+from netsim.jammer import Source
+from netsim.materials import ITU_MATERIALS
+from netsim.script import Change
 from physics.world import Box
 
 FOLDER = Path(__file__).parent.parent / "scenarios"
@@ -42,8 +45,9 @@ HEADINGS = {
     "world": ("`[world]`",),
     "vehicle": ("Vehicles that are points", "Robots with two driven wheels and a caster"),
     "agent": ("Leaders", "Followers"),
-    **{layer: (f"`[radio.{layer}]`",) for layer in ("path_loss", "phy", "loss", "delay")},
+    **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
 }
+FROM_ELSEWHERE = {"world", "vehicles", *reference.OFFERED}  # parameters that come from the rest of the scenario
 
 
 def by_kind(*headings: str) -> dict[str, dict[str, str]]:
@@ -83,19 +87,34 @@ def test_every_key_of_a_table_is_documented(heading: str, target: Any, rest: str
 @pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registry.KINDS.items() for kind in kinds])
 def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str) -> None:
     target = registry.find(group, kind)
-    if set(table.parameters(target)) - {"world", "vehicles"}:
-        assert_documents(
-            by_kind(*HEADINGS[group])[kind], target, {"world", "vehicles"}
-        )  # these two come from the rest of the scenario
+    if set(table.parameters(target)) - FROM_ELSEWHERE:
+        assert_documents(by_kind(*HEADINGS[group])[kind], target, FROM_ELSEWHERE)
     else:
-        assert f"`{kind}`, without parameters" in TEXT.partition(f"# {HEADINGS[group][0]}\n")[2].partition("\n#")[0]
+        assert f"\n- `{kind}`: " in TEXT.partition(f"# {HEADINGS[group][0]}\n")[2].partition("\n#")[0]
 
 
-def test_boxes_and_positioning_and_presets_are_documented() -> None:
-    assert_documents(by_kind("`[world]`")["box"], Box, set())
-    assert_documents(by_kind("`positioning = { ... }`")["positioning"], registry.piece("positioning"), set())
-    rows = [line.split("`")[1] for line in TEXT.splitlines() if re.match(r"\| `[a-z0-9-]+` \| (none|exponent)", line)]
+@pytest.mark.parametrize(
+    ("heading", "item", "target"),
+    [
+        ("`[world]`", "box", Box),
+        ("`positioning = { ... }`", "positioning", registry.piece("positioning")),
+        ("`radio = { ... }`", "default", registry.piece("vehicle radio")),
+        ("`[radio.script]`", "change", Change),
+        ("`[radio.jammer]`", "source", Source),
+    ],
+)
+def test_what_lists_and_vehicles_hold_is_documented(heading: str, item: str, target: Any) -> None:
+    assert_documents(by_kind(heading)[item], target, set())
+
+
+def test_every_preset_is_documented() -> None:
+    rows = [line.split("`")[1] for line in TEXT.splitlines() if re.match(r"\| `[a-z0-9.-]+` \| `(none|log_distance)`", line)]
     assert rows == list(registry.piece("radio presets").PRESETS)
+
+
+def test_materials_are_those_that_walls_are_made_of() -> None:
+    (row,) = [line for line in TEXT.splitlines() if line.startswith("| `material` |")]
+    assert re.findall(r"`(\w+)`", row.rpartition("`itu`")[2]) == list(ITU_MATERIALS)
 
 
 @pytest.mark.parametrize("name", scenario.names())

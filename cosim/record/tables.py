@@ -7,6 +7,7 @@ The schema metadata of both carry who ran (`RunFacts`), so that either file can 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,19 @@ RADIO_SCHEMA = pa.schema(
         ("rssi_dbm", pa.float64()),
         ("outcome", NAME),  # "received" or the cause of the loss
         ("delay_ns", pa.int64()),  # received - sent; null: lost
+        ("copy_ns", pa.int64()),  # when a second copy arrived; null: none did
+        # The link budget; null where it cannot be told, as that of a frame that was never sent.
+        ("snr_db", pa.float64()),  # over noise alone
+        ("sinr_db", pa.float64()),  # over noise and interference, the least while it was on the air
+        ("path_loss_db", pa.float64()),
+        ("walls", pa.int64()),  # how many are crossed
+        ("wall_materials", NAME),
+        ("wall_loss_db", pa.float64()),
+        ("shadowing_db", pa.float64()),  # a loss
+        ("fading_db", pa.float64()),  # a gain
+        ("air_time_ns", pa.int64()),  # 0: it was never sent
+        ("queue_ns", pa.int64()),  # waited behind the sender's earlier frames
+        ("access_ns", pa.int64()),  # waited for the air, earlier attempts included
     ]
 )
 FACTS = b"vcmvsp.run"
@@ -89,16 +103,26 @@ def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Tabl
 
 def radio_table(reports: Sequence[FrameReport], facts: RunFacts) -> pa.Table:
     """The table of all frames at all receivers they were meant for."""
-    vehicles = _Names(facts.vehicles)
-    outcomes = _Names(("received",))
+    reports = sorted(reports, key=attrgetter("frame"))
+    vehicles, outcomes, materials = _Names(facts.vehicles), _Names(("received",)), _Names(("",))
     counts = [len(report.receivers) for report in reports]
 
     def per_frame(values: list[int]) -> Array:
         return np.repeat(np.array(values, np.int64), counts)
 
+    def budget(name: str, dtype: Any = np.float64) -> Array:
+        """A part of the link budget; zeros where the channel has no such layer."""
+        parts = [getattr(report, name) for report in reports]
+        return joined(
+            [np.zeros(n, dtype) if part is None else part for part, n in zip(parts, counts, strict=True)], (0,), dtype
+        )
+
     receiver = joined([vehicles.codes(report.receivers) for report in reports], (0,), np.int32)
     sender = per_frame([vehicles.code(report.sender) for report in reports]).astype(np.int32)
     outcome = joined([outcomes.codes(report.outcome) for report in reports], (0,), np.int32)
+    crossed = joined(
+        [materials.codes(report.wall_materials or ("",) * n) for report, n in zip(reports, counts, strict=True)], (0,), np.int32
+    )
     sent = per_frame([report.sent_ns for report in reports])
     received = joined([report.received_ns for report in reports], (0,), np.int64)
     columns = [
@@ -112,6 +136,18 @@ def radio_table(reports: Sequence[FrameReport], facts: RunFacts) -> pa.Table:
         column(joined([report.rssi_dbm for report in reports], (0,))),
         outcomes.column(outcome),
         column(received - sent, valid=received >= 0),
+        column(copies := budget("copy_ns", np.int64), valid=copies > 0),
+        column(budget("snr_db")),
+        column(sinr_db := budget("sinr_db"), valid=np.isfinite(sinr_db)),
+        column(budget("path_loss_db")),
+        column(budget("walls", np.int64)),
+        materials.column(crossed),
+        column(budget("wall_loss_db")),
+        column(budget("shadowing_db")),
+        column(budget("fading_db")),
+        column(per_frame([report.air_time_ns for report in reports])),
+        column(per_frame([report.queue_ns for report in reports])),
+        column(per_frame([report.access_ns for report in reports])),
     ]
     return _table(columns, RADIO_SCHEMA, facts)
 

@@ -48,6 +48,10 @@ def frame(number: int, sender: str, sent_ns: int, received: dict[str, int | None
         rssi_dbm=frozen(np.full(count, -60.0 - number)),
         received_ns=frozen([-1 if at is None else at for at in received.values()], np.int64),
         outcome=tuple("random loss" if at is None else "received" for at in received.values()),
+        **{name: frozen(np.full(count, 7.0)) for name in ("snr_db", "sinr_db", "path_loss_db", "wall_loss_db")},
+        **{name: frozen(np.full(count, 3.0)) for name in ("shadowing_db", "fading_db")},
+        **{name: frozen(np.full(count, 5), np.int64) for name in ("walls", "copy_ns")},
+        wall_materials=("wood",) * count,
     )
     return Event("radio/frame", sent_ns, value)
 
@@ -309,6 +313,8 @@ def changed(value: Any) -> list[Any]:
         return [{**value, key: other} for key, old in value.items() for other in changed(old)]
     if isinstance(value, tuple):
         return [(*value[:i], other, *value[i + 1 :]) for i, old in enumerate(value) for other in changed(old)]
+    if value is None:
+        return []
     if isinstance(value, bool):
         return [not value]
     if isinstance(value, int | float):
@@ -338,7 +344,7 @@ def test_digest_depends_on_key_time_and_order_and_on_nothing_else() -> None:
     note = events[2].value
     other_key = [*events[:2], Event("b/note", 0, note), *events[3:]]
     later = [*events[:2], *events[3:-1], Event("a/note", 1, note), events[-1]]
-    swapped = [*events[:3], events[4], events[3], *events[5:]]
+    swapped = [*events[:2], events[5], *events[3:5], events[2], *events[6:]]
     assert len({digest_of(run) for run in (events, other_key, later, swapped)}) == 4
     assert digest_of(some_run()) == digest_of(events)
 

@@ -1,53 +1,33 @@
-"""Paths and frames as layers are given them that tell links apart."""
+"""Paths and frames for layers that tell links apart."""
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.rng import key64
-from netsim.layers import Floats
-from netsim.links import Keys
+from netsim.layers import Frame, Keys, Links, Paths
 
 
-class Line(msgspec.Struct, frozen=True):
+class Line:
     """Pairs of points, one transmitter to a receiver."""
 
-    tx: Floats
-    rx: Floats
-    distance_m: Floats
-    seed: int = 1
-
-    @classmethod
-    def between(cls, tx: Any, rx: Any, seed: int = 1) -> Self:
+    @staticmethod
+    def between(tx: Any, rx: Any, seed: int = 1) -> Paths:
         here, there = np.asarray(tx, np.float64), np.asarray(rx, np.float64)
-        return cls(here, there, np.sqrt(((there - here) ** 2).sum(axis=-1)), seed)
+        return Paths(here, there, np.sqrt(((there - here) ** 2).sum(axis=-1)), seed)
 
 
-class LinkedFrame(msgspec.Struct, frozen=True):
-    start_ns: int
-    end_ns: int
-    sender: str
-    receivers: tuple[str, ...]
-    keys: Keys
-    pair_keys: Keys
-    rssi_dbm: Floats
-
-
-def linked_frame(sender: str, *receivers: str, at_s: float = 0.0, seed: int = 1, air_ns: int = 1_000_000) -> LinkedFrame:
-    keys = [key64(seed, f"radio/{sender}/{name}") for name in receivers]
-    pairs = [key64(seed, "radio/" + "/".join(sorted((sender, name)))) for name in receivers]
+def linked_frame(sender: str, *receivers: str, at_s: float = 0.0, seed: int = 1, air_ns: int = 1_000_000) -> Frame:
     start = round(at_s * 1e9)
-    levels = np.zeros(len(receivers))
-    return LinkedFrame(start, start + air_ns, sender, receivers, np.array(keys, np.uint64), np.array(pairs, np.uint64), levels)
+    return _frame(Links(seed, sender, receivers), start, start + air_ns)
 
 
-def many_frame(count: int, at_ns: int = 0, seed: int = 1) -> LinkedFrame:
+def many_frame(count: int, at_ns: int = 0, seed: int = 1) -> Frame:
     """A frame with as many receivers, whose keys are merely different."""
-    keys = many_keys(count, seed)
-    return LinkedFrame(at_ns, at_ns + 1, "a", ("b",) * count, keys, keys, np.zeros(count))
+    links = Links(seed, "a", ("b",) * count)
+    vars(links).update(keys=many_keys(count, seed), pair_keys=many_keys(count, seed))
+    return _frame(links, at_ns, at_ns + 1)
 
 
 def many_keys(count: int, seed: int = 1) -> Keys:
@@ -61,5 +41,10 @@ def even_uniforms(count: int) -> NDArray[np.float64]:
     return np.stack([first, np.random.default_rng(5).permutation(first)], axis=-1)
 
 
-def each_alone(paths: Line) -> Sequence[Line]:
+def each_alone(paths: Paths) -> Sequence[Paths]:
     return [Line.between(paths.tx, receiver[None], paths.seed) for receiver in paths.rx]
+
+
+def _frame(links: Links, start_ns: int, end_ns: int) -> Frame:
+    count = len(links.receivers)
+    return Frame(start_ns, start_ns, end_ns, 100, Line.between(np.zeros(3), np.zeros((count, 3))), np.zeros(count), links)

@@ -11,12 +11,12 @@ from netsim.layers import Bools, Draw, Floats, Frame, Paths
 from netsim.loss import NoLoss
 from netsim.phy import Dsss
 from netsim.propagation import LogDistance, NoPathLoss
-from tests.netsim.helpers import make_channel, send
+from tests.netsim.helpers import make_channel, one, send
 
 
 def broadcast(channel: Channel, sender: str, places: dict[str, tuple[float, float, float]], sent_ns: int = 0) -> FrameReport:
     message = Message(sender=sender, body={}, size_bytes=100)
-    return channel.transmit(sent_ns, message, tuple(places), np.array(list(places.values())))
+    return one(channel.send(sent_ns, message, tuple(places), np.array(list(places.values()))))
 
 
 @pytest.mark.parametrize(

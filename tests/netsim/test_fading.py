@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from netsim.fading import Fading, Nakagami, NoFading, Rayleigh, Rician, scattering
-from netsim.layers import Floats
+from netsim.fading import Nakagami, Rayleigh, Rician, scattering
+from netsim.layers import Fading, Floats
 from netsim.quantiles import gamma_quantile
 from tests.netsim.linked import even_uniforms, linked_frame, many_frame, many_keys
 
@@ -93,10 +93,6 @@ def test_finite_for_the_least_and_the_greatest_draw(layer: Fading) -> None:
     most = 1.0 - 2.0**-53
     edges = np.array([(0.0, 0.0), (0.0, most), (most, 0.0), (most, most), (most, 0.5)])
     assert np.isfinite(gains_db(layer, edges)).all()
-
-
-def test_no_fading_is_none() -> None:
-    assert gains_db(NoFading(), EVEN[:3]).tolist() == [0.0, 0.0, 0.0]
 
 
 # --- in time ----------------------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@ import pytest
 
 from cosim.rng import key64, link_uniform
 from netsim.draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
+from netsim.layers import Links
 from netsim.loss import Bernoulli, NoLoss
 from tests.netsim.helpers import make_frame
 
@@ -59,11 +60,13 @@ def test_runs_of_losses_are_geometric(uniforms: np.ndarray) -> None:
 @pytest.mark.parametrize("receivers", [1, 9, 300, 5000])
 def test_blocks_change_no_draw(receivers: int) -> None:
     """Any order of frames and slots gives what the generator gives for each frame alone."""
-    names = [f"car{i}" for i in range(receivers)]
-    draws = LinkDraws(3, "leader", names)
+    names = tuple(f"car{i}" for i in range(receivers))
+    draws = LinkDraws(Links(3, "leader", names))
     keys = np.array([key64(3, f"radio/leader/{name}") for name in names], np.uint64)
     for frame in (0, 1, 63, 64, 65, 2, 1_000_003, 64, 0):
         for slot in (DELAY_SLOT, LOSS_SLOT):
             alone = link_uniform(keys, np.array(frame, np.uint64), slot)
             assert np.array_equal(draws.uniform(frame, slot), alone)
+            some = np.arange(0, receivers, 3)
+            assert np.array_equal(draws.some(frame, slot, some), alone[some])
             assert alone.shape == (receivers, 2)

@@ -6,7 +6,7 @@ import pytest
 from cosim.errors import ScenarioError
 from cosim.testing import check_channel
 from netsim.layers import Bools, Floats, PathLoss, Paths
-from netsim.materials import ITU_MATERIALS, NS3_WALLS_DB, FixedWalls, ItuWalls, NoWalls, slab_loss_db
+from netsim.materials import ITU_MATERIALS, NS3_WALLS_DB, FixedWalls, ItuWalls, slab_loss_db
 from netsim.propagation import SPEED_OF_LIGHT, LogDistance
 from physics.sightline import Sightline
 from physics.world import Box
@@ -120,7 +120,7 @@ BOXES = [
 
 
 @pytest.mark.parametrize(
-    "layer", [NoWalls(), ItuWalls(Across("brick", "wood")), ItuWalls(Sightline(BOXES)), FixedWalls(Sightline([]))]
+    "layer", [ItuWalls(Across("brick", "wood")), ItuWalls(Sightline(BOXES)), FixedWalls(Sightline([]))]
 )
 def test_the_laws_of_every_path_loss(layer: PathLoss) -> None:
     check_channel(layer)

@@ -1,28 +1,44 @@
-"""The layers that the README shows work as they stand there."""
+"""The README says what is so: its blocks work as they stand there, and it knows every outcome and what it points to."""
 
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import netsim
+from cosim import radio, registry, table
+from cosim.scenario import Source
+from cosim.testing import check_channel
+from netsim.budget import Hearing
+from netsim.burst import GilbertElliott
 from netsim.channel import Channel
 from netsim.delay import NoDelay
+from netsim.delivery import Delivery
+from netsim.loss import Bernoulli
+from netsim.outcome import UNDER_WAY, Outcomes
 from netsim.phy import Dsss
-from netsim.presets import PRESETS
-from tests.netsim.helpers import KINDS, make_channel, send
+from netsim.script import Script
+from netsim.trace import Trace
+from tests.netsim.helpers import send
 
-README = (Path(netsim.__path__[0]) / "README.md").read_text(encoding="utf-8")
+HOME = Path(netsim.__path__[0])
+README = (HOME / "README.md").read_text(encoding="utf-8")
+
+
+def block(language: str) -> str:
+    (found,) = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+    return str(found)
 
 
 def test_the_layers_of_ones_own() -> None:
     models: dict[str, Any] = {"__name__": "my_models"}
-    (block,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    exec(compile(block, "README.md", "exec", dont_inherit=True), models)
-    channel = Channel(
-        path_loss=models["Rain"](db_per_km=4.0), phy=Dsss(), loss=models["Tunnel"](reach_m=500.0), delay=NoDelay()
-    )
+    exec(compile(block("python"), "README.md", "exec", dont_inherit=True), models)
+    rain, tunnel = models["Rain"](db_per_km=4.0), models["Tunnel"](reach_m=500.0)
+    check_channel(rain)
+    check_channel(tunnel)
+    channel = Channel(path_loss=rain, phy=Dsss(), loss=tunnel, delay=NoDelay())
     report = send(channel, 1.0, 1000.0)
     assert report.rssi_dbm == pytest.approx([16.0206 - 40.052 - 0.004, 16.0206 - 40.052 - 60.0 - 4.0], abs=1e-3)
     outcomes = [send(channel, 100.0, 600.0, sent_ns=k * 10**9).outcome for k in range(2000)]
@@ -30,11 +46,32 @@ def test_the_layers_of_ones_own() -> None:
     assert all(far == "tunnel" for _, far in outcomes)
 
 
-def test_presets_and_kinds_are_all_described() -> None:
-    for name in (*PRESETS, *(kind for kinds in KINDS.values() for kind in kinds)):
-        assert f"| `{name}` |" in README
+def test_the_lines_of_a_scenario() -> None:
+    scenario = tomllib.loads(block("toml"))
+    channel, resolved = radio.build(scenario["radio"], Source("README.md", HOME), vehicles=("car1", "car2"))
+    assert isinstance(channel, Channel)
+    assert {layer: resolved[layer]["kind"] for layer in ("path_loss", "script", "delivery")} == {
+        "path_loss": "log_distance",
+        "script": "script",
+        "delivery": "delivery",
+    }
+    for vehicle in scenario["vehicle"]:
+        table.call(registry.piece("vehicle radio"), vehicle["radio"])
 
 
-@pytest.mark.parametrize(("name", "range_m"), [("wss", 43_056.0), ("wifi-b-1", 85.6), ("zigbee", 31.5)])
-def test_ranges_of_the_presets(name: str, range_m: float) -> None:
-    assert send(make_channel(name), range_m * 0.998, range_m * 1.002).outcome == ("received", "below sensitivity")
+def test_every_outcome_is_explained(tmp_path: Path) -> None:
+    (tmp_path / "links.csv").write_text("time_s,sender,receiver,loss\n0,a,b,1\n")
+    trace = Trace(str(tmp_path / "links.csv"))
+    known = {UNDER_WAY}
+    for loss in (Bernoulli(0.5), GilbertElliott()):
+        known |= set(Outcomes(Hearing(Dsss()), loss, NoDelay(), Script(), trace, Delivery())._words)
+    section = README.partition("## What becomes of a frame")[2].partition("\n## ")[0]
+    rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
+    assert {name for row in rows for name in re.findall(r"`([^`]+)`", row)} == known - {""}
+
+
+def test_what_it_points_to_is_there() -> None:
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", README):
+        assert (HOME / target).exists(), target
+    for name in re.findall(r"`(\w+\.py)`", README):
+        assert name == "my_models.py" or (HOME / name).exists(), name

@@ -1,0 +1,88 @@
+"""From ``[radio]`` to a channel: a preset, and what is changed of its layers."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim import component, registry, table
+from cosim.errors import ScenarioError
+from cosim.scenario import Source
+
+
+def build(
+    radio: Mapping[str, Any],
+    source: Source,
+    *,
+    key: str = "radio",
+    boxes: Any = (),
+    radios: Mapping[str, Any] | None = None,
+    vehicles: Sequence[str] = (),
+    portable: component.Portable = str,
+    keep: Callable[[Path], str] = str,
+    also: Sequence[str] = (),
+) -> tuple[Any, dict[str, Any]]:
+    """Build a channel.
+
+    Args:
+        radio: ``preset``, and a table for each layer that is to be changed.
+        source: where that came from.
+        key: path of the table in the scenario; empty: the layers stand at the top.
+        boxes: the obstacles of the world.
+        radios: what vehicles have of their own, by name.
+        vehicles: names of all.
+        portable: how the resolved scenario names a kind.
+        also: other keys that may stand in this table, for messages.
+        keep: keeps a file that the scenario uses; how the resolved scenario names it.
+
+    Returns:
+        The `netsim.channel.Channel`, and the table with everything filled in.
+    """
+    presets = registry.piece("radio presets")
+    for name in radio:
+        if name not in ("preset", *presets.LAYERS):
+            where = table.join(key, name)
+            problem = table.unknown("key", name, ["preset", *also, *presets.LAYERS])
+            raise ScenarioError(problem, key=where, source=source.of(where))
+    preset = radio.get("preset", "ideal")
+    if preset not in presets.PRESETS:
+        where = table.join(key, "preset")
+        raise ScenarioError(table.unknown("preset", str(preset), presets.PRESETS), key=where, source=source.of(where))
+    base, layers, resolved = presets.preset(preset), {}, {"preset": preset}
+    offered = {"sightline": registry.piece("sightline")(boxes)}
+    for name in presets.LAYERS:
+        where, own = table.join(key, name), radio.get(name, {})
+        if not isinstance(own, dict):
+            raise ScenarioError(f"must be a table, not {table.show(own)}", key=where, source=source.of(where))
+        content = _merged(name, base[name], own)
+        file = source.folder / content["file"] if isinstance(content.get("file"), str) else None
+        if file:
+            content = {**content, "file": str(file.resolve())}
+        layers[name], resolved[name] = component.build(
+            name, content, key=where, source=source, portable=portable, offered=offered
+        )
+        if file:
+            resolved[name]["file"] = keep(file)
+        if name == "phy":
+            offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
+    _check_names(layers, vehicles, key, source)
+    return registry.piece("channel")(**layers, radios=radios), resolved
+
+
+def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The preset's table with what is changed of it; another kind has a table of its own."""
+    if own and base["kind"] == "none" and len(registry.KINDS[layer]) == 2:  # it can be left out, or be the one that there is
+        return {"kind": next(iter(registry.KINDS[layer])), **own}
+    return {**base, **own} if own.get("kind", base["kind"]) == base["kind"] else own
+
+
+def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, source: Source) -> None:
+    """Layers that name vehicles must mean those that there are."""
+    for layer in ("trace", "jammer"):
+        for name in layers[layer].names() if layers[layer] else ():
+            if name not in vehicles:
+                where = table.join(key, layer)
+                raise ScenarioError(table.unknown("vehicle", name, vehicles), key=where, source=source.of(where))
+    for expression in layers["script"].unmatched(vehicles) if layers["script"] else ():
+        where = table.join(key, "script.changes")
+        problem = f"links = {expression!r} stands for no link; vehicles: {', '.join(vehicles)}"
+        raise ScenarioError(problem, key=where, source=source.of(where))

@@ -1,0 +1,165 @@
+"""The link budget: from transmitted power to the ratio of signal and noise at every receiver.
+
+::
+
+    level = power + antenna gains - path loss - walls - shadowing + fading
+    SINR  = level / (noise + interference)
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from netsim.error_rate import ErrorRate
+from netsim.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy
+from netsim.noise import ThermalNoise
+from netsim.radios import AT_POSITION, Radio
+
+BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
+"""What made a signal too weak: distance alone, or that and what else was needed."""
+
+
+class Mean(msgspec.Struct, frozen=True):
+    """The mean budget of the links from one radio to n others, (n,) each."""
+
+    paths: Paths
+    power_dbm: Floats  # transmitted, with both antennas
+    sensitivity_dbm: Floats
+    path_loss_db: Floats
+    walls: Ints | None  # how many are crossed; None: there are none in the chain
+    materials: tuple[str, ...] | None  # of the walls that are crossed, e.g. "2 brick, 1 wood"
+    wall_loss_db: Floats | None
+    shadowing_db: Floats | None
+    level_dbm: Floats
+    heard: dict[int, "Heard"]  # what becomes of frames of a size at this very level: filled by `Hearing`
+
+
+class Heard(msgspec.Struct, frozen=True):
+    """How a frame reaches n receivers, (n,) each."""
+
+    snr_db: Floats
+    sinr_db: Floats
+    detected: Bools
+    hazard: Floats | None  # -log(chance that it survives noise and interference); None: it always does
+    weakness: Ints  # where it is not detected: why
+
+
+class Budgets:
+    """Mean budgets, each worked out once per sender and geometry."""
+
+    def __init__(
+        self, path_loss: PathLoss, walls: Any, shadowing: PathLoss | None, phy: Phy, radios: Mapping[str, Radio]
+    ) -> None:
+        self._path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
+        self._phy, self._radios = phy, radios
+        self.start()
+
+    def start(self) -> None:
+        """Forget where everybody is."""
+        self._seed = 0
+        self._names: tuple[str, ...] = ()
+        self._position: Floats | None = None
+        self._antennas = np.zeros((0, 3))
+        self._means: dict[str, Mean] = {}
+
+    def mean(self, links: Links, names: tuple[str, ...], position: Floats) -> Mean:
+        """The budget of the links from one sender.
+
+        Args:
+            links: from it to all others, in the order of ``names``.
+            names: the vehicles.
+            position: where they are, (len(names), 3) m, world; the same array object means the same places.
+        """
+        if position is not self._position or names is not self._names:
+            self._position, self._names, self._seed, self._means = position, names, links.seed, {}
+            heights = np.array([self._of(name).antenna_height_m for name in names])
+            self._antennas = position + np.stack([0.0 * heights, 0.0 * heights, heights], axis=-1)
+        found = self._means.get(links.sender)
+        if found is None:
+            row = names.index(links.sender)
+            paths = Paths.between(self._antennas[row], np.delete(self._antennas, row, axis=0), links.seed)
+            found = self._means[links.sender] = self._work_out(links, paths)
+        return found
+
+    def _work_out(self, links: Links, paths: Paths) -> Mean:
+        sender = self._of(links.sender)
+        receivers = [self._of(name) for name in links.receivers]
+        power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
+        power_dbm = power + sender.antenna_gain_dbi + np.array([each.antenna_gain_dbi for each in receivers])
+        floor = self._phy.sensitivity_dbm
+        sensitivity = [floor if each.sensitivity_dbm is None else each.sensitivity_dbm for each in receivers]
+        path_loss_db = self._path_loss.loss_db(paths)
+        walls = materials = wall_loss_db = shadowing_db = None
+        loss_db = path_loss_db
+        if self._walls is not None:
+            if hasattr(self._walls, "through"):
+                wall_loss_db, walls, materials = self._walls.through(paths)
+            else:
+                wall_loss_db = self._walls.loss_db(paths)
+            loss_db = loss_db + wall_loss_db
+        if self._shadowing is not None:
+            shadowing_db = self._shadowing.loss_db(paths)
+            loss_db = loss_db + shadowing_db
+        level_dbm = power_dbm - loss_db
+        return Mean(
+            paths,
+            power_dbm,
+            np.array(sensitivity, np.float64),
+            path_loss_db,
+            walls,
+            materials,
+            wall_loss_db,
+            shadowing_db,
+            level_dbm,
+            {},
+        )
+
+    def antenna(self, name: str) -> Floats:
+        """Where the antenna of a vehicle is now, (3,) m, world."""
+        place: Floats = self._antennas[self._names.index(name)]
+        return place
+
+    def loss_db(self, tx: Floats, rx: Floats) -> Floats:
+        """Mean loss from any point (3,) to others (n, 3), (n,) dB: path loss, walls and shadowing."""
+        paths = Paths.between(tx, rx, self._seed)
+        return sum((layer.loss_db(paths) for layer in (self._walls, self._shadowing) if layer), self._path_loss.loss_db(paths))
+
+    def _of(self, name: str) -> Radio:
+        return self._radios.get(name, AT_POSITION)
+
+
+class Hearing:
+    """What receivers make of a level."""
+
+    def __init__(self, phy: Phy) -> None:
+        self.noise_dbm: float = getattr(phy, "noise_dbm", ThermalNoise().dbm)
+        self.noise_mw = 10.0 ** (self.noise_dbm / 10.0)
+        self.errors: ErrorRate | None = getattr(phy, "errors", None)
+        self._preamble_db: float = getattr(phy, "preamble_snr_db", -np.inf)
+
+    def hear(self, mean: Mean, level_dbm: Floats, size_bytes: int) -> Heard:
+        """How a frame arrives that has ``level_dbm`` (n,), where nobody else sends."""
+        if level_dbm is not mean.level_dbm:
+            return self.at_sinr(mean, level_dbm, level_dbm - self.noise_dbm, size_bytes)
+        if size_bytes not in mean.heard:
+            mean.heard[size_bytes] = self.at_sinr(mean, level_dbm, level_dbm - self.noise_dbm, size_bytes)
+        return mean.heard[size_bytes]
+
+    def at_sinr(self, mean: Mean, level_dbm: Floats, sinr_db: Floats, size_bytes: int) -> Heard:
+        """How a frame arrives that has a level, and over its whole time a SINR, (n,) each."""
+        detected = (level_dbm >= mean.sensitivity_dbm) & (sinr_db >= self._preamble_db)
+        hazard = None if self.errors is None else self.errors.frame_hazard(sinr_db, size_bytes)
+        return Heard(level_dbm - self.noise_dbm, sinr_db, detected, hazard, self._weakness(mean))
+
+    def _weakness(self, mean: Mean) -> Ints:
+        """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
+        least = np.maximum(mean.sensitivity_dbm, self.noise_dbm + self._preamble_db)
+        level = mean.power_dbm - mean.path_loss_db
+        why = np.where(level >= least, FADING, BELOW_SENSITIVITY)
+        for loss_db, name in ((mean.wall_loss_db, WALLS), (mean.shadowing_db, SHADOWING)):
+            if loss_db is not None:
+                level = level - loss_db
+                why = np.where((why == FADING) & ~(level >= least), name, why)
+        return why

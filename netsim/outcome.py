@@ -1,0 +1,161 @@
+"""From what a radio receives to what arrives: jammers, losses, delays, and the report of it all."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from cosim.types import FrameReport, frozen
+from netsim.budget import Heard, Hearing
+from netsim.delivery import Delivery
+from netsim.draws import DELAY_SLOT, DELIVERY_SLOT, ERROR_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT
+from netsim.layers import Bools, Delay, Floats, Frame, Ints, Loss
+from netsim.medium import Codes, Fate
+from netsim.script import Script
+from netsim.sending import Sent
+from netsim.trace import Trace
+
+RECEIVED = "received"
+UNDER_WAY = "under way"  # when the run ended
+JAMMED = "jammed"
+_FATES = {
+    Fate.RECEIVED: RECEIVED,
+    Fate.UNDETECTED: "",  # see _WEAKNESSES
+    Fate.TRANSMITTING: "receiver transmitting",
+    Fate.COLLISION: "collision",
+    Fate.ERROR: "packet error",
+    Fate.QUEUE_FULL: "queue full",
+    Fate.EXPIRED: "lifetime expired",
+    Fate.BUSY_CHANNEL: "channel busy",
+}
+_WEAKNESSES = ("below sensitivity", "walls", "shadowing", "fading")  # in the order of `netsim.budget`
+_TOO_WEAK = len(_FATES)  # code of the first of them
+_JAMMED = _TOO_WEAK + len(_WEAKNESSES)
+
+
+class OnAir(msgspec.Struct, frozen=True):
+    """What became of a frame on the air."""
+
+    fate: Codes  # (n,) `Fate` at all receivers
+    start_ns: int  # of the last attempt; -1: it was never sent
+    end_ns: int  # of that attempt, or when it was given up
+    received_ns: int  # end of the attempt that was received
+
+
+class Outcomes:
+    """Everything behind the receiver."""
+
+    def __init__(
+        self,
+        hearing: Hearing,
+        loss: Loss,
+        delay: Delay,
+        script: Script | None,
+        trace: Trace | None,
+        delivery: Delivery | None,
+    ) -> None:
+        self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
+        self._losses: list[tuple[Any, int]] = [(loss, LOSS_SLOT)]
+        self._losses += [(script, SCRIPT_SLOT)] if script is not None else []
+        self._losses += [(trace, TRACE_SLOT)] if trace is not None else []
+        causes = [layer.cause for layer, _ in self._losses]
+        causes += [] if delivery is None else [delivery.cause]
+        self._words = (*_FATES.values(), *_WEAKNESSES, JAMMED, *causes)
+
+    def report(self, sent: Sent, heard: Heard, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
+        """What becomes of a frame at every receiver that it is meant for.
+
+        Args:
+            sent: the frame.
+            heard: how it reached all receivers.
+            air: what became of it there.
+            interference_mw: of jammers, (n,).
+        """
+        sender, mean, to = sent.sender, sent.mean, sent.meant
+        frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
+        code = np.where(air.fate == Fate.UNDETECTED, _TOO_WEAK + heard.weakness, air.fate)
+        if interference_mw is not None and air.start_ns >= 0:
+            heard, code = self._jam(sent, heard, code, interference_mw)
+        code = self._lose(sent, frame, code)[to]
+        arrival = np.where(code == 0, self._arrival(sent, frame, air)[to], -1)
+        copy_ns = None
+        if self._delivery is not None:
+            draw, rows = sent.draw(DELIVERY_SLOT), np.delete(np.arange(len(sender.names)), sender.row)[to]
+            arrival, copy_ns = self._delivery.deliver(sender.row, rows, arrival, sent.message.size_bytes, lambda: draw()[to])
+            code = np.where((code == 0) & (arrival < 0), len(self._words) - 1, code)
+        head_ns = max(sent.sent_ns, sender.free_ns)  # when it became the sender's first
+        sender.free_ns = max(sender.free_ns, air.end_ns)
+        on_air = air.start_ns >= 0
+        return FrameReport(
+            frame=sent.frame,
+            sender=sender.links.sender,
+            sent_ns=sent.sent_ns,
+            size_bytes=sent.message.size_bytes,
+            receivers=sender.links.receivers[to],
+            distance_m=frozen(mean.paths.distance_m[to]),
+            rssi_dbm=frozen(sent.level_dbm[to]),
+            received_ns=frozen(arrival),
+            copy_ns=None if copy_ns is None else frozen(copy_ns),
+            outcome=tuple(map(self._words.__getitem__, code.tolist())),
+            air_time_ns=sent.air_ns if on_air else 0,
+            queue_ns=max(0, (head_ns if on_air else air.end_ns) - sent.sent_ns),
+            access_ns=max(0, air.start_ns - head_ns) if on_air else 0,
+            snr_db=frozen(heard.snr_db[to]),
+            sinr_db=frozen(heard.sinr_db[to]),
+            path_loss_db=frozen(mean.path_loss_db[to]),
+            walls=_part(mean.walls, to),
+            wall_materials=None if mean.materials is None else mean.materials[to],
+            wall_loss_db=_part(mean.wall_loss_db, to),
+            shadowing_db=_part(mean.shadowing_db, to),
+            fading_db=_part(sent.fading_db, to),
+        )
+
+    def unfinished(self, sent: Sent, heard: Heard) -> FrameReport:
+        """The report of a frame that was not decided when the run ended."""
+        never = OnAir(np.full(len(sent.level_dbm), Fate.EXPIRED, np.uint8), -1, sent.sent_ns, -1)
+        report = self.report(sent, heard, never)
+        return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
+
+    def _jam(self, sent: Sent, heard: Heard, code: Ints, interference_mw: Floats) -> tuple[Heard, Ints]:
+        """What jammers spoil of a frame that would have been received: over its whole time, at its least SINR."""
+        signal_mw = 10.0 ** (sent.level_dbm / 10.0)
+        sinr_db = -10.0 * np.log10(10.0 ** (-heard.sinr_db / 10.0) + interference_mw / np.maximum(signal_mw, 1e-300))
+        jammed = self._hearing.at_sinr(sent.mean, sent.level_dbm, sinr_db, sent.message.size_bytes)
+        spoilt = ~jammed.detected
+        if jammed.hazard is not None:
+            patience = -np.log1p(-sent.draw(ERROR_SLOT + sent.attempts - 1)()[:, 0])
+            spoilt |= patience <= jammed.hazard
+        return msgspec.structs.replace(heard, sinr_db=sinr_db), np.where((code == 0) & spoilt, _JAMMED, code)
+
+    def _lose(self, sent: Sent, frame: Frame, code: Ints) -> Ints:
+        decided = self._told(frame, "loss") if frame.start_ns >= 0 else None  # by a trace, whatever the models say
+        if decided is not None:
+            code = np.where(decided, Fate.RECEIVED, code)
+        for index, (layer, slot) in enumerate(self._losses):
+            lost = layer.lost(frame, sent.draw(slot))
+            if decided is not None and slot == LOSS_SLOT:
+                lost = lost & ~decided
+            code = np.where((code == 0) & lost, _JAMMED + 1 + index, code)
+        return code
+
+    def _arrival(self, sent: Sent, frame: Frame, air: OnAir) -> Ints:
+        """When the frame arrives where it is not lost, (n,) ns."""
+        draw = sent.draw(DELAY_SLOT)
+        delay_ns = self._delay.delay_ns(frame, draw)
+        told = self._told(frame, "delay_s")
+        if told is not None and self._trace is not None:
+            delay_ns = np.where(told, self._trace.delay_ns(frame, draw), delay_ns)
+        arrival: Ints = np.maximum(sent.sent_ns + delay_ns, air.received_ns)
+        if self._script is not None:
+            arrival = arrival + self._script.delay_ns(frame, draw) - (frame.end_ns - frame.sent_ns)
+        return arrival
+
+    def _told(self, frame: Frame, quantity: str) -> Bools | None:
+        """For which receivers a trace has this quantity."""
+        if self._trace is None or quantity not in self._trace.columns:
+            return None
+        return self._trace.traced(frame)
+
+
+def _part(values: Any, to: slice) -> Any:
+    return None if values is None else frozen(values[to])

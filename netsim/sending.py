@@ -1,0 +1,60 @@
+"""Senders, and messages on their way."""
+
+import msgspec
+
+from cosim.types import Message
+from netsim.budget import Mean
+from netsim.draws import LinkDraws
+from netsim.layers import Draw, Floats, Frame, Links
+
+
+class Sender:
+    """What a transmitter remembers from frame to frame."""
+
+    links: Links
+    draws: LinkDraws
+    row: int  # among the vehicles
+
+    def __init__(self) -> None:
+        self.names: tuple[str, ...] = ()  # the vehicles among whom it is
+        self.frames = 0  # sent so far: the number that its draws go by, whatever others send
+        self.free_ns = 0  # when its last frame was decided
+
+    def meet(self, links: Links, names: tuple[str, ...]) -> None:
+        """From now on it has these links, to all other vehicles."""
+        self.links, self.names, self.row = links, names, names.index(links.sender)
+        self.draws = LinkDraws(links)
+
+    def meant(self, to: str | None) -> slice:
+        """Which of its receivers a message to ``to`` is meant for; None: all."""
+        if to is None:
+            return slice(None)
+        if to not in self.links.receivers:
+            raise ValueError(f"a message is addressed to {to!r}; possible: {', '.join(self.links.receivers) or 'none'}")
+        place = self.links.receivers.index(to)
+        return slice(place, place + 1)
+
+
+class Sent(msgspec.Struct):
+    """A message on its way."""
+
+    frame: int  # its number in the channel
+    sender: Sender
+    number: int  # its number among those of its sender
+    message: Message
+    meant: slice  # for which receivers
+    sent_ns: int  # handed to the radio
+    air_ns: int
+    mean: Mean
+    level_dbm: Floats  # (n,) at all receivers, of the last attempt to send it
+    fading_db: Floats | None = None
+    attempts: int = 1  # so far
+
+    def frame_at(self, start_ns: int, end_ns: int, level_dbm: Floats) -> Frame:
+        """The frame as layers are shown it."""
+        size = self.message.size_bytes
+        return Frame(self.sent_ns, start_ns, end_ns, size, self.mean.paths, level_dbm, self.sender.links)
+
+    def draw(self, slot: int) -> Draw:
+        """The draws of one layer."""
+        return lambda: self.sender.draws.uniform(self.number, slot)
