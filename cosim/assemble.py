@@ -119,26 +119,12 @@ class Assembly:
         return world.build()
 
     def _build_radio(self, world: Any) -> Federate:
-        radios = {each.name: self._vehicle_radio(each) for each in self._scenario.vehicle}
-        federate: Any = registry.piece("radio")
-        own = {name: value for name, value in self._scenario.radio.items() if name in table.parameters(federate)}
-        channel, resolved = radio.build(
-            {name: value for name, value in self._scenario.radio.items() if name not in own},
-            self._source,
-            boxes=world.boxes,
-            radios=radios,
-            vehicles=[each.name for each in self._scenario.vehicle],
-            portable=self._resolution.portable,
-            keep=self._resolution.keep,
-            also=[name for name in table.parameters(federate) if name != "channel"],
+        built = radio.of_scenario(
+            self._scenario, self._source, boxes=world.boxes, portable=self._resolution.portable, keep=self._resolution.keep
         )
-        self._resolution.tables["radio"] = {**table.complete(federate, own, without=("channel",)), **resolved}
-        built: Federate = table.call(federate, own, key="radio", origin=self._source, given={"channel": channel})
-        return built
-
-    def _vehicle_radio(self, vehicle: VehicleTable) -> Any:
-        key = f"vehicle.{vehicle.name}.radio"
-        return table.call(registry.piece("vehicle radio"), vehicle.radio, key=key, origin=self._source)
+        self._resolution.tables["radio"] = built.resolved
+        federate: Federate = built.federate
+        return federate
 
     def _build_physics(self, world: Any) -> Any:
         specs = [self._vehicle_spec(each) for each in self._scenario.vehicle]

@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.cli_explain import radio_command
+from cosim.cli_radio import register
 from cosim.errors import Interrupted, UsageError, VcmvspError
 
 app = typer.Typer(
@@ -180,6 +182,10 @@ def doctor_command() -> None:
     from cosim.doctor import examine
 
     raise SystemExit(examine())
+
+
+app.command("radio")(radio_command)
+register(app)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -4,9 +4,38 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from cosim import component, registry, table
 from cosim.errors import ScenarioError
-from cosim.scenario import Source
+from cosim.scenario import Scenario, Source
+
+
+class Built(msgspec.Struct, frozen=True):
+    """The radio of a scenario."""
+
+    federate: Any  # `netsim.federate.RadioFederate`
+    channel: Any  # `netsim.channel.Channel`
+    radios: Mapping[str, Any]  # `netsim.radios.Radio`, by vehicle
+    resolved: dict[str, Any]  # ``[radio]`` with everything filled in
+
+
+def of_scenario(
+    scenario: Scenario, source: Source, *, boxes: Any, portable: component.Portable = str, keep: Callable[[Path], str] = str
+) -> Built:
+    """Build the radio of a scenario; arguments as for `build`."""
+    kind, federate = registry.piece("vehicle radio"), registry.piece("radio")
+    radios = {
+        each.name: table.call(kind, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle
+    }
+    keys = [name for name in table.parameters(federate) if name != "channel"]
+    own = {name: value for name, value in scenario.radio.items() if name in keys}
+    layers = {name: value for name, value in scenario.radio.items() if name not in keys}
+    channel, resolved = build(
+        layers, source, boxes=boxes, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
+    )
+    built = table.call(federate, own, key="radio", origin=source, given={"channel": channel})
+    return Built(built, channel, radios, {**table.complete(federate, own, without=("channel",)), **resolved})
 
 
 def build(

@@ -52,6 +52,7 @@ PIECES: Mapping[str, str] = {
     "radio paths": "netsim.layers:Paths",
     "radio frame": "netsim.layers:Frame",
     "radio links": "netsim.layers:Links",
+    "coverage": "netsim.coverage",
     "vehicle radio": "netsim.radios:Radio",
     "sightline": "physics.sightline:Sightline",
 }

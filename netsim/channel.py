@@ -30,7 +30,6 @@ from netsim.sending import Sender, Sent
 from netsim.trace import Trace
 
 _SURE = 2.0**-54  # a hazard that no draw is below, but for 0
-_FAINT = 1e-30  # a ratio of powers, so that none is zero in dB
 
 
 class Channel:
@@ -62,7 +61,7 @@ class Channel:
         self.phy, self.mac = phy, mac or Ideal()
         self.budgets = Budgets(path_loss, walls, shadowing, phy, dict(radios or {}))
         self.hearing = Hearing(phy)
-        self._fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
+        self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
         self._varies = any(layer is not None for layer in (fading, script, trace))  # levels, from attempt to attempt
         self._outcomes = Outcomes(self.hearing, loss, delay, script, trace, delivery)
         self.start(seed=0)
@@ -162,9 +161,9 @@ class Channel:
             return self._judge(sent)
         frame = sent.frame_at(start_ns, start_ns + sent.air_ns, sent.mean.level_dbm)
         level_dbm = sent.mean.level_dbm
-        if self._fading is not None:
+        if self.fading is not None:
             slot = RETRY_FADING_SLOT + sent.attempts if sent.attempts > 1 else FADING_SLOT
-            sent.fading_db = self._fading.gain_db(frame, sent.draw(slot))
+            sent.fading_db = self.fading.gain_db(frame, sent.draw(slot))
             level_dbm = level_dbm + sent.fading_db
         if self._trace is not None:
             traced_dbm = self._trace.level_dbm(frame)
@@ -207,7 +206,8 @@ class Channel:
         heard = self._judge(sent)
         if decided.attempts:
             least_sinr = np.delete(decided.least_sinr, sent.sender.row)
-            heard = msgspec.structs.replace(heard, sinr_db=10.0 * np.log10(np.maximum(least_sinr, _FAINT)))
+            least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
+            heard = msgspec.structs.replace(heard, sinr_db=10.0 * np.log10(least_sinr))
         fate = np.delete(decided.fate, sent.sender.row)
         return self._report(sent, heard, OnAir(fate, decided.start_ns, decided.end_ns, decided.received_ns))
 

@@ -166,8 +166,8 @@ def radio_metrics(radio: pa.Table, ages: Array, end_ns: int) -> dict[str, Any]:
     """
     outcomes, code = names_of(radio, "outcome")
     counts = dict(zip(outcomes, np.bincount(code, minlength=len(outcomes)).tolist(), strict=True))
-    under_way = int((numbers(radio, "received_ns", null=-1) > end_ns).sum())
-    receptions, decided = counts.get("received", 0) - under_way, radio.num_rows - under_way
+    late = int((numbers(radio, "received_ns", null=-1) > end_ns).sum())
+    receptions, decided = counts.get("received", 0) - late, radio.num_rows - late - counts.pop("under way", 0)
     delays = numbers(radio, "delay_ns", null=-1)
     delays = delays[(delays >= 0) & (numbers(radio, "received_ns", null=-1) <= end_ns)] / SECOND_NS
     return {
