@@ -114,7 +114,7 @@ class Channel:
         start_ns = max(sent_ns + handover_ns, sender.free_ns)
         heard = self._hear(sent, start_ns)
         end_ns = start_ns + air_ns
-        return [self._report(sent, heard, OnAir(self._endure(sent, heard), start_ns, end_ns, end_ns))]
+        return [self._report(sent, heard, OnAir(self._endure(sent, heard), start_ns, end_ns))]
 
     def advance(self, until_ns: int) -> list[FrameReport]:
         """Report all frames whose fate is decided up to ``until_ns``."""
@@ -209,7 +209,7 @@ class Channel:
             least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
             heard = msgspec.structs.replace(heard, sinr_db=10.0 * np.log10(least_sinr))
         fate = np.delete(decided.fate, sent.sender.row)
-        return self._report(sent, heard, OnAir(fate, decided.start_ns, decided.end_ns, decided.received_ns))
+        return self._report(sent, heard, OnAir(fate, decided.start_ns, decided.end_ns))
 
     def _report(self, sent: Sent, heard: Heard, air: OnAir) -> FrameReport:
         interference_mw = None

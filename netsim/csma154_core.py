@@ -87,6 +87,8 @@ class Network:
 
     def next_ns(self) -> int | None:
         """No frame is decided earlier; whether one is by then depends on who finds the air busy meanwhile."""
+        if not self._waiting:
+            return None
         soonest = min(self._soonest.values(), default=None)
         if self._offers:
             offered_ns = self._offers[0].time_ns
@@ -210,8 +212,9 @@ class Network:
         assert frame is not None  # noqa: S101 -- it has just been sent
         radio.last = flight, fate
         received = frame.to >= 0 and fate[frame.to] == Fate.RECEIVED
-        if received and radio.received_ns < 0:
+        if frame.to < 0 or (received and radio.received_ns < 0):
             radio.received_ns = now_ns
+            self._decide(Decided(frame.number, flight.start_ns, now_ns, radio.attempts, fate, flight.least_sinr))
         if frame.to < 0 or not self._rules.acknowledge:
             self._finish(now_ns, radio)
             return
@@ -222,7 +225,7 @@ class Network:
             self._acknowledge(now_ns, self._radios[frame.to], radio)
 
     def _finish(self, now_ns: int, radio: Radio) -> None:
-        """The frame is done with: decide it, and rest."""
+        """The frame is done with: rest."""
         ifs_ns = SIFS_NS if radio.air_ns <= SHORT_NS else LIFS_NS
         self._give_up(now_ns, radio)
         self._rest(radio, now_ns + ifs_ns)
@@ -275,23 +278,20 @@ class Network:
     # Decisions
 
     def _give_up(self, now_ns: int, radio: Radio) -> None:
-        """Decide the frame the radio is at by what its attempts have come to."""
+        """The radio is done with its frame: decide it, unless it has been received, by what its last attempt has come to."""
         frame, last = radio.frame, radio.last
         assert frame is not None  # noqa: S101 -- it is at one
         radio.frame = None
         self._soonest.pop(radio.row, None)
         if last is None:
             self._never(now_ns, frame, Fate.BUSY_CHANNEL)
-            return
-        flight, fate = last
-        if radio.received_ns >= 0:
-            fate[frame.to] = Fate.RECEIVED
-        received_ns = now_ns if frame.to < 0 else radio.received_ns
-        self._decide(Decided(frame.number, flight.start_ns, now_ns, radio.attempts, fate, received_ns, flight.least_sinr))
+        elif radio.received_ns < 0:
+            flight, fate = last
+            self._decide(Decided(frame.number, flight.start_ns, now_ns, radio.attempts, fate, flight.least_sinr))
 
     def _never(self, now_ns: int, frame: Offered, fate: Fate) -> None:
         count = len(self._radios)
-        self._decide(Decided(frame.number, -1, now_ns, 0, np.full(count, fate, np.uint8), -1, np.full(count, np.nan)))
+        self._decide(Decided(frame.number, -1, now_ns, 0, np.full(count, fate, np.uint8), np.full(count, np.nan)))
 
     def _decide(self, decided: Decided) -> None:
         del self._waiting[decided.number]

@@ -48,7 +48,7 @@ class Radio:
         self.attempts = 0  # on the air
         self.flight: Flight | None = None  # on the air
         self.last: tuple[Flight, Codes] | None = None  # attempt, and its fate
-        self.received_ns = -1  # of a unicast frame: end of the attempt in which it was first received
+        self.received_ns = -1  # of a unicast frame: when it was received; of any other, when it was sent
         self.answers: tuple[int, int] | None = None  # row and frame that it acknowledges now
         self._key = key  # (1,)
         self._windows = 2.0 ** np.minimum(rules.min_be + np.arange(rules.max_backoffs + 1), rules.max_be)

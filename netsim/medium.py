@@ -50,14 +50,17 @@ class Offered(msgspec.Struct, frozen=True):
 
 
 class Decided(msgspec.Struct, frozen=True):
-    """What became of a frame."""
+    """What became of a frame.
+
+    A unicast frame is decided when it is received, even if its sender does not hear the acknowledgement and tries again; or when
+    it is given up.
+    """
 
     number: int
     start_ns: int  # began on the air (its last attempt); -1: never
     end_ns: int  # was decided: end of that attempt, or when it was given up
     attempts: int
-    fate: Codes  # (n,) `Fate`; of a unicast frame the best over all attempts, at the row it is meant for
-    received_ns: int  # end of the attempt in which a unicast frame was received; of a broadcast: end_ns
+    fate: Codes  # (n,) `Fate`; of a unicast frame at the row it is meant for
     least_sinr: Floats  # (n,) ratio of powers, the least while it was on the air (its last attempt)
 
 

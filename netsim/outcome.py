@@ -39,7 +39,6 @@ class OnAir(msgspec.Struct, frozen=True):
     fate: Codes  # (n,) `Fate` at all receivers
     start_ns: int  # of the last attempt; -1: it was never sent
     end_ns: int  # of that attempt, or when it was given up
-    received_ns: int  # end of the attempt that was received
 
 
 class Outcomes:
@@ -112,7 +111,7 @@ class Outcomes:
 
     def unfinished(self, sent: Sent, heard: Heard) -> FrameReport:
         """The report of a frame that was not decided when the run ended."""
-        never = OnAir(np.full(len(sent.level_dbm), Fate.EXPIRED, np.uint8), -1, sent.sent_ns, -1)
+        never = OnAir(np.full(len(sent.level_dbm), Fate.EXPIRED, np.uint8), -1, sent.sent_ns)
         report = self.report(sent, heard, never)
         return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
 
@@ -145,7 +144,7 @@ class Outcomes:
         told = self._told(frame, "delay_s")
         if told is not None and self._trace is not None:
             delay_ns = np.where(told, self._trace.delay_ns(frame, draw), delay_ns)
-        arrival: Ints = np.maximum(sent.sent_ns + delay_ns, air.received_ns)
+        arrival: Ints = np.maximum(sent.sent_ns + delay_ns, air.end_ns)
         if self._script is not None:
             arrival = arrival + self._script.delay_ns(frame, draw) - (frame.end_ns - frame.sent_ns)
         return arrival

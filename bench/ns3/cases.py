@@ -1,0 +1,105 @@
+"""The scenarios in which both simulators are compared."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.ns3.program import Floats
+
+SIZE = 100  # bytes of payload
+REFERENCE_LOSS_DB = {"b": 40.052, "g": 40.052, "a": 46.684}  # at 1 m: of the presets wifi-b, wifi-g, wifi-a
+_UNLOADED_MS = {"b-1": 1.33, "b-11": 0.341, "g-6": 0.264, "g-54": 0.1, "a-6": 0.242, "a-54": 0.078}
+
+
+@dataclass(frozen=True)
+class Case:
+    """n nodes at random in a square, each sending periodically with a random phase (or, saturated, all the time).
+
+    Phases hold for a whole run: how often two nodes meet is drawn once a seed. Therefore many short runs.
+    """
+
+    phy: str  # "b-1": the preset is wifi-b-1
+    nodes: int
+    hz: float
+    side_m: float = 200.0
+    exponent: float = 2.0  # in 200 m: everybody hears everybody
+    nakagami: float = 0.0  # m; 0: no fading
+    errors: str = "table"  # packet errors of OFDM: ns-3's default, or yans, nist
+    unicast: bool = False  # to the next node instead of to all
+    saturated: bool = False
+    duration_s: float = 1.0  # what is sent in this time counts
+    warmup_s: float = 0.3
+    drain_s: float = 0.3
+    seeds: int = 20
+
+    @property
+    def name(self) -> str:
+        """Short, and unique."""
+        load = "saturated" if self.saturated else f"{self.hz:g}Hz"
+        more = f"-{self.side_m:g}m-n{self.exponent:g}" if (self.side_m, self.exponent) != (200.0, 2.0) else ""
+        fading = f"-m{self.nakagami:g}" if self.nakagami else ""
+        errors = f"-{self.errors}" if self.errors != "table" else ""
+        return f"{self.phy}-N{self.nodes}-{load}{more}{fading}{errors}{'-unicast' if self.unicast else ''}"
+
+    @property
+    def hidden(self) -> bool:
+        """Some do not hear each other."""
+        return (self.side_m, self.exponent) != (200.0, 2.0)
+
+    @property
+    def positions(self) -> Floats:
+        """(n, 3) m, the same for every seed; written with three decimals."""
+        places = np.random.default_rng(self.nodes).uniform(0.0, self.side_m, (self.nodes, 3)).round(3)
+        places[:, 2] = 0.0
+        return places
+
+    def ns3(self, seed: int) -> dict[str, str | float]:
+        """The options of ``wifi.cc``."""
+        standard, rate = self.phy.split("-")
+        options: dict[str, str | float] = {
+            "standard": standard,
+            "rate": rate,
+            "hz": self.hz,
+            "size": SIZE,
+            "exponent": self.exponent,
+            "reference-loss": REFERENCE_LOSS_DB[standard],
+            "duration": self.duration_s,
+            "warmup": self.warmup_s,
+            "drain": self.drain_s,
+            "seed": seed,
+        }
+        if self.errors != "table":
+            options["error-model"] = self.errors
+        if self.nakagami:
+            options |= {"fading": "nakagami", "m": self.nakagami}
+        flags = {"unicast": self.unicast, "saturated": self.saturated}
+        return options | {name: 1 for name, holds in flags.items() if holds}
+
+
+def square(phy: str, nodes: int, hz: float) -> Case:
+    """One collision domain; with enough runs for some 20 000 frames, or eight that reach a steady state under overload."""
+    if nodes * hz * _UNLOADED_MS[phy] / 1000.0 > 0.9:
+        return Case(phy, nodes, hz, duration_s=1.0, warmup_s=1.0, drain_s=0.6, seeds=8)
+    duration_s = max(2.0 / hz, min(5.0, 20_000 / (nodes * hz * 20)))
+    return Case(phy, nodes, hz, duration_s=duration_s, seeds=60 if nodes <= 10 else 20)
+
+
+PHYS = ("b-1", "b-11", "g-6", "g-54", "a-6")
+SQUARES = tuple(square(phy, n, hz) for phy in PHYS for n in (3, 10, 50, 100) for hz in (10, 50, 100))
+WIDE = (
+    *(Case(phy, n, 10, side_m=600.0, exponent=3.0, duration_s=2.0, seeds=10) for phy in PHYS for n in (50, 100)),
+    *(Case(phy, 50, 50, side_m=600.0, exponent=3.0, seeds=10) for phy in ("b-1", "g-6")),
+    Case("b-1", 50, 10, side_m=600.0, exponent=3.0, nakagami=1.0, seeds=10),
+    Case("g-6", 50, 10, side_m=600.0, exponent=3.0, nakagami=3.0, seeds=10),
+    *(
+        Case("g-54", 100, 10, side_m=600.0, exponent=3.0, errors=errors, duration_s=2.0, seeds=10)
+        for errors in ("yans", "nist")
+    ),
+)
+UNICAST = (
+    *(Case(phy, n, 0, unicast=True, saturated=True, seeds=5) for phy in PHYS for n in (2, 5, 10, 20)),
+    Case("g-54", 20, 0, unicast=True, saturated=True, errors="yans", seeds=5),
+    *(Case(phy, 10, 20, unicast=True, seeds=20) for phy in ("b-11", "g-6")),
+    *(Case(phy, n, 0, saturated=True, duration_s=3.0, seeds=40 // n + 4) for phy in ("b-1", "g-6") for n in (2, 5, 20)),
+)
+CASES = (*SQUARES, *WIDE, *UNICAST)

@@ -1,0 +1,121 @@
+"""Our contention core by itself, fed with the very frames that ns-3 was: the same places, the same times, other backoffs."""
+
+import time
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from msgspec import convert
+
+from bench.ns3 import program
+from bench.ns3.cases import REFERENCE_LOSS_DB, SIZE, Case
+from bench.ns3.program import Floats, Frames
+from bench.ns3.sample import Sample, tally
+from cosim.clock import SECOND_NS
+from cosim.rng import key64
+from netsim.dcf import Dcf
+from netsim.medium import Decided, Fate, Medium, Offered
+from netsim.phy import Dsss
+from netsim.phy_ofdm import Ofdm
+
+ErrorModel = Literal["table", "yans", "nist"]
+
+QUEUED = 3  # of ``wifi.cc`` when saturated
+REFILL_NS = 50_000
+
+
+def core(case: Case, seed: int) -> Sample:
+    """One run of `netsim.dcf`."""
+    positions = case.positions
+    n, air = len(positions), _Air(case, seed)
+    medium = Dcf().open(air.phy, n, np.array([key64(seed, f"radio{i}") for i in range(n)], np.uint64), air.noise_mw)
+    heard = getattr(medium, "levels", None)
+    if heard is not None:
+        heard[:] = air.mean_mw
+    begin = time.process_time()
+    decided = list(_saturated(case, air, medium) if case.saturated else _periodic(case, seed, air, medium))
+    cpu_s = time.process_time() - begin
+    return tally(positions, air.frames(decided, n, case), cpu_s)
+
+
+class _Air:
+    """Levels and draws of every frame."""
+
+    def __init__(self, case: Case, seed: int) -> None:
+        standard, rate = case.phy.split("-")
+        self.phy = _phy(standard, float(rate) * 1e6, case.errors)
+        self.noise_mw = 10.0 ** (self.phy.noise_dbm / 10.0)
+        distance = np.linalg.norm(case.positions[:, None] - case.positions[None], axis=2)
+        loss_db = REFERENCE_LOSS_DB[standard] + 10.0 * case.exponent * np.log10(np.maximum(distance, 1.0))
+        self.mean_mw: Floats = 10.0 ** ((self.phy.tx_power_dbm - loss_db) / 10.0)
+        np.fill_diagonal(self.mean_mw, 0.0)
+        self._m, self._random, self._offered = case.nakagami, np.random.default_rng(seed), list[Offered]()
+
+    def frame(self, sender: int, to: int, time_ns: int) -> Offered:
+        """The next one."""
+        number = len(self._offered)
+        power, patience = self._levels(sender)
+        frame = Offered(number, time_ns, sender, to, SIZE, 0, power, patience, lambda _attempt, _start: self._levels(sender))
+        self._offered.append(frame)
+        return frame
+
+    def sender(self, number: int) -> int:
+        """Of a frame."""
+        return self._offered[number].sender
+
+    def _levels(self, sender: int) -> tuple[Floats, Floats]:
+        level = self.mean_mw[sender]
+        if self._m:
+            level = level * self._random.gamma(self._m, 1.0 / self._m, len(level))
+        return level, self._random.exponential(size=len(level))
+
+    def frames(self, decided: list[Decided], n: int, case: Case) -> Frames:
+        """What became of those that count."""
+        begin_ns = round(case.warmup_s * SECOND_NS)
+        end_ns = begin_ns + round(case.duration_s * SECOND_NS)
+        pairs = [(self._offered[each.number], each) for each in decided]
+        pairs = [(frame, each) for frame, each in pairs if begin_ns <= frame.time_ns < end_ns]
+        delay_ns = np.full((len(pairs), n), -1, np.int32)
+        for row, (frame, each) in enumerate(pairs):
+            delay_ns[row, each.fate == Fate.RECEIVED] = each.end_ns - frame.time_ns
+
+        sender, to, sent_ns = (np.array([getattr(frame, name) for frame, _ in pairs]) for name in ("sender", "to", "time_ns"))
+        start_ns, attempts = (np.array([getattr(each, name) for _, each in pairs]) for name in ("start_ns", "attempts"))
+        return Frames(sender, to, sent_ns, start_ns, attempts, delay_ns)
+
+
+def _phy(standard: str, bps: float, errors: str) -> Dsss | Ofdm:
+    if standard == "b":
+        return Dsss(rate_bps=bps)
+    return Ofdm(rate_bps=bps, band="5GHz" if standard == "a" else "2.4GHz", error_model=convert(errors, ErrorModel))
+
+
+def _to(case: Case, sender: int) -> int:
+    return (sender + 1) % case.nodes if case.unicast else -1
+
+
+def _periodic(case: Case, seed: int, air: _Air, medium: Medium) -> Iterator[Decided]:
+    """The times of ns-3, before and after the measured time too."""
+    frames = program.run(case.positions, case.ns3(seed)).frames
+    period_ns = round(SECOND_NS / case.hz)
+    until_ns = round((case.warmup_s + case.duration_s + case.drain_s) * SECOND_NS)
+    arrivals: list[tuple[int, int]] = []
+    for sender in range(case.nodes):
+        phase = int(frames.sent_ns[frames.sender == sender][0]) % period_ns
+        arrivals += [(at, sender) for at in range(phase, until_ns, period_ns)]
+    for at, sender in sorted(arrivals):
+        medium.offer(air.frame(sender, _to(case, sender), at))
+    yield from medium.advance(until_ns)
+
+
+def _saturated(case: Case, air: _Air, medium: Medium) -> Iterator[Decided]:
+    """Every frame that has been dealt with makes room for the next."""
+    until_ns = round((case.warmup_s + case.duration_s + case.drain_s) * SECOND_NS)
+    for sender in range(case.nodes):
+        for _ in range(QUEUED):
+            medium.offer(air.frame(sender, _to(case, sender), 1_000 * sender))
+    for now in range(REFILL_NS, until_ns, REFILL_NS):
+        for each in medium.advance(now):
+            yield each
+            sender = air.sender(each.number)
+            medium.offer(air.frame(sender, _to(case, sender), now))

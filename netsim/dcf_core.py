@@ -1,0 +1,280 @@
+"""The distributed coordination function (IEEE 802.11-2016, 10.3.4): who sends when, event by event.
+
+After ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``): a backoff counts whole slots from DIFS behind the
+end of the last busy time, stands still while the medium is busy, and is drawn anew after every transmission, whether another
+frame waits or not. A frame that finds the medium idle and no backoff left waits DIFS from then on.
+
+Written for NumPy and for compilation alike, see `netsim.compiled`: what changes is in the arrays of a `State`.
+"""
+
+import numpy as np
+
+from netsim.dcf_air import detect, put_on_air, take_off_air
+from netsim.dcf_queue import decide, enqueue, expire, insert, leave
+from netsim.dcf_state import (
+    ACK,
+    ARRIVED,
+    BROADCAST,
+    DECIDED,
+    NEVER,
+    NOBODY,
+    OFFERED,
+    ON_AIR,
+    QUEUE_FULL,
+    RECEIVED,
+    SCARCE,
+    UNICAST,
+    WANTED,
+    Rules,
+    State,
+)
+from netsim.layers import Ints
+
+# Why `run` comes back.
+DONE, LEVELS, DRAWS, OUTPUT = 0, 1, 2, 3
+
+# What happens. The first three stand in `State.due`, (3 n,), in this order.
+START, ANSWER, TIMEOUT, DETECT, END, ARRIVE = range(6)
+
+
+def run(s: State, rules: Rules, until: int) -> int:
+    """Everything that happens up to and including ``until``; or as far as it can, and why it cannot go on."""
+    while True:
+        if s.counts[SCARCE]:
+            return DRAWS
+        if s.counts[DECIDED] == len(s.out_frame):  # every event decides one frame at most
+            return OUTPUT
+        what, who, now = upcoming(s, rules)
+        if now > until:
+            return DONE
+        if what == DETECT:
+            sense(s, rules, detect(s, rules, who), now)
+        elif what == END:
+            finish(s, rules, who, now)
+        elif what == ARRIVE:
+            arrive(s, rules, who, now)
+        elif not begin(s, rules, what, who, now):
+            return LEVELS
+
+
+def upcoming(s: State, rules: Rules) -> tuple[int, int, int]:
+    """What happens next, to which radio (or frame, if it arrives), and when.
+
+    Of what happens at the same time, ends come first, then starts, then detections, then arrivals.
+    """
+    what, who, when = ARRIVE, s.air[0], NEVER
+    if s.counts[ARRIVED] < s.counts[OFFERED]:
+        who = s.arrivals[s.counts[ARRIVED]]
+        when = s.offered_ns[who]
+    end = NEVER
+    ends = s.air[0]
+    for at in range(s.counts[ON_AIR]):
+        i = s.air[at]
+        if what != DETECT and not s.detected[i] and s.start_ns[i] + rules.detect_ns <= when:  # of these the first to start
+            what, who, when = DETECT, i, s.start_ns[i] + rules.detect_ns
+        if s.end_ns[i] < end:
+            ends, end = i, s.end_ns[i]
+    first = int(s.due.argmin())
+    if s.due[first] <= when:
+        what, who, when = first // len(s.lock), first % len(s.lock), s.due[first]
+    if end <= when:
+        what, who, when = END, ends, end
+    return what, who, when
+
+
+# --- backoff ---
+
+
+def sense(s: State, rules: Rules, busy: Ints, now: int) -> None:
+    """All radios know that the medium is busy until some time, (n,): backoffs stand still, and what is due moves."""
+    n = len(s.lock)
+    begun = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
+    counted = np.minimum(np.maximum(now - begun, 0) // rules.slot_ns, s.slots)
+    s.counting_ns[:] = np.where(begun <= now, begun + counted * rules.slot_ns, s.counting_ns)
+    s.slots[:] = s.slots - counted
+    s.idle_ns[:] = np.maximum(s.idle_ns, busy)
+    resumed = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
+    s.due[:n] = np.where(s.due[:n] < NEVER, resumed + s.slots * rules.slot_ns, NEVER)
+
+
+def count_down(s: State, rules: Rules, i: int, now: int) -> None:
+    """The same for one radio: the slots that have passed."""
+    begun = max(s.counting_ns[i], max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
+    if begun <= now:
+        counted = min((now - begun) // rules.slot_ns, s.slots[i])
+        s.counting_ns[i] = begun + counted * rules.slot_ns
+        s.slots[i] -= counted
+
+
+def request(s: State, rules: Rules, i: int) -> None:
+    """Radio i wants to send, as soon as its backoff is over."""
+    begun = max(s.counting_ns[i], max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
+    s.due[i] = begun + s.slots[i] * rules.slot_ns
+
+
+def draw(s: State, i: int) -> int:
+    """Place of the next draw of radio i in store."""
+    place = int(s.drawn[i] - s.store[i])
+    s.drawn[i] += 1
+    if place + 1 == s.backoff.shape[1]:
+        s.counts[SCARCE] = 1
+    return place
+
+
+def back_off(s: State, i: int, counting_ns: int) -> None:
+    """Radio i draws a new backoff, which counts from a time on, if the medium is idle."""
+    s.slots[i] = int(s.backoff[i, draw(s, i)] * (s.window[i] + 1))
+    s.counting_ns[i] = counting_ns
+
+
+def release(s: State, rules: Rules, i: int, counting_ns: int) -> None:
+    """Radio i has done with a frame, or with an attempt; its new backoff counts from a time on."""
+    s.sending[i] = NOBODY
+    s.due[i] = NEVER
+    back_off(s, i, counting_ns)
+    if s.head[i] != NOBODY:
+        request(s, rules, i)
+
+
+# --- queue ---
+
+
+def arrive(s: State, rules: Rules, f: int, now: int) -> None:
+    """A frame comes to its sender's queue; if one that waits there has expired, that one leaves it first."""
+    i = s.sender[f]
+    if expire(s, rules, i, now):
+        return
+    s.counts[ARRIVED] += 1
+    kept = s.sending[i] != NOBODY and s.to[s.sending[i]] != NOBODY  # until it is acknowledged
+    if s.waiting[i] + kept >= rules.queue_frames:
+        decide(s, f, now, QUEUE_FULL)
+        return
+    enqueue(s, i, f)
+    if s.sending[i] == NOBODY and s.due[i] == NEVER:
+        count_down(s, rules, i, now)
+        if s.slots[i] == 0:
+            if s.idle_ns[i] > now:
+                back_off(s, i, now)
+            else:
+                s.counting_ns[i] = now + rules.difs_ns
+        request(s, rules, i)
+
+
+# --- sending ---
+
+
+def begin(s: State, rules: Rules, what: int, i: int, now: int) -> bool:
+    """What was due of radio i; False: levels are needed first."""
+    if what == START:
+        return start(s, rules, i, now)
+    if what == ANSWER:
+        acknowledge(s, rules, i, now)
+    else:
+        give_up(s, rules, i, now)
+    return True
+
+
+def start(s: State, rules: Rules, i: int, now: int) -> bool:
+    """Radio i sends its first frame; False: its levels are needed."""
+    if expire(s, rules, i, now):
+        if s.head[i] == NOBODY:
+            release(s, rules, i, now)
+        return True
+    f = s.head[i]
+    if f == NOBODY:  # all expired while it waited
+        release(s, rules, i, now)
+        return True
+    if s.attempts[f] == 0 and s.row[f] != NOBODY:
+        s.level[i] = s.levels[s.row[f]]
+        s.patience[i] = s.patiences[s.row[f]]
+    elif s.placed[i] != f:
+        s.counts[WANTED] = f
+        return False
+    s.placed[i] = NOBODY
+    s.heard[i] = s.level[i]
+    s.sending[i] = leave(s, i)
+    s.attempts[f] += 1
+    s.began_ns[f] = now
+    s.kind[i] = BROADCAST if s.to[f] == NOBODY else UNICAST
+    s.payload_bits_per_ns[i] = s.frame_bits[f] / (s.air_ns[f] - rules.header_end_ns)
+    s.due[i] = NEVER
+    send(s, rules, i, now, s.air_ns[f])
+    return True
+
+
+def send(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
+    """Put a frame on the air, and know that it is busy."""
+    count_down(s, rules, i, now)
+    put_on_air(s, rules, i, now, air_ns)
+    s.eifs_ns[i] = 0
+    s.idle_ns[i] = max(s.idle_ns[i], now + air_ns)
+
+
+def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
+    """Radio i answers a unicast frame: at the level at which it came, and elsewhere as strong as what it sent last."""
+    f = s.acked[i]
+    back = s.sender[f]
+    answer = s.level[back, i]
+    s.level[i] = s.heard[i]
+    s.level[i, back] = answer
+    s.patience[i] = s.doubt[i, draw(s, i)]
+    s.kind[i] = ACK
+    s.payload_bits_per_ns[i] = rules.ack_bits_per_ns
+    s.due[ANSWER * len(s.lock) + i] = NEVER
+    send(s, rules, i, now, rules.ack_air_ns)
+    if s.due[i] < NEVER:
+        request(s, rules, i)
+
+
+def finish(s: State, rules: Rules, i: int, now: int) -> None:
+    """What radio i sends ends."""
+    n = len(s.lock)
+    busy = take_off_air(s, rules, i, now)
+    if s.kind[i] == UNICAST:  # who received it keeps silent for the acknowledgement
+        busy = np.maximum(busy, np.where(s.fate[i] == RECEIVED, now + rules.sifs_ns + rules.ack_air_ns, 0))
+    sense(s, rules, busy, now)
+    if s.kind[i] == ACK:
+        f = s.acked[i]
+        s.acked[i] = NOBODY
+        back = s.sender[f]
+        if s.fate[i, back] == RECEIVED and s.sending[back] == f:
+            s.due[TIMEOUT * n + back] = NEVER
+            s.window[back] = rules.cw_min
+            decide(s, f, now, s.outcome[f])
+            release(s, rules, back, now)
+        return
+    f = s.sending[i]
+    if s.kind[i] == BROADCAST:
+        decide(s, f, now, RECEIVED)
+        s.out_fate[s.counts[DECIDED] - 1] = s.fate[i]
+        s.out_least[s.counts[DECIDED] - 1] = s.least[i]
+        release(s, rules, i, now)
+        return
+    to = s.to[f]
+    s.least_there[f] = s.least[i, to]
+    s.due[TIMEOUT * n + i] = now + rules.timeout_ns
+    if s.fate[i, to] == RECEIVED:
+        s.acked[to] = f
+        s.due[ANSWER * n + to] = now + rules.sifs_ns
+        if not s.told[f]:  # whether its sender will know or not
+            decide(s, f, now, RECEIVED)
+            s.out_done[s.counts[DECIDED] - 1] = False
+            s.told[f] = True
+    s.outcome[f] = s.fate[i, to]
+
+
+def give_up(s: State, rules: Rules, i: int, now: int) -> None:
+    """No acknowledgement has come, unless it, or something else, is being received: then when that is over."""
+    timeout = TIMEOUT * len(s.lock) + i
+    heard = s.lock[i]
+    if heard != NOBODY and s.start_ns[heard] + rules.header_end_ns <= now:
+        s.due[timeout] = s.end_ns[heard] + 1
+        return
+    s.due[timeout] = NEVER
+    f = s.sending[i]
+    s.window[i] = min(2 * s.window[i] + 1, rules.cw_max)  # which only an acknowledgement sets back
+    if s.attempts[f] >= rules.attempts:
+        decide(s, f, now, s.outcome[f])
+    else:
+        insert(s, i, f, NOBODY, s.head[i])
+    release(s, rules, i, now if s.idle_ns[i] == now - 1 else now + rules.difs_ns)  # the wait was a busy time, if none was heard

@@ -1,0 +1,83 @@
+"""Runs of IEEE 802.11 radios, for tests."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cosim.rng import key64
+from netsim.dcf import Dcf, DcfMedium
+from netsim.layers import Floats
+from netsim.medium import Decided, Offered
+from netsim.phy import Dsss
+from netsim.phy_ofdm import Ofdm
+
+STRONG = 1e-6  # mW: -60 dBm, 34 dB above the noise
+MS = 1_000_000  # ns
+US = 1_000
+
+
+def open_air(
+    count: int, phy: Dsss | Ofdm | None = None, mac: Dcf | None = None, *, seed: int = 1, compiled: bool = False
+) -> DcfMedium:
+    phy = phy or Dsss()
+    keys = np.array([key64(seed, f"radio{i}") for i in range(count)], np.uint64)
+    return DcfMedium(mac or Dcf(), phy, count, keys, 10.0 ** (phy.noise_dbm / 10.0), compile_core=compiled)
+
+
+def never(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
+    raise AssertionError("nothing fades here")
+
+
+def frame(
+    number: int,
+    time_ns: int,
+    sender: int,
+    power_mw: Floats,
+    *,
+    to: int = -1,
+    size: int = 100,
+    priority: int = 0,
+    patience: Floats | float = np.inf,
+) -> Offered:
+    """A frame whose every attempt has these levels; by default only interference can spoil it where it is detected."""
+    patience = np.broadcast_to(np.asarray(patience, np.float64), power_mw.shape)
+    return Offered(number, time_ns, sender, to, size, priority, power_mw, patience, lambda attempt, start: (power_mw, patience))
+
+
+def all_equal(count: int, power_mw: float = STRONG) -> Floats:
+    """Everybody hears everybody alike: (n,) levels."""
+    return np.full(count, power_mw)
+
+
+def run(medium: DcfMedium, frames: Sequence[Offered], until_ns: int) -> list[Decided]:
+    for each in frames:
+        medium.offer(each)
+    return list(medium.advance(until_ns))
+
+
+def square(count: int, side_m: float, exponent: float, seed: int) -> Floats:
+    """Levels (n, n) mW in a square: 40 mW, 40.052 dB at 1 m."""
+    place = np.random.default_rng(seed).uniform(0.0, side_m, (count, 2))
+    distance = np.linalg.norm(place[:, None] - place, axis=-1) + np.eye(count)
+    levels: Floats = 10.0 ** ((16.0206 - 40.052) / 10.0 - exponent * np.log10(np.maximum(distance, 1.0)))
+    return levels
+
+
+def periodic(levels: Floats, hz: float, until_ns: int, *, size: int = 100, seed: int = 1, after_ns: int = 0) -> list[Offered]:
+    """Every radio broadcasts at this rate, from a random phase on."""
+    count, rng = len(levels), np.random.default_rng(seed)
+    period = round(1e9 / hz)
+    phases = rng.integers(after_ns, after_ns + period, count).tolist()
+    times = sorted((time, i) for i, phase in enumerate(phases) for time in range(phase, until_ns, period))
+    patience = rng.exponential(size=(len(times), count))
+    return [frame(k, time, i, levels[i], size=size, patience=patience[k]) for k, (time, i) in enumerate(times)]
+
+
+def delivery(decided: Sequence[Decided], frames: Sequence[Offered]) -> tuple[float, Floats]:
+    """Share of receptions, and delay of each of them, ms."""
+    fates = np.array([each.fate for each in decided])
+    count = fates.shape[1]
+    sent = np.array([frames[each.number].time_ns for each in decided])
+    delay_ms = (np.array([each.end_ns for each in decided]) - sent) / 1e6
+    received = (fates == 0).sum(axis=1)
+    return float(received.sum() / (len(decided) * (count - 1))), np.repeat(delay_ms, received)

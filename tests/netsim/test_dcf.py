@@ -1,0 +1,307 @@
+"""A few radios, by hand. Times are those of 802.11b at 1 Mbit/s (100 bytes: 1280 us), unless said."""
+
+import numpy as np
+import pytest
+
+from cosim.errors import ScenarioError
+from netsim.dcf import Dcf
+from netsim.layers import Floats
+from netsim.medium import Fate, Offered
+from netsim.phy import Dsss, Ieee802154
+from netsim.phy_ofdm import Ofdm
+from tests.netsim.dcf_runs import MS, STRONG, US, all_equal, frame, open_air, run
+
+AIR = 1280 * US
+SLOT, DIFS = 20 * US, 50 * US
+LATER = 10 * MS  # behind the first backoff, which counts from time 0
+
+
+@pytest.mark.parametrize(
+    ("phy", "delay_us"), [(Dsss(1e6), 1330), (Dsss(11e6), 341), (Ofdm(6e6), 264), (Ofdm(6e6, "5GHz"), 242)], ids=str
+)
+def test_a_lone_frame_takes_difs_and_its_air_time(phy: Dsss | Ofdm, delay_us: int) -> None:
+    """The delays of ns-3.44; 802.11a: 34 + 208 us."""
+    (decided,) = run(open_air(2, phy), [frame(0, LATER, 0, all_equal(2))], 1000 * MS)
+    assert decided.end_ns - LATER == delay_us * US
+    assert decided.end_ns - decided.start_ns == phy.air_time_ns(100)
+    assert decided.fate.tolist() == [Fate.TRANSMITTING, Fate.RECEIVED]
+    assert decided.least_sinr[1] == pytest.approx(STRONG / 10 ** (phy.noise_dbm / 10))
+    assert decided.attempts == 1
+
+
+def test_every_radio_counts_a_first_backoff_down_from_time_0() -> None:
+    starts = set()
+    for seed in range(40):
+        (decided,) = run(open_air(2, seed=seed), [frame(0, 0, 0, all_equal(2))], 1000 * MS)
+        slots, rest = divmod(decided.start_ns - DIFS, SLOT)
+        assert rest == 0
+        assert 0 <= slots <= 31
+        starts.add(slots)
+    assert len(starts) > 15
+
+
+def test_frames_of_a_radio_are_a_backoff_apart() -> None:
+    decided = run(open_air(2), [frame(k, LATER, 0, all_equal(2)) for k in range(2000)], 10_000 * MS)
+    sent = [each for each in decided if each.start_ns >= 0]
+    gaps = np.diff([each.start_ns for each in sent]) - AIR - DIFS
+    slots, rest = np.divmod(gaps, SLOT)
+    assert not rest.any()
+    counts = np.bincount(slots, minlength=32)
+    assert len(counts) == 32  # 0..31
+    assert abs(slots.mean() - 15.5) < 4 * 9.23 / len(slots) ** 0.5  # sd of a uniform of 32 values
+
+
+def test_a_frame_that_finds_the_air_busy_draws_a_backoff_and_one_that_only_waits_for_difs_does_not() -> None:
+    busy_from = LATER + DIFS
+    early = frame(1, LATER + 30 * US, 1, all_equal(3))  # the first begins 20 us later, and is noticed 4 us later
+    decided = run(open_air(3), [frame(0, LATER, 0, all_equal(3)), early], 1000 * MS)
+    assert decided[1].start_ns == busy_from + AIR + DIFS  # no backoff
+    delays = set()
+    for seed in range(20):
+        late = frame(1, busy_from + 100 * US, 1, all_equal(3))
+        decided = run(open_air(3, seed=seed), [frame(0, LATER, 0, all_equal(3)), late], 1000 * MS)
+        slots, rest = divmod(decided[1].start_ns - busy_from - AIR - DIFS, SLOT)
+        assert (rest, 0 <= slots <= 31) == (0, True)
+        delays.add(slots)
+    assert len(delays) > 8
+
+
+def test_carrier_sense_is_4_us_late() -> None:
+    for lag_us, collides in ((0, True), (3, True), (4, True), (5, False)):
+        second = frame(1, LATER + lag_us * US, 1, all_equal(3))
+        decided = run(open_air(3), [frame(0, LATER, 0, all_equal(3)), second], 1000 * MS)
+        fates = [each.fate[2] for each in decided]
+        assert fates == ([Fate.COLLISION] * 2 if collides else [Fate.RECEIVED] * 2)
+        assert (decided[0].fate[1] == Fate.TRANSMITTING) == collides
+
+
+def test_senders_that_do_not_hear_each_other_collide_at_the_receiver_between_them() -> None:
+    left, right = np.array([0, STRONG, 0]), np.array([0, 10 * STRONG, 0])
+    frames = [frame(0, LATER, 0, left, patience=1.0), frame(1, LATER + 500 * US, 2, right, patience=1.0)]
+    first, second = run(open_air(3), frames, 1000 * MS)
+    assert second.start_ns == LATER + 500 * US + DIFS  # it has heard nothing
+    assert first.fate.tolist() == [Fate.TRANSMITTING, Fate.COLLISION, Fate.UNDETECTED]
+    assert second.fate[1] == Fate.COLLISION  # stronger, but too late
+    assert first.least_sinr[1] == pytest.approx(0.1, rel=1e-3)
+    frames[1] = frame(1, LATER + 1300 * US, 2, right)  # one behind the other
+    assert [each.fate[1] for each in run(open_air(3), frames, 1000 * MS)] == [Fate.RECEIVED] * 2
+
+
+def test_interference_counts_only_while_it_lasts() -> None:
+    """At -6 dB a bit at 1 Mbit/s fails with exp(-22/4)/2; before the other begins hardly ever."""
+    weak = STRONG / 4.0
+    left, right = np.array([0, weak, 0]), np.array([0, STRONG, 0])
+    frames = [frame(0, LATER, 0, left, patience=3.0), frame(1, LATER + 500 * US, 2, right)]
+    first, second = run(open_air(3), frames, 1000 * MS)
+    bits = 1280 - 550  # behind the start of the second
+    assert 0.5 * np.exp(-22.0 * 0.25) * bits < 3.0
+    assert first.fate[1] == Fate.RECEIVED
+    frames[0] = frame(0, LATER, 0, left, patience=0.9 * 0.5 * np.exp(-22.0 * 0.25) * bits)
+    first, second = run(open_air(3), frames, 1000 * MS)
+    assert first.fate[1] == Fate.COLLISION
+    assert second.fate[1] == Fate.COLLISION  # the receiver was busy with the first
+
+
+def test_causes() -> None:
+    noise = 10 ** (Dsss().noise_dbm / 10)
+    too_weak, at_6_db = 10**-8.21, 4.0 * noise
+    deaf_to_it = run(open_air(2), [frame(0, LATER, 0, np.array([0, too_weak]))], 1000 * MS)
+    assert deaf_to_it[0].fate[1] == Fate.UNDETECTED
+    phy = Dsss(11e6, sensitivity_dbm=-100.0)
+    hazard = float(phy.errors.hazard(np.array([4.0]))[0]) * 1088
+    for patience, fate in ((0.5 * hazard, Fate.ERROR), (2.0 * hazard, Fate.RECEIVED)):
+        (decided,) = run(open_air(2, phy), [frame(0, LATER, 0, np.array([0, at_6_db]), patience=patience)], 1000 * MS)
+        assert decided.fate[1] == fate
+
+
+def test_the_sum_of_weak_frames_makes_the_air_busy() -> None:
+    """Two of -84 dBm are -81: neither is detected, yet the fourth radio waits for the end of the first."""
+    weak = np.array([0.0, 0.0, 10**-8.4, 10**-8.4])
+    frames = [frame(0, LATER, 0, weak), frame(1, LATER + 200 * US, 1, weak), frame(2, LATER + 400 * US, 3, all_equal(4, 0.0))]
+    first, second, third = run(open_air(4), frames, 1000 * MS)
+    assert first.fate[3] == second.fate[3] == Fate.UNDETECTED
+    slots, rest = divmod(third.start_ns - first.end_ns - DIFS, SLOT)
+    assert (rest, 0 <= slots <= 31) == (0, True)
+    _, third = run(open_air(4), [frames[0], frames[2]], 1000 * MS)
+    assert third.start_ns == LATER + 400 * US + DIFS
+
+
+def test_of_frames_that_begin_together_the_stronger_is_received() -> None:
+    loud, soft = np.array([0, STRONG, STRONG]), np.array([STRONG, 0, STRONG / 10])
+    for first, second in ((soft, loud), (loud, soft)):
+        sender = 0 if first is loud else 1
+        frames = [frame(0, LATER, sender, first), frame(1, LATER + 3 * US, 1 - sender, second)]
+        decided = {each.number: each.fate[2] for each in run(open_air(3), frames, 1000 * MS)}
+        assert decided[0 if first is loud else 1] == Fate.RECEIVED
+        assert decided[1 if first is loud else 0] == Fate.COLLISION
+
+
+@pytest.mark.parametrize(("margin_db", "fate"), [(None, Fate.COLLISION), (5.0, Fate.RECEIVED), (15.0, Fate.COLLISION)])
+def test_a_stronger_frame_takes_the_receiver_over_where_capture_is_on(margin_db: float | None, fate: Fate) -> None:
+    soft, loud = np.array([0, STRONG / 10, 0]), np.array([0, STRONG, 0])
+    frames = [frame(0, LATER, 0, soft, patience=1.0), frame(1, LATER + 10 * US, 2, loud, patience=1.0)]
+    first, second = run(open_air(3, mac=Dcf(capture_margin_db=margin_db)), frames, 1000 * MS)
+    assert second.fate[1] == fate
+    assert first.fate[1] == Fate.COLLISION
+    frames[1] = frame(1, LATER + 30 * US, 2, loud)  # out of its window: 4 + 16 us
+    assert run(open_air(3, mac=Dcf(capture_margin_db=margin_db)), frames, 1000 * MS)[1].fate[1] == Fate.COLLISION
+
+
+@pytest.mark.parametrize(
+    ("phy", "snr_db", "eifs_us", "slot_us"),
+    [(Ofdm(54e6, "5GHz"), 12.0, 94, 9), (Ofdm(54e6), 12.0, 364, 20), (Dsss(11e6, sensitivity_dbm=-100.0), 4.2, 364, 20)],
+    ids=str,
+)
+def test_behind_a_payload_that_failed_a_receiver_waits_eifs(
+    phy: Dsss | Ofdm, snr_db: float, eifs_us: int, slot_us: int
+) -> None:
+    """EIFS: SIFS, an acknowledgement at the lowest rate, DIFS (ns-3.44: 94 and 364 us)."""
+    level = all_equal(2, 10 ** ((phy.noise_dbm + snr_db) / 10))
+    for patience, ifs_us, fate in (
+        (0.05, eifs_us, Fate.ERROR),
+        (np.inf, eifs_us - (60 if slot_us == 9 else 314), Fate.RECEIVED),
+    ):
+        heard = frame(0, LATER, 0, level, patience=patience)
+        first, second = run(open_air(2, phy), [heard, frame(1, LATER + 60 * US, 1, level)], 1000 * MS)
+        assert first.fate[1] == fate
+        slots, rest = divmod(second.start_ns - first.end_ns - ifs_us * US, slot_us * US)
+        assert (rest, 0 <= slots <= 31) == (0, True)
+    noise_only = [frame(0, LATER, 0, level, patience=1e-300), frame(1, LATER + 4 * MS, 1, level)]
+    assert run(open_air(2, phy), noise_only, 1000 * MS)[1].start_ns == LATER + 4 * MS + (34 if slot_us == 9 else 50) * US
+
+
+def test_the_queue_has_an_end() -> None:
+    medium = open_air(2, mac=Dcf(queue_frames=3))
+    decided = run(medium, [frame(k, LATER + k, 0, all_equal(2)) for k in range(6)], LATER + 5)
+    assert [(each.number, each.end_ns, each.start_ns) for each in decided] == [
+        (3, LATER + 3, -1),
+        (4, LATER + 4, -1),
+        (5, LATER + 5, -1),
+    ]
+    assert all((each.fate == Fate.QUEUE_FULL).all() for each in decided)
+    assert sorted(medium.waiting()) == [0, 1, 2]
+
+
+def test_what_waits_too_long_is_never_sent() -> None:
+    medium = open_air(2, mac=Dcf(lifetime_s=0.01))
+    decided = run(medium, [frame(k, LATER, 0, all_equal(2)) for k in range(20)], 1000 * MS)
+    sent = [each for each in decided if each.start_ns >= 0]
+    given_up = [each for each in decided if each.start_ns < 0]
+    assert len(sent) + len(given_up) == 20
+    assert all(each.start_ns <= LATER + 10 * MS for each in sent)
+    assert all(each.end_ns > LATER + 10 * MS and (each.fate == Fate.EXPIRED).all() for each in given_up)
+    assert 4 <= len(sent) <= 8  # 10 ms; 1.33 ms and a backoff of 0.31 ms in the mean
+
+
+def test_a_higher_priority_goes_first_and_equal_ones_in_their_order() -> None:
+    priorities = [0, 0, 2, 1, 2, 0]
+    frames = [frame(k, LATER + k, 0, all_equal(2), priority=p) for k, p in enumerate(priorities)]
+    decided = run(open_air(2), frames, 1000 * MS)
+    assert [each.number for each in decided] == [2, 4, 3, 0, 1, 5]  # none had begun
+
+
+def test_levels_are_asked_for_when_a_frame_begins() -> None:
+    asked = []
+
+    def renew(attempt: int, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+        asked.append((attempt, start_ns))
+        return all_equal(2), np.full(2, np.inf)
+
+    offered = frame(7, LATER, 0, all_equal(2))
+    lazy = type(offered)(7, LATER, 0, -1, 100, 0, None, None, renew)
+    (decided,) = run(open_air(2), [lazy], 1000 * MS)
+    assert asked == [(0, LATER + DIFS)]
+    assert decided.fate[1] == Fate.RECEIVED
+
+
+def test_only_the_phys_of_802_11_have_a_dcf() -> None:
+    with pytest.raises(ScenarioError, match=r"dcf is IEEE 802.11: it goes with the phys dsss and ofdm, not with Ieee802154"):
+        Dcf().open(Ieee802154(), 2, np.zeros(2, np.uint64), 1e-9)
+
+
+# --- unicast ---
+
+ACK = 304 * US  # 14 bytes at 1 Mbit/s
+SIFS = 10 * US
+TIMEOUT = (10 + 20 + 192) * US  # SIFS, slot, preamble and header
+
+
+def test_a_unicast_frame_is_acknowledged() -> None:
+    (decided,) = run(open_air(3), [frame(0, LATER, 0, all_equal(3), to=2)], 1000 * MS)
+    assert decided.start_ns == LATER + DIFS
+    assert decided.end_ns == LATER + DIFS + AIR
+    assert decided.fate[2] == Fate.RECEIVED
+    assert decided.attempts == 1
+
+
+@pytest.mark.parametrize(
+    ("phy", "ack_us"),
+    [(Dsss(11e6), 203), (Ofdm(6e6), 50), (Ofdm(9e6), 50), (Ofdm(54e6), 34), (Ofdm(54e6, "5GHz"), 28)],
+    ids=str,
+)
+def test_acknowledgements_go_at_the_highest_mandatory_rate_below_that_of_the_data(phy: Dsss | Ofdm, ack_us: int) -> None:
+    """Air times of ns-3.44: the next frame goes whole slots behind SIFS, acknowledgement and DIFS."""
+    first, second = run(open_air(2, phy), [frame(k, LATER, 0, all_equal(2), to=1) for k in (0, 1)], 1000 * MS)
+    sifs_us, slot_us = (16, 9) if isinstance(phy, Ofdm) and phy.band == "5GHz" else (10, 20)
+    rest_ns = second.start_ns - first.end_ns - (2 * sifs_us + ack_us + 2 * slot_us) * US
+    assert rest_ns >= 0
+    assert rest_ns % (slot_us * US) == 0
+
+
+def noted(level: Floats, patience: Floats) -> tuple[Offered, list[int]]:
+    """A frame from 0 to 1, and when its attempts begin."""
+    starts: list[int] = []
+
+    def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
+        starts.append(start_ns)
+        return level, patience
+
+    return Offered(0, LATER, 0, 1, 100, 0, None, None, renew), starts
+
+
+def test_a_unicast_frame_is_tried_7_times_with_growing_windows() -> None:
+    unheard = np.zeros(2)
+    windows = np.zeros(6, int)
+    for seed in range(60):
+        offered, starts = noted(unheard, unheard)
+        (decided,) = run(open_air(2, seed=seed), [offered], 10_000 * MS)
+        assert (decided.attempts, len(starts), decided.fate[1]) == (7, 7, Fate.UNDETECTED)
+        assert decided.end_ns == starts[-1] + AIR + TIMEOUT
+        slots, rest = np.divmod(np.diff(starts) - AIR - TIMEOUT - DIFS, SLOT)
+        assert not rest.any()
+        windows = np.maximum(windows, slots)
+    limits = np.array([63, 127, 255, 511, 1023, 1023])
+    assert (windows <= limits).all()
+    assert (windows > 0.85 * limits).all()
+
+
+def test_a_frame_whose_acknowledgement_is_lost_was_received_all_the_same() -> None:
+    """The receiver hears the sender, the sender does not hear the receiver: never at that level."""
+    medium = open_air(2, mac=Dcf(attempts=3, preamble_time_us=4.0))
+    medium.sensitivity_mw[0] = 10 * STRONG
+    offered, starts = noted(all_equal(2), np.full(2, 99.0))
+    (decided,) = run(medium, [offered], 1000 * MS)
+    assert (decided.attempts, decided.fate[1]) == (1, Fate.RECEIVED)
+    assert decided.end_ns == LATER + DIFS + AIR
+    assert len(starts) == 3
+
+
+def test_others_keep_silent_for_an_acknowledgement_that_they_cannot_hear() -> None:
+    """Radio 2 hears radio 0 but not radio 1: it knows from the frame how long the answer takes."""
+    to_all, deaf_to_1 = all_equal(3), np.array([STRONG, 0, 0])
+    medium = open_air(3)
+    medium.levels[1] = deaf_to_1
+    frames = [frame(0, LATER, 0, to_all, to=1), frame(1, LATER + DIFS + AIR + 100 * US, 2, to_all)]
+    unicast, after = run(medium, frames, 1000 * MS)
+    slots, rest = divmod(after.start_ns - unicast.end_ns - SIFS - ACK - DIFS, SLOT)
+    assert (rest, 0 <= slots <= 31) == (0, True)
+    heard = run(open_air(3), [frame(0, LATER, 0, to_all), frames[1]], 1000 * MS)[1]
+    assert heard.start_ns == frames[1].time_ns + DIFS  # nothing to wait for behind a broadcast
+
+
+def test_a_queue_of_unicast_frames_counts_the_one_that_is_being_sent() -> None:
+    medium = open_air(2, mac=Dcf(queue_frames=2))
+    now = LATER + DIFS + 100 * US
+    frames = [frame(0, LATER, 0, all_equal(2), to=1), *(frame(k, now + k, 0, all_equal(2), to=1) for k in (1, 2))]
+    decided = run(medium, frames, 1000 * MS)
+    assert [(each.number, each.fate[1]) for each in decided] == [(2, Fate.QUEUE_FULL), (0, Fate.RECEIVED), (1, Fate.RECEIVED)]

@@ -1,0 +1,135 @@
+"""Many radios, against closed forms and against ns-3.44 with the same positions and the same traffic."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from netsim.dcf import Dcf
+from netsim.layers import Floats
+from netsim.medium import Fate
+from netsim.phy import Dsss
+from netsim.phy_ofdm import Ofdm
+from tests.netsim.dcf_runs import MS, US, frame, open_air, run, square
+
+
+def bianchi(count: int, window: int = 32, stages: int = 5) -> tuple[float, float]:
+    """Chance to send in a slot, and to collide then (G. Bianchi, IEEE JSAC 18(3), 2000, equations 7 and 9), by bisection."""
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        p = (low + high) / 2.0
+        tau = 2.0 / (1.0 + window + p * window * sum((2.0 * p) ** stage for stage in range(stages)))
+        low, high = (p, high) if 1 - (1 - tau) ** (count - 1) > p else (low, p)
+    return tau, p
+
+
+@pytest.mark.parametrize("count", [3, 5, 10])
+def test_saturated_unicast_is_bianchis(count: int) -> None:
+    """Equal levels: nothing is received in a collision, whose end is followed by DIFS."""
+    medium = open_air(count, Dsss(11e6), Dcf(lifetime_s=1e6, queue_frames=10**6))
+    level = np.full(count, 1e-6)
+    frames = [frame(k, 0, k % count, level, to=(k + 1) % count, size=1000, patience=1.0) for k in range(9000)]
+    until_ns = 8000 * MS
+    decided = run(medium, frames, until_ns)
+    assert len(decided) < 0.8 * len(frames)  # saturated to the end
+    received = sum(bool((each.fate == Fate.RECEIVED).any()) for each in decided)
+    attempts = sum(each.attempts for each in decided)
+    tau, p = bianchi(count)
+    assert 1 - received / attempts == pytest.approx(p, abs=0.02)
+    air_ns, idle, success = Dsss(11e6).air_time_ns(1000), (1 - tau) ** count, count * tau * (1 - tau) ** (count - 1)
+    acknowledged_ns = air_ns + 10 * US + 203 * US + 50 * US
+    slot_ns = idle * 20 * US + success * acknowledged_ns + (1 - idle - success) * (air_ns + 50 * US)
+    assert received / until_ns == pytest.approx(success / slot_ns, rel=0.03)
+
+
+@pytest.mark.parametrize("count", [10, 50])
+def test_saturated_broadcast_sends_in_a_slot_with_2_over_w_plus_1(count: int) -> None:
+    """Bianchi without retries: the share of collisions is 1 - (1 - 2 / 33)^(n - 1)."""
+    medium = open_air(count, Dsss(11e6), Dcf(lifetime_s=1e6, queue_frames=10**6))
+    level = np.full(count, 1e-6)
+    frames = [frame(k, 0, k % count, level, patience=1.0) for k in range(8000)]
+    decided = [each for each in run(medium, frames, 10_000 * MS) if each.start_ns > 20 * MS][:6000]
+    alone = np.mean([(each.fate == Fate.RECEIVED).sum() == count - 1 for each in decided])
+    assert 1 - alone == pytest.approx(1 - (1 - 2 / 33) ** (count - 1), abs=0.02)
+
+
+class Judged(NamedTuple):
+    """A scenario, and what ns-3.44 makes of it: random times, 100 bytes, radios uniform in a square, two or three runs."""
+
+    phy: Dsss | Ofdm
+    count: int
+    side_m: float
+    exponent: float
+    hz: float
+    seconds: int
+    runs: int
+    delivery: float
+    mean_ms: float
+    quantiles_ms: tuple[float, float, float]  # 50, 95, 99 %
+    by_distance: tuple[float, ...]  # delivery, see EDGES_M
+
+
+EDGES_M = (0.0, 20.0, 40.0, 60.0, 75.0, 86.0)
+NS3 = {
+    "b 1 Mbit/s, 50 in one domain": Judged(
+        *(Dsss(1e6), 50, 200.0, 2.0, 10.0, 4, 2, 0.9617, 2.952),
+        (2.191, 7.366, 11.023),
+        (0.9953, 0.9902, 0.9785, 0.9713, 0.9650, 0.9524),
+    ),
+    "b 1 Mbit/s, 100 in one domain, overloaded": Judged(
+        *(Dsss(1e6), 100, 200.0, 2.0, 10.0, 2, 2, 0.6223, 12.597),
+        (10.985, 29.476, 39.012),
+        (0.9687, 0.8801, 0.7618, 0.6714, 0.6082, 0.5406),
+    ),
+    "g 6 Mbit/s, 100 in one domain": Judged(
+        *(Ofdm(6e6), 100, 200.0, 2.0, 30.0, 1, 3, 0.8684, 0.748),
+        (0.499, 2.096, 2.937),
+        (0.9879, 0.9634, 0.9264, 0.8916, 0.8709, 0.8358),
+    ),
+    "b 1 Mbit/s, 30, hidden from each other": Judged(
+        *(Dsss(1e6), 30, 170.0, 3.0, 15.0, 6, 3, 0.4155, 1.721),
+        (1.330, 3.376, 5.015),
+        (0.9826, 0.9568, 0.9273, 0.8476, 0.7423, 0.0),
+    ),
+    "g 6 Mbit/s, 40, hidden from each other": Judged(
+        *(Ofdm(6e6), 40, 170.0, 3.0, 40.0, 2, 3, 0.4129, 0.327),
+        (0.264, 0.650, 1.022),
+        (0.9846, 0.9699, 0.9387, 0.8824, 0.8032, 0.0),
+    ),
+}
+
+
+def traffic(count: int, hz: float, seconds: int, seed: int) -> tuple[list[int], list[int]]:
+    """Independent times and senders, from 1 s on."""
+    rng, frames = np.random.default_rng(seed), int(count * hz * seconds)
+    times = np.sort(rng.integers(10**9, 10**9 * (1 + seconds), frames))
+    return times.tolist(), rng.integers(0, count, frames).tolist()
+
+
+@pytest.mark.parametrize("name", NS3)
+def test_as_ns_3(name: str) -> None:
+    judged = NS3[name]
+    n, levels = judged.count, square(judged.count, judged.side_m, judged.exponent, 1)
+    place = np.random.default_rng(1).uniform(0.0, judged.side_m, (n, 2))
+    bins = np.digitize(np.linalg.norm(place[:, None] - place, axis=-1), EDGES_M[1:])
+    delay_ms: list[Floats] = []
+    sent, got = np.zeros(len(EDGES_M)), np.zeros(len(EDGES_M))
+    for seed in range(judged.runs):
+        times, senders = traffic(n, judged.hz, judged.seconds, seed)
+        rng = np.random.default_rng(seed)
+        frames = [
+            frame(k, time, i, levels[i], patience=rng.exponential(size=n))
+            for k, (time, i) in enumerate(zip(times, senders, strict=True))
+        ]
+        for each in run(open_air(n, judged.phy, seed=seed), frames, 60_000 * MS):
+            i, ok = frames[each.number].sender, each.fate == Fate.RECEIVED
+            sent += np.bincount(np.delete(bins[i], i), minlength=len(EDGES_M))
+            got += np.bincount(bins[i][ok], minlength=len(EDGES_M))
+            delay_ms.append(np.full(ok.sum(), (each.end_ns - frames[each.number].time_ns) / 1e6))
+    delays = np.concatenate(delay_ms)
+    assert got.sum() / sent.sum() == pytest.approx(judged.delivery, abs=0.01)
+    assert delays.mean() == pytest.approx(judged.mean_ms, rel=0.05)
+    shares = [np.mean(delays <= quantile_ms + 1e-3) for quantile_ms in judged.quantiles_ms]
+    for share, expected, within in zip(shares, judged.shares, (0.03, 0.015, 0.015), strict=True):
+        assert share == pytest.approx(expected, abs=within)
+    np.testing.assert_allclose(got / sent, judged.by_distance, atol=0.02)
