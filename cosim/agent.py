@@ -85,6 +85,7 @@ class Radio:
         *,
         to: str | None = None,
         size_bytes: int | None = None,
+        priority: int = 0,
         **values: Any,
     ) -> None:
         """Send a message to all who can hear it, or to one vehicle.
@@ -93,6 +94,7 @@ class Radio:
             body: a small mapping or bytes; keywords are added to the mapping, so that ``radio.send(x=1.0)`` works.
             to: name of the only vehicle meant; None broadcasts.
             size_bytes: payload size that the channel reckons with; default: the encoded size of the body.
+            priority: one of a higher priority overtakes those that wait in this radio's queue (macs ``dcf``, ``csma154``).
         """
         if to is not None and (to not in self._vehicles or to == self._vehicle):
             raise ValueError(f"radio.send(to={to!r}): not another vehicle of this run ({', '.join(sorted(self._vehicles))})")
@@ -109,7 +111,7 @@ class Radio:
         size = natural if size_bytes is None else int(size_bytes)
         if not 0 <= size <= LARGEST_MESSAGE_BYTES:
             raise ValueError(f"radio.send(size_bytes={size}): must be from 0 to {LARGEST_MESSAGE_BYTES}")
-        self._outbox.append(Message(sender=self._vehicle, body=content, size_bytes=size, to=to))
+        self._outbox.append(Message(sender=self._vehicle, body=content, size_bytes=size, to=to, priority=int(priority)))
 
     def drain(self) -> list[Message]:
         """Take what was sent since the last call (for the host of the agent)."""

@@ -114,6 +114,7 @@ class Message(Value, frozen=True, kw_only=True, tag="message"):
     body: dict[str, Any] | bytes
     size_bytes: int
     to: str | None = None  # None: broadcast
+    priority: int = 0  # one of a higher priority overtakes those that wait in its sender's queue, where the mac has one
 
 
 class Reception(Value, frozen=True, kw_only=True, tag="reception"):

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from netsim.bodies import Bodies, through
 from netsim.error_rate import ErrorRate
 from netsim.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy
 from netsim.noise import ThermalNoise
@@ -54,6 +55,7 @@ class Budgets:
     ) -> None:
         self._path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
         self._phy, self._radios = phy, radios
+        self._blocking = any(radio.body_loss_db for radio in radios.values())
         self.start()
 
     def start(self) -> None:
@@ -80,10 +82,10 @@ class Budgets:
         if found is None:
             row = names.index(links.sender)
             paths = Paths.between(self._antennas[row], np.delete(self._antennas, row, axis=0), links.seed)
-            found = self._means[links.sender] = self._work_out(links, paths)
+            found = self._means[links.sender] = self._work_out(links, paths, row)
         return found
 
-    def _work_out(self, links: Links, paths: Paths) -> Mean:
+    def _work_out(self, links: Links, paths: Paths, row: int) -> Mean:
         sender = self._of(links.sender)
         receivers = [self._of(name) for name in links.receivers]
         power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
@@ -99,6 +101,12 @@ class Budgets:
             else:
                 wall_loss_db = self._walls.loss_db(paths)
             loss_db = loss_db + wall_loss_db
+        if self._blocking:
+            in_way_db, others = self._bodies_in_way(row)
+            wall_loss_db = in_way_db if wall_loss_db is None else wall_loss_db + in_way_db
+            walls = others if walls is None else walls + others
+            materials = _with_vehicles(materials or ("",) * len(others), others)
+            loss_db = path_loss_db + wall_loss_db
         if self._shadowing is not None:
             shadowing_db = self._shadowing.loss_db(paths)
             loss_db = loss_db + shadowing_db
@@ -126,8 +134,20 @@ class Budgets:
         paths = Paths.between(tx, rx, self._seed)
         return sum((layer.loss_db(paths) for layer in (self._walls, self._shadowing) if layer), self._path_loss.loss_db(paths))
 
+    def _bodies_in_way(self, row: int) -> tuple[Floats, Ints]:
+        own = [self._of(name) for name in self._names]
+        sizes = (np.array([getattr(each, size) for each in own]) for size in ("body_radius_m", "body_height_m", "body_loss_db"))
+        assert self._position is not None  # noqa: S101  known since `mean`
+        return through(Bodies(self._position, *sizes), row, self._antennas)
+
     def _of(self, name: str) -> Radio:
         return self._radios.get(name, AT_POSITION)
+
+
+def _with_vehicles(materials: tuple[str, ...], others: Ints) -> tuple[str, ...]:
+    """What is crossed, in words, the vehicles among it."""
+    words = [f"{n} vehicle" if n else "" for n in others.tolist()]
+    return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
 
 
 class Hearing:

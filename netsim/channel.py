@@ -198,7 +198,7 @@ class Channel:
         power_mw, patience = (None, None) if self._varies else renew(0, 0)
         to = -1 if sent.message.to is None else self._names.index(sent.message.to)
         self._waiting[sent.frame] = sent
-        offered = Offered(sent.frame, arrival_ns, row, to, sent.message.size_bytes, 0, power_mw, patience, renew)
+        offered = Offered(sent.frame, arrival_ns, row, to, sent.message.size_bytes, sent.message.priority, power_mw, patience, renew)
         heappush(self._coming, (arrival_ns, sent.frame, offered))
 
     def _settle(self, decided: Decided) -> FrameReport:

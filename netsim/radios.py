@@ -17,6 +17,9 @@ class Radio:
     sensitivity_dbm: float | None = None  # weakest level at which it notices a frame; None: the phy's
     antenna_gain_dbi: float = 0.0  # of what it sends, and of what it hears
     antenna_height_m: NonNegative = 0.5  # above the vehicle's position
+    body_loss_db: NonNegative = 0.0  # of links between others that pass through this vehicle
+    body_radius_m: NonNegative = 0.3  # its body is an upright cylinder from its position on
+    body_height_m: NonNegative = 0.6
 
 
 AT_POSITION = Radio(antenna_height_m=0.0)
