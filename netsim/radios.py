@@ -18,8 +18,8 @@ class Radio:
     antenna_gain_dbi: float = 0.0  # of what it sends, and of what it hears
     antenna_height_m: NonNegative = 0.5  # above the vehicle's position
     body_loss_db: NonNegative = 0.0  # of links between others that pass through this vehicle
-    body_radius_m: NonNegative = 0.3  # its body is an upright cylinder from its position on
-    body_height_m: NonNegative = 0.6
+    body_radius_m: NonNegative = 0.3  # of its body, an upright cylinder that begins at its position
+    body_height_m: NonNegative = 0.6  # of that cylinder
 
 
 AT_POSITION = Radio(antenna_height_m=0.0)
