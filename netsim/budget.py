@@ -7,19 +7,26 @@
 """
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
+from cosim.types import frozen
 from netsim.bodies import Bodies, through
 from netsim.error_rate import ErrorRate
 from netsim.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy
+from netsim.medium import Codes, Fate
 from netsim.noise import ThermalNoise
 from netsim.radios import AT_POSITION, Radio
 
 BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 """What made a signal too weak: distance alone, or that and what else was needed."""
+
+
+_SURE = 2.0**-54  # a hazard that no draw is below, but for 0
 
 
 class Mean(msgspec.Struct, frozen=True):
@@ -37,14 +44,25 @@ class Mean(msgspec.Struct, frozen=True):
     heard: dict[int, "Heard"]  # what becomes of frames of a size at this very level: filled by `Hearing`
 
 
-class Heard(msgspec.Struct, frozen=True):
+class Heard(msgspec.Struct, frozen=True, dict=True):
     """How a frame reaches n receivers, (n,) each."""
 
     snr_db: Floats
     sinr_db: Floats
     detected: Bools
     hazard: Floats | None  # -log(chance that it survives noise and interference); None: it always does
-    weakness: Ints  # where it is not detected: why
+    weakness: Codes  # where it is not detected: why
+
+    @cached_property
+    def fate(self) -> Codes:
+        """Its fate where no other disturbs it, but for the packet errors of those who are in doubt."""
+        return frozen(np.where(self.detected, np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)))
+
+    @cached_property
+    def doubtful(self) -> NDArray[np.intp]:
+        """Who detects it and may yet lose it."""
+        nobody = np.zeros(0, np.intp)
+        return nobody if self.hazard is None else np.flatnonzero(self.detected & (self.hazard > _SURE))
 
 
 class Budgets:
@@ -87,7 +105,7 @@ class Budgets:
 
     def _work_out(self, links: Links, paths: Paths, row: int) -> Mean:
         sender = self._of(links.sender)
-        receivers = [self._of(name) for name in links.receivers]
+        receivers = [self._of(name) for name in links.receivers] if self._radios else [AT_POSITION] * len(links.receivers)
         power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
         power_dbm = power + sender.antenna_gain_dbi + np.array([each.antenna_gain_dbi for each in receivers])
         floor = self._phy.sensitivity_dbm
@@ -115,12 +133,12 @@ class Budgets:
             paths,
             power_dbm,
             np.array(sensitivity, np.float64),
-            path_loss_db,
-            walls,
+            frozen(path_loss_db),
+            None if walls is None else frozen(walls),
             materials,
-            wall_loss_db,
-            shadowing_db,
-            level_dbm,
+            None if wall_loss_db is None else frozen(wall_loss_db),
+            None if shadowing_db is None else frozen(shadowing_db),
+            frozen(level_dbm),
             {},
         )
 
@@ -171,15 +189,15 @@ class Hearing:
         """How a frame arrives that has a level, and over its whole time a SINR, (n,) each."""
         detected = (level_dbm >= mean.sensitivity_dbm) & (sinr_db >= self._preamble_db)
         hazard = None if self.errors is None else self.errors.frame_hazard(sinr_db, size_bytes)
-        return Heard(level_dbm - self.noise_dbm, sinr_db, detected, hazard, self._weakness(mean))
+        return Heard(frozen(level_dbm - self.noise_dbm), frozen(sinr_db), detected, hazard, self._weakness(mean))
 
-    def _weakness(self, mean: Mean) -> Ints:
+    def _weakness(self, mean: Mean) -> Codes:
         """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
         least = np.maximum(mean.sensitivity_dbm, self.noise_dbm + self._preamble_db)
         level = mean.power_dbm - mean.path_loss_db
-        why = np.where(level >= least, FADING, BELOW_SENSITIVITY)
+        why = np.where(level >= least, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))
         for loss_db, name in ((mean.wall_loss_db, WALLS), (mean.shadowing_db, SHADOWING)):
             if loss_db is not None:
                 level = level - loss_db
-                why = np.where((why == FADING) & ~(level >= least), name, why)
+                why = np.where((why == FADING) & ~(level >= least), np.uint8(name), why)
         return why

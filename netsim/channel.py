@@ -11,9 +11,11 @@ frame ends, after whatever else was sent meanwhile: `Channel.next_ns` says when 
 
 from collections.abc import Mapping
 from heapq import heappop, heappush
+from typing import TypeVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.types import FrameReport, Message
 from netsim.budget import Budgets, Heard, Hearing
@@ -29,7 +31,7 @@ from netsim.script import Script
 from netsim.sending import Sender, Sent
 from netsim.trace import Trace
 
-_SURE = 2.0**-54  # a hazard that no draw is below, but for 0
+T = TypeVar("T", bound=np.generic)
 
 
 class Channel:
@@ -178,12 +180,11 @@ class Channel:
 
     def _endure(self, sent: Sent, heard: Heard) -> Codes:
         """The fate of a frame that no other disturbs, (n,)."""
-        fate = np.where(heard.detected, np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED))
-        if heard.hazard is not None:
-            doubtful = np.flatnonzero(heard.detected & (heard.hazard > _SURE))
-            if doubtful.size:
-                uniform = sent.sender.draws.some(sent.number, ERROR_SLOT, doubtful)[:, 0]
-                fate[doubtful[-np.log1p(-uniform) <= heard.hazard[doubtful]]] = Fate.ERROR
+        fate, doubtful = heard.fate, heard.doubtful
+        if doubtful.size and heard.hazard is not None:
+            uniform = sent.sender.draws.some(sent.number, ERROR_SLOT, doubtful)[:, 0]
+            fate = fate.copy()
+            fate[doubtful[-np.log1p(-uniform) <= heard.hazard[doubtful]]] = Fate.ERROR
         return fate
 
     def _offer(self, sent: Sent, arrival_ns: int) -> None:
@@ -198,17 +199,19 @@ class Channel:
         power_mw, patience = (None, None) if self._varies else renew(0, 0)
         to = -1 if sent.message.to is None else self._names.index(sent.message.to)
         self._waiting[sent.frame] = sent
-        offered = Offered(sent.frame, arrival_ns, row, to, sent.message.size_bytes, sent.message.priority, power_mw, patience, renew)
+        offered = Offered(
+            sent.frame, arrival_ns, row, to, sent.message.size_bytes, sent.message.priority, power_mw, patience, renew
+        )
         heappush(self._coming, (arrival_ns, sent.frame, offered))
 
     def _settle(self, decided: Decided) -> FrameReport:
         sent = self._waiting.pop(decided.number)
         heard = self._judge(sent)
         if decided.attempts:
-            least_sinr = np.delete(decided.least_sinr, sent.sender.row)
+            least_sinr = _at_others(decided.least_sinr, sent.sender.row)
             least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
             heard = msgspec.structs.replace(heard, sinr_db=10.0 * np.log10(least_sinr))
-        fate = np.delete(decided.fate, sent.sender.row)
+        fate = _at_others(decided.fate, sent.sender.row)
         return self._report(sent, heard, OnAir(fate, decided.start_ns, decided.end_ns))
 
     def _report(self, sent: Sent, heard: Heard, air: OnAir) -> FrameReport:
@@ -222,4 +225,12 @@ class Channel:
 
 def _at_all(values: Floats, row: int) -> Floats:
     """Values of all but one, with a zero for that one."""
-    return np.insert(values, row, 0.0)
+    everywhere = np.zeros(len(values) + 1)  # np.insert and np.delete take ten times as long
+    everywhere[:row] = values[:row]
+    everywhere[row + 1 :] = values[row:]
+    return everywhere
+
+
+def _at_others(values: NDArray[T], row: int) -> NDArray[T]:
+    """Values of all but one."""
+    return np.concatenate((values[:row], values[row + 1 :]))

@@ -50,7 +50,9 @@ class Paths(msgspec.Struct, frozen=True):
     def between(cls, tx: Floats, rx: Floats, seed: int = 0) -> Self:
         """Paths from the point ``tx`` (3,) to the points ``rx`` (n, 3)."""
         offset = rx - tx
-        return cls(tx, rx, np.sqrt(np.einsum("ij,ij->i", offset, offset)), seed)
+        distance_m = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+        distance_m.flags.writeable = False
+        return cls(tx, rx, distance_m, seed)
 
 
 def distance_of(paths: Paths | ArrayLike) -> Floats:

@@ -52,8 +52,8 @@ class Offered(msgspec.Struct, frozen=True):
 class Decided(msgspec.Struct, frozen=True):
     """What became of a frame.
 
-    A unicast frame is decided when it is received, even if its sender does not hear the acknowledgement and tries again; or when
-    it is given up.
+    A unicast frame is decided when it is received, even if its sender does not hear the acknowledgement and tries again; or
+    when it is given up.
     """
 
     number: int

@@ -30,6 +30,7 @@ _FATES = {
 }
 _WEAKNESSES = ("below sensitivity", "walls", "shadowing", "fading")  # in the order of `netsim.budget`
 _TOO_WEAK = len(_FATES)  # code of the first of them
+_UNDETECTED = int(Fate.UNDETECTED)  # an enumeration's members are slow to look up
 _JAMMED = _TOO_WEAK + len(_WEAKNESSES)
 
 
@@ -59,7 +60,7 @@ class Outcomes:
         self._losses += [(trace, TRACE_SLOT)] if trace is not None else []
         causes = [layer.cause for layer, _ in self._losses]
         causes += [] if delivery is None else [delivery.cause]
-        self._words = (*_FATES.values(), *_WEAKNESSES, JAMMED, *causes)
+        self._words = np.array((*_FATES.values(), *_WEAKNESSES, JAMMED, *causes), object)  # taken from by array, not in a loop
 
     def report(self, sent: Sent, heard: Heard, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
         """What becomes of a frame at every receiver that it is meant for.
@@ -72,11 +73,12 @@ class Outcomes:
         """
         sender, mean, to = sent.sender, sent.mean, sent.meant
         frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
-        code = np.where(air.fate == Fate.UNDETECTED, _TOO_WEAK + heard.weakness, air.fate)
+        code = np.where(air.fate == _UNDETECTED, _TOO_WEAK + heard.weakness, air.fate)
         if interference_mw is not None and air.start_ns >= 0:
             heard, code = self._jam(sent, heard, code, interference_mw)
         code = self._lose(sent, frame, code)[to]
         arrival = np.where(code == 0, self._arrival(sent, frame, air)[to], -1)
+        arrival.flags.writeable = False
         copy_ns = None
         if self._delivery is not None:
             draw, rows = sent.draw(DELIVERY_SLOT), np.delete(np.arange(len(sender.names)), sender.row)[to]
@@ -95,7 +97,7 @@ class Outcomes:
             rssi_dbm=frozen(sent.level_dbm[to]),
             received_ns=frozen(arrival),
             copy_ns=None if copy_ns is None else frozen(copy_ns),
-            outcome=tuple(map(self._words.__getitem__, code.tolist())),
+            outcome=tuple(self._words[code].tolist()),
             air_time_ns=sent.air_ns if on_air else 0,
             queue_ns=max(0, (head_ns if on_air else air.end_ns) - sent.sent_ns),
             access_ns=max(0, air.start_ns - head_ns) if on_air else 0,
@@ -134,7 +136,8 @@ class Outcomes:
             lost = layer.lost(frame, sent.draw(slot))
             if decided is not None and slot == LOSS_SLOT:
                 lost = lost & ~decided
-            code = np.where((code == 0) & lost, _JAMMED + 1 + index, code)
+            if lost.any():
+                code = np.where((code == 0) & lost, np.uint8(_JAMMED + 1 + index), code)
         return code
 
     def _arrival(self, sent: Sent, frame: Frame, air: OnAir) -> Ints:

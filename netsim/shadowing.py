@@ -12,6 +12,7 @@ from cosim.rng import stream
 from cosim.types import NonNegative, Positive
 from netsim.layers import Floats, Paths
 
+_BLOCK = 64  # receivers
 Waves = Annotated[int, msgspec.Meta(ge=1, le=4096)]
 
 
@@ -45,10 +46,14 @@ class Shadowing:
         """Loss of each path beyond the mean, (n,) dB, of either sign."""
         # Sums have the same operands in the same order for both directions, so that they agree to the last bit.
         here, there, phase = _waves(paths.seed, self.correlation_distance_m, self.waves)
-        forth = _cosines(_dot(paths.tx, here) + phase, _dot(paths.rx, there))
-        back = _cosines(_dot(paths.rx, here) + phase, _dot(paths.tx, there))
+        both = np.empty(len(paths.rx))
+        for begin in range(0, len(both), _BLOCK):  # what is in between stays in the cache
+            block = slice(begin, begin + _BLOCK)
+            tx, rx = paths.tx if paths.tx.ndim == 1 else paths.tx[block], paths.rx[block]
+            forth = _cosines(_dot(tx, here) + phase, _dot(rx, there))
+            both[block] = forth + _cosines(_dot(rx, here) + phase, _dot(tx, there))
         alike = np.exp(-2.0 / self.correlation_distance_m * paths.distance_m)
-        loss: Floats = self.sigma_db / math.sqrt(self.waves) * (forth + back) / np.sqrt(1.0 + alike)
+        loss: Floats = self.sigma_db / math.sqrt(self.waves) * both / np.sqrt(1.0 + alike)
         return loss
 
 
