@@ -53,6 +53,10 @@ PIECES: Mapping[str, str] = {
     "radio frame": "netsim.layers:Frame",
     "radio links": "netsim.layers:Links",
     "coverage": "netsim.coverage",
+    "channel trial": "netsim.trial",
+    "channel curves": "netsim.trial_curves",
+    "positions file": "netsim.trial_positions:read_positions",
+    "row file": "netsim.trial_rows:RowFile",
     "vehicle radio": "netsim.radios:Radio",
     "sightline": "physics.sightline:Sightline",
 }

@@ -29,9 +29,10 @@ BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 _SURE = 2.0**-54  # a hazard that no draw is below, but for 0
 
 
-class Mean(msgspec.Struct, frozen=True):
+class Mean(msgspec.Struct, frozen=True, dict=True):
     """The mean budget of the links from one radio to n others, (n,) each."""
 
+    row: int  # of the radio among all
     paths: Paths
     power_dbm: Floats  # transmitted, with both antennas
     sensitivity_dbm: Floats
@@ -42,6 +43,11 @@ class Mean(msgspec.Struct, frozen=True):
     shadowing_db: Floats | None
     level_dbm: Floats
     heard: dict[int, "Heard"]  # what becomes of frames of a size at this very level: filled by `Hearing`
+
+    @cached_property
+    def power_mw(self) -> Floats:
+        """The level at all radios, (n + 1,) mW; 0 at itself."""
+        return frozen(at_all(10.0 ** (self.level_dbm / 10.0), self.row))
 
 
 class Heard(msgspec.Struct, frozen=True, dict=True):
@@ -130,6 +136,7 @@ class Budgets:
             loss_db = loss_db + shadowing_db
         level_dbm = power_dbm - loss_db
         return Mean(
+            row,
             paths,
             power_dbm,
             np.array(sensitivity, np.float64),
@@ -166,6 +173,14 @@ def _with_vehicles(materials: tuple[str, ...], others: Ints) -> tuple[str, ...]:
     """What is crossed, in words, the vehicles among it."""
     words = [f"{n} vehicle" if n else "" for n in others.tolist()]
     return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
+
+
+def at_all(values: Floats, row: int) -> Floats:
+    """Values of all but one, with a zero for that one."""
+    everywhere = np.zeros(len(values) + 1)  # np.insert and np.delete take ten times as long
+    everywhere[:row] = values[:row]
+    everywhere[row + 1 :] = values[row:]
+    return everywhere
 
 
 class Hearing:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.types import FrameReport, Message
-from netsim.budget import Budgets, Heard, Hearing
+from netsim.budget import Budgets, Heard, Hearing, at_all
 from netsim.delivery import Delivery
 from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
@@ -72,6 +72,7 @@ class Channel:
         """Forget all frames and draw from ``seed`` from now on."""
         self._seed = seed
         self._frames = 0
+        self._expected = 0
         self._names: tuple[str, ...] = ()
         self._senders: dict[str, Sender] = {}
         self._medium: Medium | None = None
@@ -83,6 +84,10 @@ class Channel:
     def contends(self) -> bool:
         """Whether radios share the air, so that a frame's fate is known only when it ends."""
         return not isinstance(self.mac, Ideal)
+
+    def expect(self, frames: int) -> None:
+        """About so many frames will be sent: what pays for many only may be made ready. Changes no result."""
+        self._expected = frames
 
     def send(
         self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats, *, handover_ns: int = 0
@@ -144,6 +149,8 @@ class Channel:
             raise ValueError(f"the vehicles changed while frames were under way: {', '.join(names)}")
         self._names = names
         self._medium = self.mac.open(self.phy, len(names), Links(self._seed, "", names).keys, self.hearing.noise_mw)
+        if self._medium is not None:
+            self._medium.expect(self._expected)
         if self._delivery is not None:
             self._delivery.open(len(names))
 
@@ -192,9 +199,11 @@ class Channel:
 
         def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
             sent.attempts = attempt + 1
+            patience = at_all(sent.sender.draws.patience(sent.number, ERROR_SLOT + attempt), row)
+            if not self._varies:
+                return sent.mean.power_mw, patience
             self._hear(sent, start_ns)
-            uniform = sent.draw(ERROR_SLOT + attempt)()[:, 0]
-            return _at_all(10.0 ** (sent.level_dbm / 10.0), row), _at_all(-np.log1p(-uniform), row)
+            return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
 
         power_mw, patience = (None, None) if self._varies else renew(0, 0)
         to = -1 if sent.message.to is None else self._names.index(sent.message.to)
@@ -221,14 +230,6 @@ class Channel:
                 air.start_ns, air.end_ns, sent.mean.paths.rx, self.budgets.loss_db, self.budgets.antenna
             )
         return self._outcomes.report(sent, heard, air, interference_mw)
-
-
-def _at_all(values: Floats, row: int) -> Floats:
-    """Values of all but one, with a zero for that one."""
-    everywhere = np.zeros(len(values) + 1)  # np.insert and np.delete take ten times as long
-    everywhere[:row] = values[:row]
-    everywhere[row + 1 :] = values[row:]
-    return everywhere
 
 
 def _at_others(values: NDArray[T], row: int) -> NDArray[T]:

@@ -13,7 +13,21 @@ from cosim.rng import link_uniform
 from cosim.types import Count, NonNegative, Positive
 from netsim import compiled, dcf_core
 from netsim.dcf_core import DRAWS, LEVELS, OUTPUT
-from netsim.dcf_state import ARRIVED, DECIDED, EXPIRED, NEVER, NOBODY, OFFERED, ON_AIR, SCARCE, WANTED, Rules, State, new_state
+from netsim.dcf_state import (
+    ARRIVED,
+    DECIDED,
+    EXPIRED,
+    NEVER,
+    NOBODY,
+    OFFERED,
+    ON_AIR,
+    SCARCE,
+    SOONEST,
+    WANTED,
+    Rules,
+    State,
+    new_state,
+)
 from netsim.draws import BACKOFF_SLOT
 from netsim.hazard import hazard_table
 from netsim.layers import Floats, Keys, Phy
@@ -171,6 +185,11 @@ class DcfMedium:
         """The weakest level that each radio notices, (n,): as the phy says, unless set."""
         return self._state.sensitivity_mw
 
+    def expect(self, frames: int) -> None:
+        """About so many frames will be offered: for many the core is compiled at once."""
+        if self._compile_after is not None and frames >= COMPILE_AFTER:
+            self._compile()
+
     def offer(self, frame: Offered) -> None:
         """Hand over a frame; nothing happens yet."""
         if not self._free:
@@ -211,6 +230,7 @@ class DcfMedium:
             offered = s.counts[OFFERED]
         s.arrivals[offered] = place
         s.counts[OFFERED] = offered + 1
+        s.counts[SOONEST] = min(s.counts[SOONEST], s.offered_ns[place])
 
     def _more_frames(self) -> None:
         s = self._state
@@ -225,6 +245,8 @@ class DcfMedium:
         return decided
 
     def _work_off(self, until_ns: int) -> None:
+        if until_ns < self._state.counts[SOONEST]:
+            return
         while code := self._run(self._state, self._rules, until_ns):
             if code == LEVELS:
                 self._renew()
@@ -271,7 +293,10 @@ class DcfMedium:
         if self._compile_after is not None:
             self._compile_after -= count
             if self._compile_after <= 0:  # the same state goes on at another speed
-                self._run, self._compile_after = compiled.compiled(CORE, "run"), None
+                self._compile()
+
+    def _compile(self) -> None:
+        self._run, self._compile_after = compiled.compiled(CORE, "run"), None
 
     def next_ns(self) -> int | None:
         """When a frame will be decided next, if no other is offered; None: no frame waits or is on the air.

@@ -23,6 +23,7 @@ from netsim.dcf_state import (
     QUEUE_FULL,
     RECEIVED,
     SCARCE,
+    SOONEST,
     UNICAST,
     WANTED,
     Rules,
@@ -46,6 +47,7 @@ def run(s: State, rules: Rules, until: int) -> int:
             return OUTPUT
         what, who, now = upcoming(s, rules)
         if now > until:
+            s.counts[SOONEST] = now
             return DONE
         if what == DETECT:
             sense(s, rules, detect(s, rules, who), now)

@@ -23,6 +23,7 @@ ARRIVED, OFFERED = 1, 2  # frames of `State.arrivals` that have come to their qu
 DECIDED = 3  # rows in the `out` arrays
 SCARCE = 4  # 1: some radio has no draw left
 WANTED = 5  # frame whose levels are asked for
+SOONEST = 6  # when something happens next, as far as `run` has seen
 
 # Fates as plain numbers, for compiled code.
 RECEIVED, UNDETECTED, TRANSMITTING = int(Fate.RECEIVED), int(Fate.UNDETECTED), int(Fate.TRANSMITTING)
@@ -197,7 +198,7 @@ def new_state(rules: Rules, count: int, sensitivity_mw: float, tables: Floats, *
         patiences=floats(64, n),
         placed=ints(NOBODY),
         arrivals=ints(NOBODY, frames),
-        counts=ints(0, 6),
+        counts=ints(0, 7),
         out_frame=ints(0, output),
         out_start=ints(0, output),
         out_end=ints(0, output),

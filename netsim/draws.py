@@ -35,6 +35,7 @@ class LinkDraws:
         self._links = links
         self._frames = max(1, min(_BLOCK_FRAMES, _BLOCK_LINKS // max(1, len(links.receivers))))
         self._blocks: dict[int, tuple[int, Floats]] = {}  # slot: number of the block, its draws (frames, n, 2)
+        self._patience: dict[int, tuple[int, Floats]] = {}  # the same, exponential variates (frames, n)
 
     def uniform(self, frame: int, slot: int) -> Floats:
         """Two uniforms in [0, 1) for each receiver, (n, 2), of the sender's own frame number ``frame``."""
@@ -45,6 +46,16 @@ class LinkDraws:
             cached = self._blocks[slot] = (block, link_uniform(self._links.keys, frames[:, None], slot))
         draws: Floats = cached[1][index]
         return draws
+
+    def patience(self, frame: int, slot: int) -> Floats:
+        """Exponential variates of mean 1 for each receiver, (n,), from the first of its uniforms."""
+        block, index = divmod(frame, self._frames)
+        cached = self._patience.get(slot)
+        if cached is None or cached[0] != block:
+            self.uniform(frame, slot)
+            cached = self._patience[slot] = (block, -np.log1p(-self._blocks[slot][1][..., 0]))
+        patience: Floats = cached[1][index]
+        return patience
 
     def some(self, frame: int, slot: int, which: NDArray[np.intp]) -> Floats:
         """The same for some receivers only, by their place: (len(which), 2)."""

@@ -67,6 +67,9 @@ class Decided(msgspec.Struct, frozen=True):
 class Medium(Protocol):
     """The air that n radios share."""
 
+    def expect(self, frames: int) -> None:
+        """About so many frames will be offered: what pays for many only may be made ready. Changes no result."""
+
     def offer(self, frame: Offered) -> None:
         """Hand over a frame; nothing happens yet."""
 

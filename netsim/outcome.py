@@ -124,8 +124,7 @@ class Outcomes:
         jammed = self._hearing.at_sinr(sent.mean, sent.level_dbm, sinr_db, sent.message.size_bytes)
         spoilt = ~jammed.detected
         if jammed.hazard is not None:
-            patience = -np.log1p(-sent.draw(ERROR_SLOT + sent.attempts - 1)()[:, 0])
-            spoilt |= patience <= jammed.hazard
+            spoilt |= sent.sender.draws.patience(sent.number, ERROR_SLOT + sent.attempts - 1) <= jammed.hazard
         return msgspec.structs.replace(heard, sinr_db=sinr_db), np.where((code == 0) & spoilt, _JAMMED, code)
 
     def _lose(self, sent: Sent, frame: Frame, code: Ints) -> Ints:

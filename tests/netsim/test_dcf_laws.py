@@ -175,3 +175,8 @@ def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
     frames = mixed(seed, frames=300)
     by_numpy = run(open_air(6, phy, seed=seed, compiled=False), frames, UNTIL)
     assert bytes_of(run(open_air(6, phy, seed=seed, compiled=True), frames, UNTIL)) == bytes_of(by_numpy)
+
+
+def test_compilation_can_be_turned_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VCMVSP_COMPILED", "0")
+    assert not compiled.available()
