@@ -29,7 +29,7 @@ BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 _SURE = 2.0**-54  # a hazard that no draw is below, but for 0
 
 
-class Mean(msgspec.Struct, frozen=True, dict=True):
+class Mean(msgspec.Struct, dict=True):
     """The mean budget of the links from one radio to n others, (n,) each."""
 
     row: int  # of the radio among all
@@ -43,6 +43,7 @@ class Mean(msgspec.Struct, frozen=True, dict=True):
     shadowing_db: Floats | None
     level_dbm: Floats
     heard: dict[int, "Heard"]  # what becomes of frames of a size at this very level: filled by `Hearing`
+    weakness: Codes | None = None  # what would make frames too weak: the same
 
     @cached_property
     def power_mw(self) -> Floats:
@@ -204,7 +205,9 @@ class Hearing:
         """How a frame arrives that has a level, and over its whole time a SINR, (n,) each."""
         detected = (level_dbm >= mean.sensitivity_dbm) & (sinr_db >= self._preamble_db)
         hazard = None if self.errors is None else self.errors.frame_hazard(sinr_db, size_bytes)
-        return Heard(frozen(level_dbm - self.noise_dbm), frozen(sinr_db), detected, hazard, self._weakness(mean))
+        if mean.weakness is None:
+            mean.weakness = self._weakness(mean)
+        return Heard(frozen(level_dbm - self.noise_dbm), frozen(sinr_db), detected, hazard, mean.weakness)
 
     def _weakness(self, mean: Mean) -> Codes:
         """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""

@@ -22,7 +22,7 @@ from netsim.budget import Budgets, Heard, Hearing, at_all
 from netsim.delivery import Delivery
 from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
-from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy
+from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
 from netsim.mac import Ideal, Mac
 from netsim.medium import Codes, Decided, Fate, Medium, Offered
 from netsim.outcome import OnAir, Outcomes
@@ -61,11 +61,11 @@ class Channel:
         radios: Mapping[str, Radio] | None = None,
     ) -> None:
         self.phy, self.mac = phy, mac or Ideal()
-        self.budgets = Budgets(path_loss, walls, shadowing, phy, dict(radios or {}))
+        self.budgets = Budgets(path_loss, unless_nothing(walls), unless_nothing(shadowing), phy, dict(radios or {}))
         self.hearing = Hearing(phy)
         self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
         self._varies = any(layer is not None for layer in (fading, script, trace))  # levels, from attempt to attempt
-        self._outcomes = Outcomes(self.hearing, loss, delay, script, trace, delivery)
+        self._outcomes = Outcomes(self.hearing, unless_nothing(loss), unless_nothing(delay), script, trace, delivery)
         self.start(seed=0)
 
     def start(self, seed: int) -> None:

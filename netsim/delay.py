@@ -10,6 +10,8 @@ from netsim.layers import Draw, Frame, Ints
 class NoDelay:
     """A frame is received when it ends."""
 
+    nothing = True
+
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Zeros, (n,) ns: earlier than the end of any frame."""
         return np.zeros(frame.rssi_dbm.shape, np.int64)
@@ -33,6 +35,11 @@ class FixedDelay:
 
     def __init__(self, seconds: Seconds, jitter_s: Seconds = 0.0) -> None:
         self._fixed_ns, self._jitter_ns = seconds_to_ns(seconds), seconds_to_ns(jitter_s)
+
+    @property
+    def nothing(self) -> bool:
+        """Whether every frame is received when it ends."""
+        return not (self._fixed_ns or self._jitter_ns)
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Earliest reception, counted from the sending, (n,) whole ns."""

@@ -16,12 +16,12 @@ delay                       ``delay_ns(frame, draw)``           how long after i
 
 A layer is any object with the verb: no base class. It answers for all receivers at once, each receiver's answer depends on
 that receiver alone, and the same arguments give the same answer: a layer that needs chance takes it from ``draw``, or from
-the keys of the links.
+the keys of the links. One whose attribute ``nothing`` is true, as that of a loss of probability 0, is not asked at all.
 """
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Protocol, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -110,6 +110,14 @@ class Frame(msgspec.Struct, frozen=True):
     def pair_keys(self) -> Keys:
         """See `Links.pair_keys`."""
         return self.links.pair_keys
+
+
+L = TypeVar("L")
+
+
+def unless_nothing(layer: L | None) -> L | None:
+    """The layer, unless it does nothing."""
+    return None if getattr(layer, "nothing", False) else layer
 
 
 class PathLoss(Protocol):

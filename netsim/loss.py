@@ -12,6 +12,7 @@ from netsim.layers import Bools, Draw, Frame
 class NoLoss:
     """Nothing is lost."""
 
+    nothing: ClassVar[bool] = True
     cause: ClassVar[str] = "none"
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
@@ -26,9 +27,12 @@ class Bernoulli:
     probability: Probability  # of a message to be lost, whatever its size
     cause: ClassVar[str] = "random loss"
 
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing is ever lost."""
+        return self.probability == 0.0
+
     def lost(self, frame: Frame, draw: Draw) -> Bools:
         """Which receivers lose the frame, (n,)."""
-        if not self.probability:
-            return np.zeros(frame.rssi_dbm.shape, np.bool_)
         lost: Bools = draw()[..., 0] < self.probability
         return lost

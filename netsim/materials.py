@@ -66,6 +66,11 @@ class ItuWalls:
         for material in self.sightline.materials:
             _require_known(material)
 
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing stands in the way anywhere."""
+        return not self.sightline.materials
+
     def through(self, paths: Paths) -> Through:
         """What lies between, on each path."""
         return _through(self.sightline, paths, self._walls_db, self.cap_db)
@@ -92,6 +97,11 @@ class FixedWalls:
     wall_db: NonNegative = 6.325  # loss of each obstacle
     materials_db: dict[str, NonNegative] | None = None  # by material: ``{ brick = 3.5 }``; None: all are alike
     cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
+
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing stands in the way anywhere."""
+        return not self.sightline.materials
 
     def through(self, paths: Paths) -> Through:
         """What lies between, on each path."""

@@ -48,16 +48,15 @@ class Outcomes:
     def __init__(
         self,
         hearing: Hearing,
-        loss: Loss,
-        delay: Delay,
+        loss: Loss | None,
+        delay: Delay | None,
         script: Script | None,
         trace: Trace | None,
         delivery: Delivery | None,
     ) -> None:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
-        self._losses: list[tuple[Any, int]] = [(loss, LOSS_SLOT)]
-        self._losses += [(script, SCRIPT_SLOT)] if script is not None else []
-        self._losses += [(trace, TRACE_SLOT)] if trace is not None else []
+        losses: list[tuple[Any, int]] = [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
+        self._losses = [(layer, slot) for layer, slot in losses if layer is not None]
         causes = [layer.cause for layer, _ in self._losses]
         causes += [] if delivery is None else [delivery.cause]
         self._words = np.array((*_FATES.values(), *_WEAKNESSES, JAMMED, *causes), object)  # taken from by array, not in a loop
@@ -73,17 +72,21 @@ class Outcomes:
         """
         sender, mean, to = sent.sender, sent.mean, sent.meant
         frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
-        code = np.where(air.fate == _UNDETECTED, _TOO_WEAK + heard.weakness, air.fate)
+        code, too_weak = air.fate.copy(), air.fate == _UNDETECTED
+        if too_weak.any():
+            code[too_weak] = _TOO_WEAK + heard.weakness[too_weak]
         if interference_mw is not None and air.start_ns >= 0:
             heard, code = self._jam(sent, heard, code, interference_mw)
-        code = self._lose(sent, frame, code)[to]
-        arrival = np.where(code == 0, self._arrival(sent, frame, air)[to], -1)
+        if self._losses:
+            code = self._lose(sent, frame, code)
+        code = code[to]
+        arrival = np.where(code == 0, self._arrival(sent, frame, air, to), -1)
         arrival.flags.writeable = False
         copy_ns = None
         if self._delivery is not None:
             draw, rows = sent.draw(DELIVERY_SLOT), np.delete(np.arange(len(sender.names)), sender.row)[to]
             arrival, copy_ns = self._delivery.deliver(sender.row, rows, arrival, sent.message.size_bytes, lambda: draw()[to])
-            code = np.where((code == 0) & (arrival < 0), len(self._words) - 1, code)
+            code = np.where((code == 0) & (arrival < 0), np.uint8(len(self._words) - 1), code)
         head_ns = max(sent.sent_ns, sender.free_ns)  # when it became the sender's first
         sender.free_ns = max(sender.free_ns, air.end_ns)
         on_air = air.start_ns >= 0
@@ -117,7 +120,7 @@ class Outcomes:
         report = self.report(sent, heard, never)
         return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
 
-    def _jam(self, sent: Sent, heard: Heard, code: Ints, interference_mw: Floats) -> tuple[Heard, Ints]:
+    def _jam(self, sent: Sent, heard: Heard, code: Codes, interference_mw: Floats) -> tuple[Heard, Codes]:
         """What jammers spoil of a frame that would have been received: over its whole time, at its least SINR."""
         signal_mw = 10.0 ** (sent.level_dbm / 10.0)
         sinr_db = -10.0 * np.log10(10.0 ** (-heard.sinr_db / 10.0) + interference_mw / np.maximum(signal_mw, 1e-300))
@@ -125,12 +128,12 @@ class Outcomes:
         spoilt = ~jammed.detected
         if jammed.hazard is not None:
             spoilt |= sent.sender.draws.patience(sent.number, ERROR_SLOT + sent.attempts - 1) <= jammed.hazard
-        return msgspec.structs.replace(heard, sinr_db=sinr_db), np.where((code == 0) & spoilt, _JAMMED, code)
+        return msgspec.structs.replace(heard, sinr_db=sinr_db), np.where((code == 0) & spoilt, np.uint8(_JAMMED), code)
 
-    def _lose(self, sent: Sent, frame: Frame, code: Ints) -> Ints:
+    def _lose(self, sent: Sent, frame: Frame, code: Codes) -> Codes:
         decided = self._told(frame, "loss") if frame.start_ns >= 0 else None  # by a trace, whatever the models say
         if decided is not None:
-            code = np.where(decided, Fate.RECEIVED, code)
+            code = np.where(decided, np.uint8(Fate.RECEIVED), code)
         for index, (layer, slot) in enumerate(self._losses):
             lost = layer.lost(frame, sent.draw(slot))
             if decided is not None and slot == LOSS_SLOT:
@@ -139,17 +142,19 @@ class Outcomes:
                 code = np.where((code == 0) & lost, np.uint8(_JAMMED + 1 + index), code)
         return code
 
-    def _arrival(self, sent: Sent, frame: Frame, air: OnAir) -> Ints:
-        """When the frame arrives where it is not lost, (n,) ns."""
+    def _arrival(self, sent: Sent, frame: Frame, air: OnAir, to: slice) -> Ints | int:
+        """When the frame arrives where it is not lost, ns: at each of those for whom it is meant, or the same at all."""
+        if self._delay is None and self._trace is None and self._script is None:
+            return air.end_ns
         draw = sent.draw(DELAY_SLOT)
-        delay_ns = self._delay.delay_ns(frame, draw)
+        delay_ns = 0 if self._delay is None else self._delay.delay_ns(frame, draw)
         told = self._told(frame, "delay_s")
         if told is not None and self._trace is not None:
             delay_ns = np.where(told, self._trace.delay_ns(frame, draw), delay_ns)
         arrival: Ints = np.maximum(sent.sent_ns + delay_ns, air.end_ns)
         if self._script is not None:
             arrival = arrival + self._script.delay_ns(frame, draw) - (frame.end_ns - frame.sent_ns)
-        return arrival
+        return arrival if arrival.ndim == 0 else arrival[to]
 
     def _told(self, frame: Frame, quantity: str) -> Bools | None:
         """For which receivers a trace has this quantity."""

@@ -42,6 +42,11 @@ class Shadowing:
     correlation_distance_m: Positive = 10.0  # when one end has moved so far, the correlation is 1/e
     waves: Waves = 256  # of which the field is the sum
 
+    @property
+    def nothing(self) -> bool:
+        """Whether there are no variations."""
+        return self.sigma_db == 0.0
+
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each path beyond the mean, (n,) dB, of either sign."""
         # Sums have the same operands in the same order for both directions, so that they agree to the last bit.
