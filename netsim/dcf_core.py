@@ -242,6 +242,7 @@ def finish(s: State, rules: Rules, i: int, now: int) -> None:
         if s.fate[i, back] == RECEIVED and s.sending[back] == f:
             s.due[TIMEOUT * n + back] = NEVER
             s.window[back] = rules.cw_min
+            s.failures[back] = 0
             decide(s, f, now, s.outcome[f])
             release(s, rules, back, now)
         return
@@ -274,7 +275,11 @@ def give_up(s: State, rules: Rules, i: int, now: int) -> None:
         return
     s.due[timeout] = NEVER
     f = s.sending[i]
-    s.window[i] = min(2 * s.window[i] + 1, rules.cw_max)  # which only an acknowledgement sets back
+    s.window[i] = min(2 * s.window[i] + 1, rules.cw_max)
+    s.failures[i] += 1
+    if s.failures[i] > rules.attempts:  # whatever frames they belong to: so ns-3.44
+        s.failures[i] = 0
+        s.window[i] = rules.cw_min
     if s.attempts[f] >= rules.attempts:
         decide(s, f, now, s.outcome[f])
     else:

@@ -72,6 +72,7 @@ class State(NamedTuple):
     counting_ns: Ints  # when the backoff began to count down, at the earliest
     slots: Ints  # left of it
     window: Ints  # contention window: a backoff is one of 0..window
+    failures: Ints  # attempts since the last acknowledgement
     drawn: Ints  # draws used
     store: Ints  # number of the first draw in store
     backoff: Floats  # (n, k) uniform
@@ -153,6 +154,7 @@ def new_state(rules: Rules, count: int, sensitivity_mw: float, tables: Floats, *
         counting_ns=ints(0),
         slots=ints(0),
         window=ints(rules.cw_min),
+        failures=ints(0),
         drawn=ints(0),
         store=ints(0),
         backoff=floats(n, rules.draws),

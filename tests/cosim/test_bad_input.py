@@ -272,7 +272,7 @@ def test_bodies_that_overlap_at_the_start_are_refused(tmp_path: Path, x: str, ta
 KINDS = [
     ("physics.kind", "bulet", "bullet"),
     ("world.kind", "emty", "empty"),
-    ("radio.preset", "wifi-b-12", "wifi-b-1"),
+    ("radio.preset", "wifi-b-1l", "wifi-b-1"),
     ("radio.path_loss.kind", "log_distanc", "log_distance"),
     ("radio.phy.kind", "dss", "dsss"),
     ("radio.loss.kind", "bernouli", "bernoulli"),

@@ -275,6 +275,26 @@ def test_a_unicast_frame_is_tried_7_times_with_growing_windows() -> None:
     assert (windows > 0.85 * limits).all()
 
 
+def test_the_window_falls_back_at_every_8th_failure_whatever_frame_it_belongs_to() -> None:
+    """As measured of ns-3.44: largest backoffs 63, 127, 255, 511, 1022, 1022, 1014, 31, 63, ... over frames of 7 attempts."""
+    starts: list[int] = []
+
+    def renew(attempt: int, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+        starts.append(start_ns)
+        return np.zeros(2), np.zeros(2)
+
+    offered = frame(0, LATER, 0, np.zeros(2), to=1)
+    medium = open_air(2, mac=Dcf(lifetime_s=1e6))
+    run(medium, [type(offered)(k, LATER, 0, 1, 100, 0, None, None, renew) for k in range(300)], 100_000 * MS)
+    slots, rest = np.divmod(np.diff(starts) - AIR - TIMEOUT - DIFS, SLOT)
+    assert len(starts) == 7 * 300
+    assert not rest.any()
+    largest = np.array([slots[k::8].max() for k in range(8)])
+    limits = np.array([63, 127, 255, 511, 1023, 1023, 1023, 31])
+    assert (largest <= limits).all()
+    assert (largest > 0.95 * limits).all()
+
+
 def test_a_frame_whose_acknowledgement_is_lost_was_received_all_the_same() -> None:
     """The receiver hears the sender, the sender does not hear the receiver: never at that level."""
     medium = open_air(2, mac=Dcf(attempts=3, preamble_time_us=4.0))
