@@ -115,8 +115,6 @@ class Budgets:
         receivers = [self._of(name) for name in links.receivers] if self._radios else [AT_POSITION] * len(links.receivers)
         power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
         power_dbm = power + sender.antenna_gain_dbi + np.array([each.antenna_gain_dbi for each in receivers])
-        floor = self._phy.sensitivity_dbm
-        sensitivity = [floor if each.sensitivity_dbm is None else each.sensitivity_dbm for each in receivers]
         path_loss_db = self._path_loss.loss_db(paths)
         walls = materials = wall_loss_db = shadowing_db = None
         loss_db = path_loss_db
@@ -140,7 +138,7 @@ class Budgets:
             row,
             paths,
             power_dbm,
-            np.array(sensitivity, np.float64),
+            self.sensitivity_dbm(links.receivers),
             frozen(path_loss_db),
             None if walls is None else frozen(walls),
             materials,
@@ -149,6 +147,16 @@ class Budgets:
             frozen(level_dbm),
             {},
         )
+
+    def here(self, links: Links) -> Mean:
+        """The budget of the links from a radio, with everybody where they were last."""
+        assert self._position is not None  # noqa: S101  known since `mean`
+        return self.mean(links, self._names, self._position)
+
+    def sensitivity_dbm(self, names: tuple[str, ...]) -> Floats:
+        """Of the radios of these vehicles, (n,)."""
+        own, phy = [self._of(name).sensitivity_dbm for name in names], self._phy.sensitivity_dbm
+        return np.array([phy if each is None else each for each in own], np.float64)
 
     def antenna(self, name: str) -> Floats:
         """Where the antenna of a vehicle is now, (3,) m, world."""

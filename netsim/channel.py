@@ -24,7 +24,7 @@ from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
 from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
 from netsim.mac import Ideal, Mac
-from netsim.medium import Codes, Decided, Fate, Medium, Offered
+from netsim.medium import Codes, Decided, Fate, Levelled, Medium, Offered
 from netsim.outcome import OnAir, Outcomes
 from netsim.radios import Radio
 from netsim.script import Script
@@ -151,6 +151,8 @@ class Channel:
         self._medium = self.mac.open(self.phy, len(names), Links(self._seed, "", names).keys, self.hearing.noise_mw)
         if self._medium is not None:
             self._medium.expect(self._expected)
+        if isinstance(self._medium, Levelled):
+            self._medium.sensitivity_mw[:] = 10.0 ** (self.budgets.sensitivity_dbm(names) / 10.0)
         if self._delivery is not None:
             self._delivery.open(len(names))
 
@@ -206,12 +208,19 @@ class Channel:
             return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
 
         power_mw, patience = (None, None) if self._varies else renew(0, 0)
-        to = -1 if sent.message.to is None else self._names.index(sent.message.to)
+        to = -1 if sent.message.to is None else self._answerer(sent.message.to)
         self._waiting[sent.frame] = sent
         offered = Offered(
             sent.frame, arrival_ns, row, to, sent.message.size_bytes, sent.message.priority, power_mw, patience, renew
         )
         heappush(self._coming, (arrival_ns, sent.frame, offered))
+
+    def _answerer(self, name: str) -> int:
+        """The row of a radio that will acknowledge, from where it is now."""
+        radio = self._sender(name)
+        if isinstance(self._medium, Levelled):
+            self._medium.levels[radio.row] = self.budgets.here(radio.links).power_mw
+        return radio.row
 
     def _settle(self, decided: Decided) -> FrameReport:
         sent = self._waiting.pop(decided.number)

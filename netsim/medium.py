@@ -8,7 +8,7 @@ offered at the same nanosecond. So it makes no difference in how many steps a me
 
 from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -62,6 +62,19 @@ class Decided(msgspec.Struct, frozen=True):
     attempts: int
     fate: Codes  # (n,) `Fate`; of a unicast frame at the row it is meant for
     least_sinr: Floats  # (n,) ratio of powers, the least while it was on the air (its last attempt)
+
+
+@runtime_checkable
+class Levelled(Protocol):
+    """A medium that lets levels be set which no frame tells."""
+
+    @property
+    def levels(self) -> Floats:
+        """Of acknowledgements, (n, n) mW: how strong each radio (row) is at each other (column)."""
+
+    @property
+    def sensitivity_mw(self) -> Floats:
+        """The weakest level that each radio notices, (n,)."""
 
 
 class Medium(Protocol):

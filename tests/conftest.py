@@ -1,6 +1,5 @@
-"""Settings of all tests."""
+"""Compiling the contention core takes longer than any test saves by it: only the tests that compare both do so."""
 
-from hypothesis import settings
+import os
 
-settings.register_profile("steady", deadline=None, derandomize=True)  # machines are noisy, and a test must not be
-settings.load_profile("steady")
+os.environ.setdefault("VCMVSP_COMPILED", "0")
