@@ -205,6 +205,7 @@ class Channel:
             if not self._varies:
                 return sent.mean.power_mw, patience
             self._hear(sent, start_ns)
+            sent.tries.append((sent.level_dbm, sent.fading_db))
             return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
 
         power_mw, patience = (None, None) if self._varies else renew(0, 0)
@@ -224,6 +225,9 @@ class Channel:
 
     def _settle(self, decided: Decided) -> FrameReport:
         sent = self._waiting.pop(decided.number)
+        if decided.attempts and sent.tries:  # there may have been another one since, because the acknowledgement was lost
+            sent.attempts = decided.attempts
+            sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
         heard = self._judge(sent)
         if decided.attempts:
             least_sinr = _at_others(decided.least_sinr, sent.sender.row)

@@ -49,6 +49,7 @@ class Sent(msgspec.Struct):
     level_dbm: Floats  # (n,) at all receivers, of the last attempt to send it
     fading_db: Floats | None = None
     attempts: int = 1  # so far
+    tries: list[tuple[Floats, Floats | None]] = msgspec.field(default_factory=list)  # level and fading of each, if they differ
 
     def frame_at(self, start_ns: int, end_ns: int, level_dbm: Floats) -> Frame:
         """The frame as layers are shown it."""
