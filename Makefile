@@ -35,8 +35,13 @@ docs: setup
 test: check
 	$(BIN)/pytest -n auto --dist loadfile
 
-bench: setup
-	$(BIN)/python -m bench
+bench: setup .ns3/.ready
+	NS3_PREFIX=$$(echo .ns3/lib/python*/site-packages/ns3) $(BIN)/python -m bench
+
+# ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++.
+.ns3/.ready: $(VENV)/.ready
+	$(UV) venv --quiet --allow-existing .ns3 && $(UV) pip install --quiet --no-deps --python .ns3/bin/python ns3==3.44.post0
+	@touch $@
 
 clean:
-	rm -rf $(VENV) .uv runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .uv .ns3 runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from bench import bare
+from bench import bare, radio
 from bench.measure import Row, in_turn, table
 from bench.workloads import run_cpu_s, star
 from cosim import scenario as scenarios
@@ -132,6 +132,8 @@ def main() -> int:
     for measure in (kernel_row, bullet_row, federation_row, start_row):
         print(f"measuring: {measure.__name__} ...", file=sys.stderr, flush=True)
         rows.append(measure())
+    print("measuring: the radio ...", file=sys.stderr, flush=True)
+    rows += radio.rows()
     print(table(rows))
     return 0 if all(row.holds for row in rows) else 1
 

@@ -1,0 +1,108 @@
+"""What the radio costs: beside ns-3 on the same network, and for a thousand vehicles."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.measure import Row, in_turn
+from bench.ns3.cases import Case
+from bench.ns3.program import Floats, program
+
+ROUNDS = 3
+DURATION_S = 5.0  # of traffic
+
+_OURS = """
+import os, sys
+os.environ["VCMVSP_COMPILED"] = sys.argv[1]
+from cosim.cli import main
+main(sys.argv[2:])
+"""
+
+
+def rows() -> Iterator[Row]:
+    """All of them; each is measured when it is asked for."""
+    for phy in ("b-1", "g-6"):
+        yield _beside_ns3(phy, compiled=False, least=5.0)
+        yield _beside_ns3(phy, compiled=True, least=30.0)
+    yield _real_time()
+    yield _thousand()
+
+
+def _beside_ns3(phy: str, *, compiled: bool, least: float) -> Row:
+    """CPU of a network of 100 that all hear each other, 10 Hz, 100 bytes."""
+    case = Case(phy, 100, 10.0)
+    ours, other, ratio = in_turn(partial(_ours_s, case, compiled), partial(_ns3_s, case), ROUNDS)
+    frames = 100 * 10 * DURATION_S
+    core = "compiled" if compiled else "NumPy alone"
+    name = f"802.11 {phy}, 100 nodes, 10 Hz, {core}; beside it ns-3.44"
+    cost, its = f"{1e6 * ours / frames:.0f} us a frame", f"{1e6 * other / frames:.0f} us"
+    return Row(name, cost, its, ratio, f">= {least:g} times less", ratio <= 1.0 / least)
+
+
+def _real_time() -> Row:
+    case = Case("b-1", 100, 10.0)
+    ours, other, ratio = in_turn(partial(_ours_s, case, compiled=True), partial(_ns3_s, case), ROUNDS)
+    speed = DURATION_S / ours
+    name = "the same, 802.11 b-1 compiled, as speed; beside it ns-3.44"
+    return Row(name, f"{speed:.0f} sim s / CPU s", f"{DURATION_S / other:.1f}", ratio, ">= 20 sim s / CPU s", speed >= 20.0)
+
+
+def _thousand() -> Row:
+    """A thousand vehicles, whose frames go by shadowed levels; the wall-clock time of the whole command, and its memory."""
+    case = Case("b-1", 1000, 10.0, side_m=500.0)
+    settings = ["mac.kind=ideal", "shadowing.sigma_db=4"]
+    result, usage = _command(case.positions, "wifi-b-1", settings, duration_s=30.0, compiled=False)
+    peak_gib = usage.ru_maxrss / 2**20
+    took_s = usage.ru_utime + usage.ru_stime
+    name = f"1000 nodes, 10 Hz, 30 s, mac ideal, shadowing: {result['frames']} frames; beside it the limit of 60 s"
+    return Row(
+        name,
+        f"{took_s:.0f} CPU s, {peak_gib:.2f} GiB",
+        "60 s, 1.5 GiB",
+        took_s / 60.0,
+        "< 60 s, < 1.5 GiB",
+        took_s < 60.0 and peak_gib < 1.5,
+    )
+
+
+def _ours_s(case: Case, compiled: bool) -> float:
+    settings = [f"path_loss.exponent={case.exponent}"]
+    result, _ = _command(case.positions, f"wifi-{case.phy}", settings, duration_s=DURATION_S, compiled=compiled)
+    return float(result["cpu_s"])
+
+
+def _command(positions: Floats, preset: str, settings: list[str], *, duration_s: float, compiled: bool) -> tuple[Any, Any]:
+    """Run ``vcmvsp channel``: what it prints, and what it used."""
+    with tempfile.TemporaryDirectory() as folder:
+        places = _written(positions, folder)
+        words = ["channel", "--preset", preset, "--positions", str(places), "--rate", "10", "--size", "100"]
+        words += ["--json", "--quiet", "--duration", str(duration_s), *(word for each in settings for word in ("--set", each))]
+        process = subprocess.Popen([sys.executable, "-c", _OURS, str(int(compiled)), *words], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        printed = process.stdout.read()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = status
+        if status:
+            raise SystemExit(f"vcmvsp {' '.join(words)}: failed")
+        return json.loads(printed), usage
+
+
+def _ns3_s(case: Case) -> float:
+    """CPU seconds of ns-3's simulation loop."""
+    with tempfile.TemporaryDirectory() as folder:
+        options = {**case.ns3(1), "duration": DURATION_S, "warmup": 0.0}
+        words = [f"--{name}={value}" for name, value in options.items()]
+        command = [str(program()), f"--positions={_written(case.positions, folder)}", *words]
+        return float(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)["cpu_s"])
+
+
+def _written(positions: Floats, folder: str) -> Path:
+    path = Path(folder) / "positions.csv"
+    path.write_text("".join(f"{x},{y},{z}\n" for x, y, z in positions.tolist()))
+    return path
