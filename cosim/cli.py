@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.cli_calibrate import calibrate_command
 from cosim.cli_explain import radio_command
 from cosim.cli_radio import register
 from cosim.errors import Interrupted, UsageError, VcmvspError
@@ -185,6 +186,7 @@ def doctor_command() -> None:
 
 
 app.command("radio")(radio_command)
+app.command("calibrate")(calibrate_command)
 register(app)
 
 

@@ -52,6 +52,7 @@ PIECES: Mapping[str, str] = {
     "radio paths": "netsim.layers:Paths",
     "radio frame": "netsim.layers:Frame",
     "radio links": "netsim.layers:Links",
+    "calibration": "netsim.calibrate",
     "coverage": "netsim.coverage",
     "channel trial": "netsim.trial",
     "channel curves": "netsim.trial_curves",

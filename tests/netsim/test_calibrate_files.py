@@ -61,7 +61,7 @@ def test_the_table_builds_layers_with_the_mean_and_spread_that_were_found() -> N
     table = tomllib.loads(found.toml())["radio"]
     assert table == found.table()
     kinds = {name: each.pop("kind", None) for name, each in table.items()}
-    assert kinds == {"path_loss": "log_distance", "shadowing": None, "walls": "fixed", "fading": "nakagami"}
+    assert kinds == {"path_loss": "log_distance", "shadowing": "gudmundson", "walls": "fixed", "fading": "nakagami"}
     path_loss, fading = call(LogDistance, table["path_loss"]), call(Nakagami, table["fading"])
     call(Shadowing, table["shadowing"])
     call(FixedWalls, table["walls"], given={"sightline": Sightline(BOXES)})

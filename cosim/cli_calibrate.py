@@ -1,0 +1,61 @@
+"""``vcmvsp calibrate``: from a measured log to the keys of ``[radio]``."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def calibrate_command(
+    links: Annotated[
+        Path, typer.Argument(metavar="LINKS.csv", help="Columns time,ax,ay,az,bx,by,bz,rssi_dbm[,received], in s, m, dBm.")
+    ],
+    tx_power: Annotated[float, typer.Option(metavar="DBM", help="What was sent, antenna gains included.")] = 0.0,
+    reference_distance: Annotated[float, typer.Option(metavar="M", help="Where the level is stated.")] = 1.0,
+    sensitivity: Annotated[
+        float | None, typer.Option(metavar="DBM", help="Weaker frames are lost [the least level that was received].")
+    ] = None,
+    world: Annotated[
+        str | None, typer.Option(metavar="SCENARIO", help="Whose walls stood there: the loss of each material is fitted.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for radio.toml and calibration.png.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")] = False,
+) -> None:
+    """Fit path loss, shadowing, walls and fading to a measured log; with standard errors.
+
+    Example: vcmvsp calibrate links.csv --tx-power 16 --sensitivity -90 --world lab.toml --out lab-radio
+    """
+    import msgspec
+    import scipy.linalg  # noqa: F401  brings the threads that are limited below
+    from threadpoolctl import threadpool_limits
+
+    from cosim import registry
+    from cosim.api import to_json
+
+    registry.guard()
+    fitting = registry.piece("calibration").calibrate_command
+    with threadpool_limits(limits=1):  # small matrices: threads that wait for each other take ten times as long on a busy machine
+        calibration = fitting(
+            links,
+            tx_power_dbm=tx_power,
+            reference_distance_m=reference_distance,
+            sensitivity_dbm=sensitivity,
+            sightline=None if world is None else _sightline(world),
+            out=out,
+        )
+    if json:
+        sys.stdout.write(to_json({**msgspec.to_builtins(calibration), "radio": calibration.table()}))
+        return
+    sys.stdout.write(f"{calibration.summary()}\n\n{calibration.toml()}")
+    for name in ("radio.toml", "calibration.png") if out is not None else ():
+        sys.stdout.write(f"{Path(out or '') / name}\n")
+
+
+def _sightline(world: str) -> Any:
+    """What stands in the world of a scenario."""
+    from cosim import component, registry, scenario
+
+    parsed, source = scenario.load(world)
+    built, _ = component.build("world", {"kind": "empty", **parsed.world}, key="world", source=source)
+    return registry.piece("sightline")(built.build().boxes)
