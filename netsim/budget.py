@@ -213,12 +213,15 @@ class Hearing:
         """How a frame arrives that has a level, and over its whole time a SINR, (n,) each."""
         detected = (level_dbm >= mean.sensitivity_dbm) & (sinr_db >= self._preamble_db)
         hazard = None if self.errors is None else self.errors.frame_hazard(sinr_db, size_bytes)
+        return Heard(frozen(level_dbm - self.noise_dbm), frozen(sinr_db), detected, hazard, self.weakness(mean))
+
+    def weakness(self, mean: Mean) -> Codes:
+        """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
         if mean.weakness is None:
             mean.weakness = self._weakness(mean)
-        return Heard(frozen(level_dbm - self.noise_dbm), frozen(sinr_db), detected, hazard, mean.weakness)
+        return mean.weakness
 
     def _weakness(self, mean: Mean) -> Codes:
-        """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
         least = np.maximum(mean.sensitivity_dbm, self.noise_dbm + self._preamble_db)
         level = mean.power_dbm - mean.path_loss_db
         why = np.where(level >= least, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))

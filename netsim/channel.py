@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.types import FrameReport, Message
 from netsim.budget import Budgets, Heard, Hearing, at_all
+from netsim.bulk import Bulk, BulkMedium
 from netsim.delivery import Delivery
 from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
@@ -122,6 +123,15 @@ class Channel:
         heard = self._hear(sent, start_ns)
         end_ns = start_ns + air_ns
         return [self._report(sent, heard, OnAir(self._endure(sent, heard), start_ns, end_ns))]
+
+    def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
+        """For many broadcasts of vehicles that stand still; None if layers have a say in single frames."""
+        self._meet(names)
+        plain = not self._varies and self._jammer is None and self._outcomes.plain
+        if not plain or not isinstance(self._medium, BulkMedium):
+            return None
+        means = [self.budgets.mean(self._sender(name).links, names, position) for name in names]
+        return Bulk(self._medium, self._seed, names, means, [self.hearing.weakness(mean) for mean in means])
 
     def advance(self, until_ns: int) -> list[FrameReport]:
         """Report all frames whose fate is decided up to ``until_ns``."""

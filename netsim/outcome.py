@@ -29,9 +29,11 @@ _FATES = {
     Fate.BUSY_CHANNEL: "channel busy",
 }
 _WEAKNESSES = ("below sensitivity", "walls", "shadowing", "fading")  # in the order of `netsim.budget`
-_TOO_WEAK = len(_FATES)  # code of the first of them
+TOO_WEAK = np.uint8(len(_FATES))  # code of the first of them
 _UNDETECTED = int(Fate.UNDETECTED)  # an enumeration's members are slow to look up
-_JAMMED = _TOO_WEAK + len(_WEAKNESSES)
+_JAMMED = len(_FATES) + len(_WEAKNESSES)
+WORDS = (*_FATES.values(), *_WEAKNESSES, JAMMED)
+"""What codes mean: `Fate`, then why a frame was too weak."""
 
 
 class OnAir(msgspec.Struct, frozen=True):
@@ -59,7 +61,12 @@ class Outcomes:
         self._losses = [(layer, slot) for layer, slot in losses if layer is not None]
         causes = [layer.cause for layer, _ in self._losses]
         causes += [] if delivery is None else [delivery.cause]
-        self._words = np.array((*_FATES.values(), *_WEAKNESSES, JAMMED, *causes), object)  # taken from by array, not in a loop
+        self._words = np.array((*WORDS, *causes), object)  # taken from by array, not in a loop
+
+    @property
+    def plain(self) -> bool:
+        """Whether everything arrives that a radio receives, when the frame ends."""
+        return not self._losses and self._delay is None and self._trace is None and self._delivery is None
 
     def report(self, sent: Sent, heard: Heard, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
         """What becomes of a frame at every receiver that it is meant for.
@@ -74,7 +81,7 @@ class Outcomes:
         frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
         code, too_weak = air.fate.copy(), air.fate == _UNDETECTED
         if too_weak.any():
-            code[too_weak] = _TOO_WEAK + heard.weakness[too_weak]
+            code[too_weak] = TOO_WEAK + heard.weakness[too_weak]
         if interference_mw is not None and air.start_ns >= 0:
             heard, code = self._jam(sent, heard, code, interference_mw)
         if self._losses:

@@ -83,14 +83,15 @@ def _cosines(a: Floats, b: Floats) -> Floats:
 def _waves(seed: int, correlation_distance_m: float, count: int) -> tuple[Floats, Floats, Floats]:
     """Wave vectors for both ends, (3, count) turns/m each, and phases (count,), turns."""
     rng = stream(seed, "radio/shadowing")
-    # Radii, two directions each, phase: every one has a draw in each of ``count`` equal parts of its range, in random order
-    # (Latin hypercube), so that one field comes nearer to the spectrum than with independent draws.
-    parts = rng.permuted(np.tile(np.arange(count), (7, 1)), axis=1)
-    u = (parts + rng.random((7, count))) / count
+    # Radii and two directions each: every one has a draw in each of ``count`` equal parts of its range, in random order (Latin
+    # hypercube), so that one field comes nearer to the spectrum than with independent draws. Phases are independent: evenly
+    # spread ones would cancel each other near the origin, in every world.
+    parts = rng.permuted(np.tile(np.arange(count), (6, 1)), axis=1)
+    u = (parts + rng.random((6, count))) / count
     theta = np.linspace(0.0, 0.5 * math.pi, 20_001)
     spread = 2.0 / math.pi * (theta - np.sin(theta) * np.cos(theta))
     radius = np.tan(np.interp(u[0:2], spread, theta)) / (2.0 * math.pi * correlation_distance_m)
     height, azimuth = 2.0 * u[2:4] - 1.0, 2.0 * math.pi * u[4:6]
     flat = np.sqrt(1.0 - height**2)
     vectors = radius * np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height])
-    return vectors[:, 0], vectors[:, 1], u[6]
+    return vectors[:, 0], vectors[:, 1], rng.random(count)

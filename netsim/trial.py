@@ -7,20 +7,24 @@ channel, places, period, size and seed; the first instant of a radio goes by the
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from itertools import count
+from itertools import count, islice
 from typing import Any, Protocol
 
 import msgspec
+import numpy as np
 
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.rng import stream
 from cosim.types import FrameReport, Message
-from netsim.layers import Floats
+from netsim.bulk import Bulk
+from netsim.layers import Floats, Ints
 from netsim.trial_tally import Tally
 
 Sink = Callable[[FrameReport], None]
 Progress = Callable[[int, int], None]
 
+_BULK = 512  # frames that are handed over together where no reports are wanted
+_LONG_AFTER_NS = 10**15  # behind the last sending, when all is decided
 _ADVANCE_EVERY = 64  # frames: what is decided meanwhile is worked off together
 
 
@@ -38,6 +42,12 @@ class Air(Protocol):
 
     def next_ns(self) -> int | None:
         """When something will be decided next."""
+
+    def expect(self, frames: int) -> None:
+        """About so many frames will be sent."""
+
+    def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
+        """For many frames at once; None if that is not possible."""
 
 
 class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
@@ -106,6 +116,10 @@ def run(channel: Air, plan: Broadcasts, *, sink: Sink | None = None, progress: P
             elsewhere_s += time.process_time() - before_s
 
     channel.start(plan.seed)
+    bulk = channel.bulk(names, plan.position) if sink is None else None
+    if bulk is not None:
+        _run_bulk(bulk, plan, tally, progress)
+        return {**tally.summary(), "cpu_s": time.process_time() - begun_s}
     for number, (sent_ns, row) in enumerate(plan.sendings()):
         note(channel.send(sent_ns, messages[row], names, plan.position))
         if number % _ADVANCE_EVERY == 0:
@@ -116,6 +130,26 @@ def run(channel: Air, plan: Broadcasts, *, sink: Sink | None = None, progress: P
         note(channel.advance(due_ns + SECOND_NS))
     summary = tally.summary()
     return {**summary, "cpu_s": time.process_time() - begun_s - elsewhere_s}
+
+
+def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: Tally, progress: Progress | None) -> None:
+    """The same, many frames at once."""
+    sent_ns: Ints = np.zeros(0, np.int64)
+    others = len(plan.position) - 1
+
+    def note(until_ns: int) -> None:
+        done = bulk.advance(until_ns)
+        tally.add_many(done.end_ns - sent_ns[done.number], done.received, others * len(done.number), done.losses)
+        if progress is not None:
+            progress(min(until_ns, plan.end_ns), plan.end_ns)
+
+    sendings = plan.sendings()
+    while block := list(islice(sendings, _BULK)):
+        time_ns, sender = (np.array(column, np.int64) for column in zip(*block, strict=True))
+        sent_ns = np.concatenate([sent_ns, time_ns])
+        bulk.send(time_ns, sender, plan.size_bytes)
+        note(int(time_ns[-1]))
+    note(plan.end_ns + _LONG_AFTER_NS)
 
 
 def _warm_up(channel: Air, plan: Broadcasts, message: Message) -> None:

@@ -44,6 +44,15 @@ class Tally:
             for cause, lost in self._causes(report.outcome, total - received).items():
                 self.losses[cause] = self.losses.get(cause, 0) + lost
 
+    def add_many(self, delay_ns: Ints, received: Ints, receivers: int, losses: dict[str, int]) -> None:
+        """Count frames: their delays and how many received them, (m,) each; all receivers, and all losses by cause, together."""
+        self.frames += len(delay_ns)
+        self.receivers += receivers
+        self.receptions += int(received.sum())
+        self.delays.add_counts(delay_ns[received > 0], received[received > 0])
+        for cause, lost in losses.items():
+            self.losses[cause] = self.losses.get(cause, 0) + lost
+
     def summary(self) -> dict[str, Any]:
         """``frames, receptions, delivery_ratio, delay_s`` (mean, p50, p95, p99), ``losses``; None where there is nothing."""
         mean_s, (p50, p95, p99) = self.delays.mean_s(), self.delays.percentiles_s(50, 95, 99)
@@ -84,6 +93,11 @@ class Delays:
         self._same[delay_ns] = self._same.get(delay_ns, 0) + count
         if len(self._same) >= _HELD:
             self._sort_same()
+
+    def add_counts(self, delays_ns: Ints, counts: Ints) -> None:
+        """So many of each, (n,)."""
+        if len(delays_ns):
+            self._keep(delays_ns, counts)
 
     def add_each(self, delays_ns: Ints) -> None:
         """Delays one by one, (n,)."""

@@ -15,10 +15,17 @@ from netsim.layers import Frame, Links, Paths
 from physics.world import Box
 
 
-def make_channel(name: str = "ideal", *, seed: int = 1, boxes: Sequence[Box] = (), **changes: dict[str, Any]) -> Channel:
+def make_channel(
+    name: str = "ideal",
+    *,
+    seed: int = 1,
+    boxes: Sequence[Box] = (),
+    vehicles: Sequence[str] = (),
+    **changes: dict[str, Any],
+) -> Channel:
     """A channel of a preset: ``make_channel("wifi-b-1", loss={"probability": 0.2})``, without contention unless asked."""
     tables = {"preset": name, "mac": {"kind": "ideal"}, **changes}
-    channel: Channel = radio.build(tables, Source("test", Path()), boxes=boxes)[0]
+    channel: Channel = radio.build(tables, Source("test", Path()), boxes=boxes, vehicles=vehicles)[0]
     channel.start(seed)
     return channel
 

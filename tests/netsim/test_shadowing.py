@@ -89,3 +89,13 @@ def test_a_way_in_small_steps_ends_where_one_leap_does() -> None:
     for step in np.linspace(0.0, 1.0, 50):
         last = LAYER.loss_db(Line.between(np.zeros(3), start + step * (end - start)))
     assert last.tolist() == LAYER.loss_db(Line.between(np.zeros(3), end)).tolist()
+
+
+@pytest.mark.parametrize("place", [0.0, 1.0, 5.0, 200.0])
+def test_every_place_varies_alike_from_world_to_world(place: float) -> None:
+    """The origin too, where scenarios begin. The standard deviation of a sample of n has the standard error 1 / sqrt(2 n)."""
+    layer, seeds = Shadowing(sigma_db=4.0, correlation_distance_m=10.0), 400
+    there = np.array([place + 7.0, place, 0.0])
+    losses = [layer.loss_db(Line.between(np.array([place, place, 0.0]), there[None], seed))[0] for seed in range(seeds)]
+    assert abs(np.std(losses) / 4.0 - 1.0) < 4.0 / np.sqrt(2.0 * seeds)
+    assert abs(np.mean(losses)) < 4.0 * 4.0 / np.sqrt(seeds)
