@@ -69,6 +69,11 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
         """No frame is sent from here on."""
         return seconds_to_ns(self.duration_s)
 
+    @property
+    def frames(self) -> int:
+        """How many, about."""
+        return int(len(self.position) * self.rate_hz * self.duration_s)
+
     def phases_ns(self) -> list[int]:
         """When each radio sends its first frame: uniform in the period."""
         period_ns = float(Ticks.rate(self.rate_hz).period)
@@ -116,6 +121,7 @@ def run(channel: Air, plan: Broadcasts, *, sink: Sink | None = None, progress: P
             elsewhere_s += time.process_time() - before_s
 
     channel.start(plan.seed)
+    channel.expect(plan.frames)
     bulk = channel.bulk(names, plan.position) if sink is None else None
     if bulk is not None:
         _run_bulk(bulk, plan, tally, progress)
@@ -155,5 +161,6 @@ def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: Tally, progress: Progress | N
 def _warm_up(channel: Air, plan: Broadcasts, message: Message) -> None:
     """Send one frame, of which nothing is left."""
     channel.start(plan.seed)
+    channel.expect(plan.frames)
     channel.send(0, message, plan.names, plan.position)
     channel.advance(SECOND_NS)
