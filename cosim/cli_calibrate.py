@@ -35,7 +35,7 @@ def calibrate_command(
 
     registry.guard()
     fitting = registry.piece("calibration").calibrate_command
-    with threadpool_limits(limits=1):  # small matrices: threads that wait for each other take ten times as long on a busy machine
+    with threadpool_limits(limits=1):  # threads for small matrices wait for each other on a busy machine
         calibration = fitting(
             links,
             tx_power_dbm=tx_power,

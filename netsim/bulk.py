@@ -12,7 +12,7 @@ import numpy as np
 from cosim.rng import link_uniform
 from netsim.budget import Mean
 from netsim.draws import ERROR_SLOT
-from netsim.layers import Floats, Ints, Links
+from netsim.layers import Floats, Ints, Keys, Links
 from netsim.medium import Codes, Fate
 from netsim.outcome import TOO_WEAK, WORDS
 
@@ -84,7 +84,7 @@ class Bulk:
         losses = {word: many for word, many in zip(WORDS[1:], found[1:], strict=True) if many}
         return Counted(number, end_ns, (code == 0).sum(axis=1), losses)
 
-    def _own_numbers(self, sender: Ints) -> Ints:
+    def _own_numbers(self, sender: Ints) -> Keys:
         """The number of each frame among those of its sender."""
         order = np.argsort(sender, kind="stable")
         first = np.searchsorted(sender[order], sender[order])

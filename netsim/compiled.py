@@ -3,7 +3,7 @@
 The functions are written in the part of NumPy that numba compiles, and do the same operations in the same order either way:
 what they compute is the same to the last bit. `VCMVSP_COMPILED=0` in the environment turns compilation off.
 
-What has been compiled is kept in the user's cache folder, under a digest of the sources: a change makes it compile anew.
+What has been compiled is kept in the user's cache folder, under a digest of its sources: a change makes it compile anew.
 """
 
 import hashlib
@@ -23,35 +23,59 @@ def available() -> bool:
     return os.environ.get("VCMVSP_COMPILED", "1") != "0" and importlib.util.find_spec("numba") is not None
 
 
-@cache
-def compiled(names: tuple[str, ...], entry: str) -> Callable[..., int]:
-    """A function, compiled with all that it calls, the first time that it is called.
+class Compiled:
+    """A function of two named tuples of arrays and numbers, and of a number, compiled with all that it calls.
 
     Args:
-        names: modules whose functions call each other, each those of modules before it; no others.
+        names: modules whose functions call each other, each those of modules before it; no others. A function ``f`` is compiled
+            from ``f_loop`` where its module has that too.
         entry: name of the function, in the last of them.
     """
-    numba: Any = importlib.import_module("numba")
 
+    def __init__(self, names: tuple[str, ...], entry: str) -> None:
+        self._function = _compiled(names, entry)
+        self._pack: Any = importlib.import_module("netsim.compiled_block").Block
+        self._first = self._second = self._pack(())
+
+    def __call__(self, first: Any, second: Any, number: int) -> int:
+        """Call it: the first time this may take long. Of tuples that are those of the call before nothing is copied."""
+        if first is not self._first.fields:
+            self._first = self._pack(first)
+        if second is not self._second.fields:
+            self._second = self._pack(second)
+        return self._function(self._first, self._second, number)
+
+
+@cache
+def _compiled(names: tuple[str, ...], entry: str) -> Callable[..., int]:
+    numba: Any = importlib.import_module("numba")
     modules = [_load(name) for name in names]
-    digest = hashlib.blake2b(b"".join(Path(str(module.__file__)).read_bytes() for module in modules), digest_size=8).hexdigest()
-    cache_folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vcmvsp" / digest
-    use = _writable(cache_folder)
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vcmvsp" / _digest(modules)
+    options = {"cache": _writable(folder), "no_cfunc_wrapper": True, "error_model": "numpy"}
     done: dict[str, object] = {}
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder)
+    numba.config.CACHE_DIR = str(folder)
     try:
         for module in modules:
             for name, value in list(vars(module).items()):
                 if isinstance(value, FunctionType) and value.__module__ == module.__name__:
-                    inner = name != entry
-                    done[name] = numba.njit(cache=use, no_cpython_wrapper=inner, no_cfunc_wrapper=True)(value)
+                    source = vars(module).get(f"{name}_loop", value)
+                    done[name] = numba.njit(no_cpython_wrapper=name != entry, **options)(source)
                 if name in done:
                     setattr(module, name, done[name])
     finally:
         numba.config.CACHE_DIR = before
     function: Callable[..., int] = getattr(modules[-1], entry)
     return function
+
+
+def _digest(modules: list[ModuleType]) -> str:
+    """Of all that the machine code depends on: the sources, and the numbers in them that come from elsewhere."""
+    digest = hashlib.blake2b(digest_size=8)
+    for module in modules:
+        digest.update(Path(str(module.__file__)).read_bytes())
+        digest.update(repr([each for each in vars(module).items() if isinstance(each[1], (int, float))]).encode())
+    return digest.hexdigest()
 
 
 def _load(name: str) -> ModuleType:

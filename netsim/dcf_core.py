@@ -7,9 +7,8 @@ frame waits or not. A frame that finds the medium idle and no backoff left waits
 Written for NumPy and for compilation alike, see `netsim.compiled`: what changes is in the arrays of a `State`.
 """
 
-import numpy as np
-
 from netsim.dcf_air import detect, put_on_air, take_off_air
+from netsim.dcf_kernels import sense
 from netsim.dcf_queue import decide, enqueue, expire, insert, leave
 from netsim.dcf_state import (
     ACK,
@@ -29,7 +28,6 @@ from netsim.dcf_state import (
     Rules,
     State,
 )
-from netsim.layers import Ints
 
 # Why `run` comes back.
 DONE, LEVELS, DRAWS, OUTPUT = 0, 1, 2, 3
@@ -87,20 +85,8 @@ def upcoming(s: State, rules: Rules) -> tuple[int, int, int]:
 # --- backoff ---
 
 
-def sense(s: State, rules: Rules, busy: Ints, now: int) -> None:
-    """All radios know that the medium is busy until some time, (n,): backoffs stand still, and what is due moves."""
-    n = len(s.lock)
-    begun = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
-    counted = np.minimum(np.maximum(now - begun, 0) // rules.slot_ns, s.slots)
-    s.counting_ns[:] = np.where(begun <= now, begun + counted * rules.slot_ns, s.counting_ns)
-    s.slots[:] = s.slots - counted
-    s.idle_ns[:] = np.maximum(s.idle_ns, busy)
-    resumed = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
-    s.due[:n] = np.where(s.due[:n] < NEVER, resumed + s.slots * rules.slot_ns, NEVER)
-
-
 def count_down(s: State, rules: Rules, i: int, now: int) -> None:
-    """The same for one radio: the slots that have passed."""
+    """The slots of radio i that have passed; see `sense`."""
     begun = max(s.counting_ns[i], max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
     if begun <= now:
         counted = min((now - begun) // rules.slot_ns, s.slots[i])
@@ -188,7 +174,7 @@ def start(s: State, rules: Rules, i: int, now: int) -> bool:
         return True
     if s.attempts[f] == 0 and s.row[f] != NOBODY:
         s.level[i] = s.levels[s.row[f]]
-        s.patience[i] = s.patiences[s.row[f]]
+        s.patience[i] = s.patiences[f]
     elif s.placed[i] != f:
         s.counts[WANTED] = f
         return False
@@ -231,10 +217,9 @@ def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
 def finish(s: State, rules: Rules, i: int, now: int) -> None:
     """What radio i sends ends."""
     n = len(s.lock)
-    busy = take_off_air(s, rules, i, now)
-    if s.kind[i] == UNICAST:  # who received it keeps silent for the acknowledgement
-        busy = np.maximum(busy, np.where(s.fate[i] == RECEIVED, now + rules.sifs_ns + rules.ack_air_ns, 0))
-    sense(s, rules, busy, now)
+    # Who received a unicast frame keeps silent for the acknowledgement.
+    reserved_ns = now + rules.sifs_ns + rules.ack_air_ns if s.kind[i] == UNICAST else 0
+    sense(s, rules, take_off_air(s, rules, i, now, reserved_ns), now)
     if s.kind[i] == ACK:
         f = s.acked[i]
         s.acked[i] = NOBODY

@@ -118,8 +118,8 @@ class State(NamedTuple):
     told: Bools  # unicast and received; that is decided, whatever becomes of the acknowledgement
     outcome: Ints  # fate of a unicast frame where it is meant for, at the last attempt
     least_there: Floats  # SINR, of the last attempt
+    patiences: Floats  # (c, n)
     levels: Floats  # (r, n)
-    patiences: Floats  # (r, n)
     placed: Ints  # (n,) frame whose levels have been put in the place of what this radio sends
     arrivals: Ints  # frames that are offered, by time
     counts: Ints
@@ -133,7 +133,9 @@ class State(NamedTuple):
     out_least: Floats
 
 
-def new_state(rules: Rules, count: int, sensitivity_mw: float, tables: Floats, *, frames: int = 256, output: int = 64) -> State:
+def new_state(
+    rules: Rules, count: int, sensitivity_mw: float, tables: Floats, *, frames: int = 256, output: int = 256
+) -> State:
     """Nobody sends, nothing waits; the medium has been idle since time 0."""
     n = count
 
@@ -196,8 +198,8 @@ def new_state(rules: Rules, count: int, sensitivity_mw: float, tables: Floats, *
         told=bools(frames),
         outcome=ints(EXPIRED, frames),
         least_there=floats(frames),
+        patiences=floats(frames, n),
         levels=floats(64, n),
-        patiences=floats(64, n),
         placed=ints(NOBODY),
         arrivals=ints(NOBODY, frames),
         counts=ints(0, 7),
@@ -209,3 +211,16 @@ def new_state(rules: Rules, count: int, sensitivity_mw: float, tables: Floats, *
         out_fate=np.zeros((output, n), np.uint8),
         out_least=floats(output, n),
     )
+
+
+def next_decision(s: State, rules: Rules) -> int:
+    """When a frame may be decided next, if nothing else comes; something waits or is on the air."""
+    n = len(s.lock)
+    soonest = [int(s.end_ns[i]) for i in s.air[: s.counts[ON_AIR]].tolist()]
+    soonest.append(int(s.due[n:].min()))
+    wanting = np.flatnonzero(s.due[:n] < NEVER)
+    if len(wanting):
+        heads, due = s.head[wanting], s.due[wanting]
+        expired = (heads == NOBODY) | (due > s.offered_ns[heads] + rules.lifetime_ns)
+        soonest.append(int(np.where(expired, due, due + s.air_ns[heads]).min()))
+    return min(soonest)

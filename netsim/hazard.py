@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from netsim.error_rate import ErrorRate
-from netsim.layers import Floats
+from netsim.layers import Floats, Ints
 
 LOWEST, HIGHEST = -16, 16  # octaves; outside, the steps at the ends go on
 STEP_BITS = 10  # steps in an octave: 2^10
@@ -36,8 +36,27 @@ def hazard_table(errors: ErrorRate) -> Floats:
 
 def look_up(table: Floats, sinr: Floats) -> Floats:
     """Hazard per bit, (n,), at SINRs that are ratios of powers, (n,), positive and finite."""
+    step, part = places(sinr)
+    return between(table, step, part)
+
+
+def places(sinr: Floats) -> tuple[Ints, Floats]:
+    """Where SINRs are in any table, (n,): at which step, and at what part of the way to the next."""
     bits = sinr.view(np.int64)
-    step = np.minimum(np.maximum((bits >> FRACTION_BITS) - FIRST, 0), LAST)
+    step: Ints = np.minimum(np.maximum((bits >> FRACTION_BITS) - FIRST, 0), LAST)
+    return step, (bits & WITHIN).astype(np.float64) * STEP
+
+
+def between(table: Floats, step: Ints, part: Floats) -> Floats:
+    """Hazards per bit at some `places`."""
     low = table[step]
-    hazard: Floats = low + (bits & WITHIN) * STEP * (table[step + 1] - low)
+    hazard: Floats = low + part * (table[step + 1] - low)
     return hazard
+
+
+def look_up_one(table: Floats, sinr: float) -> float:
+    """`look_up` of a single SINR."""
+    bits = int(np.float64(sinr).view(np.int64))
+    step = min(max((bits >> FRACTION_BITS) - FIRST, 0), LAST)
+    low = table[step]
+    return float(low + (bits & WITHIN) * STEP * (table[step + 1] - low))

@@ -45,7 +45,7 @@ class Tally:
                 self.losses[cause] = self.losses.get(cause, 0) + lost
 
     def add_many(self, delay_ns: Ints, received: Ints, receivers: int, losses: dict[str, int]) -> None:
-        """Count frames: their delays and how many received them, (m,) each; all receivers, and all losses by cause, together."""
+        """Count frames: delays and how many received them, (m,) each; of all together the receivers, and losses by cause."""
         self.frames += len(delay_ns)
         self.receivers += receivers
         self.receptions += int(received.sum())

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 from msgspec import convert
+from numpy.typing import NDArray
 
 from bench.ns3 import program
 from bench.ns3.cases import REFERENCE_LOSS_DB, SIZE, Case
@@ -14,6 +15,7 @@ from bench.ns3.sample import Sample, tally
 from cosim.clock import SECOND_NS
 from cosim.rng import key64
 from netsim.dcf import Dcf
+from netsim.dcf_medium import DcfMedium
 from netsim.medium import Decided, Fate, Medium, Offered
 from netsim.phy import Dsss
 from netsim.phy_ofdm import Ofdm
@@ -27,29 +29,33 @@ REFILL_NS = 50_000
 def core(case: Case, seed: int) -> Sample:
     """One run of `netsim.dcf`."""
     positions = case.positions
-    n, air = len(positions), _Air(case, seed)
-    medium = Dcf().open(air.phy, n, np.array([key64(seed, f"radio{i}") for i in range(n)], np.uint64), air.noise_mw)
-    heard = getattr(medium, "levels", None)
-    if heard is not None:
-        heard[:] = air.mean_mw
+    n, air = len(positions), Air(case, seed)
+    medium = air.open(np.array([key64(seed, f"radio{i}") for i in range(n)], np.uint64))
     begin = time.process_time()
     decided = list(_saturated(case, air, medium) if case.saturated else _periodic(case, seed, air, medium))
     cpu_s = time.process_time() - begin
     return tally(positions, air.frames(decided, n, case), cpu_s)
 
 
-class _Air:
+class Air:
     """Levels and draws of every frame."""
 
     def __init__(self, case: Case, seed: int) -> None:
         standard, rate = case.phy.split("-")
         self.phy = _phy(standard, float(rate) * 1e6, case.errors)
-        self.noise_mw = 10.0 ** (self.phy.noise_dbm / 10.0)
+        self._noise_mw = 10.0 ** (self.phy.noise_dbm / 10.0)
         distance = np.linalg.norm(case.positions[:, None] - case.positions[None], axis=2)
         loss_db = REFERENCE_LOSS_DB[standard] + 10.0 * case.exponent * np.log10(np.maximum(distance, 1.0))
         self.mean_mw: Floats = 10.0 ** ((self.phy.tx_power_dbm - loss_db) / 10.0)
         np.fill_diagonal(self.mean_mw, 0.0)
         self._m, self._random, self._offered = case.nakagami, np.random.default_rng(seed), list[Offered]()
+
+    def open(self, keys: NDArray[np.uint64]) -> DcfMedium:
+        """The core, with the keys (n,) of the radios."""
+        medium = Dcf().open(self.phy, len(keys), keys, self._noise_mw)
+        assert isinstance(medium, DcfMedium)
+        medium.levels[:] = self.mean_mw  # of acknowledgements
+        return medium
 
     def frame(self, sender: int, to: int, time_ns: int) -> Offered:
         """The next one."""
@@ -94,7 +100,7 @@ def _to(case: Case, sender: int) -> int:
     return (sender + 1) % case.nodes if case.unicast else -1
 
 
-def _periodic(case: Case, seed: int, air: _Air, medium: Medium) -> Iterator[Decided]:
+def _periodic(case: Case, seed: int, air: Air, medium: Medium) -> Iterator[Decided]:
     """The times of ns-3, before and after the measured time too."""
     frames = program.run(case.positions, case.ns3(seed)).frames
     period_ns = round(SECOND_NS / case.hz)
@@ -108,7 +114,7 @@ def _periodic(case: Case, seed: int, air: _Air, medium: Medium) -> Iterator[Deci
     yield from medium.advance(until_ns)
 
 
-def _saturated(case: Case, air: _Air, medium: Medium) -> Iterator[Decided]:
+def _saturated(case: Case, air: Air, medium: Medium) -> Iterator[Decided]:
     """Every frame that has been dealt with makes room for the next."""
     until_ns = round((case.warmup_s + case.duration_s + case.drain_s) * SECOND_NS)
     for sender in range(case.nodes):

@@ -57,12 +57,14 @@ def run(positions: Floats, options: Mapping[str, str | float]) -> Result:
     kept = folder() / hashlib.sha256("\n".join([RESULTS, lines, *words]).encode()).hexdigest()[:24]
     result = kept.with_suffix(".npz")
     if not result.exists():
-        rows, places = kept.with_suffix(".bin"), kept.with_suffix(".csv")
+        rows, places, part = (kept.with_suffix(f".{os.getpid()}.{kind}") for kind in ("bin", "csv", "npz"))
         places.write_text(lines)
         command = [str(program()), f"--positions={places}", f"--out={rows}", *words]
         totals = subprocess.run(command, check=True, text=True, stdout=subprocess.PIPE).stdout
-        np.savez_compressed(result, totals=np.array(totals), **read(rows, len(positions))._asdict())
+        np.savez_compressed(part, totals=np.array(totals), **read(rows, len(positions))._asdict())
+        part.replace(result)
         rows.unlink()
+        places.unlink()
     with np.load(result) as stored:
         return Result(json.loads(str(stored["totals"])), Frames(**{name: stored[name] for name in Frames._fields}))
 

@@ -65,7 +65,9 @@ def command(case: Case, seed: int) -> Sample:
         words += ["--duration", f"{case.warmup_s + case.duration_s + case.drain_s}", "--seed", f"{seed}", "--out", str(out)]
         words += [word for key, value in keys.items() for word in ("--set", f"{key}={json.dumps(value)}")]
         program_ = Path(sys.executable).with_name("vcmvsp")
-        done = subprocess.run([str(program_), "channel", *words, "--json"], check=True, text=True, stdout=subprocess.PIPE)
+        done = subprocess.run(
+            [str(program_), "channel", *words, "--json", "--quiet"], check=True, text=True, stdout=subprocess.PIPE
+        )
         table = pq.read_table(out, columns=["sent_ns", "distance_m", "delay_ns", "received_ns"])
         totals = json.loads(done.stdout)
     sent_ns = table["sent_ns"].to_numpy()

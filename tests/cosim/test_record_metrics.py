@@ -48,12 +48,12 @@ def frame(number: int, sender: str, sent_ns: int, received: dict[str, int | None
         rssi_dbm=frozen(np.full(count, -60.0 - number)),
         received_ns=frozen([-1 if at is None else at for at in received.values()], np.int64),
         outcome=tuple("random loss" if at is None else "received" for at in received.values()),
-        **{name: frozen(np.full(count, 7.0)) for name in ("snr_db", "sinr_db", "path_loss_db", "wall_loss_db")},
-        **{name: frozen(np.full(count, 3.0)) for name in ("shadowing_db", "fading_db")},
-        **{name: frozen(np.full(count, 5), np.int64) for name in ("walls", "copy_ns")},
         wall_materials=("wood",) * count,
     )
-    return Event("radio/frame", sent_ns, value)
+    parts = {name: frozen(np.full(count, 7.0)) for name in ("snr_db", "sinr_db", "path_loss_db", "wall_loss_db")}
+    parts |= {name: frozen(np.full(count, 3.0)) for name in ("shadowing_db", "fading_db")}
+    parts |= {name: frozen(np.full(count, 5), np.int64) for name in ("walls", "copy_ns")}
+    return Event("radio/frame", sent_ns, msgspec.structs.replace(value, **parts))
 
 
 def follows(vehicle: str, leader: str, slot: tuple[float, float], handle_m: float, time_ns: int = 0) -> Event:

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.rng import key64
-from netsim.dcf import Dcf, DcfMedium
+from netsim.dcf import Dcf
+from netsim.dcf_medium import DcfMedium
 from netsim.layers import Floats
 from netsim.medium import Decided, Offered
 from netsim.phy import Dsss
@@ -14,6 +15,8 @@ from netsim.phy_ofdm import Ofdm
 STRONG = 1e-6  # mW: -60 dBm, 34 dB above the noise
 MS = 1_000_000  # ns
 US = 1_000
+UNTIL = 10_000 * MS
+PHYS: list[Dsss | Ofdm] = [Dsss(1e6), Dsss(11e6), Ofdm(6e6), Ofdm(54e6, "5GHz")]
 
 
 def open_air(
@@ -21,7 +24,7 @@ def open_air(
 ) -> DcfMedium:
     phy = phy or Dsss()
     keys = np.array([key64(seed, f"radio{i}") for i in range(count)], np.uint64)
-    return DcfMedium(mac or Dcf(), phy, count, keys, 10.0 ** (phy.noise_dbm / 10.0), compile_core=compiled)
+    return (mac or Dcf()).open(phy, count, keys, 10.0 ** (phy.noise_dbm / 10.0), compile_core=compiled)
 
 
 def never(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
@@ -81,3 +84,45 @@ def delivery(decided: Sequence[Decided], frames: Sequence[Offered]) -> tuple[flo
     delay_ms = (np.array([each.end_ns for each in decided]) - sent) / 1e6
     received = (fates == 0).sum(axis=1)
     return float(received.sum() / (len(decided) * (count - 1))), np.repeat(delay_ms, received)
+
+
+def bytes_of(decided: Sequence[Decided]) -> list[tuple[object, ...]]:
+    return [
+        (
+            each.number,
+            each.start_ns,
+            each.end_ns,
+            each.attempts,
+            each.fate.tobytes(),
+            each.least_sinr.tobytes(),
+        )
+        for each in decided
+    ]
+
+
+def mixed(seed: int, *, count: int = 6, frames: int = 60) -> list[Offered]:
+    """Broadcast and unicast of all sizes and priorities, with hidden nodes, in bursts."""
+    rng = np.random.default_rng(seed)
+    levels = square(count, 200.0, 3.0, seed)
+    times = np.sort(rng.integers(0, 60 * MS, frames)).tolist()
+    offered = []
+    for k, time in enumerate(times):
+        sender = int(rng.integers(count))
+        to = -1 if rng.random() < 0.5 else int((sender + rng.integers(1, count)) % count)
+        size, priority = int(rng.choice([1, 100, 1000])), int(rng.integers(3))
+        if rng.random() < 0.3:
+            offered.append(fading(k, time, sender, to, size, priority, levels[sender]))
+        else:
+            patience = rng.exponential(size=count)
+            offered.append(frame(k, time, sender, levels[sender], to=to, size=size, priority=priority, patience=patience))
+    return offered
+
+
+def fading(number: int, time: int, sender: int, to: int, size: int, priority: int, level: Floats) -> Offered:
+    """Levels and patience that are another for every attempt, and not known before."""
+
+    def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
+        rng = np.random.default_rng((number, attempt, start_ns))
+        return level * rng.exponential(size=len(level)), rng.exponential(size=len(level))
+
+    return Offered(number, time, sender, to, size, priority, None, None, renew)

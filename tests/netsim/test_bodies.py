@@ -22,7 +22,8 @@ def bodies(foot: Floats, radius_m: float = 0.5, height_m: float = 1.0) -> Bodies
 
 
 def raised(foot: Floats, height_m: float) -> Floats:
-    return foot + np.array([0.0, 0.0, height_m])
+    higher: Floats = foot + np.array([0.0, 0.0, height_m])
+    return higher
 
 
 def test_who_stands_between_is_in_the_way_and_nobody_else() -> None:

@@ -1,6 +1,5 @@
-"""What holds for any traffic: nothing is lost or invented, steps do not matter, nor does compilation, nor others' draws."""
+"""What holds for any traffic: nothing is lost or invented, steps do not matter, nor others' draws."""
 
-import os
 from bisect import bisect
 
 import numpy as np
@@ -8,57 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from netsim import compiled
-from netsim.layers import Floats
-from netsim.medium import Decided, Fate, Offered
+from netsim.dcf import Dcf
+from netsim.medium import Decided, Fate
 from netsim.phy import Dsss
 from netsim.phy_ofdm import Ofdm
-from tests.netsim.dcf_runs import MS, frame, open_air, periodic, run, square
-
-UNTIL = 10_000 * MS
-PHYS: list[Dsss | Ofdm] = [Dsss(1e6), Dsss(11e6), Ofdm(6e6), Ofdm(54e6, "5GHz")]
-
-
-def bytes_of(decided: list[Decided]) -> list[tuple[object, ...]]:
-    return [
-        (
-            each.number,
-            each.start_ns,
-            each.end_ns,
-            each.attempts,
-            each.fate.tobytes(),
-            each.least_sinr.tobytes(),
-        )
-        for each in decided
-    ]
-
-
-def mixed(seed: int, *, count: int = 6, frames: int = 60) -> list[Offered]:
-    """Broadcast and unicast of all sizes and priorities, with hidden nodes, in bursts."""
-    rng = np.random.default_rng(seed)
-    levels = square(count, 200.0, 3.0, seed)
-    times = np.sort(rng.integers(0, 60 * MS, frames)).tolist()
-    offered = []
-    for k, time in enumerate(times):
-        sender = int(rng.integers(count))
-        to = -1 if rng.random() < 0.5 else int((sender + rng.integers(1, count)) % count)
-        size, priority = int(rng.choice([1, 100, 1000])), int(rng.integers(3))
-        if rng.random() < 0.3:
-            offered.append(fading(k, time, sender, to, size, priority, levels[sender]))
-        else:
-            patience = rng.exponential(size=count)
-            offered.append(frame(k, time, sender, levels[sender], to=to, size=size, priority=priority, patience=patience))
-    return offered
-
-
-def fading(number: int, time: int, sender: int, to: int, size: int, priority: int, level: Floats) -> Offered:
-    """Levels and patience that are another for every attempt, and not known before."""
-
-    def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
-        rng = np.random.default_rng((number, attempt, start_ns))
-        return level * rng.exponential(size=len(level)), rng.exponential(size=len(level))
-
-    return Offered(number, time, sender, to, size, priority, None, None, renew)
+from tests.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, frame, mixed, open_air, periodic, run, square
 
 
 @pytest.mark.parametrize("phy", PHYS, ids=str)
@@ -167,16 +120,34 @@ def test_radios_that_nobody_hears_change_nothing_for_others() -> None:
     assert bytes_of([each for each in together if each.number in {one.number for one in frames}]) == bytes_of(alone)
 
 
-@pytest.mark.skipif(os.environ.get("VCMVSP_COMPILED") == "0" or not compiled.available(), reason="numba is not installed")
-@pytest.mark.timeout(600)  # the first time it compiles
-@pytest.mark.parametrize("seed", range(10))
-def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
-    phy = PHYS[seed % 4]
-    frames = mixed(seed, frames=300)
-    by_numpy = run(open_air(6, phy, seed=seed, compiled=False), frames, UNTIL)
-    assert bytes_of(run(open_air(6, phy, seed=seed, compiled=True), frames, UNTIL)) == bytes_of(by_numpy)
-
-
-def test_compilation_can_be_turned_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("VCMVSP_COMPILED", "0")
-    assert not compiled.available()
+@settings(max_examples=15, deadline=None)
+@given(cuts=st.lists(st.integers(0, 300 * MS), max_size=6), seed=st.integers(0, 9))
+def test_many_at_once_as_arrays_are_the_same_as_one_by_one(cuts: list[int], seed: int) -> None:
+    """With levels that are others behind every cut, and queues that overflow."""
+    mac, n = Dcf(queue_frames=3, lifetime_s=0.02), 6
+    levels, frames = square(n, 200.0, 3.0, seed), periodic(square(n, 200.0, 3.0, seed), 60.0, 300 * MS, size=1000, seed=seed)
+    singly, together = open_air(n, mac=mac, seed=seed), open_air(n, mac=mac, seed=seed)
+    decided: list[Decided] = []
+    arrays: list[tuple[object, ...]] = []
+    offered = 0
+    for k, cut in enumerate([*sorted(cuts), UNTIL]):
+        now = frames[offered : max(bisect(frames, cut, key=lambda one: one.time_ns), offered)]
+        moved = levels * (1.0 + k)
+        time_ns, sender, number = (np.array([getattr(each, it) for each in now], int) for it in ("time_ns", "sender", "number"))
+        patience = np.array([each.patience for each in now])
+        together.offer_many(time_ns, sender, 1000, moved, patience, number)
+        decided += run(
+            singly,
+            [
+                frame(one.number, one.time_ns, one.sender, moved[one.sender], size=1000, patience=row)
+                for one, row in zip(now, patience, strict=True)
+            ],
+            cut,
+        )
+        batch = together.advance_arrays(cut)
+        assert batch[3].shape == batch[4].shape == (len(batch[0]), n)
+        arrays += zip(*(each.tolist() for each in batch[:3]), map(bytes, batch[3]), map(bytes, batch[4]), strict=True)
+        offered += len(now)
+    assert arrays == [(number, start, end, fate, least) for number, start, end, _, fate, least in bytes_of(decided)]
+    assert len(arrays) == len(frames)
+    assert not together.waiting()

@@ -119,8 +119,6 @@ BOXES = [
 ]
 
 
-@pytest.mark.parametrize(
-    "layer", [ItuWalls(Across("brick", "wood")), ItuWalls(Sightline(BOXES)), FixedWalls(Sightline([]))]
-)
+@pytest.mark.parametrize("layer", [ItuWalls(Across("brick", "wood")), ItuWalls(Sightline(BOXES)), FixedWalls(Sightline([]))])
 def test_the_laws_of_every_path_loss(layer: PathLoss) -> None:
     check_channel(layer)

@@ -1,0 +1,58 @@
+"""What the powers on the air add up to, in the order in which frames began: the same to the last bit at one radio or at all."""
+
+import numpy as np
+
+from netsim.dcf_state import ON_AIR, Rules, State
+from netsim.layers import Floats, Ints
+
+
+def interference(s: State, rules: Rules, i: int) -> Floats:
+    """Noise and the power of everything but the frame of radio i, (n,) mW."""
+    total = np.full(len(s.lock), rules.noise_mw)
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        if other != i:
+            total = total + s.level[other]
+    return total
+
+
+def interference_at(s: State, rules: Rules, i: int, j: int) -> float:
+    """The same at radio j."""
+    total = rules.noise_mw
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        if other != i:
+            total += s.level[other, j]
+    return total
+
+
+def by_end(s: State) -> Ints:
+    """Who is on the air, the last to end first; of those that end together the first to start."""
+    order = s.air[: s.counts[ON_AIR]].copy()
+    for at in range(1, len(order)):
+        i, to = order[at], at
+        while to > 0 and s.end_ns[order[to - 1]] < s.end_ns[i]:
+            order[to] = order[to - 1]
+            to -= 1
+        order[to] = i
+    return order
+
+
+def energy_end(s: State, order: Ints, threshold_mw: float) -> Ints:
+    """Until when the sum of the powers on the air stays at the threshold, (n,) ns; 0 where it is below."""
+    until = np.zeros(len(s.lock), np.int64)
+    total = np.zeros(len(s.lock))
+    for i in order:
+        total = total + s.level[i]
+        until = np.where((until == 0) & (total >= threshold_mw), s.end_ns[i], until)
+    return until
+
+
+def energy_end_at(s: State, order: Ints, threshold_mw: float, j: int) -> int:
+    """The same at radio j."""
+    total = 0.0
+    for i in order:
+        total += s.level[i, j]
+        if total >= threshold_mw:
+            return int(s.end_ns[i])
+    return 0

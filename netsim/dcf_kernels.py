@@ -1,0 +1,261 @@
+"""What is done at all radios alike, written twice: with vectors for NumPy, and as loops, which are quicker when compiled.
+
+In compiled code ``f_loop`` stands for ``f`` (see `netsim.compiled`). Both do the same operations on the same numbers in the
+same order, and leave the same bits behind; but a loop leaves out what changes nothing at a radio.
+"""
+
+import numpy as np
+
+from netsim.dcf_energy import by_end, energy_end, energy_end_at, interference, interference_at
+from netsim.dcf_state import (
+    ACK,
+    COLLISION,
+    ERROR,
+    NEVER,
+    NOBODY,
+    ON_AIR,
+    RECEIVED,
+    TRANSMITTING,
+    UNDETECTED,
+    Rules,
+    State,
+)
+from netsim.hazard import between, look_up_one, places
+from netsim.layers import Ints
+
+# --- backoff ---
+
+
+def sense(s: State, rules: Rules, busy: Ints, now: int) -> None:
+    """All radios know that the medium is busy until some time, (n,): backoffs stand still, and what is due moves."""
+    n = len(s.lock)
+    begun = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
+    counted = np.minimum(np.maximum(now - begun, 0) // rules.slot_ns, s.slots)
+    s.counting_ns[:] = np.where(begun <= now, begun + counted * rules.slot_ns, s.counting_ns)
+    s.slots[:] = s.slots - counted
+    s.idle_ns[:] = np.maximum(s.idle_ns, busy)
+    resumed = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
+    s.due[:n] = np.where(s.due[:n] < NEVER, resumed + s.slots * rules.slot_ns, NEVER)
+
+
+def sense_loop(s: State, rules: Rules, busy: Ints, now: int) -> None:
+    """See `sense`."""
+    counting_ns, slots, idle_ns, eifs_ns, due = s.counting_ns, s.slots, s.idle_ns, s.eifs_ns, s.due
+    for j in range(len(busy)):
+        begun = max(counting_ns[j], max(idle_ns[j], eifs_ns[j]) + rules.difs_ns)
+        if begun <= now:
+            counting_ns[j] = begun
+            if slots[j] > 0:
+                counted = min((now - begun) // rules.slot_ns, slots[j])
+                counting_ns[j] += counted * rules.slot_ns
+                slots[j] -= counted
+        idle_ns[j] = max(idle_ns[j], busy[j])
+        if due[j] < NEVER:
+            due[j] = max(counting_ns[j], max(idle_ns[j], eifs_ns[j]) + rules.difs_ns) + slots[j] * rules.slot_ns
+
+
+# --- reception ---
+
+
+def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
+    """The frame of radio i was exposed to what is on the air now, for parts of its header and its payload."""
+    sinr = s.level[i] / (rules.noise_mw if s.counts[ON_AIR] == 1 else interference(s, rules, i))
+    s.least[i] = np.minimum(s.least[i], sinr)
+    if header_ns == 0 and payload_ns == 0:
+        return
+    receiving = (s.lock == i) | (not s.detected[i])
+    step, part = places(sinr)
+    hazard = s.hazard[i].copy()
+    if header_ns > 0:
+        hazard += rules.header_bits_per_ns * header_ns * between(s.tables[1], step, part)
+        if header_ends:
+            s.spoiled[i] = receiving & (hazard >= s.patience[i])
+    if payload_ns > 0:
+        table = s.tables[2] if s.kind[i] == ACK else s.tables[0]
+        hazard += s.payload_bits_per_ns[i] * payload_ns * between(table, step, part)
+    s.hazard[i] = np.where(receiving, hazard, s.hazard[i])
+
+
+def suffer_loop(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
+    """See `suffer`."""
+    lock, level, least, hazard, patience = s.lock, s.level[i], s.least[i], s.hazard[i], s.patience[i]
+    header_table, table = s.tables[1], s.tables[2] if s.kind[i] == ACK else s.tables[0]
+    header_bits, payload_bits = rules.header_bits_per_ns * header_ns, s.payload_bits_per_ns[i] * payload_ns
+    alone, undetected = s.counts[ON_AIR] == 1, not s.detected[i]
+    for j in range(len(lock)):
+        sinr = level[j] / (rules.noise_mw if alone else interference_at(s, rules, i, j))
+        least[j] = min(least[j], sinr)
+        receiving = undetected or lock[j] == i
+        if receiving and header_ns > 0:
+            hazard[j] += header_bits * look_up_one(header_table, sinr)
+        if header_ends:
+            s.spoiled[i, j] = receiving and hazard[j] >= patience[j]
+        if receiving and payload_ns > 0:
+            hazard[j] += payload_bits * look_up_one(table, sinr)
+
+
+def hear_begin(s: State, rules: Rules, i: int, now: int) -> None:
+    """Radio i begins to send: who is free hears it; who receives what it cannot decode, or what is weaker, lets go of that."""
+    sending = s.end_ns > now
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        held = s.lock == other
+        if captures(s, rules, other, now):
+            s.lock[:] = np.where(held & (s.level[i] >= rules.capture * s.level[other]), NOBODY, s.lock)
+        if now >= s.start_ns[other] + rules.header_end_ns:
+            s.lock[:] = np.where(held & s.spoiled[other], NOBODY, s.lock)
+    s.lock[i] = NOBODY
+    s.pending[i] = ~sending & (s.lock == NOBODY)
+    s.pending[i, i] = False
+    s.deaf[i] = sending
+    s.spoiled[i] = False
+    s.hazard[i] = 0.0
+    s.least[i] = np.inf
+    s.level[i] = np.where(s.level[i] < rules.faintest_mw, 0.0, s.level[i])
+    s.level[i, i] = 0.0
+
+
+def hear_begin_loop(s: State, rules: Rules, i: int, now: int) -> None:
+    """See `hear_begin`."""
+    lock, level, pending, deaf, spoiled = s.lock, s.level[i], s.pending[i], s.deaf[i], s.spoiled[i]
+    hazard, least, end_ns = s.hazard[i], s.least[i], s.end_ns
+    lock[i] = NOBODY
+    for j in range(len(lock)):
+        held = lock[j]
+        if held != NOBODY:
+            capture = captures(s, rules, held, now) and level[j] >= rules.capture * s.level[held, j]
+            if capture or (now >= s.start_ns[held] + rules.header_end_ns and s.spoiled[held, j]):
+                lock[j] = NOBODY
+        deaf[j] = end_ns[j] > now
+        pending[j] = not deaf[j] and lock[j] == NOBODY
+        spoiled[j] = False
+        hazard[j] = 0.0
+        least[j] = np.inf
+        if level[j] < rules.faintest_mw:
+            level[j] = 0.0
+    pending[i] = False
+    level[i] = 0.0
+
+
+def captures(s: State, rules: Rules, other: int, now: int) -> bool:
+    """Whether what begins now may take over who is receiving from radio other."""
+    within = now <= s.start_ns[other] + rules.detect_ns + rules.capture_ns
+    return bool(rules.capture_ns > 0 and s.detected[other] and within)
+
+
+def notice(s: State, rules: Rules, i: int) -> Ints:
+    """The frame of radio i is noticed or not; until when the medium is busy for what is known now, (n,)."""
+    strongest = s.pending[i].copy()
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        if other != i:
+            strongest = strongest & ~(s.pending[other] & (s.level[other] > s.level[i]))
+    power = interference(s, rules, i)
+    noticed = strongest & (s.level[i] >= s.sensitivity_mw) & (s.level[i] >= rules.preamble_snr * power)
+    s.lock[:] = np.where(noticed, i, s.lock)
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        s.pending[other] = s.pending[other] & ~noticed
+    missed = strongest & ~noticed
+    s.pending[i] = False
+    busy = np.where(noticed, s.end_ns[i], 0)
+    if missed.any():
+        busy = np.where(missed, energy_end(s, by_end(s), rules.busy_mw), busy)
+    return busy
+
+
+def notice_loop(s: State, rules: Rules, i: int) -> Ints:
+    """See `notice`."""
+    lock, level, pending, sensitivity_mw = s.lock, s.level[i], s.pending[i], s.sensitivity_mw
+    count, order, busy = s.counts[ON_AIR], by_end(s), np.zeros(len(s.lock), np.int64)
+    for j in range(len(lock)):
+        if not pending[j]:
+            continue
+        strongest, power = True, rules.noise_mw
+        for at in range(count):
+            other = s.air[at]
+            if other != i:
+                power += s.level[other, j]
+                strongest = strongest and not (s.pending[other, j] and s.level[other, j] > level[j])
+        pending[j] = False
+        if not strongest:
+            continue
+        if level[j] >= sensitivity_mw[j] and level[j] >= rules.preamble_snr * power:
+            lock[j], busy[j] = i, s.end_ns[i]
+            for at in range(count):
+                s.pending[s.air[at], j] = False
+        else:
+            busy[j] = energy_end_at(s, order, rules.busy_mw, j)
+    return busy
+
+
+def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
+    """Who received the frame of radio i, which is off the air, is free; until when the medium is busy then, (n,).
+
+    It is at least until ``reserved_ns`` for those who could decode it.
+    """
+    held = s.lock == i
+    received = s.fate[i] == RECEIVED
+    s.eifs_ns[:] = np.where(held & ~s.spoiled[i], np.where(received, 0, now + rules.eifs_ns), s.eifs_ns)
+    s.lock[:] = np.where(held, NOBODY, s.lock)
+    busy = np.where(received, reserved_ns, 0)
+    if s.counts[ON_AIR] > 0:
+        busy = np.where(held, np.maximum(busy, energy_end(s, by_end(s), rules.busy_mw)), busy)
+    return busy
+
+
+def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
+    """See `let_go`."""
+    lock, eifs_ns, fate, order, busy = s.lock, s.eifs_ns, s.fate[i], by_end(s), np.zeros(len(s.lock), np.int64)
+    for j in range(len(lock)):
+        if fate[j] == RECEIVED:
+            busy[j] = reserved_ns
+        if lock[j] == i:
+            lock[j] = NOBODY
+            if not s.spoiled[i, j]:
+                eifs_ns[j] = 0 if fate[j] == RECEIVED else now + rules.eifs_ns
+            if len(order) > 0:
+                busy[j] = max(busy[j], energy_end_at(s, order, rules.busy_mw, j))
+    return busy
+
+
+def judge(s: State, rules: Rules, i: int, now: int) -> None:
+    """Say for each radio whether it received the frame of radio i, which ends now; and if not, why not."""
+    survived = s.hazard[i] < s.patience[i]
+    ok = (s.lock == i) & survived
+    alone = survived
+    if s.shared[i]:  # what would have become of it with nothing else on the air?
+        step, part = places(s.level[i] / rules.noise_mw)
+        table = s.tables[2] if s.kind[i] == ACK else s.tables[0]
+        header = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns) * between(s.tables[1], step, part)
+        payload_ns = now - s.start_ns[i] - rules.header_end_ns
+        alone = header + s.payload_bits_per_ns[i] * payload_ns * between(table, step, part) < s.patience[i]
+    weak = (s.level[i] < s.sensitivity_mw) | (s.level[i] < rules.preamble_snr * rules.noise_mw)
+    fate = np.where(alone, COLLISION, ERROR)
+    fate = np.where(s.deaf[i], TRANSMITTING, fate)
+    fate = np.where(weak, UNDETECTED, fate)
+    s.fate[i] = np.where(ok, RECEIVED, fate)
+    s.fate[i, i] = TRANSMITTING
+
+
+def judge_loop(s: State, rules: Rules, i: int, now: int) -> None:
+    """See `judge`."""
+    lock, level, hazard, patience, fate, deaf = s.lock, s.level[i], s.hazard[i], s.patience[i], s.fate[i], s.deaf[i]
+    header_table, table = s.tables[1], s.tables[2] if s.kind[i] == ACK else s.tables[0]
+    header_bits = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns)
+    payload_bits = s.payload_bits_per_ns[i] * (now - s.start_ns[i] - rules.header_end_ns)
+    for j in range(len(lock)):
+        survived = hazard[j] < patience[j]
+        if survived and lock[j] == i:
+            fate[j] = RECEIVED
+        elif level[j] < s.sensitivity_mw[j] or level[j] < rules.preamble_snr * rules.noise_mw:
+            fate[j] = UNDETECTED
+        elif deaf[j]:
+            fate[j] = TRANSMITTING
+        else:
+            if s.shared[i]:
+                snr = level[j] / rules.noise_mw
+                suffered = header_bits * look_up_one(header_table, snr) + payload_bits * look_up_one(table, snr)
+                survived = suffered < patience[j]
+            fate[j] = COLLISION if survived else ERROR
+    fate[i] = TRANSMITTING

@@ -1,0 +1,294 @@
+"""The air that radios of IEEE 802.11 share, from outside: frames are offered, time goes on, frames are decided.
+
+What happens in between is `netsim.dcf_core`, which works on arrays; here frames get their places in them, and those that are
+decided are taken out again.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.rng import link_uniform
+from netsim import dcf_core
+from netsim.compiled import Compiled, available
+from netsim.dcf_core import DRAWS, LEVELS, OUTPUT
+from netsim.dcf_levels import Levels, free_numbers, take
+from netsim.dcf_state import (
+    ARRIVED,
+    DECIDED,
+    EXPIRED,
+    NEVER,
+    NOBODY,
+    OFFERED,
+    SCARCE,
+    SOONEST,
+    WANTED,
+    Rules,
+    State,
+    new_state,
+    next_decision,
+)
+from netsim.draws import BACKOFF_SLOT
+from netsim.layers import Floats, Ints, Keys
+from netsim.medium import Codes, Decided, Offered, Renew
+
+COMPILE_AFTER = 5000  # frames: what they take in NumPy is what compiled code takes to be loaded
+PER_FRAME = (
+    *("behind", "sender", "to", "priority", "offered_ns", "air_ns", "frame_bits", "attempts", "row"),
+    *("began_ns", "told", "outcome", "least_there", "patiences"),
+)
+CORE = ("netsim.hazard", "netsim.dcf_energy", "netsim.dcf_kernels", "netsim.dcf_air", "netsim.dcf_queue", "netsim.dcf_core")
+
+
+class Batch(NamedTuple):
+    """Frames that are decided, in the order of time; see `netsim.medium.Decided`."""
+
+    number: Ints  # (m,)
+    start_ns: Ints
+    end_ns: Ints
+    attempts: Ints
+    fate: Codes  # (m, n)
+    least_sinr: Floats  # (m, n)
+
+
+NONE = Batch(*(np.empty(0, np.int64),) * 4, np.empty((0, 0), np.uint8), np.empty((0, 0)))
+
+
+class DcfMedium:
+    """The air that n radios share, and their queues.
+
+    Args:
+        rules: how they contend.
+        phy: air times and bits of frames.
+        keys: (n,) random keys of the radios.
+        tables: (3, ...) `hazard_table` of payload, header and acknowledgement.
+        sensitivity_mw: the weakest level that is noticed.
+        compile_core: whether compiled code works it off; None: for many frames, where it can be compiled.
+
+    ``levels`` (n, n) may be set from outside: at what level, mW, each radio (row) is heard by each other (column) when it
+    acknowledges. Otherwise it is as strong as what it sent last.
+    """
+
+    def __init__(
+        self, rules: Rules, phy: Any, keys: Keys, tables: Floats, sensitivity_mw: float, *, compile_core: bool | None = None
+    ) -> None:
+        self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
+        self._run: Callable[[State, Rules, int], int] = dcf_core.run
+        self._compile_after = COMPILE_AFTER if compile_core is None and available() else None  # so many frames
+        if compile_core and count:
+            self._compile()
+        self._state = new_state(rules, count, sensitivity_mw, tables)
+        self._free = free_numbers(0, len(self._state.behind))  # places of frames
+        self._levels = Levels(self._state.levels)
+        self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
+        self._renew: dict[int, Renew] = {}  # by their places
+        self._undecided = 0
+        self._sizes: dict[int, tuple[int, int]] = {}
+        self._decided: list[Batch] = []  # and not yet handed out
+        self._draw()
+        self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
+        self._state.drawn[:] = 1
+
+    @property
+    def levels(self) -> Floats:
+        """Levels of acknowledgements, (n, n) mW."""
+        return self._state.heard
+
+    @property
+    def sensitivity_mw(self) -> Floats:
+        """The weakest level that each radio notices, (n,): as the phy says, unless set."""
+        return self._state.sensitivity_mw
+
+    def expect(self, frames: int) -> None:
+        """About so many frames will be offered: for many the core is compiled at once."""
+        if self._compile_after is not None and frames >= COMPILE_AFTER:
+            self._compile()
+
+    # --- frames come ---
+
+    def offer(self, frame: Offered) -> None:
+        """Hand over a frame; nothing happens yet."""
+        (place,) = self._take(1)
+        row = NOBODY
+        if frame.power_mw is not None and frame.patience is not None:
+            row = self._levels.keep(frame.power_mw)
+            self._state.patiences[place] = frame.patience
+        self._renew[place] = frame.renew
+        self._put(place, frame.number, frame.time_ns, frame.sender, frame.size_bytes, row)
+        self._state.to[place], self._state.priority[place] = frame.to, frame.priority
+        self._arrive(place, 1, frame.time_ns)
+
+    def offer_many(
+        self, time_ns: Ints, sender: Ints, size_bytes: int, power_mw: Floats, patience: Floats, numbers: Ints
+    ) -> None:
+        """Hand over broadcast frames of one size, whose levels do not change from frame to frame.
+
+        Args:
+            time_ns: (k,) when, never decreasing.
+            sender: (k,) rows.
+            size_bytes: payload.
+            power_mw: (n, n) level of every sender (row) at every radio. The same array object means the same levels.
+            patience: (k, n), see `Offered`.
+            numbers: (k,) name the frames.
+        """
+        if not len(sender):
+            return
+        places = np.array(self._take(len(sender)))
+        rows = self._levels.of_senders(sender, power_mw)
+        self._state.patiences[places] = patience
+        self._put(places, numbers, time_ns, sender, size_bytes, rows)
+        self._state.to[places], self._state.priority[places] = NOBODY, 0
+        self._arrive(places, len(places), int(time_ns[0]))
+
+    def _put(
+        self,
+        places: Ints | int,
+        number: Ints | int,
+        time_ns: Ints | int,
+        sender: Ints | int,
+        size_bytes: int,
+        rows: Ints | int,
+    ) -> None:
+        """Write down what is known of a frame, or of several."""
+        if self._state.levels is not self._levels.table:  # it has grown
+            self._state = self._state._replace(levels=self._levels.table)
+        s = self._state
+        if size_bytes not in self._sizes:
+            self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), self._phy.errors.payload_bits(size_bytes)
+        s.air_ns[places], s.frame_bits[places] = self._sizes[size_bytes]
+        s.sender[places], s.offered_ns[places], s.row[places], self._number[places] = sender, time_ns, rows, number
+        s.attempts[places], s.began_ns[places], s.told[places] = 0, -1, False
+        s.outcome[places], s.least_there[places] = EXPIRED, np.nan
+
+    def _arrive(self, places: Ints | int, count: int, time_ns: int) -> None:
+        """They will come to their queues, the first at some time."""
+        s = self._state
+        arrived, offered = int(s.counts[ARRIVED]), int(s.counts[OFFERED])
+        if offered + count > len(s.arrivals):  # what has not come yet goes to the front; more room unless half is free then
+            coming = s.arrivals[arrived:offered].copy()
+            arrived, offered = 0, len(coming)
+            if 2 * (offered + count) > len(s.arrivals):
+                s = self._state = s._replace(arrivals=np.full(4 * (offered + count), NOBODY))
+            s.arrivals[:offered] = coming
+        s.arrivals[offered : offered + count] = places
+        s.counts[ARRIVED], s.counts[OFFERED] = arrived, offered + count
+        s.counts[SOONEST] = min(int(s.counts[SOONEST]), time_ns)
+        self._undecided += count
+
+    def _take(self, count: int) -> list[int]:
+        """Free places of frames."""
+        while len(self._free) < count:
+            s, places = self._state, len(self._state.behind)
+            self._state = s._replace(**{name: np.concatenate([getattr(s, name)] * 2) for name in PER_FRAME})
+            self._number = np.concatenate([self._number] * 2)
+            self._free += free_numbers(places, 2 * places)
+        return take(self._free, count)
+
+    # --- time goes on ---
+
+    def advance(self, until_ns: int) -> Sequence[Decided]:
+        """Everything that is decided up to ``until_ns``, in the order of its time."""
+        return [
+            Decided(number, start_ns, end_ns, attempts, each.fate[k], each.least_sinr[k])
+            for each in self._decide(until_ns)
+            for k, (number, start_ns, end_ns, attempts) in enumerate(
+                zip(*(column.tolist() for column in each[:4]), strict=True)
+            )
+        ]
+
+    def advance_arrays(self, until_ns: int) -> tuple[Ints, Ints, Ints, Codes, Floats]:
+        """The same, as arrays: number (m,), start_ns (m,), end_ns (m,), fate (m, n), least_sinr (m, n)."""
+        batches = self._decide(until_ns) or [NONE._replace(fate=self._state.fate[:0], least_sinr=self._state.least[:0])]
+        every = batches[0] if len(batches) == 1 else Batch(*map(np.concatenate, zip(*batches, strict=True)))
+        return every.number, every.start_ns, every.end_ns, every.fate, every.least_sinr
+
+    def _decide(self, until_ns: int) -> list[Batch]:
+        self._work_off(until_ns)
+        decided, self._decided = self._decided, []
+        return decided
+
+    def _work_off(self, until_ns: int) -> None:
+        if until_ns < self._state.counts[SOONEST]:
+            return
+        while code := self._run(self._state, self._rules, until_ns):
+            if code == LEVELS:
+                self._ask()
+            elif code == DRAWS:
+                self._draw()
+            elif code == OUTPUT:
+                self._collect()
+        self._collect()
+
+    def _ask(self) -> None:
+        s = self._state
+        place = int(s.counts[WANTED])
+        i = int(s.sender[place])
+        s.level[i], s.patience[i] = self._renew[place](int(s.attempts[place]), int(s.due[i]))
+        s.placed[i] = place
+
+    def _draw(self) -> None:
+        s = self._state
+        s.store[:] = s.drawn
+        numbers = s.drawn[:, None] + np.arange(self._rules.draws)
+        uniform = link_uniform(self._keys[:, None], numbers.astype(np.uint64), BACKOFF_SLOT)
+        s.backoff[:] = uniform[..., 0]
+        s.doubt[:] = -np.log1p(-uniform[..., 1])
+        s.counts[SCARCE] = 0
+
+    def _collect(self) -> None:
+        """Take out what is decided, and free the places of the frames that are done with."""
+        s = self._state
+        count = int(s.counts[DECIDED])
+        if not count:
+            return
+        s.counts[DECIDED] = 0
+        places = s.out_frame[:count]
+        (untold,) = np.nonzero(s.out_end[:count] != NEVER)
+        if len(untold):
+            self._decided.append(
+                Batch(
+                    self._number[places[untold]],
+                    s.out_start[untold],
+                    s.out_end[untold],
+                    s.out_attempts[untold],
+                    s.out_fate[untold],
+                    s.out_least[untold],
+                )
+            )
+            self._undecided -= len(untold)
+        done = places[s.out_done[:count]]
+        self._levels.leave(s.row[done])
+        freed = done.tolist()
+        self._free += freed
+        for place in freed if self._renew else ():
+            self._renew.pop(place, None)
+        if self._compile_after is not None:
+            self._compile_after -= count
+            if self._compile_after <= 0:  # the same state goes on at another speed
+                self._compile()
+
+    def _compile(self) -> None:
+        self._run, self._compile_after = Compiled(CORE, "run"), None
+
+    # --- what is to come ---
+
+    def next_ns(self) -> int | None:
+        """When a frame will be decided next, if no other is offered; None: no frame waits or is on the air.
+
+        Never too late; too early where what would be sent next has to wait for what is just starting, and for a unicast frame
+        that will have to be sent again.
+        """
+        s = self._state
+        if s.counts[ARRIVED] < s.counts[OFFERED]:  # what comes later is offered later
+            self._work_off(int(s.offered_ns[s.arrivals[s.counts[OFFERED] - 1]]))
+        if self._decided:
+            return int(self._decided[0].end_ns[0])
+        return next_decision(self._state, self._rules) if self._undecided else None
+
+    def waiting(self) -> Sequence[int]:
+        """Numbers of the frames that are offered and not yet decided."""
+        taken = ~self._state.told
+        taken[self._free] = False
+        numbers: list[int] = np.sort(self._number[taken]).tolist()
+        return numbers
