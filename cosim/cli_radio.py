@@ -56,7 +56,6 @@ def channel_command(
     from cosim.types import Rate, Seed
 
     trial = registry.piece("channel trial")
-    channel, _, source = _channel(preset, set_)
     plan = trial.Broadcasts(
         position=registry.piece("positions file")(positions),
         rate_hz=table.convert(rate, Rate, key="--rate"),
@@ -64,6 +63,7 @@ def channel_command(
         duration_s=table.convert(duration, Duration, key="--duration"),
         seed=table.convert(seed, Seed, key="--seed"),
     )
+    channel, _, source = _channel(preset, set_, plan.names)
     try:
         with contextlib.ExitStack() as stack:
             progress = stack.enter_context(Progress(quiet=quiet))
@@ -126,7 +126,9 @@ def pathloss_command(
     _print({"preset": preset}, curves.mean_levels(path_loss, channel.phy, distance_m), json=json)
 
 
-def _channel(preset: str, arguments: Sequence[str] | None) -> "tuple[Any, dict[str, Any], Source]":
+def _channel(
+    preset: str, arguments: Sequence[str] | None, vehicles: Sequence[str] = ()
+) -> "tuple[Any, dict[str, Any], Source]":
     """A channel of a preset with some keys changed, its tables with everything filled in, and where keys came from."""
     from cosim import radio, registry, table
     from cosim.scenario import Source, value_of
@@ -152,7 +154,7 @@ def _channel(preset: str, arguments: Sequence[str] | None) -> "tuple[Any, dict[s
             if not isinstance(here, dict):
                 raise ScenarioError(f"'{part}' is a value, not a table", key=key, source=source.of(key))
         here[inner[-1]] = value_of(text)
-    channel, resolved = radio.build(tables, source, key="")
+    channel, resolved = radio.build(tables, source, key="", vehicles=vehicles)
     return channel, resolved, source
 
 

@@ -94,12 +94,12 @@ def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
     if not all(name in site.radios for name in pair):
         return None
     phy, sender, receiver = site.channel.phy, site.radios[pair[0]], site.radios[pair[1]]
-    preamble_db = getattr(phy, "preamble_snr_db", -math.inf)
-    sensitivity = phy.sensitivity_dbm if receiver.sensitivity_dbm is None else receiver.sensitivity_dbm
+    hearing, least_dbm = site.channel.hearing, site.channel.budgets.least_dbm
+    sensitivity = least_dbm if receiver.sensitivity_dbm is None else receiver.sensitivity_dbm
     return {
         "power_dbm": phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm,
         "gains_dbi": (sender.antenna_gain_dbi, receiver.antenna_gain_dbi),
-        "floor_dbm": max(sensitivity, preamble_dbm := site.channel.hearing.noise_dbm + preamble_db),
+        "floor_dbm": max(sensitivity, preamble_dbm := hearing.noise_dbm + hearing.preamble_db),
         "floor": "the sensitivity" if sensitivity >= preamble_dbm else "what the preamble needs",
         "errors": getattr(phy, "errors", None),
     }

@@ -39,7 +39,7 @@ def _without(item: str, words: Callable[[Report], str], later: Sequence[str] = (
         budget = report["budget"]
         level_dbm = budget["rssi_dbm"] - budget[item]
         name = f"without {words(report)} ({-budget[item]:.1f} dB)"
-        if budget["floor_dbm"] is None or level_dbm >= budget["floor_dbm"]:
+        if not later or budget["floor_dbm"] is None or level_dbm >= budget["floor_dbm"]:
             return f"{name} it would have been {level_dbm:.1f} dBm{_beside(level_dbm, budget)}"
         level_dbm -= sum(budget[each] for each in later)
         also = " and ".join(f"{each[:-3]} ({-budget[each]:.1f} dB)" for each in later)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from cosim import component, registry, table
 from cosim.errors import ScenarioError
@@ -93,6 +94,7 @@ def build(
             resolved[name]["file"] = keep(file)
         if name == "phy":
             offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
+    _check_mac(layers, key, source)
     _check_names(layers, vehicles, key, source)
     return registry.piece("channel")(**layers, radios=radios), resolved
 
@@ -102,6 +104,15 @@ def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapp
     if own and base["kind"] == "none" and len(registry.KINDS[layer]) == 2:  # it can be left out, or be the one that there is
         return {"kind": next(iter(registry.KINDS[layer])), **own}
     return {**base, **own} if own.get("kind", base["kind"]) == base["kind"] else own
+
+
+def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
+    """A mac may need a phy of its own standard."""
+    try:
+        layers["mac"].open(layers["phy"], 2, np.zeros(2, np.uint64), 1e-9)
+    except ScenarioError as error:
+        where = table.join(key, "mac.kind")
+        raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
 
 
 def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, source: Source) -> None:

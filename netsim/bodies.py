@@ -32,7 +32,7 @@ def through(bodies: Bodies, sender: int, antennas: Floats) -> tuple[Floats, Ints
     crossed = _crossed(bodies, antennas[sender], antennas)
     np.fill_diagonal(crossed, val=False)  # nobody stands in its own way
     crossed[:, sender] = False
-    crossed = np.delete(crossed, sender, axis=0)
+    crossed = np.delete(crossed, sender, axis=0) & (bodies.loss_db > 0.0)
     return np.where(crossed, bodies.loss_db, 0.0).sum(axis=1), crossed.sum(axis=1)
 
 

@@ -33,6 +33,7 @@ class Mean(msgspec.Struct, dict=True):
     """The mean budget of the links from one radio to n others, (n,) each."""
 
     row: int  # of the radio among all
+    antennas: Floats  # of all, (n + 1, 3) m, world
     paths: Paths
     power_dbm: Floats  # transmitted, with both antennas
     sensitivity_dbm: Floats
@@ -76,8 +77,15 @@ class Budgets:
     """Mean budgets, each worked out once per sender and geometry."""
 
     def __init__(
-        self, path_loss: PathLoss, walls: Any, shadowing: PathLoss | None, phy: Phy, radios: Mapping[str, Radio]
+        self,
+        path_loss: PathLoss,
+        walls: Any,
+        shadowing: PathLoss | None,
+        phy: Phy,
+        radios: Mapping[str, Radio],
+        least_dbm: float,
     ) -> None:
+        self.least_dbm = least_dbm  # that is noticed, unless a vehicle's own radio says otherwise
         self._path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
         self._phy, self._radios = phy, radios
         self._blocking = any(radio.body_loss_db for radio in radios.values())
@@ -91,13 +99,14 @@ class Budgets:
         self._antennas = np.zeros((0, 3))
         self._means: dict[str, Mean] = {}
 
-    def mean(self, links: Links, names: tuple[str, ...], position: Floats) -> Mean:
+    def mean(self, links: Links, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> Mean:
         """The budget of the links from one sender.
 
         Args:
             links: from it to all others, in the order of ``names``.
             names: the vehicles.
             position: where they are, (len(names), 3) m, world; the same array object means the same places.
+            bodies: whether vehicles stand in the way of others, as far as their radios say so.
         """
         if position is not self._position or names is not self._names:
             self._position, self._names, self._seed, self._means = position, names, links.seed, {}
@@ -107,14 +116,13 @@ class Budgets:
         if found is None:
             row = names.index(links.sender)
             paths = Paths.between(self._antennas[row], np.delete(self._antennas, row, axis=0), links.seed)
-            found = self._means[links.sender] = self._work_out(links, paths, row)
+            found = self._means[links.sender] = self._work_out(links, paths, row, bodies=bodies and self._blocking)
         return found
 
-    def _work_out(self, links: Links, paths: Paths, row: int) -> Mean:
+    def _work_out(self, links: Links, paths: Paths, row: int, *, bodies: bool) -> Mean:
         sender = self._of(links.sender)
-        receivers = [self._of(name) for name in links.receivers] if self._radios else [AT_POSITION] * len(links.receivers)
         power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
-        power_dbm = power + sender.antenna_gain_dbi + np.array([each.antenna_gain_dbi for each in receivers])
+        power_dbm = power + sender.antenna_gain_dbi + self.gain_dbi(links.receivers)
         path_loss_db = self._path_loss.loss_db(paths)
         walls = materials = wall_loss_db = shadowing_db = None
         loss_db = path_loss_db
@@ -124,7 +132,7 @@ class Budgets:
             else:
                 wall_loss_db = self._walls.loss_db(paths)
             loss_db = loss_db + wall_loss_db
-        if self._blocking:
+        if bodies:
             in_way_db, others = self._bodies_in_way(row)
             wall_loss_db = in_way_db if wall_loss_db is None else wall_loss_db + in_way_db
             walls = others if walls is None else walls + others
@@ -136,6 +144,7 @@ class Budgets:
         level_dbm = power_dbm - loss_db
         return Mean(
             row,
+            self._antennas,
             paths,
             power_dbm,
             self.sensitivity_dbm(links.receivers),
@@ -155,13 +164,16 @@ class Budgets:
 
     def sensitivity_dbm(self, names: tuple[str, ...]) -> Floats:
         """Of the radios of these vehicles, (n,)."""
-        own, phy = [self._of(name).sensitivity_dbm for name in names], self._phy.sensitivity_dbm
-        return np.array([phy if each is None else each for each in own], np.float64)
+        if not self._radios:
+            return np.full(len(names), self.least_dbm)
+        own = [self._of(name).sensitivity_dbm for name in names]
+        return np.array([self.least_dbm if each is None else each for each in own], np.float64)
 
-    def antenna(self, name: str) -> Floats:
-        """Where the antenna of a vehicle is now, (3,) m, world."""
-        place: Floats = self._antennas[self._names.index(name)]
-        return place
+    def gain_dbi(self, names: tuple[str, ...]) -> Floats:
+        """Of the antennas of these vehicles, (n,)."""
+        if not self._radios:
+            return np.zeros(len(names))
+        return np.array([self._of(name).antenna_gain_dbi for name in names], np.float64)
 
     def loss_db(self, tx: Floats, rx: Floats) -> Floats:
         """Mean loss from any point (3,) to others (n, 3), (n,) dB: path loss, walls and shadowing."""
@@ -195,11 +207,11 @@ def at_all(values: Floats, row: int) -> Floats:
 class Hearing:
     """What receivers make of a level."""
 
-    def __init__(self, phy: Phy) -> None:
+    def __init__(self, phy: Phy, preamble_db: float) -> None:
+        self.preamble_db = preamble_db  # above noise and interference, from where on a frame is noticed
         self.noise_dbm: float = getattr(phy, "noise_dbm", ThermalNoise().dbm)
         self.noise_mw = 10.0 ** (self.noise_dbm / 10.0)
         self.errors: ErrorRate | None = getattr(phy, "errors", None)
-        self._preamble_db: float = getattr(phy, "preamble_snr_db", -np.inf)
 
     def hear(self, mean: Mean, level_dbm: Floats, size_bytes: int) -> Heard:
         """How a frame arrives that has ``level_dbm`` (n,), where nobody else sends."""
@@ -211,9 +223,14 @@ class Hearing:
 
     def at_sinr(self, mean: Mean, level_dbm: Floats, sinr_db: Floats, size_bytes: int) -> Heard:
         """How a frame arrives that has a level, and over its whole time a SINR, (n,) each."""
-        detected = (level_dbm >= mean.sensitivity_dbm) & (sinr_db >= self._preamble_db)
+        detected = (level_dbm >= mean.sensitivity_dbm) & self.noticed(sinr_db)
         hazard = None if self.errors is None else self.errors.frame_hazard(sinr_db, size_bytes)
         return Heard(frozen(level_dbm - self.noise_dbm), frozen(sinr_db), detected, hazard, self.weakness(mean))
+
+    def noticed(self, sinr_db: Floats) -> Bools:
+        """Where a preamble stands out enough."""
+        stands_out: Bools = sinr_db >= self.preamble_db
+        return stands_out
 
     def weakness(self, mean: Mean) -> Codes:
         """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
@@ -222,7 +239,7 @@ class Hearing:
         return mean.weakness
 
     def _weakness(self, mean: Mean) -> Codes:
-        least = np.maximum(mean.sensitivity_dbm, self.noise_dbm + self._preamble_db)
+        least = np.maximum(mean.sensitivity_dbm, self.noise_dbm + self.preamble_db)
         level = mean.power_dbm - mean.path_loss_db
         why = np.where(level >= least, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))
         for loss_db, name in ((mean.wall_loss_db, WALLS), (mean.shadowing_db, SHADOWING)):

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.errors import ScenarioError
 from cosim.types import FrameReport, Message
 from netsim.budget import Budgets, Heard, Hearing, at_all
 from netsim.bulk import Bulk, BulkMedium
@@ -24,7 +25,7 @@ from netsim.delivery import Delivery
 from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
 from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
-from netsim.mac import Ideal, Mac
+from netsim.mac import Ideal, Mac, needs
 from netsim.medium import Codes, Decided, Fate, Levelled, Medium, Offered
 from netsim.outcome import OnAir, Outcomes
 from netsim.radios import Radio
@@ -62,11 +63,19 @@ class Channel:
         radios: Mapping[str, Radio] | None = None,
     ) -> None:
         self.phy, self.mac = phy, mac or Ideal()
-        self.budgets = Budgets(path_loss, unless_nothing(walls), unless_nothing(shadowing), phy, dict(radios or {}))
-        self.hearing = Hearing(phy)
+        least = needs(self.mac, phy)
+        own = dict(radios or {})
+        if least.sensitivity_dbm == -np.inf and any(radio.sensitivity_dbm is not None for radio in own.values()):
+            problem = f"{type(self.mac).__name__} notices frames by their SINR: a vehicle's sensitivity_dbm says nothing"
+            raise ScenarioError(problem, key="mac.kind")
+        layers = unless_nothing(walls), unless_nothing(shadowing)
+        self.budgets = Budgets(path_loss, *layers, phy, own, least.sensitivity_dbm)
+        self.hearing = Hearing(phy, least.preamble_snr_db)
         self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
         self._varies = any(layer is not None for layer in (fading, script, trace))  # levels, from attempt to attempt
-        self._outcomes = Outcomes(self.hearing, unless_nothing(loss), unless_nothing(delay), script, trace, delivery)
+        self._outcomes = Outcomes(
+            self.hearing, unless_nothing(loss), unless_nothing(delay), script, trace, delivery, fades=fading is not None
+        )
         self.start(seed=0)
 
     def start(self, seed: int) -> None:
@@ -78,6 +87,7 @@ class Channel:
         self._senders: dict[str, Sender] = {}
         self._medium: Medium | None = None
         self._waiting: dict[int, Sent] = {}  # by frame: those that contend
+        self._answers: dict[int, Floats] = {}  # by frame: levels of who acknowledges it, until it is offered
         self._coming: list[tuple[int, int, Offered]] = []  # heap of (time, frame): those of them on their way to the radio
         self.budgets.start()
 
@@ -126,6 +136,8 @@ class Channel:
 
     def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
         """For many broadcasts of vehicles that stand still; None if layers have a say in single frames."""
+        if self._frames:
+            raise ValueError("frames have been sent one by one: start anew")
         self._meet(names)
         plain = not self._varies and self._jammer is None and self._outcomes.plain
         if not plain or not isinstance(self._medium, BulkMedium):
@@ -137,21 +149,28 @@ class Channel:
         """Report all frames whose fate is decided up to ``until_ns``."""
         if self._medium is None or not self._waiting:
             return []
+        decided: list[Decided] = []
         while self._coming and self._coming[0][0] <= until_ns:
-            self._medium.offer(heappop(self._coming)[2])
-        return [self._settle(each) for each in self._medium.advance(until_ns)]
+            offered = heappop(self._coming)[2]
+            if offered.to >= 0 and isinstance(self._medium, Levelled):  # not before its time: others may be answering still
+                decided += self._medium.advance(offered.time_ns)
+                self._medium.levels[offered.to] = self._answers.pop(offered.number)
+            self._medium.offer(offered)
+        decided += self._medium.advance(until_ns)
+        return [self._settle(each) for each in decided]
 
     def next_ns(self) -> int | None:
         """Before this no frame is decided, as long as nothing else is sent; None: none is waiting."""
         if self._medium is None or not self._waiting:
             return None
-        times = [arrival_ns + self._waiting[frame].air_ns for arrival_ns, frame, _ in self._coming[:1]]
+        times = [arrival_ns + self._waiting[frame].air_ns for arrival_ns, frame, _ in self._coming]
         due = self._medium.next_ns()
         return min(times if due is None else [*times, due])
 
     def finish(self) -> list[FrameReport]:
         """Report the frames that were handed over and are not decided yet, as under way."""
         waiting, self._waiting, self._coming = list(self._waiting.values()), {}, []
+        self._medium, self._names = None, ()
         return [self._outcomes.unfinished(sent, self._judge(sent)) for sent in waiting]
 
     def _meet(self, names: tuple[str, ...]) -> None:
@@ -219,24 +238,23 @@ class Channel:
             return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
 
         power_mw, patience = (None, None) if self._varies else renew(0, 0)
-        to = -1 if sent.message.to is None else self._answerer(sent.message.to)
+        to = -1 if sent.message.to is None else self._answerer(sent)
         self._waiting[sent.frame] = sent
         offered = Offered(
             sent.frame, arrival_ns, row, to, sent.message.size_bytes, sent.message.priority, power_mw, patience, renew
         )
         heappush(self._coming, (arrival_ns, sent.frame, offered))
 
-    def _answerer(self, name: str) -> int:
-        """The row of a radio that will acknowledge, from where it is now."""
-        radio = self._sender(name)
-        if isinstance(self._medium, Levelled):
-            self._medium.levels[radio.row] = self.budgets.here(radio.links).power_mw
+    def _answerer(self, sent: Sent) -> int:
+        """The row of the radio that will acknowledge, from where it is now."""
+        assert sent.message.to is not None  # noqa: S101  it is asked for unicast frames
+        radio = self._sender(sent.message.to)
+        self._answers[sent.frame] = self.budgets.here(radio.links).power_mw
         return radio.row
 
     def _settle(self, decided: Decided) -> FrameReport:
         sent = self._waiting.pop(decided.number)
         if decided.attempts and sent.tries:  # there may have been another one since, because the acknowledgement was lost
-            sent.attempts = decided.attempts
             sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
         heard = self._judge(sent)
         if decided.attempts:
@@ -249,8 +267,13 @@ class Channel:
     def _report(self, sent: Sent, heard: Heard, air: OnAir) -> FrameReport:
         interference_mw = None
         if self._jammer is not None and air.start_ns >= 0:
+            mean, gain_dbi = sent.mean, self.budgets.gain_dbi(sent.sender.links.receivers)
             interference_mw = self._jammer.interference_mw(
-                air.start_ns, air.end_ns, sent.mean.paths.rx, self.budgets.loss_db, self.budgets.antenna
+                air.start_ns,
+                air.end_ns,
+                mean.paths.rx,
+                lambda tx, rx: self.budgets.loss_db(tx, rx) - gain_dbi,
+                lambda name: mean.antennas[self._names.index(name)],
             )
         return self._outcomes.report(sent, heard, air, interference_mw)
 

@@ -32,7 +32,7 @@ class Coverage(msgspec.Struct, frozen=True):
 def coverage(
     channel: Channel, sender: str, position: Floats, antennas: Floats, *, size_bytes: int = 100, seed: int = 0
 ) -> Coverage:
-    """How the frames of one vehicle arrive at receivers that stand at many places.
+    """How the frames of one vehicle arrive at receivers that stand at many places, with no other vehicle in the way.
 
     Args:
         channel: as a run has it.
@@ -55,14 +55,13 @@ def among(channel: Channel, sender: str, places: Mapping[str, Vec3], *, size_byt
     """The same at the other vehicles, in the order of ``places`` (m, world): each with a radio of its own."""
     names = tuple(places)
     links = Links(seed, sender, tuple(name for name in names if name != sender))
-    mean = _mean(channel, links, names, np.array(list(places.values()), np.float64))
+    mean = _mean(channel, links, names, np.array(list(places.values()), np.float64), bodies=True)
     return Coverage(mean.level_dbm, _success(channel, mean, links, size_bytes))
 
 
 def floor_dbm(channel: Channel) -> float:
     """The weakest level that is noticed where nobody else sends: the phy's sensitivity, or what the preamble needs."""
-    preamble_db: float = getattr(channel.phy, "preamble_snr_db", -np.inf)
-    return max(channel.phy.sensitivity_dbm, channel.hearing.noise_dbm + preamble_db)
+    return max(channel.budgets.least_dbm, channel.hearing.noise_dbm + channel.hearing.preamble_db)
 
 
 def range_m(channel: Channel, sender: str, height_m: float) -> float | None:
@@ -79,12 +78,12 @@ def range_m(channel: Channel, sender: str, height_m: float) -> float | None:
 def _mean_at(channel: Channel, sender: str, position: Floats, antennas: Floats, seed: int) -> tuple[Mean, Links]:
     """Mean budgets at any places: to the channel, receivers are vehicles that have no radio of their own."""
     links = Links(seed, sender, tuple(f"{sender} at {number}" for number in range(len(antennas))))  # no vehicle is called so
-    return _mean(channel, links, (sender, *links.receivers), np.concatenate([position[None], antennas])), links
+    return _mean(channel, links, (sender, *links.receivers), np.concatenate([position[None], antennas]), bodies=False), links
 
 
-def _mean(channel: Channel, links: Links, names: tuple[str, ...], position: Floats) -> Mean:
+def _mean(channel: Channel, links: Links, names: tuple[str, ...], position: Floats, *, bodies: bool) -> Mean:
     channel.budgets.start()  # nothing is left of this question, or of one before
-    mean = channel.budgets.mean(links, names, position)
+    mean = channel.budgets.mean(links, names, position, bodies=bodies)
     channel.budgets.start()
     return mean
 

@@ -55,6 +55,11 @@ class Csma154:
         if self.min_be > self.max_be:
             raise ScenarioError(f"min_be = {self.min_be} is more than max_be = {self.max_be}", key="min_be")
 
+    @property
+    def needs_snr_db(self) -> float:
+        """What a frame needs to be noticed, whatever the phy's sensitivity."""
+        return self.preamble_snr_db
+
     def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium:
         """The air for ``count`` radios.
 

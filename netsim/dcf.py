@@ -2,8 +2,9 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from cosim.clock import SECOND_NS
@@ -38,6 +39,9 @@ G = Standard(20.0, 10.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 304)
 A = Standard(9.0, 16.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 44)
 
 
+Attempts = Annotated[int, msgspec.Meta(ge=1, le=28)]
+
+
 @dataclass(frozen=True)
 class Dcf:
     """Radios share the air as IEEE 802.11 says: they listen before they send, back off, and collide.
@@ -57,7 +61,7 @@ class Dcf:
     capture_window_us: Positive = 16.0  # within this time from when the first was noticed
     queue_frames: Count = 500  # that may wait at a sender
     lifetime_s: Positive = 0.5  # of a frame in the queue
-    attempts: Count = 7  # to send a unicast frame
+    attempts: Attempts = 7  # to send a unicast frame
 
     def open(self, phy: Any, count: int, keys: Keys, noise_mw: float, *, compile_core: bool | None = None) -> DcfMedium:
         """The air for ``count`` radios whose random keys are (count,): backoff k of a radio depends on its key and k alone.

@@ -17,6 +17,7 @@ FADING_SLOT = 3
 SCRIPT_SLOT = 4
 TRACE_SLOT = 5
 DELIVERY_SLOT = 6
+JAMMER_SLOT = 7
 ERROR_SLOT = 32  # and those behind it: one for each attempt to send the frame
 RETRY_FADING_SLOT = 64  # the same: fading of each attempt but the first
 # Draws that do not go by frames.

@@ -8,7 +8,7 @@ import numpy as np
 from cosim.types import FrameReport, frozen
 from netsim.budget import Heard, Hearing
 from netsim.delivery import Delivery
-from netsim.draws import DELAY_SLOT, DELIVERY_SLOT, ERROR_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT
+from netsim.draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT
 from netsim.layers import Bools, Delay, Floats, Frame, Ints, Loss
 from netsim.medium import Codes, Fate
 from netsim.script import Script
@@ -55,13 +55,18 @@ class Outcomes:
         script: Script | None,
         trace: Trace | None,
         delivery: Delivery | None,
+        *,
+        fades: bool,
     ) -> None:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
         losses: list[tuple[Any, int]] = [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
         self._losses = [(layer, slot) for layer, slot in losses if layer is not None]
         causes = [layer.cause for layer, _ in self._losses]
         causes += [] if delivery is None else [delivery.cause]
-        self._words = np.array((*WORDS, *causes), object)  # taken from by array, not in a loop
+        words = [*WORDS, *causes]
+        if not fades:  # what is weaker than its mean level is so by one of these
+            words[words.index("fading")] = "trace" if script is None else "script"
+        self._words = np.array(words, object)  # taken from by array, not in a loop
 
     @property
     def plain(self) -> bool:
@@ -95,7 +100,8 @@ class Outcomes:
             arrival, copy_ns = self._delivery.deliver(sender.row, rows, arrival, sent.message.size_bytes, lambda: draw()[to])
             code = np.where((code == 0) & (arrival < 0), np.uint8(len(self._words) - 1), code)
         head_ns = max(sent.sent_ns, sender.free_ns)  # when it became the sender's first
-        sender.free_ns = max(sender.free_ns, air.end_ns)
+        if air.start_ns >= 0:
+            sender.free_ns = max(sender.free_ns, air.end_ns)
         on_air = air.start_ns >= 0
         return FrameReport(
             frame=sent.frame,
@@ -128,14 +134,21 @@ class Outcomes:
         return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
 
     def _jam(self, sent: Sent, heard: Heard, code: Codes, interference_mw: Floats) -> tuple[Heard, Codes]:
-        """What jammers spoil of a frame that would have been received: over its whole time, at its least SINR."""
-        signal_mw = 10.0 ** (sent.level_dbm / 10.0)
-        sinr_db = -10.0 * np.log10(10.0 ** (-heard.sinr_db / 10.0) + interference_mw / np.maximum(signal_mw, 1e-300))
-        jammed = self._hearing.at_sinr(sent.mean, sent.level_dbm, sinr_db, sent.message.size_bytes)
-        spoilt = ~jammed.detected
-        if jammed.hazard is not None:
-            spoilt |= sent.sender.draws.patience(sent.number, ERROR_SLOT + sent.attempts - 1) <= jammed.hazard
-        return msgspec.structs.replace(heard, sinr_db=sinr_db), np.where((code == 0) & spoilt, np.uint8(_JAMMED), code)
+        """What jammers spoil of a frame that would have been received.
+
+        What they add to the hazard of noise alone meets what is left of the receiver's patience: an exponential variate has
+        no memory, so that this is another one.
+        """
+        sinr_db = sent.level_dbm - 10.0 * np.log10(self._hearing.noise_mw + interference_mw)
+        spoilt = ~self._hearing.noticed(sinr_db)
+        if self._hearing.errors is not None:
+            size = sent.message.size_bytes
+            more = self._hearing.errors.frame_hazard(sinr_db, size) - self._hearing.errors.frame_hazard(heard.snr_db, size)
+            spoilt |= sent.sender.draws.patience(sent.number, JAMMER_SLOT) <= more
+        spoilt &= (interference_mw > 0.0) & (code == 0)
+        share = interference_mw / np.maximum(10.0 ** (sent.level_dbm / 10.0), 1e-300)
+        both_db = -10.0 * np.log10(10.0 ** (-heard.sinr_db / 10.0) + share)
+        return msgspec.structs.replace(heard, sinr_db=both_db), np.where(spoilt, np.uint8(_JAMMED), code)
 
     def _lose(self, sent: Sent, frame: Frame, code: Codes) -> Codes:
         decided = self._told(frame, "loss") if frame.start_ns >= 0 else None  # by a trace, whatever the models say

@@ -1,6 +1,7 @@
 """What the models of the channel say, as curves: packet errors by SNR, mean levels by distance."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from math import isfinite
@@ -82,5 +83,5 @@ def mean_levels(path_loss: PathLoss, phy: Phy, distance_m: Floats) -> dict[str, 
     loss_db = path_loss.loss_db(Paths(np.array([0.0, 0.0, height]), rx, distance_m))
     rssi_dbm = phy.tx_power_dbm - loss_db
     curves: dict[str, Any] = {"distance_m": distance_m, "path_loss_db": loss_db, "rssi_dbm": rssi_dbm}
-    curves["snr_db"] = rssi_dbm - Hearing(phy).noise_dbm
+    curves["snr_db"] = rssi_dbm - Hearing(phy, -math.inf).noise_dbm
     return {name: values.tolist() for name, values in curves.items()}

@@ -64,7 +64,9 @@ def test_every_outcome_is_explained(tmp_path: Path) -> None:
     trace = Trace(str(tmp_path / "links.csv"))
     known = {UNDER_WAY}
     for loss in (Bernoulli(0.5), GilbertElliott()):
-        known |= set(Outcomes(Hearing(Dsss()), loss, NoDelay(), Script(), trace, Delivery())._words)
+        for script, fades in ((Script(), True), (Script(), False), (None, False)):
+            outcomes = Outcomes(Hearing(Dsss(), 4.0), loss, NoDelay(), script, trace, Delivery(), fades=fades)
+            known |= set(outcomes._words.tolist())
     section = README.partition("## What becomes of a frame")[2].partition("\n## ")[0]
     rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
     assert {name for row in rows for name in re.findall(r"`([^`]+)`", row)} == known - {""}
