@@ -1,10 +1,13 @@
 """``vcmvsp calibrate``: from a measured log to the keys of ``[radio]``."""
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from cosim.errors import UsageError
 
 
 def calibrate_command(
@@ -34,6 +37,15 @@ def calibrate_command(
     from cosim.api import to_json
 
     registry.guard()
+    for option, value in (
+        ("--tx-power", tx_power),
+        ("--sensitivity", sensitivity),
+        ("--reference-distance", reference_distance),
+    ):
+        if value is not None and not math.isfinite(value):
+            raise UsageError(f"{option} {value}: must be a finite number")
+    if out is not None and out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     fitting = registry.piece("calibration").calibrate_command
     with threadpool_limits(limits=1):  # threads for small matrices wait for each other on a busy machine
         calibration = fitting(

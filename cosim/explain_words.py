@@ -73,6 +73,8 @@ _CAUSES: Mapping[str, Callable[[Report], str]] = {
     "walls": _without("walls_db", _walls, ("shadowing_db", "fading_db")),
     "shadowing": _without("shadowing_db", lambda _: "the shadowing", ("fading_db",)),
     "fading": _without("fading_db", lambda _: "the fading"),
+    "script": lambda report: f"a change of the script left {_level(report)}",
+    "trace": lambda report: f"the trace says {_level(report)}",
     "collision": _disturbed,
     "jammed": _disturbed,
     "packet error": _error,

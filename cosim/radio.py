@@ -112,7 +112,9 @@ def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
         layers["mac"].open(layers["phy"], 2, np.zeros(2, np.uint64), 1e-9)
     except ScenarioError as error:
         where = table.join(key, "mac.kind")
-        raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
+        named = source.of(where)
+        named = source.of(table.join(key, "phy")) if named == source.name else named  # one of both was changed
+        raise ScenarioError(error.problem, key=where, source=named) from error
 
 
 def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, source: Source) -> None:

@@ -17,6 +17,8 @@ Array = NDArray[Any]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Decibels = Annotated[float, msgspec.Meta(ge=-400, le=400)]  # dB, dBm or dBi
+Spread = Annotated[float, msgspec.Meta(ge=0, le=100)]  # dB
 Count = Annotated[int, msgspec.Meta(ge=0)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e9)]

@@ -6,7 +6,7 @@ from typing import Annotated
 import msgspec
 
 from cosim.errors import ScenarioError
-from cosim.types import Seconds
+from cosim.types import Decibels, Seconds
 from netsim.csma154_air import Air
 from netsim.csma154_core import Network
 from netsim.error_rate import OqpskErrors
@@ -47,8 +47,8 @@ class Csma154:
     max_retries: Few = 3
     queue_frames: Many | None = None
     lifetime_s: Seconds | None = None
-    cca_above_sensitivity_db: float = 10.0
-    preamble_snr_db: float = -5.0
+    cca_above_sensitivity_db: Decibels = 10.0
+    preamble_snr_db: Decibels = -5.0
     forget_interference: bool = True
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
-from cosim.types import Count, NonNegative, Positive
+from cosim.types import Count, Decibels, NonNegative, Positive
 from netsim.dcf_medium import DcfMedium
 from netsim.dcf_state import Rules
 from netsim.hazard import hazard_table
@@ -54,14 +54,18 @@ class Dcf:
     sifs_us: Positive | None = None  # from a frame to its acknowledgement; None: the standard's
     cw_min: Count | None = None  # a backoff is 0 to this many slots; None: the standard's
     cw_max: Count = 1023  # the same at most, after failures
-    cca_threshold_dbm: float = -82.0  # sum of powers at which the medium is busy
-    energy_threshold_dbm: float = -62.0  # the same, for a radio that has not heard the frames begin
+    cca_threshold_dbm: Decibels = -82.0  # sum of powers at which the medium is busy
+    energy_threshold_dbm: Decibels = -62.0  # the same, for a radio that has not heard the frames begin
     preamble_time_us: Positive = 4.0  # from the start of a frame until it is noticed
     capture_margin_db: NonNegative | None = None  # a later frame so much stronger takes the receiver over; None: none does
     capture_window_us: Positive = 16.0  # within this time from when the first was noticed
     queue_frames: Count = 500  # that may wait at a sender
     lifetime_s: Positive = 0.5  # of a frame in the queue
     attempts: Attempts = 7  # to send a unicast frame
+
+    def __post_init__(self) -> None:
+        if self.cw_min is not None and self.cw_min > self.cw_max:
+            raise ScenarioError(f"must not be more than cw_max = {self.cw_max}, not {self.cw_min}", key="cw_min")
 
     def open(self, phy: Any, count: int, keys: Keys, noise_mw: float, *, compile_core: bool | None = None) -> DcfMedium:
         """The air for ``count`` radios whose random keys are (count,): backoff k of a radio depends on its key and k alone.

@@ -12,7 +12,7 @@ import msgspec
 
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
-from cosim.types import Seconds
+from cosim.types import Decibels, Seconds
 from netsim.noise import ThermalNoise
 
 if TYPE_CHECKING:  # error rates reckon with air times, and so know this module
@@ -33,8 +33,8 @@ class ConstantRate:
 
     rate_bps: BitRate = 1e9  # of the payload
     overhead_s: Seconds = 1e-6  # time on the air besides the payload
-    tx_power_dbm: float = 0.0  # transmitted power
-    sensitivity_dbm: float = -300.0  # weakest level at which a frame is noticed
+    tx_power_dbm: Decibels = 0.0  # transmitted power
+    sensitivity_dbm: Decibels = -300.0  # weakest level at which a frame is noticed
 
     def air_time_ns(self, size_bytes: int) -> int:
         """Overhead and payload, rounded up to 1 ns; at least 1 ns."""
@@ -55,10 +55,10 @@ class Dsss:
     """
 
     rate_bps: BitRate = 1e6  # 1e6, 2e6, 5.5e6 or 11e6
-    tx_power_dbm: float = 16.0206  # transmitted power
-    sensitivity_dbm: float = -82.0  # weakest level at which a frame is noticed
-    noise_figure_db: float = 7.0  # of the receiver, above the thermal noise in 20 MHz
-    preamble_snr_db: float = 4.0  # least ratio to noise and interference at which a frame is noticed
+    tx_power_dbm: Decibels = 16.0206  # transmitted power
+    sensitivity_dbm: Decibels = -82.0  # weakest level at which a frame is noticed
+    noise_figure_db: Decibels = 7.0  # of the receiver, above the thermal noise in 20 MHz
+    preamble_snr_db: Decibels = 4.0  # least ratio to noise and interference at which a frame is noticed
 
     def __post_init__(self) -> None:
         if self.rate_bps not in (1e6, 2e6, 5.5e6, 11e6):
@@ -94,9 +94,9 @@ class Ieee802154:
     a typical transceiver (TI CC2420 data sheet), is the default.
     """
 
-    tx_power_dbm: float = 0.0  # transmitted power
+    tx_power_dbm: Decibels = 0.0  # transmitted power
     # sets the noise, 0.4 dB below it; weakest level at which a frame is noticed, but not with mac csma154
-    sensitivity_dbm: float = -85.0
+    sensitivity_dbm: Decibels = -85.0
 
     @property
     def noise_dbm(self) -> float:

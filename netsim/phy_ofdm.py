@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from cosim.errors import ScenarioError
+from cosim.types import Decibels
 from netsim.noise import ThermalNoise
 from netsim.phy import US, BitRate
 
@@ -29,10 +30,10 @@ class Ofdm:
 
     rate_bps: BitRate = 6e6  # 6e6, 9e6, 12e6, 18e6, 24e6, 36e6, 48e6 or 54e6
     band: Literal["2.4GHz", "5GHz"] = "2.4GHz"  # 802.11g or 802.11a
-    tx_power_dbm: float = 16.0206  # transmitted power
-    sensitivity_dbm: float = -82.0  # weakest level at which a frame is noticed
-    noise_figure_db: float = 7.0  # of the receiver, above the thermal noise in 20 MHz
-    preamble_snr_db: float = 4.0  # least ratio to noise and interference at which a frame is noticed
+    tx_power_dbm: Decibels = 16.0206  # transmitted power
+    sensitivity_dbm: Decibels = -82.0  # weakest level at which a frame is noticed
+    noise_figure_db: Decibels = 7.0  # of the receiver, above the thermal noise in 20 MHz
+    preamble_snr_db: Decibels = 4.0  # least ratio to noise and interference at which a frame is noticed
     error_model: Literal["table", "yans", "nist"] = "table"  # packet errors by SINR; they differ by up to 5 dB
 
     def __post_init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from cosim.types import NonNegative
+from cosim.types import Decibels, NonNegative
 
 
 @dataclass(frozen=True)
@@ -13,9 +13,9 @@ class Radio:
     all directions.
     """
 
-    tx_power_dbm: float | None = None  # transmitted power; None: the phy's
-    sensitivity_dbm: float | None = None  # weakest level at which it notices a frame; None: the phy's
-    antenna_gain_dbi: float = 0.0  # of what it sends, and of what it hears
+    tx_power_dbm: Decibels | None = None  # transmitted power; None: the phy's
+    sensitivity_dbm: Decibels | None = None  # weakest level at which it notices a frame; None: the phy's
+    antenna_gain_dbi: Decibels = 0.0  # of what it sends, and of what it hears
     antenna_height_m: NonNegative = 0.5  # above the vehicle's position
     body_loss_db: NonNegative = 0.0  # of links between others that pass through this vehicle
     body_radius_m: NonNegative = 0.3  # of its body, an upright cylinder that begins at its position

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from cosim.rng import stream
-from cosim.types import NonNegative, Positive
+from cosim.types import Positive, Spread
 from netsim.layers import Floats, Paths
 
 _BLOCK = 64  # receivers
@@ -38,7 +38,7 @@ class Shadowing:
     and 13 m.
     """
 
-    sigma_db: NonNegative = 4.0  # standard deviation
+    sigma_db: Spread = 4.0  # standard deviation
     correlation_distance_m: Positive = 10.0  # when one end has moved so far, the correlation is 1/e
     waves: Waves = 256  # of which the field is the sum
 

@@ -26,10 +26,10 @@ def plan(count: int, side_m: float, rate_hz: float = 20.0) -> Broadcasts:
 def test_the_same_counts_and_delays(preset: str, count: int, side_m: float, changes: dict[str, Any]) -> None:
     channel = make_channel(preset, mac={"kind": "dcf"}, **changes)
     sent = plan(count, side_m)
+    assert channel.bulk(sent.names, sent.position) is not None
     at_once = run(channel, sent)
     one_by_one = run(channel, sent, sink=lambda _: None)
     del at_once["cpu_s"], one_by_one["cpu_s"]
-    assert channel.bulk(sent.names, sent.position) is not None
     assert at_once == one_by_one
     assert at_once["receptions"] > 0
 
