@@ -97,6 +97,8 @@ class Budgets:
         self._names: tuple[str, ...] = ()
         self._position: Floats | None = None
         self._antennas = np.zeros((0, 3))
+        self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
+        self._fixed: dict[str, tuple[Links, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
         self._means: dict[str, Mean] = {}
 
     def mean(self, links: Links, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> Mean:
@@ -109,20 +111,23 @@ class Budgets:
             bodies: whether vehicles stand in the way of others, as far as their radios say so.
         """
         if position is not self._position or names is not self._names:
+            if names is not self._names:
+                self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
             self._position, self._names, self._seed, self._means = position, names, links.seed, {}
-            heights = np.array([self._of(name).antenna_height_m for name in names])
-            self._antennas = position + np.stack([0.0 * heights, 0.0 * heights, heights], axis=-1)
+            self._antennas = position + self._raised
         found = self._means.get(links.sender)
         if found is None:
             row = names.index(links.sender)
-            paths = Paths.between(self._antennas[row], np.delete(self._antennas, row, axis=0), links.seed)
+            others = np.concatenate([self._antennas[:row], self._antennas[row + 1 :]])
+            paths = Paths.between(self._antennas[row], others, links.seed)
             found = self._means[links.sender] = self._work_out(links, paths, row, bodies=bodies and self._blocking)
         return found
 
     def _work_out(self, links: Links, paths: Paths, row: int, *, bodies: bool) -> Mean:
-        sender = self._of(links.sender)
-        power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
-        power_dbm = power + sender.antenna_gain_dbi + self.gain_dbi(links.receivers)
+        fixed = self._fixed.get(links.sender)
+        if fixed is None or fixed[0] is not links:
+            fixed = self._fixed[links.sender] = (links, self._power_dbm(links), self.sensitivity_dbm(links.receivers))
+        _, power_dbm, sensitivity_dbm = fixed
         path_loss_db = self._path_loss.loss_db(paths)
         walls = materials = wall_loss_db = shadowing_db = None
         loss_db = path_loss_db
@@ -147,7 +152,7 @@ class Budgets:
             self._antennas,
             paths,
             power_dbm,
-            self.sensitivity_dbm(links.receivers),
+            sensitivity_dbm,
             frozen(path_loss_db),
             None if walls is None else frozen(walls),
             materials,
@@ -156,6 +161,13 @@ class Budgets:
             frozen(level_dbm),
             {},
         )
+
+    def _power_dbm(self, links: Links) -> Floats:
+        """Transmitted, with both antennas, (n,)."""
+        sender = self._of(links.sender)
+        power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
+        power_dbm: Floats = power + sender.antenna_gain_dbi + self.gain_dbi(links.receivers)
+        return power_dbm
 
     def here(self, links: Links) -> Mean:
         """The budget of the links from a radio, with everybody where they were last."""
@@ -220,6 +232,11 @@ class Hearing:
         if size_bytes not in mean.heard:
             mean.heard[size_bytes] = self.at_sinr(mean, level_dbm, level_dbm - self.noise_dbm, size_bytes)
         return mean.heard[size_bytes]
+
+    def over_noise(self, mean: Mean, level_dbm: Floats) -> Heard:
+        """The same without packet errors, of which the mac has decided."""
+        snr_db = frozen(level_dbm - self.noise_dbm)
+        return Heard(snr_db, snr_db, self.noticed(snr_db), None, self.weakness(mean))
 
     def at_sinr(self, mean: Mean, level_dbm: Floats, sinr_db: Floats, size_bytes: int) -> Heard:
         """How a frame arrives that has a level, and over its whole time a SINR, (n,) each."""

@@ -256,7 +256,7 @@ class Channel:
         sent = self._waiting.pop(decided.number)
         if decided.attempts and sent.tries:  # there may have been another one since, because the acknowledgement was lost
             sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
-        heard = self._judge(sent)
+        heard = self.hearing.over_noise(sent.mean, sent.level_dbm)
         if decided.attempts:
             least_sinr = _at_others(decided.least_sinr, sent.sender.row)
             least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself

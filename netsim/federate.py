@@ -25,8 +25,8 @@ class RadioFederate:
     ====================  =========  ===============================================================================
 
     Agents that act at the same instant hand their messages over at the same nanosecond, which no two computers do: radios that
-    contend for the air would then all find it free, and collide. So a message takes up to ``handover_s`` to reach the queue of
-    its radio, uniformly distributed, in the order in which its sender sent them.
+    contend for the air would then all find it free, and collide. So, where several vehicles send at one instant, a message
+    takes up to ``handover_s`` to reach the queue of its radio, uniformly distributed, in the order of its sender.
 
     It is stepped with the senders, and once more for every frame that ends on a contended air: nothing is polled.
     """
@@ -57,11 +57,12 @@ class RadioFederate:
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Report what is decided by now, and hand over what was sent, in that order."""
         reports = self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
+        alone = len({event.value.sender for event in inbox if isinstance(event.value, Message)}) == 1
         for event in inbox:
             if isinstance(event.value, States):
                 self._states = event.value
             elif isinstance(event.value, Message):
-                reports += self._send(event.time_ns, event.value)
+                reports += self._send(event.time_ns, event.value, alone=alone)
         reports += self._channel.advance(now_ns)
         if now_ns == self._end_ns:
             reports += self._channel.finish()
@@ -72,21 +73,22 @@ class RadioFederate:
     def close(self) -> None:
         """Nothing to release."""
 
-    def _send(self, sent_ns: int, message: Message) -> list[FrameReport]:
+    def _send(self, sent_ns: int, message: Message, *, alone: bool) -> list[FrameReport]:
         if self._states is None:
             raise ValueError(f"{message.sender} sends before any position is known (world/states)")
         self._messages[self._sent] = message
         self._sent += 1
-        after_ns = self._handed_over(message.sender, sent_ns) - sent_ns
+        after_ns = self._handed_over(message.sender, sent_ns, alone=alone) - sent_ns
         return self._channel.send(sent_ns, message, self._states.names, self._states.position, handover_ns=after_ns)
 
-    def _handed_over(self, sender: str, sent_ns: int) -> int:
+    def _handed_over(self, sender: str, sent_ns: int, *, alone: bool) -> int:
         """When a message reaches the queue of its radio."""
         if not self._handover_ns:
             return sent_ns
         if sender not in self._handover:
             self._handover[sender] = stream(self._seed, f"radio/{sender}/handover")
-        at_ns = sent_ns + int(self._handover[sender].random() * self._handover_ns)
+        wait_ns = int(self._handover[sender].random() * self._handover_ns)
+        at_ns = sent_ns if alone else sent_ns + wait_ns
         self._handed_ns[sender] = max(at_ns, self._handed_ns.get(sender, 0))
         return self._handed_ns[sender]
 
