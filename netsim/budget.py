@@ -227,22 +227,21 @@ class Hearing:
 
     def hear(self, mean: Mean, level_dbm: Floats, size_bytes: int) -> Heard:
         """How a frame arrives that has ``level_dbm`` (n,), where nobody else sends."""
-        if level_dbm is not mean.level_dbm:
-            return self.at_sinr(mean, level_dbm, level_dbm - self.noise_dbm, size_bytes)
-        if size_bytes not in mean.heard:
-            mean.heard[size_bytes] = self.at_sinr(mean, level_dbm, level_dbm - self.noise_dbm, size_bytes)
-        return mean.heard[size_bytes]
+        fixed = level_dbm is mean.level_dbm
+        if fixed and size_bytes in mean.heard:
+            return mean.heard[size_bytes]
+        heard = self.over_noise(mean, level_dbm)
+        if self.errors is not None:
+            heard = msgspec.structs.replace(heard, hazard=self.errors.frame_hazard(heard.snr_db, size_bytes))
+        if fixed:
+            mean.heard[size_bytes] = heard
+        return heard
 
     def over_noise(self, mean: Mean, level_dbm: Floats) -> Heard:
-        """The same without packet errors, of which the mac has decided."""
+        """The same without packet errors."""
         snr_db = frozen(level_dbm - self.noise_dbm)
-        return Heard(snr_db, snr_db, self.noticed(snr_db), None, self.weakness(mean))
-
-    def at_sinr(self, mean: Mean, level_dbm: Floats, sinr_db: Floats, size_bytes: int) -> Heard:
-        """How a frame arrives that has a level, and over its whole time a SINR, (n,) each."""
-        detected = (level_dbm >= mean.sensitivity_dbm) & self.noticed(sinr_db)
-        hazard = None if self.errors is None else self.errors.frame_hazard(sinr_db, size_bytes)
-        return Heard(frozen(level_dbm - self.noise_dbm), frozen(sinr_db), detected, hazard, self.weakness(mean))
+        detected = (level_dbm >= mean.sensitivity_dbm) & self.noticed(snr_db)
+        return Heard(snr_db, snr_db, detected, None, self.weakness(mean))
 
     def noticed(self, sinr_db: Floats) -> Bools:
         """Where a preamble stands out enough."""

@@ -46,22 +46,19 @@ class Bulk:
 
     Args:
         medium: the air.
-        seed: of the run.
-        names: of the radios.
+        links: of each radio.
         means: the mean budget of each one's links.
         weakness: what would make its frames too weak, (n - 1,) each.
     """
 
-    def __init__(
-        self, medium: BulkMedium, seed: int, names: tuple[str, ...], means: Sequence[Mean], weakness: Sequence[Codes]
-    ) -> None:
-        count = len(names)
+    def __init__(self, medium: BulkMedium, links: Sequence[Links], means: Sequence[Mean], weakness: Sequence[Codes]) -> None:
+        count = len(links)
         others = ~np.eye(count, dtype=np.bool_)
         self._medium, self._power_mw = medium, np.stack([mean.power_mw for mean in means])
         self._weakness = np.zeros((count, count), np.uint8)
         self._weakness[others] = np.concatenate(weakness)
         self._keys = np.zeros((count, count), np.uint64)
-        self._keys[others] = np.concatenate([Links(seed, name, _without(names, name)).keys for name in names])
+        self._keys[others] = np.concatenate([each.keys for each in links])
         self._sender: Ints = np.zeros(0, np.int64)  # of each frame
         self._sent = np.zeros(count, np.int64)  # frames of each so far
 
@@ -92,7 +89,3 @@ class Bulk:
         numbers[order] = self._sent[sender[order]] + np.arange(len(sender)) - first
         self._sent += np.bincount(sender, minlength=len(self._sent))
         return numbers.astype(np.uint64)
-
-
-def _without(names: tuple[str, ...], name: str) -> tuple[str, ...]:
-    return tuple(each for each in names if each != name)

@@ -130,7 +130,8 @@ class Channel:
             self._offer(sent, sent_ns + handover_ns)
             return []
         start_ns = max(sent_ns + handover_ns, sender.free_ns)
-        heard = self._hear(sent, start_ns)
+        self._set_level(sent, start_ns)
+        heard = self.hearing.hear(mean, sent.level_dbm, message.size_bytes)
         end_ns = start_ns + air_ns
         return [self._report(sent, heard, OnAir(self._endure(sent, heard), start_ns, end_ns))]
 
@@ -142,8 +143,9 @@ class Channel:
         plain = not self._varies and self._jammer is None and self._outcomes.plain
         if not plain or not isinstance(self._medium, BulkMedium):
             return None
-        means = [self.budgets.mean(self._sender(name).links, names, position) for name in names]
-        return Bulk(self._medium, self._seed, names, means, [self.hearing.weakness(mean) for mean in means])
+        links = [self._sender(name).links for name in names]
+        means = [self.budgets.mean(each, names, position) for each in links]
+        return Bulk(self._medium, links, means, [self.hearing.weakness(mean) for mean in means])
 
     def advance(self, until_ns: int) -> list[FrameReport]:
         """Report all frames whose fate is decided up to ``until_ns``."""
@@ -163,15 +165,15 @@ class Channel:
         """Before this no frame is decided, as long as nothing else is sent; None: none is waiting."""
         if self._medium is None or not self._waiting:
             return None
-        times = [arrival_ns + self._waiting[frame].air_ns for arrival_ns, frame, _ in self._coming]
+        times = [arrival_ns for arrival_ns, _, _ in self._coming[:1]]  # where it may find no room
         due = self._medium.next_ns()
         return min(times if due is None else [*times, due])
 
     def finish(self) -> list[FrameReport]:
         """Report the frames that were handed over and are not decided yet, as under way."""
-        waiting, self._waiting, self._coming = list(self._waiting.values()), {}, []
+        waiting, self._waiting, self._coming, self._answers = list(self._waiting.values()), {}, [], {}
         self._medium, self._names = None, ()
-        return [self._outcomes.unfinished(sent, self._judge(sent)) for sent in waiting]
+        return [self._outcomes.unfinished(sent, self.hearing.over_noise(sent.mean, sent.level_dbm)) for sent in waiting]
 
     def _meet(self, names: tuple[str, ...]) -> None:
         if self._waiting:
@@ -195,10 +197,10 @@ class Channel:
 
     # --- from a message to its fate -----------------------------------------------------------------------------------------
 
-    def _hear(self, sent: Sent, start_ns: int) -> Heard:
-        """How an attempt to send a frame arrives where nobody else sends."""
+    def _set_level(self, sent: Sent, start_ns: int) -> None:
+        """The level of an attempt to send a frame, where it is another one than the mean."""
         if not self._varies:
-            return self._judge(sent)
+            return
         frame = sent.frame_at(start_ns, start_ns + sent.air_ns, sent.mean.level_dbm)
         level_dbm = sent.mean.level_dbm
         if self.fading is not None:
@@ -211,10 +213,6 @@ class Channel:
         if self._script is not None:
             level_dbm = level_dbm + self._script.gain_db(frame, sent.draw(SCRIPT_SLOT))
         sent.level_dbm = level_dbm
-        return self._judge(sent)
-
-    def _judge(self, sent: Sent) -> Heard:
-        return self.hearing.hear(sent.mean, sent.level_dbm, sent.message.size_bytes)
 
     def _endure(self, sent: Sent, heard: Heard) -> Codes:
         """The fate of a frame that no other disturbs, (n,)."""
@@ -233,7 +231,7 @@ class Channel:
             patience = at_all(sent.sender.draws.patience(sent.number, ERROR_SLOT + attempt), row)
             if not self._varies:
                 return sent.mean.power_mw, patience
-            self._hear(sent, start_ns)
+            self._set_level(sent, start_ns)
             sent.tries.append((sent.level_dbm, sent.fading_db))
             return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
 
@@ -249,7 +247,8 @@ class Channel:
         """The row of the radio that will acknowledge, from where it is now."""
         assert sent.message.to is not None  # noqa: S101  it is asked for unicast frames
         radio = self._sender(sent.message.to)
-        self._answers[sent.frame] = self.budgets.here(radio.links).power_mw
+        if isinstance(self._medium, Levelled):
+            self._answers[sent.frame] = self.budgets.here(radio.links).power_mw
         return radio.row
 
     def _settle(self, decided: Decided) -> FrameReport:

@@ -1,6 +1,7 @@
 """Walls: what the signal loses in the obstacles on its straight way."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -54,8 +55,47 @@ class Through(NamedTuple):
     materials: tuple[str, ...]  # (n,) e.g. "2 brick, 1 wood"; "": none
 
 
+class _Walls(ABC):
+    """Obstacles that each take a loss of their own from what passes through them."""
+
+    sightline: Sightline
+    cap_db: float
+
+    @property
+    @abstractmethod
+    def _walls_db(self) -> Floats:
+        """Loss of each obstacle, (m,) dB."""
+
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing stands in the way anywhere."""
+        return not self.sightline.materials
+
+    @cached_property
+    def _by_kind(self) -> tuple[list[str], Ints]:
+        """The materials there are, k of them, and which each obstacle is of, (m, k)."""
+        kinds = sorted(set(self.sightline.materials))
+        return kinds, np.array([[material == kind for kind in kinds] for material in self.sightline.materials], np.int64)
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Loss of each path by walls, (n,) dB."""
+        return self.through(paths).loss_db
+
+    def through(self, paths: Paths) -> Through:
+        """What lies between, on each path."""
+        count = len(paths.distance_m)
+        if self.nothing:
+            return Through(np.zeros(count), np.zeros(count, np.int64), ("",) * count)
+        crossed, _ = self.sightline.crossings(paths.tx, paths.rx)
+        loss = np.minimum(np.where(crossed, self._walls_db, 0.0).sum(axis=-1), self.cap_db)
+        kinds, of_kind = self._by_kind
+        each = crossed.astype(np.int64) @ of_kind
+        words = [", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n) for row in each.tolist()]
+        return Through(loss, crossed.sum(axis=-1), tuple(words))
+
+
 @dataclass(frozen=True)
-class ItuWalls:
+class ItuWalls(_Walls):
     """Each obstacle on the way takes the loss of a slab of its material and thickness (`slab_loss_db`), whatever the angle."""
 
     sightline: Sightline
@@ -66,19 +106,6 @@ class ItuWalls:
         for material in self.sightline.materials:
             _require_known(material)
 
-    @property
-    def nothing(self) -> bool:
-        """Whether nothing stands in the way anywhere."""
-        return not self.sightline.materials
-
-    def through(self, paths: Paths) -> Through:
-        """What lies between, on each path."""
-        return _through(self.sightline, paths, self._walls_db, self.cap_db)
-
-    def loss_db(self, paths: Paths) -> Floats:
-        """Loss of each path by walls, (n,) dB."""
-        return self.through(paths).loss_db
-
     @cached_property
     def _walls_db(self) -> Floats:
         sizes = zip(self.sightline.materials, self.sightline.thickness_m.tolist(), strict=True)
@@ -86,7 +113,7 @@ class ItuWalls:
 
 
 @dataclass(frozen=True)
-class FixedWalls:
+class FixedWalls(_Walls):
     """Each obstacle on the way takes the same, or what ``materials_db`` says of its material.
 
     The default is the Wireless Simulation Server's (``eAttenFac``); it has no cap, its ``eMaxObs`` is used nowhere.
@@ -97,19 +124,6 @@ class FixedWalls:
     wall_db: NonNegative = 6.325  # loss of each obstacle
     materials_db: dict[str, NonNegative] | None = None  # by material: ``{ brick = 3.5 }``; None: all are alike
     cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
-
-    @property
-    def nothing(self) -> bool:
-        """Whether nothing stands in the way anywhere."""
-        return not self.sightline.materials
-
-    def through(self, paths: Paths) -> Through:
-        """What lies between, on each path."""
-        return _through(self.sightline, paths, self._walls_db, self.cap_db)
-
-    def loss_db(self, paths: Paths) -> Floats:
-        """Loss of each path by walls, (n,) dB."""
-        return self.through(paths).loss_db
 
     @cached_property
     def _walls_db(self) -> Floats:
@@ -144,16 +158,3 @@ def _require_known(material: str) -> None:
     if material not in ITU_MATERIALS:
         allowed = ", ".join(ITU_MATERIALS)
         raise ScenarioError(f"no loss is known for walls of {material!r}; known: {allowed}; or give kind = 'fixed'", key="kind")
-
-
-def _through(sightline: Sightline, paths: Paths, walls_db: Floats, cap_db: float) -> Through:
-    count = len(paths.distance_m)
-    if not walls_db.size:
-        return Through(np.zeros(count), np.zeros(count, np.int64), ("",) * count)
-    crossed, _ = sightline.crossings(paths.tx, paths.rx)
-    loss = np.minimum(np.where(crossed, walls_db, 0.0).sum(axis=-1), cap_db)
-    kinds = sorted(set(sightline.materials))
-    of_kind = np.array([[material == kind for kind in kinds] for material in sightline.materials], np.int64)
-    each = crossed.astype(np.int64) @ of_kind
-    words = [", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n) for row in each.tolist()]
-    return Through(loss, crossed.sum(axis=-1), tuple(words))

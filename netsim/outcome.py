@@ -80,14 +80,14 @@ class Outcomes:
             sent: the frame.
             heard: how it reached all receivers.
             air: what became of it there.
-            interference_mw: of jammers, (n,).
+            interference_mw: of jammers, (n,); None: there are none, or it was never sent.
         """
-        sender, mean, to = sent.sender, sent.mean, sent.meant
+        sender, mean, to, on_air = sent.sender, sent.mean, sent.meant, air.start_ns >= 0
         frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
         code, too_weak = air.fate.copy(), air.fate == _UNDETECTED
         if too_weak.any():
             code[too_weak] = TOO_WEAK + heard.weakness[too_weak]
-        if interference_mw is not None and air.start_ns >= 0:
+        if interference_mw is not None:
             heard, code = self._jam(sent, heard, code, interference_mw)
         if self._losses:
             code = self._lose(sent, frame, code)
@@ -96,13 +96,12 @@ class Outcomes:
         arrival.flags.writeable = False
         copy_ns = None
         if self._delivery is not None:
-            draw, rows = sent.draw(DELIVERY_SLOT), np.delete(np.arange(len(sender.names)), sender.row)[to]
+            draw, rows = sent.draw(DELIVERY_SLOT), sender.others[to]
             arrival, copy_ns = self._delivery.deliver(sender.row, rows, arrival, sent.message.size_bytes, lambda: draw()[to])
             code = np.where((code == 0) & (arrival < 0), np.uint8(len(self._words) - 1), code)
         head_ns = max(sent.sent_ns, sender.free_ns)  # when it became the sender's first
-        if air.start_ns >= 0:
+        if on_air:
             sender.free_ns = max(sender.free_ns, air.end_ns)
-        on_air = air.start_ns >= 0
         return FrameReport(
             frame=sent.frame,
             sender=sender.links.sender,

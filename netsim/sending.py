@@ -1,6 +1,8 @@
 """Senders, and messages on their way."""
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from cosim.types import Message
 from netsim.budget import Mean
@@ -14,6 +16,7 @@ class Sender:
     links: Links
     draws: LinkDraws
     row: int  # among the vehicles
+    others: NDArray[np.intp]  # rows of the others
 
     def __init__(self) -> None:
         self.names: tuple[str, ...] = ()  # the vehicles among whom it is
@@ -23,6 +26,7 @@ class Sender:
     def meet(self, links: Links, names: tuple[str, ...]) -> None:
         """From now on it has these links, to all other vehicles."""
         self.links, self.names, self.row = links, names, names.index(links.sender)
+        self.others = np.delete(np.arange(len(names)), self.row)
         self.draws = LinkDraws(links)
 
     def meant(self, to: str | None) -> slice:

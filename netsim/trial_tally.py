@@ -8,8 +8,8 @@ import numpy as np
 from cosim.clock import SECOND_NS
 from cosim.types import FrameReport
 from netsim.layers import Floats, Ints
+from netsim.outcome import RECEIVED
 
-RECEIVED = "received"
 KEPT = 20_000_000  # delays, equal ones in part together
 _HELD = 1 << 20  # delays that wait to be sorted
 

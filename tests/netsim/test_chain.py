@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cosim.codec import encode
@@ -125,6 +125,7 @@ def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dic
 
 @pytest.mark.parametrize(("preset", "mac"), MACS[1:])
 @settings(max_examples=40, deadline=None)
+@example(offers=[(0, 1, 1000, 0), (0, 1, 1000, 1)])  # one gives up before the other, which it waits for, has ended
 @given(
     offers=st.lists(
         st.tuples(st.integers(0, 9_000), st.integers(0, 2_000), st.sampled_from([1, 100, 1000]), st.integers(0, 4)),
