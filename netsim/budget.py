@@ -164,15 +164,19 @@ class Budgets:
 
     def _power_dbm(self, links: Links) -> Floats:
         """Transmitted, with both antennas, (n,)."""
-        sender = self._of(links.sender)
-        power = self._phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
-        power_dbm: Floats = power + sender.antenna_gain_dbi + self.gain_dbi(links.receivers)
+        own_dbm = float(self.tx_power_dbm((links.sender,))[0]) + self._of(links.sender).antenna_gain_dbi
+        power_dbm: Floats = own_dbm + self.gain_dbi(links.receivers)
         return power_dbm
 
     def here(self, links: Links) -> Mean:
         """The budget of the links from a radio, with everybody where they were last."""
         assert self._position is not None  # noqa: S101  known since `mean`
         return self.mean(links, self._names, self._position)
+
+    def tx_power_dbm(self, names: tuple[str, ...]) -> Floats:
+        """Of the radios of these vehicles, (n,)."""
+        own = [self._of(name).tx_power_dbm for name in names]
+        return np.array([self._phy.tx_power_dbm if each is None else each for each in own], np.float64)
 
     def sensitivity_dbm(self, names: tuple[str, ...]) -> Floats:
         """Of the radios of these vehicles, (n,)."""

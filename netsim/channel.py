@@ -26,7 +26,7 @@ from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
 from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
 from netsim.mac import Ideal, Mac, needs
-from netsim.medium import Codes, Decided, Fate, Levelled, Medium, Offered
+from netsim.medium import Codes, Decided, Fate, Levelled, Medium, Offered, Powered
 from netsim.outcome import OnAir, Outcomes
 from netsim.radios import Radio
 from netsim.script import Script
@@ -184,6 +184,8 @@ class Channel:
             self._medium.expect(self._expected)
         if isinstance(self._medium, Levelled):
             self._medium.sensitivity_mw[:] = 10.0 ** (self.budgets.sensitivity_dbm(names) / 10.0)
+        if isinstance(self._medium, Powered):
+            self._medium.power_mw[:] = 10.0 ** (self.budgets.tx_power_dbm(names) / 10.0)
         if self._delivery is not None:
             self._delivery.open(len(names))
 

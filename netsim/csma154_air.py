@@ -122,7 +122,7 @@ class Air:
 
     def _hazard(self, power_mw: Floats, disturbance_mw: Floats) -> Floats:
         """Of one bit."""
-        return -self._errors.log_success_per_bit(10.0 * np.log10(power_mw / disturbance_mw))
+        return self._errors.bit_hazard(power_mw / disturbance_mw)
 
     def _add_up(self) -> None:
         """From scratch, so that nothing is left of what has ended."""

@@ -21,7 +21,7 @@ from cosim.clock import seconds_to_ns
 from netsim.csma154_air import Air, Flight
 from netsim.csma154_radio import Doing, Radio
 from netsim.error_rate import ErrorRate
-from netsim.layers import Keys, Phy
+from netsim.layers import Floats, Keys, Phy
 from netsim.medium import Decided, Fate, Offered
 
 if TYPE_CHECKING:  # it is what opens a network
@@ -61,6 +61,7 @@ class Network:
         self._decided: list[Decided] = []
         # Levels from radio to radio, (n, n), as far as frames have shown them: what third parties hear of acknowledgements.
         self._levels = np.zeros((len(keys), len(keys)) if rules.acknowledge else (0, 0))
+        self.power_mw: Floats = np.ones(len(keys))  # of the radios; all alike, unless set
 
     # What the world asks
 
@@ -97,10 +98,6 @@ class Network:
             offered_ns = self._offers[0].time_ns
             return offered_ns if soonest is None else min(soonest, offered_ns)
         return soonest
-
-    def waiting(self) -> Sequence[int]:
-        """Numbers of the frames that are not decided, in the order in which they were offered."""
-        return list(self._waiting)
 
     # What happens
 
@@ -191,10 +188,11 @@ class Network:
             renewed_mw, renewed = frame.renew(radio.attempts, now_ns)
             power_mw, patience = renewed_mw if power_mw is None else power_mw, renewed if patience is None else patience
         radio.attempts += 1
-        bits = self._errors.payload_bits(frame.size_bytes)
+        _, bits = self._errors.payload(frame.size_bytes)
         flight = Flight(radio.row, now_ns, now_ns + radio.air_ns, power_mw, patience, bits)
         if self._rules.acknowledge:  # paths are the same in both directions
-            self._levels[radio.row] = self._levels[:, radio.row] = flight.power_mw
+            self._levels[radio.row] = flight.power_mw
+            self._levels[:, radio.row] = flight.power_mw * (self.power_mw / self.power_mw[radio.row])
         return flight
 
     def _answer(self, now_ns: int, radio: Radio) -> Flight:

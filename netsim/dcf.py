@@ -5,14 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
-import numpy as np
 
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
 from cosim.types import Count, Decibels, NonNegative, Positive
 from netsim.dcf_medium import DcfMedium
 from netsim.dcf_state import Rules
-from netsim.hazard import hazard_table
 from netsim.layers import Keys, Phy
 from netsim.phy import US, Dsss
 from netsim.phy_ofdm import Ofdm
@@ -73,9 +71,9 @@ class Dcf:
         ``compile_core``, which changes no result: whether compiled code does the work; None: for many frames, where it can be.
         """
         control = ack_phy(phy, self.standard(phy))
-        tables = np.stack([hazard_table(each) for each in (phy.errors, phy.errors.header[0], control.errors)])
+        curves = phy.errors.header[0], control.errors.payload(ACK_BYTES)[0]
         sensitivity_mw = milliwatts(phy.sensitivity_dbm)
-        return DcfMedium(self.rules(phy, noise_mw), phy, keys[:count], tables, sensitivity_mw, compile_core=compile_core)
+        return DcfMedium(self.rules(phy, noise_mw), phy, keys[:count], curves, sensitivity_mw, compile_core=compile_core)
 
     def standard(self, phy: Phy) -> Standard:
         """Of a phy."""
@@ -110,7 +108,7 @@ class Dcf:
             lifetime_ns=round(self.lifetime_s * SECOND_NS),
             attempts=self.attempts,
             ack_air_ns=ack_air_ns,
-            ack_bits_per_ns=control.errors.payload_bits(ACK_BYTES) / (ack_air_ns - header_end_ns),
+            ack_bits_per_ns=control.errors.payload(ACK_BYTES)[1] / (ack_air_ns - header_end_ns),
             timeout_ns=sifs_ns + slot_ns + header_end_ns,
             noise_mw=noise_mw,
             busy_mw=milliwatts(self.cca_threshold_dbm),

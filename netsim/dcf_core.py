@@ -7,11 +7,13 @@ frame waits or not. A frame that finds the medium idle and no backoff left waits
 Written for NumPy and for compilation alike, see `netsim.compiled`: what changes is in the arrays of a `State`.
 """
 
-from netsim.dcf_air import detect, put_on_air, take_off_air
-from netsim.dcf_kernels import sense
+from netsim.dcf_air import detect, put_on_air, settle, take_off_air
+from netsim.dcf_backoff import back_off, count_down, doze, draw, ready_ns, request, sense
 from netsim.dcf_queue import decide, enqueue, expire, insert, leave
 from netsim.dcf_state import (
     ACK,
+    ACKNOWLEDGEMENT,
+    ANSWER,
     ARRIVED,
     BROADCAST,
     DECIDED,
@@ -19,10 +21,13 @@ from netsim.dcf_state import (
     NOBODY,
     OFFERED,
     ON_AIR,
+    PAYLOAD_OVER_NS,
     QUEUE_FULL,
     RECEIVED,
     SCARCE,
     SOONEST,
+    START,
+    TIMEOUT,
     UNICAST,
     WANTED,
     Rules,
@@ -32,8 +37,8 @@ from netsim.dcf_state import (
 # Why `run` comes back.
 DONE, LEVELS, DRAWS, OUTPUT = 0, 1, 2, 3
 
-# What happens. The first three stand in `State.due`, (3 n,), in this order.
-START, ANSWER, TIMEOUT, DETECT, END, ARRIVE = range(6)
+# What else happens, behind `START`, `ANSWER` and `TIMEOUT`.
+DETECT, END, ARRIVE = 3, 4, 5
 
 
 def run(s: State, rules: Rules, until: int) -> int:
@@ -48,6 +53,7 @@ def run(s: State, rules: Rules, until: int) -> int:
             s.counts[SOONEST] = now
             return DONE
         if what == DETECT:
+            doze(s, rules, now)
             sense(s, rules, detect(s, rules, who), now)
         elif what == END:
             finish(s, rules, who, now)
@@ -82,49 +88,13 @@ def upcoming(s: State, rules: Rules) -> tuple[int, int, int]:
     return what, who, when
 
 
-# --- backoff ---
-
-
-def count_down(s: State, rules: Rules, i: int, now: int) -> None:
-    """The slots of radio i that have passed; see `sense`."""
-    begun = max(s.counting_ns[i], max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
-    if begun <= now:
-        counted = min((now - begun) // rules.slot_ns, s.slots[i])
-        s.counting_ns[i] = begun + counted * rules.slot_ns
-        s.slots[i] -= counted
-
-
-def request(s: State, rules: Rules, i: int) -> None:
-    """Radio i wants to send, as soon as its backoff is over."""
-    begun = max(s.counting_ns[i], max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
-    s.due[i] = begun + s.slots[i] * rules.slot_ns
-
-
-def draw(s: State, i: int) -> int:
-    """Place of the next draw of radio i in store."""
-    place = int(s.drawn[i] - s.store[i])
-    s.drawn[i] += 1
-    if place + 1 == s.backoff.shape[1]:
-        s.counts[SCARCE] = 1
-    return place
-
-
-def back_off(s: State, i: int, counting_ns: int) -> None:
-    """Radio i draws a new backoff, which counts from a time on, if the medium is idle."""
-    s.slots[i] = int(s.backoff[i, draw(s, i)] * (s.window[i] + 1))
-    s.counting_ns[i] = counting_ns
-
-
-def release(s: State, rules: Rules, i: int, counting_ns: int) -> None:
+def release(s: State, rules: Rules, i: int, now: int, counting_ns: int) -> None:
     """Radio i has done with a frame, or with an attempt; its new backoff counts from a time on."""
     s.sending[i] = NOBODY
-    s.due[i] = NEVER
+    s.due[i] = s.wake_ns[i] = NEVER
     back_off(s, i, counting_ns)
     if s.head[i] != NOBODY:
-        request(s, rules, i)
-
-
-# --- queue ---
+        request(s, rules, i, now)
 
 
 def arrive(s: State, rules: Rules, f: int, now: int) -> None:
@@ -145,7 +115,7 @@ def arrive(s: State, rules: Rules, f: int, now: int) -> None:
                 back_off(s, i, now)
             else:
                 s.counting_ns[i] = now + rules.difs_ns
-        request(s, rules, i)
+        request(s, rules, i, now)
 
 
 # --- sending ---
@@ -166,11 +136,11 @@ def start(s: State, rules: Rules, i: int, now: int) -> bool:
     """Radio i sends its first frame; False: its levels are needed."""
     if expire(s, rules, i, now):
         if s.head[i] == NOBODY:
-            release(s, rules, i, now)
+            release(s, rules, i, now, now)
         return True
     f = s.head[i]
     if f == NOBODY:  # all expired while it waited
-        release(s, rules, i, now)
+        release(s, rules, i, now, now)
         return True
     if s.attempts[f] == 0 and s.row[f] != NOBODY:
         s.level[i] = s.levels[s.row[f]]
@@ -185,7 +155,8 @@ def start(s: State, rules: Rules, i: int, now: int) -> bool:
     s.began_ns[f] = now
     s.kind[i] = BROADCAST if s.to[f] == NOBODY else UNICAST
     s.payload_bits_per_ns[i] = s.frame_bits[f] / (s.air_ns[f] - rules.header_end_ns)
-    s.due[i] = NEVER
+    s.curve[i] = s.frame_curve[f]
+    s.due[i] = s.wake_ns[i] = NEVER
     send(s, rules, i, now, s.air_ns[f])
     return True
 
@@ -199,24 +170,27 @@ def send(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
 
 
 def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
-    """Radio i answers a unicast frame: at the level at which it came, and elsewhere as strong as what it sent last."""
+    """Radio i answers a unicast frame: over the way that it came, and elsewhere as strong as what it sent last."""
     f = s.acked[i]
     back = s.sender[f]
-    answer = s.level[back, i]
+    answer = s.level[back, i] * (s.power_mw[i] / s.power_mw[back])
     s.level[i] = s.heard[i]
     s.level[i, back] = answer
     s.patience[i] = s.doubt[i, draw(s, i)]
     s.kind[i] = ACK
     s.payload_bits_per_ns[i] = rules.ack_bits_per_ns
+    s.curve[i] = ACKNOWLEDGEMENT
     s.due[ANSWER * len(s.lock) + i] = NEVER
+    doze(s, rules, now)
     send(s, rules, i, now, rules.ack_air_ns)
     if s.due[i] < NEVER:
-        request(s, rules, i)
+        s.due[i] = max(ready_ns(s, rules, i), s.wake_ns[i])
 
 
 def finish(s: State, rules: Rules, i: int, now: int) -> None:
     """What radio i sends ends."""
     n = len(s.lock)
+    doze(s, rules, now)
     # Who received a unicast frame keeps silent for the acknowledgement.
     reserved_ns = now + rules.sifs_ns + rules.ack_air_ns if s.kind[i] == UNICAST else 0
     sense(s, rules, take_off_air(s, rules, i, now, reserved_ns), now)
@@ -229,14 +203,14 @@ def finish(s: State, rules: Rules, i: int, now: int) -> None:
             s.window[back] = rules.cw_min
             s.failures[back] = 0
             decide(s, f, now, s.outcome[f])
-            release(s, rules, back, now)
+            release(s, rules, back, now, now)
         return
     f = s.sending[i]
     if s.kind[i] == BROADCAST:
         decide(s, f, now, RECEIVED)
         s.out_fate[s.counts[DECIDED] - 1] = s.fate[i]
         s.out_least[s.counts[DECIDED] - 1] = s.least[i]
-        release(s, rules, i, now)
+        release(s, rules, i, now, now)
         return
     to = s.to[f]
     s.least_there[f] = s.least[i, to]
@@ -254,9 +228,10 @@ def finish(s: State, rules: Rules, i: int, now: int) -> None:
 def give_up(s: State, rules: Rules, i: int, now: int) -> None:
     """No acknowledgement has come, unless it, or something else, is being received: then when that is over."""
     timeout = TIMEOUT * len(s.lock) + i
+    settle(s, rules, now)
     heard = s.lock[i]
-    if heard != NOBODY and s.start_ns[heard] + rules.header_end_ns <= now:
-        s.due[timeout] = s.end_ns[heard] + 1
+    if heard != NOBODY and s.start_ns[heard] + rules.header_end_ns <= now and not s.spoiled[heard, i]:
+        s.due[timeout] = s.end_ns[heard] + PAYLOAD_OVER_NS
         return
     s.due[timeout] = NEVER
     f = s.sending[i]
@@ -269,4 +244,5 @@ def give_up(s: State, rules: Rules, i: int, now: int) -> None:
         decide(s, f, now, s.outcome[f])
     else:
         insert(s, i, f, NOBODY, s.head[i])
-    release(s, rules, i, now if s.idle_ns[i] == now - 1 else now + rules.difs_ns)  # the wait was a busy time, if none was heard
+    heard_until_now = s.idle_ns[i] == now - PAYLOAD_OVER_NS
+    release(s, rules, i, now, now if heard_until_now else now + rules.difs_ns)  # else the wait was a busy time

@@ -8,13 +8,15 @@ import numpy as np
 
 from netsim.dcf_energy import by_end, energy_end, energy_end_at, interference, interference_at
 from netsim.dcf_state import (
-    ACK,
     COLLISION,
     ERROR,
+    HEADER,
     NEVER,
     NOBODY,
     ON_AIR,
+    PAYLOAD_OVER_NS,
     RECEIVED,
+    TIMEOUT,
     TRANSMITTING,
     UNDETECTED,
     Rules,
@@ -22,39 +24,6 @@ from netsim.dcf_state import (
 )
 from netsim.hazard import between, look_up_one, places
 from netsim.layers import Ints
-
-# --- backoff ---
-
-
-def sense(s: State, rules: Rules, busy: Ints, now: int) -> None:
-    """All radios know that the medium is busy until some time, (n,): backoffs stand still, and what is due moves."""
-    n = len(s.lock)
-    begun = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
-    counted = np.minimum(np.maximum(now - begun, 0) // rules.slot_ns, s.slots)
-    s.counting_ns[:] = np.where(begun <= now, begun + counted * rules.slot_ns, s.counting_ns)
-    s.slots[:] = s.slots - counted
-    s.idle_ns[:] = np.maximum(s.idle_ns, busy)
-    resumed = np.maximum(s.counting_ns, np.maximum(s.idle_ns, s.eifs_ns) + rules.difs_ns)
-    s.due[:n] = np.where(s.due[:n] < NEVER, resumed + s.slots * rules.slot_ns, NEVER)
-
-
-def sense_loop(s: State, rules: Rules, busy: Ints, now: int) -> None:
-    """See `sense`."""
-    counting_ns, slots, idle_ns, eifs_ns, due = s.counting_ns, s.slots, s.idle_ns, s.eifs_ns, s.due
-    for j in range(len(busy)):
-        begun = max(counting_ns[j], max(idle_ns[j], eifs_ns[j]) + rules.difs_ns)
-        if begun <= now:
-            counting_ns[j] = begun
-            if slots[j] > 0:
-                counted = min((now - begun) // rules.slot_ns, slots[j])
-                counting_ns[j] += counted * rules.slot_ns
-                slots[j] -= counted
-        idle_ns[j] = max(idle_ns[j], busy[j])
-        if due[j] < NEVER:
-            due[j] = max(counting_ns[j], max(idle_ns[j], eifs_ns[j]) + rules.difs_ns) + slots[j] * rules.slot_ns
-
-
-# --- reception ---
 
 
 def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
@@ -67,19 +36,18 @@ def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, head
     step, part = places(sinr)
     hazard = s.hazard[i].copy()
     if header_ns > 0:
-        hazard += rules.header_bits_per_ns * header_ns * between(s.tables[1], step, part)
+        hazard += rules.header_bits_per_ns * header_ns * between(s.tables[HEADER], step, part)
         if header_ends:
             s.spoiled[i] = receiving & (hazard >= s.patience[i])
     if payload_ns > 0:
-        table = s.tables[2] if s.kind[i] == ACK else s.tables[0]
-        hazard += s.payload_bits_per_ns[i] * payload_ns * between(table, step, part)
+        hazard += s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part)
     s.hazard[i] = np.where(receiving, hazard, s.hazard[i])
 
 
 def suffer_loop(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
     """See `suffer`."""
     lock, level, least, hazard, patience = s.lock, s.level[i], s.least[i], s.hazard[i], s.patience[i]
-    header_table, table = s.tables[1], s.tables[2] if s.kind[i] == ACK else s.tables[0]
+    header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
     header_bits, payload_bits = rules.header_bits_per_ns * header_ns, s.payload_bits_per_ns[i] * payload_ns
     alone, undetected = s.counts[ON_AIR] == 1, not s.detected[i]
     for j in range(len(lock)):
@@ -153,6 +121,7 @@ def notice(s: State, rules: Rules, i: int) -> Ints:
     power = interference(s, rules, i)
     noticed = strongest & (s.level[i] >= s.sensitivity_mw) & (s.level[i] >= rules.preamble_snr * power)
     s.lock[:] = np.where(noticed, i, s.lock)
+    s.header_ns[:] = np.where(noticed, np.maximum(s.idle_ns, s.start_ns[i] + rules.header_end_ns), s.header_ns)
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
         s.pending[other] = s.pending[other] & ~noticed
@@ -182,6 +151,7 @@ def notice_loop(s: State, rules: Rules, i: int) -> Ints:
             continue
         if level[j] >= sensitivity_mw[j] and level[j] >= rules.preamble_snr * power:
             lock[j], busy[j] = i, s.end_ns[i]
+            s.header_ns[j] = max(s.idle_ns[j], s.start_ns[i] + rules.header_end_ns)
             for at in range(count):
                 s.pending[s.air[at], j] = False
         else:
@@ -192,11 +162,17 @@ def notice_loop(s: State, rules: Rules, i: int) -> Ints:
 def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
     """Who received the frame of radio i, which is off the air, is free; until when the medium is busy then, (n,).
 
-    It is at least until ``reserved_ns`` for those who could decode it.
+    It is at least until ``reserved_ns`` for those who could decode it. Who waits for an acknowledgement, and began to receive
+    this before his timeout, need not wait for that any more: it was not his (IEEE 802.11-2016, 10.3.2.11), unless it was.
     """
+    payload_ns = s.start_ns[i] + rules.header_end_ns
     held = s.lock == i
+    heard = held & ~s.spoiled[i]
     received = s.fate[i] == RECEIVED
-    s.eifs_ns[:] = np.where(held & ~s.spoiled[i], np.where(received, 0, now + rules.eifs_ns), s.eifs_ns)
+    timeout = s.due[TIMEOUT * len(held) :]
+    if timeout.min() < NEVER:
+        timeout[:] = np.where(heard & (timeout < NEVER) & (timeout >= payload_ns), now + PAYLOAD_OVER_NS, timeout)
+    s.eifs_ns[:] = np.where(heard, np.where(received, 0, now + rules.eifs_ns), s.eifs_ns)
     s.lock[:] = np.where(held, NOBODY, s.lock)
     busy = np.where(received, reserved_ns, 0)
     if s.counts[ON_AIR] > 0:
@@ -207,12 +183,15 @@ def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
 def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
     """See `let_go`."""
     lock, eifs_ns, fate, order, busy = s.lock, s.eifs_ns, s.fate[i], by_end(s), np.zeros(len(s.lock), np.int64)
+    timeout, payload_ns = s.due[TIMEOUT * len(s.lock) :], s.start_ns[i] + rules.header_end_ns
     for j in range(len(lock)):
         if fate[j] == RECEIVED:
             busy[j] = reserved_ns
         if lock[j] == i:
             lock[j] = NOBODY
             if not s.spoiled[i, j]:
+                if payload_ns <= timeout[j] < NEVER:
+                    timeout[j] = now + PAYLOAD_OVER_NS
                 eifs_ns[j] = 0 if fate[j] == RECEIVED else now + rules.eifs_ns
             if len(order) > 0:
                 busy[j] = max(busy[j], energy_end_at(s, order, rules.busy_mw, j))
@@ -226,10 +205,9 @@ def judge(s: State, rules: Rules, i: int, now: int) -> None:
     alone = survived
     if s.shared[i]:  # what would have become of it with nothing else on the air?
         step, part = places(s.level[i] / rules.noise_mw)
-        table = s.tables[2] if s.kind[i] == ACK else s.tables[0]
-        header = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns) * between(s.tables[1], step, part)
+        header = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns) * between(s.tables[HEADER], step, part)
         payload_ns = now - s.start_ns[i] - rules.header_end_ns
-        alone = header + s.payload_bits_per_ns[i] * payload_ns * between(table, step, part) < s.patience[i]
+        alone = header + s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part) < s.patience[i]
     weak = (s.level[i] < s.sensitivity_mw) | (s.level[i] < rules.preamble_snr * rules.noise_mw)
     fate = np.where(alone, COLLISION, ERROR)
     fate = np.where(s.deaf[i], TRANSMITTING, fate)
@@ -241,7 +219,7 @@ def judge(s: State, rules: Rules, i: int, now: int) -> None:
 def judge_loop(s: State, rules: Rules, i: int, now: int) -> None:
     """See `judge`."""
     lock, level, hazard, patience, fate, deaf = s.lock, s.level[i], s.hazard[i], s.patience[i], s.fate[i], s.deaf[i]
-    header_table, table = s.tables[1], s.tables[2] if s.kind[i] == ACK else s.tables[0]
+    header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
     header_bits = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns)
     payload_bits = s.payload_bits_per_ns[i] * (now - s.start_ns[i] - rules.header_end_ns)
     for j in range(len(lock)):

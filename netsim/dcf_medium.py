@@ -5,13 +5,14 @@ decided are taken out again.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from cosim.rng import link_uniform
 from netsim import dcf_core
 from netsim.compiled import Compiled, available
+from netsim.dcf_batch import Batch
 from netsim.dcf_core import DRAWS, LEVELS, OUTPUT
 from netsim.dcf_levels import Levels, free_numbers, take
 from netsim.dcf_state import (
@@ -30,29 +31,19 @@ from netsim.dcf_state import (
     next_decision,
 )
 from netsim.draws import BACKOFF_SLOT
+from netsim.error_rate import ErrorRate
 from netsim.layers import Floats, Ints, Keys
 from netsim.medium import Codes, Decided, Offered, Renew
 
 COMPILE_AFTER = 5000  # frames: what they take in NumPy is what compiled code takes to be loaded
 PER_FRAME = (
-    *("behind", "sender", "to", "priority", "offered_ns", "air_ns", "frame_bits", "attempts", "row"),
-    *("began_ns", "told", "outcome", "least_there", "patiences"),
+    *("behind", "sender", "to", "priority", "offered_ns", "air_ns", "frame_bits", "frame_curve"),
+    *("attempts", "row", "began_ns", "told", "outcome", "least_there", "patiences"),
 )
-CORE = ("netsim.hazard", "netsim.dcf_energy", "netsim.dcf_kernels", "netsim.dcf_air", "netsim.dcf_queue", "netsim.dcf_core")
-
-
-class Batch(NamedTuple):
-    """Frames that are decided, in the order of time; see `netsim.medium.Decided`."""
-
-    number: Ints  # (m,)
-    start_ns: Ints
-    end_ns: Ints
-    attempts: Ints
-    fate: Codes  # (m, n)
-    least_sinr: Floats  # (m, n)
-
-
-NONE = Batch(*(np.empty(0, np.int64),) * 4, np.empty((0, 0), np.uint8), np.empty((0, 0)))
+CORE = (
+    *("netsim.hazard", "netsim.dcf_energy", "netsim.dcf_kernels", "netsim.dcf_air"),
+    *("netsim.dcf_queue", "netsim.dcf_backoff", "netsim.dcf_core"),
+)
 
 
 class DcfMedium:
@@ -62,7 +53,7 @@ class DcfMedium:
         rules: how they contend.
         phy: air times and bits of frames.
         keys: (n,) random keys of the radios.
-        tables: (3, ...) `hazard_table` of payload, header and acknowledgement.
+        curves: of headers and of acknowledgements.
         sensitivity_mw: the weakest level that is noticed.
         compile_core: whether compiled code works it off; None: for many frames, where it can be compiled.
 
@@ -71,20 +62,28 @@ class DcfMedium:
     """
 
     def __init__(
-        self, rules: Rules, phy: Any, keys: Keys, tables: Floats, sensitivity_mw: float, *, compile_core: bool | None = None
+        self,
+        rules: Rules,
+        phy: Any,
+        keys: Keys,
+        curves: tuple[ErrorRate, ErrorRate],
+        sensitivity_mw: float,
+        *,
+        compile_core: bool | None = None,
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
         self._run: Callable[[State, Rules, int], int] = dcf_core.run
         self._compile_after = COMPILE_AFTER if compile_core is None and available() else None  # so many frames
         if compile_core and count:
             self._compile()
-        self._state = new_state(rules, count, sensitivity_mw, tables)
+        self._curves = list(curves)  # of the rows of `State.tables`
+        self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
         self._free = free_numbers(0, len(self._state.behind))  # places of frames
         self._levels = Levels(self._state.levels)
         self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
         self._renew: dict[int, Renew] = {}  # by their places
         self._undecided = 0
-        self._sizes: dict[int, tuple[int, int]] = {}
+        self._sizes: dict[int, tuple[int, int, int]] = {}  # air time, bits and curve of frames
         self._decided: list[Batch] = []  # and not yet handed out
         self._draw()
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
@@ -99,6 +98,11 @@ class DcfMedium:
     def sensitivity_mw(self) -> Floats:
         """The weakest level that each radio notices, (n,): as the phy says, unless set."""
         return self._state.sensitivity_mw
+
+    @property
+    def power_mw(self) -> Floats:
+        """With which each radio sends, (n,) mW: an acknowledgement meets what the data met. All alike, unless set."""
+        return self._state.power_mw
 
     def expect(self, frames: int) -> None:
         """About so many frames will be offered: for many the core is compiled at once."""
@@ -153,13 +157,21 @@ class DcfMedium:
         """Write down what is known of a frame, or of several."""
         if self._state.levels is not self._levels.table:  # it has grown
             self._state = self._state._replace(levels=self._levels.table)
-        s = self._state
         if size_bytes not in self._sizes:
-            self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), self._phy.errors.payload_bits(size_bytes)
-        s.air_ns[places], s.frame_bits[places] = self._sizes[size_bytes]
+            curve, bits = self._phy.errors.payload(size_bytes)
+            self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), bits, self._row_of(curve)
+        s = self._state
+        s.air_ns[places], s.frame_bits[places], s.frame_curve[places] = self._sizes[size_bytes]
         s.sender[places], s.offered_ns[places], s.row[places], self._number[places] = sender, time_ns, rows, number
         s.attempts[places], s.began_ns[places], s.told[places] = 0, -1, False
         s.outcome[places], s.least_there[places] = EXPIRED, np.nan
+
+    def _row_of(self, curve: ErrorRate) -> int:
+        """Its row of `State.tables`."""
+        if curve not in self._curves:
+            self._curves.append(curve)
+            self._state = self._state._replace(tables=np.vstack((self._state.tables, curve.table)))
+        return self._curves.index(curve)
 
     def _arrive(self, places: Ints | int, count: int, time_ns: int) -> None:
         """They will come to their queues, the first at some time."""
@@ -189,18 +201,11 @@ class DcfMedium:
 
     def advance(self, until_ns: int) -> Sequence[Decided]:
         """Everything that is decided up to ``until_ns``, in the order of its time."""
-        return [
-            Decided(number, start_ns, end_ns, attempts, each.fate[k], each.least_sinr[k])
-            for each in self._decide(until_ns)
-            for k, (number, start_ns, end_ns, attempts) in enumerate(
-                zip(*(column.tolist() for column in each[:4]), strict=True)
-            )
-        ]
+        return [each for batch in self._decide(until_ns) for each in batch.frames()]
 
     def advance_arrays(self, until_ns: int) -> tuple[Ints, Ints, Ints, Codes, Floats]:
         """The same, as arrays: number (m,), start_ns (m,), end_ns (m,), fate (m, n), least_sinr (m, n)."""
-        batches = self._decide(until_ns) or [NONE._replace(fate=self._state.fate[:0], least_sinr=self._state.least[:0])]
-        every = batches[0] if len(batches) == 1 else Batch(*map(np.concatenate, zip(*batches, strict=True)))
+        every = Batch.all_of(self._decide(until_ns), len(self._keys))
         return every.number, every.start_ns, every.end_ns, every.fate, every.least_sinr
 
     def _decide(self, until_ns: int) -> list[Batch]:
@@ -285,10 +290,3 @@ class DcfMedium:
         if self._decided:
             return int(self._decided[0].end_ns[0])
         return next_decision(self._state, self._rules) if self._undecided else None
-
-    def waiting(self) -> Sequence[int]:
-        """Numbers of the frames that are offered and not yet decided."""
-        taken = ~self._state.told
-        taken[self._free] = False
-        numbers: list[int] = np.sort(self._number[taken]).tolist()
-        return numbers

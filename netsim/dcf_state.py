@@ -14,6 +14,11 @@ from netsim.medium import Codes, Fate
 NEVER = 1 << 62
 NOBODY = -1
 
+# What happens to a radio of itself: rows of n in `State.due`, which are worked off in this order.
+START, ANSWER, TIMEOUT = 0, 1, 2
+
+PAYLOAD_OVER_NS = 400  # behind the end of a payload, who waits for an acknowledgement knows that it was none (ns-3.44)
+
 # What a radio is sending.
 BROADCAST, UNICAST, ACK = 0, 1, 2
 
@@ -24,6 +29,9 @@ DECIDED = 3  # rows in the `out` arrays
 SCARCE = 4  # 1: some radio has no draw left
 WANTED = 5  # frame whose levels are asked for
 SOONEST = 6  # when something happens next, as far as `run` has seen
+
+# Rows of `State.tables` that are always there; payloads have the others.
+HEADER, ACKNOWLEDGEMENT = 0, 1
 
 # Fates as plain numbers, for compiled code.
 RECEIVED, UNDETECTED, TRANSMITTING = int(Fate.RECEIVED), int(Fate.UNDETECTED), int(Fate.TRANSMITTING)
@@ -65,12 +73,15 @@ class State(NamedTuple):
 
     # The radios' view of the medium, (n,)
     idle_ns: Ints  # busy until then, as far as known: sending, receiving, carrier sense, reservation
+    header_ns: Ints  # the same, while it receives no more than the header of what it is locked to
     eifs_ns: Ints  # until then a frame that could not be decoded may be acknowledged
     sensitivity_mw: Floats
+    power_mw: Floats  # with which it sends
     lock: Ints  # whose frame it is receiving, or NOBODY
     # Their contention, (n,)
     counting_ns: Ints  # when the backoff began to count down, at the earliest
     slots: Ints  # left of it
+    wake_ns: Ints  # when it looks next whether it may send; NEVER: it does not want to
     window: Ints  # contention window: a backoff is one of 0..window
     failures: Ints  # attempts since the last acknowledgement
     drawn: Ints  # draws used
@@ -89,6 +100,7 @@ class State(NamedTuple):
     start_ns: Ints
     end_ns: Ints
     payload_bits_per_ns: Floats
+    curve: Ints  # row of `tables` for its payload
     settled_ns: Ints  # until then `hazard` has been added up
     detected: Bools  # the time in which it may be noticed is over
     shared: Bools  # something else was on the air at some time
@@ -103,7 +115,7 @@ class State(NamedTuple):
     deaf: Bools  # the radio was sending itself
     spoiled: Bools  # the header is over, and could not be decoded
     fate: Codes
-    tables: Floats  # (3, 2^15 + 1) hazards of payload, header, acknowledgement
+    tables: Floats  # (k, 2^16 + 1) hazards of `HEADER`, `ACKNOWLEDGEMENT` and payloads
     # Frames that wait or are being sent, (c,)
     behind: Ints  # the next in the queue, or NOBODY
     sender: Ints
@@ -112,6 +124,7 @@ class State(NamedTuple):
     offered_ns: Ints
     air_ns: Ints
     frame_bits: Ints
+    frame_curve: Ints  # row of `tables` for its payload
     attempts: Ints
     row: Ints  # of its levels; NOBODY: they are asked for
     began_ns: Ints  # last attempt; -1: none yet
@@ -150,11 +163,14 @@ def new_state(
 
     return State(
         idle_ns=ints(0),
+        header_ns=ints(0),
         eifs_ns=ints(0),
         sensitivity_mw=np.full(n, sensitivity_mw),
+        power_mw=np.ones(n),
         lock=ints(NOBODY),
         counting_ns=ints(0),
         slots=ints(0),
+        wake_ns=ints(NEVER),
         window=ints(rules.cw_min),
         failures=ints(0),
         drawn=ints(0),
@@ -171,6 +187,7 @@ def new_state(
         start_ns=ints(0),
         end_ns=ints(0),
         payload_bits_per_ns=floats(n),
+        curve=ints(ACKNOWLEDGEMENT),
         settled_ns=ints(0),
         detected=bools(n),
         shared=bools(n),
@@ -192,6 +209,7 @@ def new_state(
         offered_ns=ints(0, frames),
         air_ns=ints(0, frames),
         frame_bits=ints(0, frames),
+        frame_curve=ints(ACKNOWLEDGEMENT, frames),
         attempts=ints(0, frames),
         row=ints(NOBODY, frames),
         began_ns=ints(-1, frames),

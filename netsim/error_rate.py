@@ -1,7 +1,7 @@
 """Error rates: the chance that bits sent at some SINR are all received.
 
 A frame, or any piece of it at a constant SINR, survives with ``(1 - pb)^bits``. The SINR changes when an interferer starts or
-ends: the success of the pieces multiplies, so that their ``bits * log_success_per_bit`` add up.
+ends: the success of the pieces multiplies, so that their ``bits * bit_hazard`` add up, see `netsim.hazard`.
 """
 
 import math
@@ -12,13 +12,9 @@ from functools import lru_cache
 import numpy as np
 
 from cosim.types import frozen
+from netsim.hazard import between, look_up, places, steps
 from netsim.layers import Floats
 from netsim.phy import US, BitRate, Dsss
-
-STEP_DB = 1.0 / 256.0  # a power of two: every grid point, and the place of a SINR between two of them, is exact
-_GRID_DB: Floats = np.arange(-50.0, 45.0 + STEP_DB, STEP_DB)  # outside, the value at the end holds
-# NumPy's interp copies a read-only array at every call (20 us instead of 3): those that it is given are writable, and private.
-GRID_DB: Floats = frozen(_GRID_DB)  # a copy
 
 ERROR_FLOOR = 1e-300  # every bit may fail, if only in theory: logarithms stay finite
 ERROR_CEILING = 1.0 - 2.0**-53  # and every bit may survive
@@ -27,9 +23,7 @@ ERROR_CEILING = 1.0 - 2.0**-53  # and every bit may survive
 class ErrorRate(ABC):
     """One bit rate's curve. Hashable, as frozen dataclasses are: equal models share their table.
 
-    The table holds ``y = log(-log success per bit)`` every 1/256 dB from -50 to 45 dB, and is interpolated linearly. Against
-    the formulas, halfway between all grid points and for all models here, success is right within 1e-6 for pieces of 16 bits to
-    2304 bytes, and within 1e-5 from 4 bits (a bound that reaches pb = 1 has an edge there, and only there: one bit 4e-3).
+    By the table success is that of the formula within 1e-5 for pieces of 4 bits to 2304 bytes, from -48 to 48 dB.
     """
 
     @abstractmethod
@@ -37,34 +31,34 @@ class ErrorRate(ABC):
         """``-log(success per bit)`` by the formula, (n,), never negative; ``sinr`` is a ratio of powers, (n,), not in dB."""
 
     @abstractmethod
-    def payload_bits(self, size_bytes: int) -> int:
-        """How many bits of a frame with this payload have to survive: bit rate x the time they take, filling bits included."""
+    def payload(self, size_bytes: int) -> tuple["ErrorRate", int]:
+        """By which curve, and how many, bits of a frame of this size have to survive: rate x their time, filling included."""
 
     @property
     @abstractmethod
     def header(self) -> tuple["ErrorRate", int]:
-        """At which rate, and how many, bits before the payload have to survive as well."""
+        """By which curve, and how many, bits before the payload have to survive as well."""
 
     @property
     def table(self) -> Floats:
-        """``y`` at `GRID_DB`, read-only: for a loop that interpolates by itself."""
-        return _read_only(_table(self))
+        """The hazard per bit at all steps of `netsim.hazard`, read-only; never increasing within rounding."""
+        return _table(self)
 
-    def log_success_per_bit(self, sinr_db: Floats) -> Floats:
-        """Logarithm of the chance that a bit survives, the shape of ``sinr_db``; finite and negative."""
-        log_success: Floats = -np.exp(np.interp(sinr_db, _GRID_DB, _table(self)))
-        return log_success
+    def bit_hazard(self, sinr: Floats) -> Floats:
+        """`hazard` by the table, the shape of ``sinr``: a ratio of powers."""
+        return look_up(self.table, sinr)
 
     def success(self, sinr_db: Floats, bits: Floats | float) -> Floats:
         """Chance that all of ``bits`` survive, broadcast over both arguments."""
-        success: Floats = np.exp(bits * self.log_success_per_bit(sinr_db))
+        success: Floats = np.exp(-bits * self.bit_hazard(10.0 ** (sinr_db / 10.0)))
         return success
 
     def frame_hazard(self, sinr_db: Floats, size_bytes: int) -> Floats:
         """``-log`` of the chance that a frame with this payload survives, header included, at a SINR that lasts."""
-        header, bits = self.header
-        hazard: Floats = -self.payload_bits(size_bytes) * self.log_success_per_bit(sinr_db)
-        return hazard - bits * header.log_success_per_bit(sinr_db) if bits else hazard
+        (payload, payload_bits), (header, header_bits) = self.payload(size_bytes), self.header
+        step, part = places(10.0 ** (sinr_db / 10.0))
+        hazard = payload_bits * between(payload.table, step, part)
+        return hazard + header_bits * between(header.table, step, part) if header_bits else hazard
 
     def frame_success(self, sinr_db: Floats, size_bytes: int) -> Floats:
         """Chance that a frame with this payload survives, header included, at a SINR that lasts; the shape of ``sinr_db``."""
@@ -83,15 +77,9 @@ def erfc(x: Floats) -> Floats:
     return np.array([math.erfc(value) for value in x.tolist()])
 
 
-def _read_only(array: Floats) -> Floats:
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
 @lru_cache(maxsize=64)
 def _table(errors: ErrorRate) -> Floats:
-    return np.log(errors.hazard(10.0 ** (GRID_DB / 10.0)))
+    return frozen(errors.hazard(steps()))
 
 
 @dataclass(frozen=True)
@@ -117,9 +105,9 @@ class DsssErrors(ErrorRate):
     def __post_init__(self) -> None:
         Dsss(rate_bps=self.rate_bps)  # says which rates there are
 
-    def payload_bits(self, size_bytes: int) -> int:
+    def payload(self, size_bytes: int) -> tuple[ErrorRate, int]:
         """Rate x the time behind the preamble, whole microseconds."""
-        return round(self.rate_bps * (Dsss(rate_bps=self.rate_bps).air_time_ns(size_bytes) - 192 * US) / 1e9)
+        return self, round(self.rate_bps * (Dsss(rate_bps=self.rate_bps).air_time_ns(size_bytes) - 192 * US) / 1e9)
 
     @property
     def header(self) -> tuple[ErrorRate, int]:
@@ -166,10 +154,10 @@ class OqpskErrors(ErrorRate):
     ``pb = 8/15 1/16 sum_(k=2..16) (-1)^k C(16, k) exp(20 x (1/k - 1))``; the same as ns-3.44 ``LrWpanErrorModel``.
     """
 
-    def payload_bits(self, size_bytes: int) -> int:
+    def payload(self, size_bytes: int) -> tuple[ErrorRate, int]:
         """250 kbit/s x the air time of all its frames: preamble, delimiter and length have to survive too."""
         frames = max(1, -(-size_bytes // (127 - 11)))
-        return 8 * (size_bytes + frames * (6 + 11))
+        return self, 8 * (size_bytes + frames * (6 + 11))
 
     @property
     def header(self) -> tuple[ErrorRate, int]:

@@ -77,6 +77,15 @@ class Levelled(Protocol):
         """The weakest level that each radio notices, (n,)."""
 
 
+@runtime_checkable
+class Powered(Protocol):
+    """A medium whose radios answer at the level of what they received, each with a power of its own."""
+
+    @property
+    def power_mw(self) -> Floats:
+        """Transmitted by each radio, (n,) mW; only their ratios count."""
+
+
 class Medium(Protocol):
     """The air that n radios share."""
 
@@ -91,6 +100,3 @@ class Medium(Protocol):
 
     def next_ns(self) -> int | None:
         """When a frame will be decided next, as long as no other is offered; None: no frame is in a queue or on the air."""
-
-    def waiting(self) -> Sequence[int]:
-        """Numbers of the frames that are offered and not yet decided."""

@@ -65,11 +65,12 @@ def packet_errors(errors: ErrorRate, snr_db: Floats, size_bytes: int) -> dict[st
     Of the whole frame, its header included; ``payload_success`` is that of the bits behind the header alone.
     """
     hazard = errors.frame_hazard(snr_db, size_bytes)
+    payload, bits = errors.payload(size_bytes)
     return {
         "snr_db": snr_db.tolist(),
         "success": np.exp(-hazard).tolist(),
         "per": (-np.expm1(-hazard)).tolist(),
-        "payload_success": errors.success(snr_db, errors.payload_bits(size_bytes)).tolist(),
+        "payload_success": payload.success(snr_db, bits).tolist(),
     }
 
 

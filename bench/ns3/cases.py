@@ -84,7 +84,7 @@ def square(phy: str, nodes: int, hz: float) -> Case:
     return Case(phy, nodes, hz, duration_s=duration_s, seeds=60 if nodes <= 10 else 20)
 
 
-PHYS = ("b-1", "b-11", "g-6", "g-54", "a-6")
+PHYS = ("b-1", "b-11", "g-6", "g-54", "a-6", "a-54")
 SQUARES = tuple(square(phy, n, hz) for phy in PHYS for n in (3, 10, 50, 100) for hz in (10, 50, 100))
 WIDE = (
     *(Case(phy, n, 10, side_m=600.0, exponent=3.0, duration_s=2.0, seeds=10) for phy in PHYS for n in (50, 100)),

@@ -166,6 +166,11 @@ void Trace(uint32_t node)
             "BackoffTrace", Callback<void, uint32_t, uint8_t>([node](auto slots, auto) { Log(node, "backoff " + std::to_string(slots)); }));
         mac->GetTxop()->TraceConnectWithoutContext(
             "CwTrace", Callback<void, uint32_t, uint8_t>([node](auto cw, auto) { Log(node, "cw " + std::to_string(cw)); }));
+        phy->GetState()->TraceConnectWithoutContext(
+            "RxOk", Callback<void, Ptr<const Packet>, double, WifiMode, WifiPreamble>([node](auto packet, auto, auto, auto) {
+                const auto index = FrameOf(packet);
+                Log(node, index < 0 ? std::string("decoded control") : "decoded " + std::to_string(frames[index].sender));
+            }));
         phy->GetState()->TraceConnectWithoutContext("State", Callback<void, Time, Time, WifiPhyState>([node](auto start, auto duration, auto state) {
             std::ostringstream text;
             text << "state " << state << " " << start.GetNanoSeconds() << " + " << duration.GetNanoSeconds();

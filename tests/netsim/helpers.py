@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim import radio
-from cosim.scenario import Source
+from cosim.source import Source
 from cosim.types import FrameReport, Message
 from netsim.channel import Channel
 from netsim.layers import Frame, Links, Paths
-from physics.world import Box
+from physics.solids import Box
 
 
 def make_channel(
@@ -25,7 +25,7 @@ def make_channel(
 ) -> Channel:
     """A channel of a preset: ``make_channel("wifi-b-1", loss={"probability": 0.2})``, without contention unless asked."""
     tables = {"preset": name, "mac": {"kind": "ideal"}, **changes}
-    channel: Channel = radio.build(tables, Source("test", Path()), boxes=boxes, vehicles=vehicles)[0]
+    channel: Channel = radio.build(tables, Source("test", Path()), solids=boxes, vehicles=vehicles)[0]
     channel.start(seed)
     return channel
 

@@ -9,7 +9,7 @@ from netsim.calibrate_result import Estimate
 from netsim.layers import Floats
 from netsim.propagation import LogDistance
 from netsim.shadowing import Shadowing
-from physics.world import Box
+from physics.solids import Box
 from tests.netsim.linked import Line
 
 BOXES = (

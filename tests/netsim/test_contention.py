@@ -11,13 +11,16 @@ from cosim.codec import encode
 from cosim.federate import Event, RunInfo
 from cosim.types import FrameReport, Message, Reception, States
 from netsim.channel import Channel
+from netsim.csma154 import Csma154
 from netsim.dcf import Dcf
 from netsim.delay import NoDelay
 from netsim.federate import RadioFederate
-from netsim.layers import Floats
+from netsim.layers import Floats, Phy
 from netsim.loss import NoLoss
+from netsim.mac import Mac
 from netsim.outcome import UNDER_WAY
-from netsim.phy import Dsss
+from netsim.phy import Dsss, Ieee802154
+from netsim.phy_ofdm import Ofdm
 from netsim.propagation import LogDistance
 from netsim.radios import Radio
 from tests.netsim.helpers import make_channel
@@ -93,6 +96,20 @@ def test_a_radio_of_its_own_sensitivity_hears_more() -> None:
     places = np.array([(0.0, 0, 0), (100, 0, 0), (0, 100, 0)])  # -84 dBm
     channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=100), NAMES[:3], places)
     assert channel.advance(10**10)[0].outcome == ("below sensitivity", "received")
+
+
+@pytest.mark.parametrize(("phy", "mac"), [(Dsss(), Dcf()), (Ofdm(), Dcf()), (Ieee802154(), Csma154())], ids=str)
+@pytest.mark.parametrize("power_dbm", [None, -60.0])
+def test_who_answers_with_little_power_is_not_heard(phy: Phy, mac: Mac, power_dbm: float | None) -> None:
+    """Its own radio's: the sender tries again, at least four times in all, before the next frame goes."""
+    radios = {"car1": Radio(tx_power_dbm=power_dbm, antenna_height_m=0.0)}
+    channel = Channel(phy=phy, mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), radios=radios)
+    for _ in range(2):
+        channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=80, to="car1"), NAMES[:2], PLACES[:2])
+    first, second = channel.advance(10**10)
+    assert first.outcome == second.outcome == ("received",)
+    started_ns = [int(each.received_ns[0]) - each.air_time_ns for each in (first, second)]
+    assert (started_ns[1] - started_ns[0] > 4 * first.air_time_ns) == (power_dbm is not None)
 
 
 def test_what_the_end_cuts_off_is_reported_as_under_way() -> None:

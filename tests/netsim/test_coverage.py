@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cosim import radio
-from cosim.scenario import Source
+from cosim.source import Source
 from cosim.types import Message, Vec3
 from netsim.channel import Channel
 from netsim.coverage import among, coverage, floor_dbm, range_m
 from netsim.radios import Radio
-from physics.world import Box
+from physics.solids import Box
 
 Floats = NDArray[np.float64]
 BOXES = (
@@ -30,7 +30,7 @@ SEED = 5
 def make(preset: str = "wifi-b-1", radios: Mapping[str, Radio] | None = None, **layers: dict[str, Any]) -> Channel:
     """A channel among the boxes, without contention."""
     tables = {"preset": preset, "mac": {"kind": "ideal"}, **layers}
-    channel: Channel = radio.build(tables, Source("test", Path()), boxes=BOXES, radios=radios)[0]
+    channel: Channel = radio.build(tables, Source("test", Path()), solids=BOXES, radios=radios)[0]
     channel.start(SEED)
     return channel
 

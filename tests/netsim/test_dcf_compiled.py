@@ -5,12 +5,12 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from netsim import compiled, dcf_air, dcf_core, dcf_kernels
+from netsim import compiled, dcf_air, dcf_backoff, dcf_core, dcf_kernels
 from netsim.dcf import Dcf
 from netsim.dcf_state import State
 from tests.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
 
-PAIRS = [name.removesuffix("_loop") for name in vars(dcf_kernels) if name.endswith("_loop")]
+LOOPS = {name: loop for each in (dcf_kernels, dcf_backoff) for name, loop in vars(each).items() if name.endswith("_loop")}
 MACS = [Dcf(), Dcf(capture_margin_db=5.0), Dcf(queue_frames=4, lifetime_s=0.02), Dcf(preamble_time_us=30.0)]
 
 
@@ -18,16 +18,16 @@ MACS = [Dcf(), Dcf(capture_margin_db=5.0), Dcf(queue_frames=4, lifetime_s=0.02),
 def test_loops_leave_the_same_bits_everywhere_as_vectors(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     frames, phy, mac = mixed(seed, frames=150), PHYS[seed % 4], MACS[seed // 4]
     vectors, loops = open_air(6, phy, mac, seed=seed), open_air(6, phy, mac, seed=seed)
-    assert len(PAIRS) == 6
+    assert len(LOOPS) == 7
     for until in (10 * MS, 30 * MS, UNTIL):
         now = [each for each in frames if each.time_ns <= until]
         frames = frames[len(now) :]
         by_vectors = run(vectors, now, until)
         with monkeypatch.context() as patch:
-            for name in PAIRS:
+            for name, loop in LOOPS.items():
                 for module in (dcf_air, dcf_core):
-                    if hasattr(module, name):
-                        patch.setattr(module, name, getattr(dcf_kernels, f"{name}_loop"))
+                    if hasattr(module, name.removesuffix("_loop")):
+                        patch.setattr(module, name.removesuffix("_loop"), loop)
             by_loops = run(loops, now, until)
         assert bytes_of(by_loops) == bytes_of(by_vectors)
         assert bits(loops._state) == bits(vectors._state)

@@ -21,12 +21,12 @@ def test_every_frame_is_decided_once_or_waits(phy: Dsss | Ofdm, seed: int) -> No
     for until in (20 * MS, 50 * MS, UNTIL):
         medium = open_air(6, phy, seed=seed)
         decided = run(medium, [each for each in frames if each.time_ns <= until], until)
-        numbers = [each.number for each in decided] + list(medium.waiting())
-        assert sorted(numbers) == [each.number for each in frames if each.time_ns <= until]
+        later = list(medium.advance(UNTIL))
+        assert sorted(each.number for each in [*decided, *later]) == [each.number for each in frames if each.time_ns <= until]
         assert [each.end_ns for each in decided] == sorted(each.end_ns for each in decided)
         assert all(each.end_ns <= until for each in decided)
-    assert not medium.waiting()
-    assert medium.next_ns() is None
+        assert all(each.end_ns > until for each in later)
+        assert medium.next_ns() is None
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -150,4 +150,4 @@ def test_many_at_once_as_arrays_are_the_same_as_one_by_one(cuts: list[int], seed
         offered += len(now)
     assert arrays == [(number, start, end, fate, least) for number, start, end, _, fate, least in bytes_of(decided)]
     assert len(arrays) == len(frames)
-    assert not together.waiting()
+    assert together.next_ns() is None

@@ -6,10 +6,10 @@ import pytest
 from cosim.errors import ScenarioError
 from cosim.testing import check_channel
 from netsim.layers import Bools, Floats, PathLoss, Paths
-from netsim.materials import ITU_MATERIALS, NS3_WALLS_DB, FixedWalls, ItuWalls, slab_loss_db
+from netsim.materials import ITU_MATERIALS, FixedWalls, ItuWalls, slab_loss_db
 from netsim.propagation import SPEED_OF_LIGHT, LogDistance
 from physics.sightline import Sightline
-from physics.world import Box
+from physics.solids import Box
 
 
 class Across:
@@ -85,7 +85,7 @@ def test_walls_add_up_and_are_capped() -> None:
 
 def test_fixed_losses_by_material() -> None:
     walls = Across("wood", "stone", "paper")
-    layer = FixedWalls(walls, wall_db=1.0, materials_db=NS3_WALLS_DB)
+    layer = FixedWalls(walls, wall_db=1.0, materials_db={"wood": 4.0, "stone": 12.0})
     assert layer.loss_db(line(10.0, 20.0, 30.0)).tolist() == [4.0, 16.0, 17.0]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import netsim
 from cosim import radio, registry, table
-from cosim.scenario import Source
+from cosim.source import Source
 from cosim.testing import check_channel
 from netsim.budget import Hearing
 from netsim.burst import GilbertElliott

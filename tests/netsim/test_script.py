@@ -130,15 +130,15 @@ def test_answers_do_not_depend_on_what_was_asked_before() -> None:
     [
         (
             {"from_s": 5.0, "to_s": 5.0, "loss": 1.0},
-            r"to_s = 5: a change from 5 s must end later than it begins - at `\$\[1\]`",
+            r"to_s = 5: a change from 5 s must end later than it begins",
         ),
         ({"from_s": 5.0, "to_s": 6.0}, r"the change from 5 s changes nothing: give it loss, attenuation_db or delay_s"),
-        ({"from_s": 5.0, "loss": 1.5}, r"<= 1.0 - at `\$\[1\].loss`"),
-        ({"from_s": 5.0, "los": 1.0}, r"unknown field `los` - at `\$\[1\]`"),
-        ({"loss": 1.0}, r"missing required field `from_s`"),
+        ({"from_s": 5.0, "loss": 1.5}, r"must be a number >= 0 and <= 1, not 1.5"),
+        ({"from_s": 5.0, "los": 1.0}, r"unknown key 'los'; did you mean 'loss'\?"),
+        ({"loss": 1.0}, r"from_s is missing"),
     ],
 )
 def test_errors_by_name(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message) as raised:
         table.call(Script, {"changes": [{"from_s": 0.0, "loss": 0.1}, change]}, key="radio.script")
-    assert raised.value.key == "radio.script.changes"
+    assert raised.value.key == "radio.script.changes[1]" + (".loss" if "must be a number" in message else "")
