@@ -4,7 +4,6 @@ It turns what was published about a vehicle into an `Observation`, calls the age
 into events that take effect at tick + latency. It is the only caller of `Agent.act`, in the simulation and elsewhere.
 """
 
-import math
 import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,9 +17,9 @@ from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import AgentError, ScenarioError, place_of
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.scenario import AgentTable
-from cosim.types import Follows, Note, Period, Reading, Reception, VehicleState, Velocity
+from cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
 
-SENSORS = ("odometry", "fix", "imu", "scan", "image")
+ALWAYS = ("odometry", "fix")  # what every vehicle may have besides the sensors that the scenario names
 
 
 class AgentHost:
@@ -42,7 +41,9 @@ class AgentHost:
         self._seats = {spec.vehicle: _Seat(spec, given.get(spec.vehicle), kinds) for spec in ordered}
         self.agents = tuple(seat.info for seat in self._seats.values())
         self.reads = tuple(f"{vehicle}/heard" for vehicle in self._seats)
-        self.latest = tuple(f"{vehicle}/{what}" for vehicle in self._seats for what in ("estimate", *SENSORS))
+        self.latest = tuple(
+            f"{vehicle}/{what}" for vehicle, seat in self._seats.items() for what in ("estimate", *seat.sensors)
+        )
 
     def start(self, run: RunInfo) -> int | None:
         """Tell every agent who and where it is; all act first at time 0."""
@@ -86,6 +87,8 @@ class _Seat:
         except ScenarioError as error:
             problem = f"the class's own period {error.problem}"
             raise ScenarioError(problem, key=f"vehicle.{spec.vehicle}.agent.kind", source=spec.source) from error
+        wanted = self.agent.sensors
+        self.sensors = tuple(each for each in dict.fromkeys((*ALWAYS, *spec.sensors)) if wanted is None or each in wanted)
         self.info = AgentInfo(
             vehicle=spec.vehicle,
             agent=spec.kind,
@@ -94,9 +97,10 @@ class _Seat:
             params=params,
             known=tuple(table.parameters(type(self.agent))),
             taken=taken,
+            sensors=tuple(wanted or ()),
         )
         self._state: VehicleState | None = None
-        self._readings: dict[str, Reading] = {}
+        self._readings = Readings()
         self._heard: list[Reception] = []
         self._follows: Follows | None = None
 
@@ -144,7 +148,7 @@ class _Seat:
             vehicle=self._vehicle,
             time_ns=now_ns,
             state=self._state,
-            readings=dict(self._readings),
+            readings=Readings(self._readings),
             heard=tuple(self._heard),
         )
         self._heard.clear()
@@ -160,16 +164,15 @@ class _Seat:
         events.extend(Event(f"{vehicle}/send", when, message) for message in self._radio.drain())
         self.next_ns = self._ticks.after(now_ns)
 
-    def _checked(self, command: Any) -> Velocity:
+    def _checked(self, command: Any) -> Velocity | Waypoint:
         """The command in plain floats, as it would come over a wire."""
-        if not isinstance(command, Velocity):
-            raise self._error(f"returned {table.show(command)} from act(); it must return a Velocity, or None")
+        if not isinstance(command, Velocity | Waypoint):
+            raise self._error(f"returned {table.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
-            x, y, z = map(float, command.linear)
-            plain = Velocity(linear=(x, y, z), yaw_rate=float(command.yaw_rate))
+            plain = _plain(command)
         except (TypeError, ValueError):
-            raise self._error(f"returned {command}; linear must be three numbers, and yaw_rate one") from None
-        if not math.isfinite(x + y + z + plain.yaw_rate):
+            raise self._error(f"returned {command}; every coordinate must be a number") from None
+        if table.non_finite(msgspec.structs.astuple(plain)) is not None:
             raise self._error(f"returned a command that is not finite: {plain}")
         return plain
 
@@ -231,6 +234,16 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
         name = error.key.removeprefix(f"{key}.")
         raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if name in taken else error) from error
     return agent, table.complete(kind, params), taken
+
+
+def _plain(command: Velocity | Waypoint) -> Velocity | Waypoint:
+    """The command in plain floats."""
+    if isinstance(command, Velocity):
+        x, y, z = map(float, command.linear)
+        return Velocity(linear=(x, y, z), yaw_rate=float(command.yaw_rate))
+    x, y, z = map(float, command.position)
+    yaw, speed = (None if each is None else float(each) for each in (command.yaw, command.speed))
+    return Waypoint(position=(x, y, z), yaw=yaw, speed=speed)
 
 
 def _own_copy(reception: Reception) -> Reception:

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from bench import bare, radio
+from bench import bare, camera, drones, radio, scanner, sensors, vehicles
 from bench.measure import Row, in_turn, table
 from bench.workloads import run_cpu_s, star
 from cosim import scenario as scenarios
@@ -134,6 +134,8 @@ def main() -> int:
         rows.append(measure())
     print("measuring: the radio ...", file=sys.stderr, flush=True)
     rows += radio.rows()
+    for part in (vehicles, sensors, drones, scanner, camera):
+        rows += part.rows()
     print(table(rows))
     return 0 if all(row.holds for row in rows) else 1
 

@@ -16,7 +16,7 @@ from bench.measure import cpu
 from cosim.clock import SECOND_NS, Ticks
 from cosim.federate import Event, Instants, RunInfo
 from cosim.types import Velocity
-from physics.bullet import p as pybullet  # type: ignore[attr-defined]  # there it is imported without its greeting
+from physics.bullet import p as pybullet  # there it is imported without its greeting
 from physics.federate import BulletPhysics
 from physics.vehicles import P2DX, VehicleSpec
 from physics.world import World
@@ -41,7 +41,7 @@ def simpy_cpu_s(vehicles: int, duration_s: float) -> float:
 
 def bullet_cpu_s(vehicles: int, duration_s: float) -> float:
     """Bullet's stepSimulation alone, in the world of the same robots driving circles."""
-    cars = [VehicleSpec(name=f"car{n}", model=P2DX(), pose=(0.0, 1.0 * n, 0.0)) for n in range(vehicles)]
+    cars = [VehicleSpec(name=f"car{n}", model=P2DX(), position=(0.0, 1.0 * n, 0.0)) for n in range(vehicles)]
     physics = BulletPhysics(world=World(), vehicles=cars)
     names = tuple(car.name for car in cars)
     physics.start(

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.clock import Ticks
 from cosim.rng import stream
-from cosim.types import Follows, Message, Reading, Reception, Value, VehicleState, Velocity
+from cosim.types import Follows, Message, Reading, Reception, Value, VehicleState, Velocity, Waypoint
 
 LARGEST_MESSAGE_BYTES = 2**31 - 1
 
@@ -23,7 +23,7 @@ class Observation(Value, frozen=True, kw_only=True):
     vehicle: str
     time_ns: int
     state: VehicleState  # its own, as its pose source tells it
-    readings: dict[str, Reading]  # the latest of each sensor, by name: "odometry", "fix", ...
+    readings: dict[str, Reading]  # the newest of each sensor, by name: "odometry", and those of its vehicle
     heard: tuple[Reception, ...]  # since the last tick, oldest first
 
     @property
@@ -57,6 +57,7 @@ class AgentSpec(Value, frozen=True, kw_only=True):
     period_s: float | None  # None: the class's own period
     latency_s: float
     source: str  # the scenario file, for error messages
+    sensors: tuple[str, ...] = ()  # what the vehicle carries, by name
 
 
 class AgentInfo(Value, frozen=True, kw_only=True):
@@ -69,6 +70,7 @@ class AgentInfo(Value, frozen=True, kw_only=True):
     params: dict[str, Any]  # every parameter, defaults included, as far as TOML can say it
     known: tuple[str, ...]  # the names of all its parameters
     taken: tuple[str, ...]  # the [agents] defaults that it takes
+    sensors: tuple[str, ...] = ()  # what it says that it looks at
 
 
 class Radio:
@@ -127,13 +129,14 @@ class Agent:
     """
 
     period: float = 0.1  # s; a scenario's agents.period_s wins
+    sensors: tuple[str, ...] | None = None  # whose readings it looks at, by name; None: all. Others are not sent to its host
     follows: Follows | None = None  # set it to have the formation error of this vehicle measured
     _notes: dict[str, float | str | bool] | None = None
 
     def start(self, info: VehicleInfo) -> None:
         """Called once before the first tick."""
 
-    def act(self, obs: Observation, radio: Radio) -> Velocity | None:
+    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
         """Decide at a tick; the command holds until the next one. None leaves the last command in force."""
         raise NotImplementedError
 

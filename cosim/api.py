@@ -287,6 +287,7 @@ class _Simulation:
                 mcap=stream,
                 agents=assembly.infos,
                 radius_m=assembly.radius_m,
+                sensors=assembly.recorded_sensors,
             )
             yield self._recorder
 

@@ -14,9 +14,11 @@ from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
 from cosim.kernel import Kernel
 from cosim.resolve import Resolution
-from cosim.scenario import AgentsTable, Scenario, Source, VehicleTable
+from cosim.scenario import AgentsTable, Scenario, VehicleTable
+from cosim.source import Source
 
-_NOT_SHARED = {"name", "pose", "agent", "params"}  # keys of a vehicle for which [vehicles] has no default
+TOPICS = ("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows")  # of every vehicle
+_NOT_SHARED = {"name", "pose", "position", "agent", "params"}  # keys of a vehicle for which [vehicles] has no default
 
 
 class Assembly:
@@ -48,6 +50,7 @@ class Assembly:
         self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
         self.where: dict[str, str] = {}  # vehicle -> where its agent runs
         self._classes: dict[str, Any] = {}  # of vehicles, by kind
+        self._sensors: dict[str, dict[str, Any]] = {}  # of each vehicle, by name
         unknown = [name for name in self._objects if name not in {each.name for each in scenario.vehicle}]
         if unknown:
             problem = table.unknown("vehicle", unknown[0], [each.name for each in scenario.vehicle])
@@ -67,12 +70,14 @@ class Assembly:
             raise
         self.federates: list[Federate] = [physics, air, *self._hosts.federates]
         self.record_ticks = Ticks.every(scenario.record.period_s)
+        self.recorded_sensors = scenario.record.sensors
         self.run_info = RunInfo(
             scenario=scenario.name,
             seed=scenario.seed,
             duration_ns=seconds_to_ns(scenario.duration_s),
             vehicles=tuple(each.name for each in scenario.vehicle),
             instants=self._instants(),
+            wanted=self._wanted(),
         )
 
     def __enter__(self) -> Self:
@@ -92,12 +97,17 @@ class Assembly:
             raise
 
     @contextlib.contextmanager
-    def _placed(self) -> Iterator[None]:
-        """A federate knows the key that is wrong, and at most the file; here the line or --set is known too."""
+    def _placed(self, table_key: str = "") -> Iterator[None]:
+        """A part knows the key that is wrong, and at most a file of its own; here the line or --set is known too."""
         try:
             yield
         except ScenarioError as error:
-            raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
+            if error.source and error.source != self._source.name:
+                raise  # in a file that the scenario names
+            key = table.join(table_key, error.key)
+            if key in {f"vehicle.{each.name}.position" for each in self._scenario.vehicle if each.pose is not None}:
+                key = f"{key.removesuffix('position')}pose"  # the word that the scenario uses
+            raise ScenarioError(error.problem, key=key, source=self._source.of(key)) from error
 
     def resolved(self) -> dict[str, Any]:
         """The scenario with everything filled in (`cosim.resolve`)."""
@@ -111,16 +121,17 @@ class Assembly:
     # --- parts --------------------------------------------------------------------------------------------------------------
 
     def _component(self, group: str, content: Mapping[str, Any], key: str, **given: Any) -> tuple[Any, dict[str, Any]]:
-        portable = self._resolution.portable
-        return component.build(group, content, key=key, source=self._source, portable=portable, given=given)
+        portable, keep = self._resolution.portable, self._resolution.keep
+        return component.build(group, content, key=key, source=self._source, portable=portable, given=given, keep=keep)
 
     def _build_world(self) -> Any:
         world, self._resolution.tables["world"] = self._component("world", {"kind": "empty", **self._scenario.world}, "world")
-        return world.build()
+        with self._placed("world"):
+            return world.build()
 
     def _build_radio(self, world: Any) -> Federate:
         built = radio.of_scenario(
-            self._scenario, self._source, boxes=world.boxes, portable=self._resolution.portable, keep=self._resolution.keep
+            self._scenario, self._source, solids=world.solids, portable=self._resolution.portable, keep=self._resolution.keep
         )
         self._resolution.tables["radio"] = built.resolved
         federate: Federate = built.federate
@@ -157,20 +168,41 @@ class Assembly:
     def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
         key, kind, own = f"vehicle.{vehicle.name}", self._vehicle_class(vehicle), self._own(vehicle)
         also = {*table.parameters(VehicleTable)} - {"params"}
+        own, files = component.located(own, self._source)
         model = table.call(kind, own, key=key, origin=self._source, also=also)
-        self._resolution.vehicles[vehicle.name] = table.complete(kind, own)
+        kept = {name: self._resolution.keep(path) for name, path in files.items()}
+        self._resolution.vehicles[vehicle.name] = {**table.complete(kind, own), **kept}
         sensor = None
         if vehicle.positioning is not None:
             positioning = registry.piece("positioning")
             sensor = table.call(positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
+        position, heading = vehicle.start
         given = {
             "name": vehicle.name,
             "model": model,
-            "pose": vehicle.pose,
+            "position": position,
+            "heading": heading,
             "pose_source": vehicle.pose_source,
             "positioning": sensor,
+            "sensors": self._fit(vehicle, model),
         }
         return table.call(registry.piece("vehicle spec"), {}, key=key, origin=self._source, given=given)
+
+    def _fit(self, vehicle: VehicleTable, model: Any) -> dict[str, Any]:
+        """The sensors of a vehicle, by name; those that ask for its wheels are told."""
+        wheels = {name: getattr(model, name) for name in ("wheel_radius_m", "track_m") if hasattr(model, name)}
+        fitted, tables = {}, {}
+        for name, content in vehicle.sensors.items():
+            where = f"vehicle.{vehicle.name}.sensors.{name}"
+            if not name.replace("_", "").replace("-", "").isalnum() or name in TOPICS:
+                problem = f"a sensor cannot be called '{name}': letters, digits, _ and -, and none of {', '.join(TOPICS)}"
+                raise ScenarioError(problem, key=where, source=self._source.of(where))
+            portable = self._resolution.portable
+            fitted[name], tables[name] = component.build(
+                "sensor", content, key=where, source=self._source, portable=portable, offered=wheels
+            )
+        self._sensors[vehicle.name], self._resolution.sensors[vehicle.name] = fitted, tables
+        return fitted
 
     # --- agents -------------------------------------------------------------------------------------------------------------
 
@@ -226,6 +258,7 @@ class Assembly:
             period_s=(own and own.period_s) or agents.period_s,
             latency_s=latency,
             source=self._source.name,
+            sensors=tuple(self._sensors[vehicle.name]),
         )
 
     def _check_defaults_taken(self) -> None:
@@ -249,6 +282,13 @@ class Assembly:
                 own = f"vehicle.{info.vehicle}.agent.{name}"
                 trains.append(Instants(info.ticks, offset_ns, own if self._is_own(info.vehicle, name) else f"agents.{name}"))
         return tuple({(each.ticks, each.offset_ns): each for each in reversed(trains)}.values())
+
+    def _wanted(self) -> tuple[str, ...]:
+        """Readings that agents say they look at, and those that are recorded."""
+        looked = {f"{info.vehicle}/{name}" for info in self.infos for name in info.sensors}
+        kept = self.recorded_sensors
+        recorded = {f"{v}/{s}" for v, fitted in self._sensors.items() for s in fitted if s in kept or "*" in kept}
+        return tuple(sorted(looked | recorded))
 
     def _is_own(self, vehicle: str, name: str) -> bool:
         agent = next(each.agent for each in self._scenario.vehicle if each.name == vehicle)

@@ -1,10 +1,8 @@
 """The command line ``vcmvsp``. Parsing only: every command calls what Python users call; heavy parts load when needed."""
 
-import contextlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,8 +10,10 @@ import typer
 
 from cosim.cli_calibrate import calibrate_command
 from cosim.cli_explain import radio_command
+from cosim.cli_kinds import list_command, show_command, world_command
 from cosim.cli_radio import register
 from cosim.errors import Interrupted, UsageError, VcmvspError
+from cosim.streams import stdout_to_stderr
 
 app = typer.Typer(
     name="vcmvsp",
@@ -68,7 +68,7 @@ def run_command(
     if realtime is not None and not 0.0 < realtime < float("inf"):
         raise UsageError(f"--realtime {realtime}: must be a positive number")
     settings = scenarios.settings_of(set_ or [])
-    with Progress(quiet=quiet) as progress, _stdout_to_stderr():
+    with Progress(quiet=quiet) as progress, stdout_to_stderr():
         result = api.run(
             scenario,
             seed=seed,
@@ -115,41 +115,6 @@ def agent_command(
     _say(why)
 
 
-@app.command("list")
-def list_command(json: AsJson = False) -> None:
-    """Show the built-in scenarios."""
-    from cosim import scenario as scenarios
-
-    about = {name: scenarios.first_words(name) for name in scenarios.names()}
-    if json:
-        from cosim.api import to_json
-
-        sys.stdout.write(to_json(about))
-    else:
-        width = max(map(len, about))
-        sys.stdout.writelines(f"{name:<{width}}  {words}\n" for name, words in about.items())
-
-
-@app.command("show")
-def show_command(
-    scenario: ScenarioName,
-    set_: Sets = None,
-    resolved: Annotated[bool, typer.Option("--resolved", help="With every key and default filled in.")] = False,
-) -> None:
-    """Print a scenario as it is written, or with everything filled in.
-
-    Example: vcmvsp show formation-circle --resolved --set radio.preset=zigbee
-    """
-    from cosim import scenario as scenarios
-
-    if resolved or set_:
-        import tomli_w
-
-        sys.stdout.write(tomli_w.dumps(_checked(scenario, scenarios.settings_of(set_ or []))))
-    else:
-        sys.stdout.write(scenarios.text_of(scenario))
-
-
 @app.command("check")
 def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
     """Check every key, kind and period of a scenario; run nothing.
@@ -185,6 +150,35 @@ def doctor_command() -> None:
     raise SystemExit(examine())
 
 
+@app.command("drive")
+def drive_command(
+    scenario: ScenarioName,
+    vehicle: Annotated[str, typer.Option(metavar="NAME", help="Which one.")],
+    command: Annotated[
+        str,
+        typer.Option(
+            metavar="COMMAND", help="v=0.3,w=0.5 (forward, yaw rate), vx=,vy=,vz=,w= or x=,y=,z=[,yaw=][,speed=] in the air."
+        ),
+    ],
+    seconds: Annotated[float, typer.Option(metavar="S", help="For how long.")] = 10.0,
+    set_: Sets = None,
+    json: AsJson = False,
+) -> None:
+    """Give one vehicle one command at the start and show its response; all others stand still.
+
+    Example: vcmvsp drive lab-patrol --vehicle ugv1 --command "v=0.3,w=0.5" --seconds 5
+    """
+    from cosim import api, drive
+    from cosim import scenario as scenarios
+
+    with stdout_to_stderr():
+        about = drive.drive(scenario, vehicle, command, seconds, scenarios.settings_of(set_ or []))
+    sys.stdout.write(api.to_json(about) if json else drive.summary(about))
+
+
+app.command("list")(list_command)
+app.command("show")(show_command)
+app.command("world")(world_command)
 app.command("radio")(radio_command)
 app.command("calibrate")(calibrate_command)
 register(app)
@@ -226,7 +220,7 @@ def _checked(scenario: str, settings: dict[str, Any]) -> dict[str, Any]:
     """The resolved scenario, after its federates have been started and closed once."""
     from cosim import api
 
-    with _stdout_to_stderr():
+    with stdout_to_stderr():
         return api.check(scenario, set=settings)
 
 
@@ -236,20 +230,6 @@ def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -
 
     parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
     return Path("runs") / f"{parsed.name}-{parsed.seed}"
-
-
-@contextlib.contextmanager
-def _stdout_to_stderr() -> Iterator[None]:
-    """What agents print, and what they start prints, must not mix with our own output."""
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # where these are no files, there is nothing to turn
-            sys.__stdout__.flush()  # type: ignore[union-attr]
-            saved = os.dup(1)
-            stack.callback(os.close, saved)
-            stack.callback(os.dup2, saved, 1)
-            os.dup2(2, 1)
-        yield
 
 
 def _say(text: str) -> None:

@@ -70,4 +70,4 @@ def _sightline(world: str) -> Any:
 
     parsed, source = scenario.load(world)
     built, _ = component.build("world", {"kind": "empty", **parsed.world}, key="world", source=source)
-    return registry.piece("sightline")(built.build().boxes)
+    return registry.piece("sightline")(built.build().solids)

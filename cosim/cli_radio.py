@@ -12,7 +12,7 @@ import typer
 from cosim.errors import Interrupted, ScenarioError, UsageError
 
 if TYPE_CHECKING:
-    from cosim.scenario import Source
+    from cosim.source import Source
 
 Preset = Annotated[str, typer.Option(metavar="NAME", help="A preset of the radio, e.g. ideal, wss, wifi-b-1, zigbee.")]
 Sets = Annotated[
@@ -131,7 +131,8 @@ def _channel(
 ) -> "tuple[Any, dict[str, Any], Source]":
     """A channel of a preset with some keys changed, its tables with everything filled in, and where keys came from."""
     from cosim import radio, registry, table
-    from cosim.scenario import Source, value_of
+    from cosim.scenario import value_of
+    from cosim.source import Source
 
     registry.guard()
     source = Source("the radio", Path())

@@ -6,6 +6,8 @@ from typing import Any, Generic, TypeVar
 import msgspec
 import numpy as np
 
+from cosim.types import Later
+
 T = TypeVar("T")
 
 
@@ -28,7 +30,9 @@ class Decoder(Generic[T]):
         return self._decoder.decode(data)
 
 
-def _encode_array(value: Any) -> Any:
+def _encode_other(value: Any) -> Any:
+    if isinstance(value, Later):
+        return value.get()
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
     if isinstance(value, np.generic):
@@ -46,4 +50,4 @@ def _decode_array(kind: Any, value: Any) -> Any:
     return np.frombuffer(raw, np.dtype(dtype)).reshape(shape)
 
 
-_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_array)
+_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_other)

@@ -13,7 +13,8 @@ from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from cosim.record.metrics import motion
 from cosim.record.tables import load
-from cosim.scenario import Scenario, Source
+from cosim.scenario import Scenario
+from cosim.source import Source
 from cosim.types import Array, Vec3
 
 SCHEMA = "vcmvsp.coverage/1"
@@ -25,7 +26,7 @@ class Site(msgspec.Struct, frozen=True):
     """What the radio of a scenario knows: the channel, and what stands where."""
 
     channel: Any  # `netsim.channel.Channel`
-    boxes: Sequence[Any]  # `physics.world.Box`
+    solids: Sequence[Any]  # `physics.solids.Solid`
     radios: Mapping[str, Any]  # `netsim.radios.Radio`, by vehicle
     places: Mapping[str, Vec3]  # of the vehicles, m, world
 
@@ -47,7 +48,7 @@ class Map(msgspec.Struct, frozen=True, kw_only=True):
     success: Array  # (n, m) chance that a frame arrives
     places: Mapping[str, Vec3]  # of the vehicles
     others: Mapping[str, tuple[float, float]]  # level and success at each other vehicle's own antenna
-    boxes: Sequence[Any]
+    solids: Sequence[Any]
 
 
 def site_of(parsed: Scenario, source: Source) -> Site:
@@ -57,10 +58,10 @@ def site_of(parsed: Scenario, source: Source) -> Site:
         ScenarioError: they cannot be built.
     """
     world, _ = component.build("world", {"kind": "empty", **parsed.world}, key="world", source=source)
-    boxes = world.build().boxes
-    built = radio.of_scenario(parsed, source, boxes=boxes)
-    places = {each.name: (each.pose[0], each.pose[1], 0.0) for each in parsed.vehicle}
-    return Site(built.channel, boxes, built.radios, places)
+    solids = world.build().solids
+    built = radio.of_scenario(parsed, source, solids=solids)
+    places = {each.name: each.start[0] for each in parsed.vehicle}
+    return Site(built.channel, solids, built.radios, places)
 
 
 def coverage(
@@ -126,14 +127,14 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
         success=found.success.reshape(shape),
         places=site.places,
         others=dict(zip(others, zip(there.level_dbm.tolist(), there.success.tolist(), strict=True), strict=True)),
-        boxes=site.boxes,
+        solids=site.solids,
     )
 
 
 def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float | None) -> tuple[Array, Array]:
-    """The columns and rows of the map: boxes and vehicles with a margin; in an empty world, as far as the radio is heard."""
+    """The columns and rows of the map: solids and vehicles with a margin; in an empty world, as far as the radio is heard."""
     points = np.array([place[:2] for place in site.places.values()])
-    corners = [corner for box in site.boxes for corner in box.footprint.corners()]
+    corners = [corner for solid in site.solids for piece in solid.uprights() for corner in piece.corners]
     if corners:
         points = np.concatenate([points, corners])
     low, high = points.min(axis=0), points.max(axis=0)

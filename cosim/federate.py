@@ -67,6 +67,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     duration_ns: int
     vehicles: tuple[str, ...]
     instants: tuple[Instants, ...] = ()  # when states are needed
+    wanted: tuple[str, ...] = ()  # keys of readings that are worked out on demand, and that will be asked for
 
 
 @runtime_checkable

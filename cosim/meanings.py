@@ -14,19 +14,23 @@ from collections.abc import Mapping
 from typing import Any
 
 
-def meanings(target: Any) -> Mapping[str, str]:
+def meanings(target: Any, *, joined: bool = False) -> Mapping[str, str]:
     """The meaning of each parameter of a class or function that has one, without a final period; those of base classes first.
 
     ::
 
         exponent: NonNegative = 3.0  # 2 in free space, about 3 among obstacles
+
+    With ``joined``, what a class says of a parameter comes after what its base has said, instead of in its place.
     """
     found: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
-        if isinstance(base, type) and "__annotations__" in vars(base):
-            found |= _comments(base)
-        found |= _arguments(base.__doc__ or "")
-    return {name: words.strip().removesuffix(".") for name, words in found.items() if words.strip()}
+        own = _comments(base) if isinstance(base, type) and "__annotations__" in vars(base) else {}
+        for name, said in {**own, **_arguments(base.__doc__ or "")}.items():
+            words, before = said.strip().removesuffix("."), found.get(name, "") if joined else ""
+            if words:
+                found[name] = f"{before}; {words}" if before and before != words else words
+    return found
 
 
 def summary(target: Any) -> str:

@@ -1,7 +1,6 @@
 """From ``[radio]`` to a channel: a preset, and what is changed of its layers."""
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -9,7 +8,8 @@ import numpy as np
 
 from cosim import component, registry, table
 from cosim.errors import ScenarioError
-from cosim.scenario import Scenario, Source
+from cosim.scenario import Scenario
+from cosim.source import Source
 
 
 class Built(msgspec.Struct, frozen=True):
@@ -22,7 +22,12 @@ class Built(msgspec.Struct, frozen=True):
 
 
 def of_scenario(
-    scenario: Scenario, source: Source, *, boxes: Any, portable: component.Portable = str, keep: Callable[[Path], str] = str
+    scenario: Scenario,
+    source: Source,
+    *,
+    solids: Any,
+    portable: component.Portable = str,
+    keep: component.Keep = component.name_of,
 ) -> Built:
     """Build the radio of a scenario; arguments as for `build`."""
     kind, federate = registry.piece("vehicle radio"), registry.piece("radio")
@@ -33,7 +38,7 @@ def of_scenario(
     own = {name: value for name, value in scenario.radio.items() if name in keys}
     layers = {name: value for name, value in scenario.radio.items() if name not in keys}
     channel, resolved = build(
-        layers, source, boxes=boxes, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
+        layers, source, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
     )
     built = table.call(federate, own, key="radio", origin=source, given={"channel": channel})
     return Built(built, channel, radios, {**table.complete(federate, own, without=("channel",)), **resolved})
@@ -44,11 +49,11 @@ def build(
     source: Source,
     *,
     key: str = "radio",
-    boxes: Any = (),
+    solids: Any = (),
     radios: Mapping[str, Any] | None = None,
     vehicles: Sequence[str] = (),
     portable: component.Portable = str,
-    keep: Callable[[Path], str] = str,
+    keep: component.Keep = component.name_of,
     also: Sequence[str] = (),
 ) -> tuple[Any, dict[str, Any]]:
     """Build a channel.
@@ -57,7 +62,7 @@ def build(
         radio: ``preset``, and a table for each layer that is to be changed.
         source: where that came from.
         key: path of the table in the scenario; empty: the layers stand at the top.
-        boxes: the obstacles of the world.
+        solids: what stands in the world.
         radios: what vehicles have of their own, by name.
         vehicles: names of all.
         portable: how the resolved scenario names a kind.
@@ -78,20 +83,15 @@ def build(
         where = table.join(key, "preset")
         raise ScenarioError(table.unknown("preset", str(preset), presets.PRESETS), key=where, source=source.of(where))
     base, layers, resolved = presets.preset(preset), {}, {"preset": preset}
-    offered = {"sightline": registry.piece("sightline")(boxes)}
+    offered = {"sightline": registry.piece("sightline")(solids)}
     for name in presets.LAYERS:
         where, own = table.join(key, name), radio.get(name, {})
         if not isinstance(own, dict):
             raise ScenarioError(f"must be a table, not {table.show(own)}", key=where, source=source.of(where))
         content = _merged(name, base[name], own)
-        file = source.folder / content["file"] if isinstance(content.get("file"), str) else None
-        if file:
-            content = {**content, "file": str(file.resolve())}
         layers[name], resolved[name] = component.build(
-            name, content, key=where, source=source, portable=portable, offered=offered
+            name, content, key=where, source=source, portable=portable, offered=offered, keep=keep
         )
-        if file:
-            resolved[name]["file"] = keep(file)
         if name == "phy":
             offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
     _check_mac(layers, key, source)

@@ -1,4 +1,4 @@
-"""The reference of the radio's keys, written from the code: ``python -m cosim.reference --write``.
+"""The reference of worlds, vehicles, sensors and the radio, written from the code: ``python -m cosim.reference --write``.
 
 Between two comments of ``scenarios/README.md`` stands what this module makes of signatures (types, ranges, defaults),
 docstrings and comments (`cosim.meanings`): what a key means is said where its type and default are, and nowhere else.
@@ -11,25 +11,33 @@ import math
 import re
 import sys
 import typing
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from cosim import registry, table
 from cosim.meanings import meanings, summary
+from cosim.reference_range import RANGE_BYTES, params, reach_m
 from cosim.scenario import BUILT_IN
 
 PAGE = BUILT_IN / "README.md"
 UPDATE = "python -m cosim.reference --write"
-OFFERED = ("sightline", "noise_dbm")
-"""Parameters of layers that come from the rest of the scenario (`cosim.radio.build`), not from a key."""
+OFFERED = ("sightline", "noise_dbm", "world", "vehicles")
+"""Parameters that come from the rest of the scenario (`cosim.radio.build`, `cosim.assemble`), not from a key."""
+
+VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
+    "Vehicles that are points": [["kinematic", "lag", "inertial"]],
+    "Robots with two driven wheels and a caster": [["p2dx", "amigobot"]],
+    "Vehicles that fly": [["quadrotor"], ["point"]],
+    "Vehicles of your own, from URDF": [["urdf"], ["urdf-quadrotor"]],
+}
+"""Kinds of vehicles that stand in one table, by the headings over them."""
 
 ABSENT = "–"  # this kind takes no such key
-RANGE_BYTES = 100
 
 _UNITS = {
     "_per_s": "1/s",
@@ -37,6 +45,8 @@ _UNITS = {
     "seconds": "s",
     "_us": "us",
     "_m": "m",
+    "_kg": "kg",
+    "_rad": "rad",
     "_hz": "Hz",
     "_bps": "bit/s",
     "_db": "dB",
@@ -61,7 +71,7 @@ def updated(page: str) -> str:
 
 def main(arguments: Sequence[str] | None = None, page: Path = PAGE) -> None:
     """Bring the page up to date, or say that it is not."""
-    parser = argparse.ArgumentParser(prog="python -m cosim.reference", description="The reference of [radio], from the code.")
+    parser = argparse.ArgumentParser(prog="python -m cosim.reference", description="The reference of keys, from the code.")
     parser.add_argument("--write", action="store_true", help="update the page instead of checking it")
     write: bool = parser.parse_args(arguments).write
     old = page.read_text("utf-8")
@@ -73,6 +83,35 @@ def main(arguments: Sequence[str] | None = None, page: Path = PAGE) -> None:
 
 
 # --- blocks -------------------------------------------------------------------------------------------------------------------
+
+
+def physics() -> str:
+    """What both kinds of physics take."""
+    return parameter_table({"bullet, kinematic": registry.find("physics", "bullet")})
+
+
+def vehicles() -> str:
+    """Tables of parameters under headings."""
+    parts = []
+    for heading, tables in VEHICLES.items():
+        parts.append(f"#### {heading}")
+        for names in tables:
+            classes = {kind: registry.find("vehicle", kind) for kind in names}
+            parts.append(kinds(classes, registry.find("vehicle", "quadrotor") if names == ["urdf-quadrotor"] else None))
+    return "\n\n".join(parts)
+
+
+def families(group: str) -> str:
+    """What the kinds of a group have in common, then each kind and those that it comes from, then the tables that they hold."""
+    classes = {kind: registry.find(group, kind) for kind in registry.KINDS[group]}
+    bases = [base for each in classes.values() for base in each.__mro__[1:] if "__annotations__" in vars(base)]
+    ((common, _),) = Counter(bases).most_common(1)
+    alike: dict[Any, dict[str, Any]] = {}
+    for kind, each in classes.items():
+        line = each.__mro__
+        alike.setdefault(line[line.index(common) - 1] if common in line else each, {})[kind] = each
+    parts = [parameter_table({"default": common}), *(kinds(each, common) for each in alike.values())]
+    return "\n\n".join([*parts, *lists([common, *classes.values()])])
 
 
 def radio() -> str:
@@ -90,7 +129,20 @@ def vehicle_radio() -> str:
     return parameter_table({"default": registry.piece("vehicle radio")})
 
 
-BLOCKS: Mapping[str, Callable[[], str]] = {"radio": radio, "vehicle radio": vehicle_radio}
+def patrol() -> str:
+    """The parameters of agents that patrol."""
+    return parameter_table({"patrol": registry.find("agent", "patrol")})
+
+
+BLOCKS: Mapping[str, Callable[[], str]] = {
+    "physics": physics,
+    "world": lambda: families("world"),
+    "radio": radio,
+    "sensors": lambda: families("sensor"),
+    "vehicle radio": vehicle_radio,
+    "vehicle kinds": vehicles,
+    "patrol": patrol,
+}
 
 
 def _layers(layers: Sequence[str]) -> str:
@@ -122,36 +174,8 @@ def _presets(presets: Any) -> str:
 
 def _setting(layer: str, content: Mapping[str, Any]) -> str:
     known = table.parameters(registry.find(layer, content["kind"]))
-    own = {name: value for name, value in _params(content).items() if known[name].required or known[name].default != value}
+    own = {name: value for name, value in params(content).items() if known[name].required or known[name].default != value}
     return ", ".join([f"`{content['kind']}`", *(f"`{name} = {toml(value)}`" for name, value in own.items())])
-
-
-def reach_m(preset: Mapping[str, Mapping[str, Any]]) -> float:
-    """Where the level is the least at which half of all frames are received: ``d0 10^((P - L0 - S) / (10 N))``.
-
-    S is the sensitivity or, where that is more, the level that the preamble's or the payload's ratio to the noise needs.
-    """
-    law, mac = _complete("path_loss", preset), _complete("mac", preset)
-    if law["kind"] != "log_distance":
-        return math.inf if law["kind"] == "none" else math.nan
-    phy = table.call(registry.find("phy", preset["phy"]["kind"]), _params(preset["phy"]))
-    noise_dbm, errors = getattr(phy, "noise_dbm", -math.inf), getattr(phy, "errors", None)
-    snr_db = mac.get("preamble_snr_db", getattr(phy, "preamble_snr_db", -math.inf))
-    if errors is not None:
-        ratios_db = np.arange(-20.0, 40.0, 1e-3)
-        snr_db = max(snr_db, ratios_db[np.argmax(errors.frame_success(ratios_db, RANGE_BYTES) >= 0.5)])
-    sensitivity_dbm = -math.inf if mac["kind"] == "csma154" else phy.sensitivity_dbm  # there it is no threshold
-    margin_db = phy.tx_power_dbm - law["reference_loss_db"] - max(sensitivity_dbm, noise_dbm + snr_db)
-    return float(law["reference_distance_m"] * 10.0 ** (margin_db / (10.0 * law["exponent"])))
-
-
-def _complete(layer: str, preset: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    content = preset[layer]
-    return {**content, **table.complete(registry.find(layer, content["kind"]), _params(content))}
-
-
-def _params(content: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in content.items() if name != "kind"}
 
 
 def _length(metres: float) -> str:
@@ -163,28 +187,39 @@ def _length(metres: float) -> str:
 # --- tables of parameters -----------------------------------------------------------------------------------------------------
 
 
-def kinds(classes: Mapping[str, Any]) -> str:
-    """What each kind is, and the parameters of them all."""
-    lines = [f"- `{kind}`: {markdown(summary(each))}" for kind, each in classes.items()]
-    with_keys = {kind: each for kind, each in classes.items() if keys(each)}
-    return "\n".join(lines) + (f"\n\n{parameter_table(with_keys)}" if with_keys else "")
+def kinds(classes: Mapping[str, Any], common: Any = None) -> str:
+    """What each kind is, and the parameters of them all, but for those that are as in a common class."""
+    about = {kind: re.sub(r" \(kind ``[^`]*``\)", "", summary(each)) for kind, each in classes.items()}
+    lines = [f"- `{kind}`: {markdown(words)}" for kind, words in about.items()]
+    with_keys = {kind: each for kind, each in classes.items() if keys(each, common)}
+    return "\n".join(lines) + (f"\n\n{parameter_table(with_keys, common)}" if with_keys else "")
 
 
 def lists(classes: Iterable[Any]) -> list[str]:
-    """For each parameter that is a list of tables, the keys of such a table."""
-    found = {name: item for each in classes for name, parameter in keys(each).items() for item in structs(parameter.annotation)}
-    return [f"Of each of the `{name}`:\n\n{parameter_table({item.__name__.lower(): item})}" for name, item in found.items()]
+    """For each parameter that is a table or a list of tables, the keys of such a table; those within tables too."""
+    holders: dict[Any, dict[str, str]] = {}  # kind of table -> how the keys that hold it are spoken of
+    for each in (waiting := list(classes)):
+        for name, parameter in keys(each).items():
+            for item in table.structs(parameter.annotation):
+                waiting += [] if item in holders else [item]
+                listed = typing.get_origin(parameter.annotation) is tuple
+                holders.setdefault(item, {})[name] = f"each of the `{name}`" if listed else f"`{name}`"
+    return [
+        f"Of {', '.join(said.values())}:\n\n{parameter_table({item.__name__.lower(): item})}" for item, said in holders.items()
+    ]
 
 
-def parameter_table(columns: Mapping[str, Any]) -> str:
+def parameter_table(columns: Mapping[str, Any], common: Any = None) -> str:
     """Key, type, default for each class, meaning; a key that means different things has several rows."""
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
     for column, target in columns.items():
-        means = meanings(target)
-        for name, parameter in keys(target).items():
+        means = first_meanings(target)
+        for name, parameter in keys(target, common).items():
             if name not in means:
                 raise ValueError(f"{target.__name__}.{name}: say what it means, in a comment behind it or under Args")
-            words, _, without = means[name].partition("None: ")
+            words, without = means[name], ""
+            if parameter.default is None:
+                words, _, without = re.sub(r"\b(None|default): ", "\0", words).partition("\0")
             row = name, type_of(name, parameter.annotation), markdown(words.rstrip("; "))
             rows.setdefault(row, {})[column] = default_of(parameter, without)
     cells = [
@@ -193,37 +228,45 @@ def parameter_table(columns: Mapping[str, Any]) -> str:
     return grid(["key", "type, unit", *columns, "meaning"], cells)
 
 
-def keys(target: Any) -> dict[str, table.Parameter]:
-    """The parameters that a scenario can give."""
-    return {name: each for name, each in table.parameters(target).items() if name not in OFFERED}
+def first_meanings(target: Any) -> dict[str, str]:
+    """What the first of its base classes that speaks of a parameter says; what others add is of their own default."""
+    found: dict[str, str] = {}
+    for base in reversed(getattr(target, "__mro__", (target,))):
+        found = {**meanings(base), **found}
+    return found
 
 
-def structs(annotation: Any) -> list[type[msgspec.Struct]]:
-    """The tables that a value of this annotation consists of."""
-    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
-        return [annotation]
-    return [each for inner in typing.get_args(annotation) for each in structs(inner)]
+def keys(target: Any, common: Any = None) -> dict[str, table.Parameter]:
+    """The parameters that a scenario can give, but for those that are as in a common base class."""
+    known = keys(common) if common in getattr(target, "__mro__", ()) and common is not None else {}
+    own = {name: each for name, each in table.parameters(target).items() if name not in OFFERED}
+    return {name: each for name, each in own.items() if each != known.get(name)}
 
 
 def type_of(name: str, annotation: Any) -> str:
     """Unit, by the end of the name, and what values are allowed."""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
     words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", table.describe(annotation))
-    words = "list of tables: see below" if structs(annotation) else _short(words)
+    listed = "list of tables" if typing.get_origin(annotation) is tuple else "table"
+    words = f"{listed}: see below" if table.structs(annotation) else _short(words)
     words = re.sub(r"^a number ?", "", words) if unit or words != "a number" else words
     return ", ".join(filter(None, [unit, words.removeprefix("a ")]))
 
 
 def _short(numbers: str) -> str:
-    """Numbers without what their exponents need not have: 1e+09 is 1e9."""
-    return re.sub(r"(?<=\d)[eE]\+?(-?)0*(?=\d)", r"e\1", numbers)
+    """Numbers without what their exponents need not have: 1e+09 is 1e9; and whole numbers without the largest that there is."""
+    return re.sub(r"(?<=\d)[eE]\+?(-?)0*(?=\d)", r"e\1", numbers).replace("0 to 9.22337e18", ">= 0")
 
 
 def default_of(parameter: table.Parameter, without: str) -> str:
-    """``required``, the default as TOML or, where that is None, what then holds."""
+    """``required``, the default as TOML or, where that is None, what then holds; of a table what is unlike its own defaults."""
     if parameter.required:
         return "required"
-    return markdown(without or "none") if parameter.default is None else f"`{toml(table.plain(parameter.default))}`"
+    value = parameter.default
+    if isinstance(value, msgspec.Struct):
+        known = table.parameters(type(value))
+        value = {name: own for name in known if (own := getattr(value, name)) != known[name].default}
+    return markdown(without or "none") if value is None else f"`{toml(table.plain(value))}`"
 
 
 def toml(value: Any) -> str:

@@ -12,7 +12,8 @@ from cosim import registry, table
 from cosim.agent import AgentInfo
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
-from cosim.scenario import Scenario, Source, VehicleTable
+from cosim.scenario import Scenario, VehicleTable
+from cosim.source import Source
 
 
 class Resolution:
@@ -21,6 +22,7 @@ class Resolution:
     Attributes:
         tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
         vehicles: the parameters of each vehicle's kind, complete.
+        sensors: the tables of each vehicle's sensors, complete.
         files: files that the scenario uses as they are now, by the name under which they are kept beside it.
     """
 
@@ -28,6 +30,7 @@ class Resolution:
         self._scenario, self._source = scenario, source
         self.tables: dict[str, Any] = {}
         self.vehicles: dict[str, dict[str, Any]] = {}
+        self.sensors: dict[str, dict[str, Any]] = {}
         self.files: dict[str, bytes] = {}
         self._paths: dict[str, Path] = {}
 
@@ -80,6 +83,7 @@ class Resolution:
             shared["kind"] = self.portable(shared["kind"])
         if "positioning" in shared:
             shared["positioning"] = _sensor(shared["positioning"])
+        shared.pop("sensors", None)  # each vehicle's own say it all
         if "radio" in shared:
             shared["radio"] = table.complete(registry.piece("vehicle radio"), shared["radio"])
         return shared
@@ -89,10 +93,11 @@ class Resolution:
         full = _present(
             name=vehicle.name,
             kind=self.portable(vehicle.kind),
-            pose=vehicle.pose,
+            **_present(pose=vehicle.pose) or _present(position=vehicle.position, heading=vehicle.heading),
             pose_source=vehicle.pose_source,
             positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
             radio=table.complete(registry.piece("vehicle radio"), vehicle.radio),
+            sensors=self.sensors[vehicle.name] or None,
         )
         full |= self.vehicles[vehicle.name]
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}

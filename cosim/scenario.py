@@ -6,9 +6,8 @@ their keys are the constructor parameters of the kind, checked when it is built 
 
 import copy
 import itertools
-import re
 import tomllib
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -16,7 +15,9 @@ import msgspec
 
 from cosim import table
 from cosim.errors import ScenarioError, UsageError
-from cosim.types import Count, Name, NonNegative, Period, Seconds, Seed
+from cosim.repeat import names_copy, repeated
+from cosim.source import Source
+from cosim.types import Count, Name, NonNegative, Period, Seconds, Seed, Vec3
 
 RESERVED = ("world", "radio", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = Path(__file__).resolve().parent.parent / "scenarios"
@@ -54,18 +55,34 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
 
     name: Name
     kind: str
-    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x m, y m, yaw rad
+    pose: tuple[float, float, float] | None = None  # x m, y m, yaw rad; or, in its place:
+    position: Vec3 = (0.0, 0.0, 0.0)  # x, y, z m
+    heading: float = 0.0  # rad, counter-clockwise from east
     pose_source: PoseSource = "truth"  # what its agent takes for its own pose
     positioning: Mapping[str, Any] | None = None  # the positioning sensor, if it carries one
+    sensors: Mapping[str, Mapping[str, Any]] = {}  # what else it carries, by names of one's own: a table with a kind each
     radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
     agent: AgentTable | None = None  # None: it has no agent and stands still
     params: Mapping[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        if self.pose is not None and (any(self.position) or self.heading):
+            raise ValueError("either pose, or position and heading: not both")
+
+    @property
+    def start(self) -> tuple[Vec3, float]:
+        """Where it starts: position m, heading rad."""
+        if self.pose is None:
+            return self.position, self.heading
+        x, y, yaw = self.pose
+        return (x, y, 0.0), yaw
 
 
 class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[record]``."""
 
     period_s: Period = 0.1  # s between recorded states
+    sensors: tuple[str, ...] = ()  # names of scanners and cameras whose readings are recorded; "*": all. Others always are
 
 
 class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
@@ -91,39 +108,6 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     vehicle: tuple[VehicleTable, ...]
 
 
-class Source:
-    """Where a scenario was read from: a `cosim.table.Origin` that knows lines and ``--set`` arguments."""
-
-    def __init__(self, name: str, folder: Path, text: str = "") -> None:
-        self.name, self.folder = name, folder
-        self._lines = _lines_of(text)
-        self._set: dict[str, str] = {}
-
-    def note_set(self, key: str, argument: str) -> None:
-        """The value of ``key`` comes from a command-line argument."""
-        self._set[key] = argument
-
-    def kept(self, content: Mapping[str, Any], key: str, known: Container[str]) -> dict[str, Any]:
-        """The parameters of a table: if another ``kind`` has been set, the file's count as far as that one knows them."""
-        switched = f"{key}.kind" in self._set
-        return {
-            name: value
-            for name, value in content.items()
-            if name != "kind" and (not switched or name in known or f"{key}.{name}" in self._set)
-        }
-
-    def of(self, key: str) -> str:
-        """The argument that set the key or something in it, or file and line."""
-        for prefix in _prefixes(key):
-            if prefix in self._set:
-                return self._set[prefix]
-        inside = [argument for path, argument in self._set.items() if path.startswith(f"{key}.")]
-        if key and inside:
-            return inside[-1]
-        line = next((self._lines[prefix] for prefix in _prefixes(key) if prefix in self._lines), None)
-        return f"{self.name} line {line}" if line and key else self.name
-
-
 def load(
     scenario: str | Path | Mapping[str, Any], *, settings: Mapping[str, Any] | None = None, seed: int | None = None
 ) -> tuple[Scenario, Source]:
@@ -138,9 +122,10 @@ def load(
         ScenarioError: naming file, key path, and what is allowed.
     """
     raw, source = _read(scenario)
-    for key, value in (settings or {}).items():
-        source.note_set(key, f"--set {key}={value}")
-        _assign(raw, key, value, source)
+    settings = settings or {}
+    for key in sorted(settings, key=lambda key: names_copy(raw, key)):  # those of one copy after those of all
+        source.note_set(key, f"--set {key}={settings[key]}")
+        _assign(raw, key, settings[key], source)
     if seed is not None:
         source.note_set("seed", f"--seed {seed}")
         raw["seed"] = seed
@@ -157,10 +142,10 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     listed = raw.get("vehicle", [])
     if not isinstance(listed, list) or not listed:
         raise ScenarioError("needs at least one [[vehicle]]", key="vehicle", source=source.of("vehicle"))
-    if "name" in defaults or "pose" in defaults or "agent" in defaults:
-        raise ScenarioError(
-            "may not hold name, pose or agent, which each vehicle has its own", key="vehicles", source=source.of("vehicles")
-        )
+    if own := {"name", "pose", "position", "agent"} & {*defaults}:
+        problem = f"may not hold {' or '.join(sorted(own))}, which each vehicle has its own"
+        raise ScenarioError(problem, key="vehicles", source=source.of("vehicles"))
+    listed = repeated(listed, source)
     vehicles = tuple(_vehicle(each, index, defaults, source) for index, each in enumerate(listed))
     _unique([each.name for each in vehicles], source)
     _used(defaults, listed, source)
@@ -220,6 +205,14 @@ def text_of(scenario: str | Path) -> str:
         raise ScenarioError(f"cannot be read: {error.strerror}", source=str(path)) from error
 
 
+def table_of(path: Path) -> dict[str, Any]:
+    """What stands in a TOML file, unchecked; nothing if it is none."""
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+
+
 def value_of(text: str) -> Any:
     """The value that ``--set KEY=text`` gives: TOML if it reads as TOML, else the text itself."""
     try:
@@ -263,6 +256,8 @@ def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
     here: Any = raw
     for depth, part in enumerate(parents):
         if depth == 0 and part == "vehicle":
+            if names_copy(raw, key):
+                raw["vehicle"] = repeated(raw["vehicle"], source)  # one of many is to be unlike the others
             here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
         elif depth == 1 and parents[0] == "vehicle" and part not in here:
             raise ScenarioError(table.unknown("vehicle", part, here), key=key, source=source.of(key))
@@ -271,34 +266,6 @@ def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
         if not isinstance(here, dict):
             raise ScenarioError(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key=key, source=source.of(key))
     here[last] = copy.deepcopy(value)  # the caller's mapping is not ours to write into
-
-
-_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
-_KEY = re.compile(r"^\s*([A-Za-z0-9_.\"'-]+)\s*=\s*(.*)$")
-
-
-def _lines_of(text: str) -> dict[str, int]:
-    """Key path -> line, for messages: table headers and keys that begin a line, vehicles by name."""
-    found: dict[str, int] = {}
-    here, pending, vehicle = "", {}, "vehicle"
-    for number, line in enumerate(text.splitlines(), 1):
-        if header := _HEADER.match(line):
-            here = header[2].replace("vehicle", vehicle, 1) if header[2].startswith("vehicle.") else header[2]
-            pending = {here: number}
-            if here != "vehicle":
-                found.setdefault(here, number)
-        elif key := _KEY.match(line):
-            pending[f"{here}.{key[1]}".lstrip(".")] = number
-            if here == "vehicle" and key[1] == "name":
-                here = vehicle = f"vehicle.{key[2].split('#')[0].strip().strip(chr(34) + chr(39))}"
-                pending = {path.replace("vehicle", here, 1): line_number for path, line_number in pending.items()}
-        found.update({path: line_number for path, line_number in pending.items() if path != "vehicle"})
-    return found
-
-
-def _prefixes(key: str) -> list[str]:
-    parts = key.split(".")
-    return [".".join(parts[:length]) for length in range(len(parts), 0, -1)]
 
 
 # --- checking ---------------------------------------------------------------------------------------------------------------

@@ -157,10 +157,34 @@ def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
-        inside = f" ({error})" if " - at `" in str(error) else ""
-        raise _refused(f"must be {describe(annotation)}, not {show(value)}{inside}", key, origin) from error
+        words, _, inside = str(error).partition(" - at `$")
+        if inside and structs(annotation):
+            raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
+        raise _refused(f"must be {describe(annotation)}, not {show(value)}", key, origin) from error
     except TypeError:
         return value  # an annotation that only Python objects meet; the target checks it itself
+
+
+def _inside(words: str, path: str, value: Any, annotation: Any) -> str:
+    """What is wrong at a path such as ``[0].size`` inside a list of tables, or a table."""
+    known = {name: each for struct in structs(annotation) for name, each in parameters(struct).items()}
+    if field := re.fullmatch(r"Object contains unknown field `(.*)`", words):
+        return unknown("key", field[1], known)
+    if field := re.fullmatch(r"Object missing required field `(.*)`", words):
+        return f"{field[1]} is missing; it must be {describe(known[field[1]].annotation)}"
+    name = re.match(r"(?:.*\.)?(\w+)", path)
+    if not name or name[1] not in known:
+        return words
+    for step in re.findall(r"\w+", path.partition(name[1])[0] + name[1]):
+        value = value[int(step) if step.isdigit() else step]
+    return f"must be {describe(known[name[1]].annotation)}, not {show(value)}"
+
+
+def structs(annotation: Any) -> list[type[msgspec.Struct]]:
+    """The tables that a value of this annotation consists of."""
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        return [annotation]
+    return [each for inner in typing.get_args(annotation) for each in structs(inner)]
 
 
 def _refused(problem: str, key: str, origin: Origin | None) -> ScenarioError:

@@ -3,6 +3,7 @@
 Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays.
 """
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import msgspec
@@ -74,14 +75,23 @@ class Odometry(Value, frozen=True, kw_only=True, tag="odometry"):
     w: float  # rad/s
 
 
+class Waypoint(Value, frozen=True, kw_only=True, tag="waypoint"):
+    """A command to a vehicle that flies: go there and stay, until the next command."""
+
+    position: Vec3  # m, world
+    yaw: float | None = None  # rad; None: keep the present one
+    speed: float | None = None  # m/s; None: as fast as its autopilot goes
+
+
 class Fix(Value, frozen=True, kw_only=True, tag="fix"):
     """One answer of a positioning system."""
 
     time_ns: int  # when it was measured
     position: Vec3  # m, world
-    yaw: float  # rad
-    sigma_m: float  # standard deviation of each coordinate
-    sigma_rad: float  # standard deviation of the yaw
+    yaw: float | None = None  # rad; None: it tells no heading
+    sigma_m: float  # standard deviation of x and y
+    sigma_rad: float = 0.0  # standard deviation of the yaw
+    sigma_z_m: float | None = None  # standard deviation of z; None: as x and y
 
 
 class Imu(Value, frozen=True, kw_only=True, tag="imu"):
@@ -89,24 +99,76 @@ class Imu(Value, frozen=True, kw_only=True, tag="imu"):
 
     acceleration: Vec3  # m/s2, specific force
     angular_velocity: Vec3  # rad/s
+    time_ns: int = 0  # when it was measured
 
 
 class Scan(Value, frozen=True, kw_only=True, tag="scan"):
     """One sweep of a range scanner; beam i points at ``angle_min + i * angle_step`` from the body x axis."""
 
-    ranges: Array  # (n,) float32 m; inf: no return
+    ranges: Array  # (n,) float32 m; inf: no return; -inf: nearer than it can measure
     angle_min: float  # rad
     angle_step: float  # rad
     range_max: float  # m
+    time_ns: int = 0  # when it was measured
 
 
 class Image(Value, frozen=True, kw_only=True, tag="image"):
-    """One camera picture."""
+    """One camera picture; the camera looks along its z axis, x is to the right of the picture, y down."""
 
     pixels: Array  # (height, width, 3) uint8, RGB
+    time_ns: int = 0  # when it was taken
+    focal_px: float = 0.0  # focal length; the principal point is the middle of the picture
+    depth_m: Array | None = None  # (height, width) float32, along the optical axis; inf: nothing
 
 
-Reading = Odometry | Fix | Imu | Scan | Image
+class Measured(Value, frozen=True, kw_only=True, tag="measured"):
+    """Numbers by name, of any other sensor: a bumper's segments (0 or 1), ranges to neighbours (m), ..."""
+
+    time_ns: int
+    values: dict[str, float]
+
+
+Reading = Odometry | Fix | Imu | Scan | Image | Measured
+
+
+class Later:
+    """A reading that is worked out when somebody first looks at it, and then kept; it depends on nothing that comes after it.
+
+    It takes the place of the reading inside a process; what leaves the process, or is recorded, is the reading.
+    """
+
+    __slots__ = ("_reading", "_work")
+
+    def __init__(self, work: Callable[[], Reading]) -> None:
+        self._work: Callable[[], Reading] | None = work
+        self._reading: Reading | None = None
+
+    def get(self) -> Reading:
+        """The reading."""
+        if self._work is not None:
+            self._reading, self._work = self._work(), None
+        assert self._reading is not None  # noqa: S101
+        return self._reading
+
+
+class Readings(dict[str, Any]):
+    """Readings by the names of sensors; what is worked out on demand, is when it is looked at."""
+
+    def __getitem__(self, name: str) -> Reading:
+        reading = super().__getitem__(name)
+        return reading.get() if isinstance(reading, Later) else reading
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The reading, or the default."""
+        return self[name] if name in self else default  # noqa: SIM401  this is that method
+
+    def values(self) -> list[Reading]:  # type: ignore[override]  # a list serves
+        """All readings."""
+        return [self[name] for name in self]
+
+    def items(self) -> list[tuple[str, Reading]]:  # type: ignore[override]
+        """All names and readings."""
+        return [(name, self[name]) for name in self]
 
 
 class Message(Value, frozen=True, kw_only=True, tag="message"):
@@ -174,7 +236,7 @@ class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
 
 
 class Contact(Value, frozen=True, kw_only=True, tag="contact"):
-    """A vehicle began to touch another vehicle or, where ``other`` is None, the world."""
+    """A vehicle began to touch another vehicle, a movable or moving obstacle or, where ``other`` is None, the world."""
 
     vehicle: str
     other: str | None
@@ -184,11 +246,13 @@ AnyValue = (
     VehicleState
     | States
     | Velocity
+    | Waypoint
     | Odometry
     | Fix
     | Imu
     | Scan
     | Image
+    | Measured
     | Message
     | Reception
     | Note

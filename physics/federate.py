@@ -3,19 +3,20 @@
 `Physics` is the same for every engine. `KinematicPhysics` moves all vehicles without bodies; `BulletPhysics` gives a body to
 those that can have one and moves the others as `KinematicPhysics` would: nothing collides with them.
 
-Published at every instant that somebody asked for (`RunInfo.instants`, the ticks of a positioning sensor, the end):
+Published at every instant that somebody asked for (`RunInfo.instants`, the start and the end):
 
 ======================  ============  =======================================================================
 ``world/states``        States        the truth, for the radio and the recording
-``<vehicle>/fix``       Fix           at the ticks of its positioning sensor only
 ``<vehicle>/estimate``  VehicleState  what the vehicle takes for its own state
-``<vehicle>/odometry``  Odometry      what its wheels say
-``world/contact``       Contact       when two bodies, or a body and a box, touch that did not at the last instant
+``<vehicle>/odometry``  Odometry      what its wheels say, if it has any
+``world/contact``       Contact       when two bodies, or a body and a solid, touch that did not at the last instant
 ======================  ============  =======================================================================
+
+and what sensors say, at their own ticks: ``<vehicle>/fix`` of a positioning sensor, ``<vehicle>/<sensor>`` of all others.
 """
 
 from collections.abc import Sequence
-from math import isfinite
+from math import isfinite, isnan
 from typing import Annotated
 
 import msgspec
@@ -24,12 +25,18 @@ import numpy as np
 from cosim.clock import Ticks
 from cosim.errors import FederateError, ScenarioError
 from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.frames import quaternion_from_yaw
 from cosim.rng import stream
-from cosim.types import Contact, Fix, NonNegative, Odometry, Rate, States, VehicleState, Velocity, frozen
-from physics.engine import Engine
+from cosim.types import Array, Contact, Fix, NonNegative, Odometry, Rate, States, VehicleState, Velocity, Waypoint
+from physics.aerial import AerialEngine
+from physics.bodies_scene import Stage
+from physics.bodies_start import check_overlaps, check_places
+from physics.engine import Engine, Motion, Touch, gathered
+from physics.estimates import estimate, state_of
+from physics.instruments import Instruments
 from physics.motion import MotionEngine
-from physics.vehicles import DifferentialDrive, VehicleSpec
+from physics.quadrotor import Quadrotor
+from physics.urdf import UrdfDrive
+from physics.vehicles import DifferentialDrive, GroundVehicle, Point, VehicleSpec, flies
 from physics.world import World
 
 
@@ -40,9 +47,9 @@ class Physics:
     change nothing.
 
     Args:
-        world: floor and boxes.
+        world: floor, solids, and what else is in it.
         vehicles: what moves, and where it starts.
-        rate_hz: Bullet steps a second. Every instant at which states are needed must fall on one.
+        rate_hz: Bullet steps a second. Every instant at which states or readings are needed must fall on one.
         iterations: of Bullet's constraint solver in each step; fewer are quicker, and drift more.
         gravity: m/s2.
     """
@@ -67,9 +74,10 @@ class Physics:
         self.world, self.vehicles = world, tuple(vehicles)
         self.radius_m = {spec.name: spec.model.radius_m for spec in self.vehicles}
         self._names = tuple(spec.name for spec in self.vehicles)
+        self._stage = Stage(world, self.vehicles, gravity)
         self._fixes: list[Fix | None] = [None] * len(self.vehicles)
         self._touching: frozenset[tuple[int, int | None]] = frozenset()
-        self._engines: list[tuple[Engine, list[int]]] = []
+        self._engines: list[tuple[Engine, Array]] = []
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """Engines at time 0, and the numbers of the vehicles that each of them moves."""
@@ -77,17 +85,21 @@ class Physics:
 
     def start(self, run: RunInfo) -> int:
         """Build the engines; the first publication is at 0."""
-        self._run = run
+        self._run, self._now_ns = run, 0
         self._sensors = [
             (number, spec.positioning, Ticks.rate(spec.positioning.rate_hz), stream(run.seed, f"{spec.name}/positioning"))
             for number, spec in enumerate(self.vehicles)
             if spec.positioning is not None
         ]
-        trains = [(each.ticks, each.offset_ns) for each in run.instants] + [(ticks, 0) for _, _, ticks, _ in self._sensors]
-        self._trains = tuple(dict.fromkeys(trains))  # equal ones once, in order
-        self._engines = self.engines()
+        fitted = {spec.name: spec.sensors for spec in self.vehicles}
+        self._instruments = Instruments(fitted, run.seed, wanted=frozenset(run.wanted))
+        self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))  # equal ones once, in order
+        check_places(self.world, self.vehicles)
+        self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
         self._mover = {
-            self._names[number]: (engine, row) for engine, numbers in self._engines for row, number in enumerate(numbers)
+            self._names[number]: (engine, row, flies(self.vehicles[number].model))
+            for engine, numbers in self._engines
+            for row, number in enumerate(numbers.tolist())
         }
         return 0
 
@@ -95,7 +107,7 @@ class Physics:
         """Obey every command from its own time on, up to now; then publish."""
         for event in inbox:
             vehicle = event.key.partition("/")[0]
-            if vehicle in self._mover and isinstance(event.value, Velocity):  # others are moved by another federate
+            if vehicle in self._mover and isinstance(event.value, Velocity | Waypoint):  # others are moved by another federate
                 self._command(vehicle, event.time_ns, event.value)
         self._advance(now_ns)
         return Step(self._publish(now_ns), self._next(now_ns))
@@ -105,115 +117,159 @@ class Physics:
         for engine, _ in self._engines:
             engine.close()
 
-    def _command(self, vehicle: str, time_ns: int, command: Velocity) -> None:
+    def _command(self, vehicle: str, time_ns: int, command: Velocity | Waypoint) -> None:
         """Advance to the command's time and obey it from there on; ground vehicles take its forward speed and yaw rate."""
-        v, w = command.linear[0], command.yaw_rate
-        if not (isfinite(v) and isfinite(w)):
-            raise FederateError(self.name, f"the command of {vehicle} is not finite: {v} m/s, {w} rad/s")
+        engine, row, flying = self._mover[vehicle]
+        if isinstance(command, Waypoint) and not flying:
+            problem = f"{vehicle} was given a Waypoint but cannot fly: send Velocity, or make it a quadrotor or a point"
+            raise FederateError(self.name, problem)
+        if not all(isfinite(each) for each in _numbers(command, flying)):
+            raise FederateError(self.name, f"the command of {vehicle} is not finite: {command}")
+        if isinstance(command, Waypoint) and command.speed is not None and command.speed <= 0.0:
+            raise FederateError(self.name, f"the speed of the Waypoint of {vehicle} must be positive, not {command.speed} m/s")
         self._advance(time_ns)
-        engine, row = self._mover[vehicle]
-        engine.command(row, v, w)
+        if isinstance(command, Velocity):
+            engine.command(row, command.linear, command.yaw_rate)
+        else:
+            engine.go_to(row, command.position, command.yaw, command.speed)
 
     def _advance(self, to_ns: int) -> None:
-        for engine, _ in self._engines:
-            engine.advance(to_ns)
+        if to_ns > self._now_ns:
+            self._now_ns = to_ns
+            for engine, _ in self._engines:
+                engine.advance(to_ns)
 
     def _next(self, now_ns: int) -> int | None:
         """The first instant after now at which anything is to be published; the end of the run is one."""
         end_ns = self._run.duration_ns
         if now_ns >= end_ns:
             return None
-        return min((end_ns, *(ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)))
+        due = [end_ns, *(ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)]
+        due += [ticks.after(now_ns) for _, _, ticks, _ in self._sensors]
+        if (reading_ns := self._instruments.next_ns(now_ns)) is not None:
+            due.append(reading_ns)
+        return min(due)
 
     def _publish(self, now_ns: int) -> list[Event]:
         """Everything of this instant, vehicles in the scenario's order."""
-        rows = self._read()
-        states = [state for state, _ in rows]
-        events = [Event("world/states", now_ns, self._states(states))]
-        for number, sensor, ticks, rng in self._sensors:
-            if ticks.hits(now_ns):
-                fix = self._fixes[number] = sensor.measure(now_ns, states[number], rng)
-                events.append(Event(f"{self._names[number]}/fix", now_ns, fix))
-        for number, (spec, (truth, odometry)) in enumerate(zip(self.vehicles, rows, strict=True)):
-            estimate = _estimate(spec.pose_source, truth, odometry, self._fixes[number])
-            events.append(Event(f"{spec.name}/estimate", now_ns, estimate))
-            events.append(Event(f"{spec.name}/odometry", now_ns, odometry))
-        return events + [Event("world/contact", now_ns, contact) for contact in self._contacts()]
+        asked = now_ns in (0, self._run.duration_ns) or any(ticks.hits(now_ns - offset) for ticks, offset in self._trains)
+        fixes = [each for each in self._sensors if each[2].hits(now_ns)]
+        sensing = self._instruments.next_ns(now_ns - 1) == now_ns
+        if not (asked or fixes or sensing):
+            return []
+        motion = gathered([(engine.read(), rows) for engine, rows in self._engines], len(self.vehicles))
+        touches = self._touches() if asked or sensing else []
+        events = []
+        if asked:
+            states = States(
+                names=self._names,
+                position=motion.position,
+                velocity=motion.velocity,
+                attitude=motion.attitude,
+                angular_velocity=motion.angular_velocity,
+            )
+            events.append(Event("world/states", now_ns, states))
+        for number, sensor, _, rng in fixes:
+            fix = self._fixes[number] = sensor.measure(now_ns, state_of(motion, number), rng)
+            events.append(Event(f"{self._names[number]}/fix", now_ns, fix))
+        if sensing:
+            movables = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
+            scene = self._stage.scene(now_ns, motion, movables[0] if movables else None, touches)
+            events += self._instruments.read(scene)
+        if asked:
+            events += self._estimates(now_ns, motion) + self._contacts(now_ns, touches)
+        return events
 
-    def _read(self) -> list[tuple[VehicleState, Odometry]]:
-        """State and odometry of every vehicle, in the scenario's order."""
-        rows = {n: row for engine, numbers in self._engines for n, row in zip(numbers, engine.read(), strict=True)}
-        return [rows[number] for number in range(len(self.vehicles))]
+    def _estimates(self, now_ns: int, motion: Motion) -> list[Event]:
+        """What each vehicle takes for its own state, and what its wheels say."""
+        truths = zip(*(each.tolist() for each in motion[:4]), strict=True)
+        events = []
+        for spec, fix, truth, wheels in zip(self.vehicles, self._fixes, truths, motion.odometry.tolist(), strict=True):
+            x, y, yaw, v, w = wheels
+            odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
+            position, velocity, attitude, spin = map(tuple, truth)
+            state = VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
+            events.append(Event(f"{spec.name}/estimate", now_ns, estimate(spec.pose_source, state, odometry, fix)))
+            if odometry is not None:
+                events.append(Event(f"{spec.name}/odometry", now_ns, odometry))
+        return events
 
-    def _states(self, states: Sequence[VehicleState]) -> States:
-        n = len(states)
-        return States(
-            names=self._names,
-            position=frozen(np.array([state.position for state in states], float).reshape(n, 3)),
-            velocity=frozen(np.array([state.velocity for state in states], float).reshape(n, 3)),
-            attitude=frozen(np.array([state.attitude for state in states], float).reshape(n, 4)),
-            angular_velocity=frozen(np.array([state.angular_velocity for state in states], float).reshape(n, 3)),
-        )
+    def _touches(self) -> list[Touch]:
+        """What touches, in the federate's rows: vehicles in the scenario's order, then the other bodies of the world."""
+        touches = []
+        for engine, rows in self._engines:
+            own = [*rows.tolist(), *range(len(self.vehicles), len(self._stage.names))]
+            found = [(each, None if each.other is None else own[each.other]) for each in engine.touching()]
+            touches += [each._replace(row=own[each.row], other=other) for each, other in found]
+        return touches
 
-    def _contacts(self) -> list[Contact]:
+    def _contacts(self, now_ns: int, touches: Sequence[Touch]) -> list[Event]:
         """Contacts that began since the last publication."""
-        pairs = [
-            (numbers[a], None if b is None else numbers[b]) for engine, numbers in self._engines for a, b in engine.touching()
-        ]
+        pairs = dict.fromkeys((each.row, each.other) for each in touches)
         begun = [pair for pair in pairs if pair not in self._touching]
         self._touching = frozenset(pairs)
-        return [Contact(vehicle=self._names[a], other=None if b is None else self._names[b]) for a, b in begun]
+        named = [Contact(vehicle=self._names[a], other=None if b is None else self._stage.names[b]) for a, b in begun]
+        return [Event("world/contact", now_ns, each) for each in named]
 
 
-def _estimate(pose_source: str, truth: VehicleState, odometry: Odometry, fix: Fix | None) -> VehicleState:
-    """What a vehicle takes for its own state: the pose by its pose source; speeds by its wheels unless it is told the truth."""
-    if pose_source == "truth":
-        return truth
-    if pose_source == "odometry" or fix is None:
-        (x, y, yaw), z = odometry.pose, 0.0
-    else:
-        (x, y, z), yaw = fix.position, fix.yaw
-    w, _, _, s = attitude = quaternion_from_yaw(yaw)
-    velocity = (odometry.v * (w * w - s * s), odometry.v * 2.0 * w * s, 0.0)
-    return VehicleState(position=(x, y, z), velocity=velocity, attitude=attitude, angular_velocity=(0.0, 0.0, odometry.w))
+def _numbers(command: Velocity | Waypoint, flying: bool) -> list[float]:
+    """The numbers of a command that count."""
+    if isinstance(command, Velocity):
+        return [*(command.linear if flying else command.linear[:1]), command.yaw_rate]
+    return [*command.position, *(each for each in (command.yaw, command.speed) if each is not None)]
 
 
 class KinematicPhysics(Physics):
     """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """One engine for all."""
-        return [(MotionEngine(self.vehicles), list(range(len(self.vehicles))))]
+        """One engine on the ground, one in the air."""
+        return _riders(self.vehicles, range(len(self.vehicles)))
+
+
+def _riders(vehicles: Sequence[VehicleSpec], numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
+    """Engines for vehicles that need no body."""
+    found: list[tuple[Engine, list[int]]] = []
+    ground = {n: model for n in numbers if isinstance(model := vehicles[n].model, GroundVehicle)}
+    air = {n: model for n in numbers if isinstance(model := vehicles[n].model, Point | Quadrotor)}
+    if ground:
+        at = [vehicles[n].start for n in ground], [vehicles[n].heading for n in ground]
+        found.append((MotionEngine([*ground.values()], *at), [*ground]))
+    if air:
+        at = [vehicles[n].start for n in air], [vehicles[n].heading for n in air]
+        found.append((AerialEngine([*air.values()], *at), [*air]))
+    return found
 
 
 class BulletPhysics(Physics):
-    """Differential drives are bodies in Bullet; vehicles of other kinds ride along without one."""
+    """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds ride along without one."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """Bullet for the differential drives, `MotionEngine` for the rest."""
-        from physics.bullet import BulletEngine  # loads PyBullet: 0.4 s that a kinematic run need not wait
+        """Bullet for those with a body, the others as without it."""
+        from physics.bullet.engine import BulletEngine  # loads PyBullet: 0.4 s that a kinematic run need not wait
 
         self._check_instants()
         bodies = [
-            (n, spec.model, spec.pose) for n, spec in enumerate(self.vehicles) if isinstance(spec.model, DifferentialDrive)
+            n for n, spec in enumerate(self.vehicles) if isinstance(spec.model, DifferentialDrive | UrdfDrive | Quadrotor)
         ]
-        riders = [n for n, spec in enumerate(self.vehicles) if not isinstance(spec.model, DifferentialDrive)]
-        self._check_overlaps(bodies)
+        specs = [self.vehicles[n] for n in bodies]
+        check_overlaps(self.world, specs)
         bullet = BulletEngine(
             world=self.world,
-            models=[model for _, model, _ in bodies],
-            poses=[pose for _, _, pose in bodies],
+            models=[spec.model for spec in specs],
+            positions=[spec.start for spec in specs],
+            headings=[spec.heading for spec in specs],
+            names=[spec.name for spec in specs],
+            seed=self._run.seed,
             rate_hz=self.rate_hz,
             iterations=self.iterations,
             gravity=self.gravity,
+            accelerations=any(spec.sensors for spec in specs),
         )
-        engines: list[tuple[Engine, list[int]]] = [(bullet, [n for n, _, _ in bodies])]
-        if riders:
-            engines.append((MotionEngine([self.vehicles[n] for n in riders]), riders))
-        return engines
+        return [(bullet, bodies), *_riders(self.vehicles, [n for n in range(len(self.vehicles)) if n not in bodies])]
 
     def _check_instants(self) -> None:
-        """Refuse publications between two steps of Bullet, naming both numbers."""
+        """Refuse instants between two steps of Bullet, naming both numbers."""
         step, end_ns = Ticks.rate(self.rate_hz), self._run.duration_ns
         needed = [("duration_s", f"the duration {end_ns / 1e9:.9g} s", step.hits(end_ns))]
         for each in self._run.instants:
@@ -227,17 +283,4 @@ class BulletPhysics(Physics):
             if not fits:
                 problem = f"{what} is not a whole number of physics steps (1/{self.rate_hz:g} s); "
                 raise ScenarioError(problem + "use a multiple, or set physics.rate_hz", key=key or "physics.rate_hz")
-
-    def _check_overlaps(self, bodies: Sequence[tuple[int, DifferentialDrive, tuple[float, float, float]]]) -> None:
-        """Refuse bodies that start inside each other or inside a box: Bullet would fling them apart."""
-        placed = [(self._names[n], model.footprint(pose), model.height_m) for n, model, pose in bodies]
-        for number, (name, footprint, height_m) in enumerate(placed):
-            for other, other_footprint, _ in placed[:number]:
-                if footprint.overlaps(other_footprint):
-                    raise ScenarioError(f"{name} and {other} overlap at the start; move one", key=f"vehicle.{name}.pose")
-            for box in self.world.boxes:
-                if box.blocks(footprint, height_m):
-                    raise ScenarioError(
-                        f"{name} overlaps the box at {box.center}, size {box.size}, at the start; move one",
-                        key=f"vehicle.{name}.pose",
-                    )
+        self._instruments.check(step)

@@ -1,4 +1,4 @@
-"""Vehicles without a body: speeds that follow the command, poses from the speeds; all vehicles at once.
+"""Ground vehicles without a body: speeds that follow the command, poses from the speeds; all vehicles at once.
 
 Each speed s (v or w) obeys ``ds/dt = clip((c - s) / tau, -fall, rise)`` with c the command, clipped to the greatest speed.
 Between commands this has a closed form. Let e = |c - s| at the start, a the limit of that direction and knee = min(e, a tau):
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.clock import SECOND_NS
-from cosim.frames import quaternion_from_yaw, wrap
-from cosim.types import Odometry, VehicleState
-from physics.vehicles import VehicleSpec
+from cosim.types import Vec3
+from physics.engine import Motion, Touch, side_by_side, still
+from physics.vehicles import GroundVehicle
 
 Floats = NDArray[np.float64]
 
@@ -31,9 +31,9 @@ _AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
 class MotionEngine:
     """Moves n vehicles by their `Servo`. Nothing collides: there are no bodies."""
 
-    def __init__(self, vehicles: Sequence[VehicleSpec]) -> None:
-        n = len(vehicles)
-        servos = np.array([spec.model.servo for spec in vehicles], float).reshape(n, 7).T
+    def __init__(self, models: Sequence[GroundVehicle], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
+        n = len(models)
+        servos = np.array([model.servo for model in models], float).reshape(n, 7).T
         tau_v, tau_w, accel, decel, yaw_accel, max_speed, max_yaw_rate = servos
         # All of these are (2, 1, n): v and w; times; vehicles.
         self._tau = np.maximum([[tau_v], [tau_w]], _AT_ONCE_S)
@@ -41,13 +41,22 @@ class MotionEngine:
         self._greatest = np.array([[max_speed], [max_yaw_rate]])
         self._speed, self._command = np.zeros((2, 1, n)), np.zeros((2, 1, n))
         self._ideal = bool((self._tau == _AT_ONCE_S).all() and np.isinf([self._rise, self._fall]).all())
-        self._pose = np.array([spec.pose for spec in vehicles], float).reshape(n, 3).T.copy()  # (3, n): x, y, yaw
+        at = np.array(positions, float).reshape(n, 3)
+        self._pose = np.column_stack([at[:, :2], headings]).T.copy()  # (3, n): x, y, yaw
+        self._driven = np.zeros((2, n))  # since the start, m and rad
+        # Wheels as they would turn: half the track and the radius, where there are any.
+        self._half_track = 0.5 * np.array([getattr(model, "track_m", np.nan) for model in models])
+        self._radius = np.array([getattr(model, "wheel_radius_m", np.nan) for model in models])
         self._now_ns = 0
 
-    def command(self, vehicle: int, v: float, w: float) -> None:
-        """From now on move at ``v`` m/s forward and ``w`` rad/s."""
-        max_v, max_w = self._greatest[:, 0, vehicle].tolist()
-        self._command[:, 0, vehicle] = max(-max_v, min(v, max_v)), max(-max_w, min(w, max_w))
+    def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
+        """From now on move at ``linear[0]`` m/s forward and ``yaw_rate`` rad/s."""
+        max_v, max_w = self._greatest[:, 0, row].tolist()
+        self._command[:, 0, row] = max(-max_v, min(linear[0], max_v)), max(-max_w, min(yaw_rate, max_w))
+
+    def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
+        """Nothing here flies."""
+        raise NotImplementedError
 
     def advance(self, to_ns: int) -> None:
         """Move on to ``to_ns``."""
@@ -85,6 +94,7 @@ class MotionEngine:
     def _follow(self, ways: Floats) -> None:
         """Append arcs to every pose: ways (2, arcs, n), m and rad."""
         way, turn = ways
+        self._driven += ways.sum(axis=1)
         half = 0.5 * turn
         yaw = self._pose[2] + turn.cumsum(axis=0)
         divisor = np.where(np.abs(half) < 1e-8, 1e-8, half)  # sin(h) / h is 1 there to the last bit
@@ -93,21 +103,36 @@ class MotionEngine:
         self._pose[1] += (chord * np.sin(direction)).sum(axis=0)
         self._pose[2] = yaw[-1]
 
-    def read(self) -> list[tuple[VehicleState, Odometry]]:
+    def read(self) -> Motion:
         """The state of every vehicle; its wheels are never wrong."""
-        rows = []
-        for x, y, yaw, v, w in np.concatenate([self._pose, self._speed[:, 0]]).T.tolist():
-            attitude = quaternion_from_yaw(yaw)
-            cos, sin = attitude[0] ** 2 - attitude[3] ** 2, 2.0 * attitude[0] * attitude[3]
-            state = VehicleState(
-                position=(x, y, 0.0), velocity=(v * cos, v * sin, 0.0), attitude=attitude, angular_velocity=(0.0, 0.0, w)
-            )
-            rows.append((state, Odometry(pose=(x, y, wrap(yaw)), v=v, w=w)))
-        return rows
+        (x, y, yaw), (v, w) = self._pose, self._speed[:, 0]
+        base = still(side_by_side(x, y, np.zeros_like(x)), yaw)
+        half = base.attitude[:, 0], base.attitude[:, 3]
+        cos, sin, zero = half[0] ** 2 - half[1] ** 2, 2.0 * half[0] * half[1], np.zeros_like(x)
+        wanted = (self._command[0, 0] - v) / self._tau[0, 0]
+        gain = np.where(self._tau[0, 0] > _AT_ONCE_S, np.clip(wanted, -self._fall[0, 0], self._rise[0, 0]), 0.0)
+        across = self._half_track * self._driven[1]
+        return base._replace(
+            velocity=side_by_side(v * cos, v * sin, zero),
+            angular_velocity=side_by_side(zero, zero, w),
+            acceleration=side_by_side(gain * cos - v * w * sin, gain * sin + v * w * cos, zero),
+            wheels=side_by_side(self._driven[0] - across, self._driven[0] + across) / self._radius[:, None],
+            odometry=side_by_side(x, y, wrapped(yaw), v, w),
+        )
 
-    def touching(self) -> tuple[()]:
+    def movables(self) -> Motion:
+        """Nothing here can push anything."""
+        return still(np.empty((0, 3)), np.empty(0))
+
+    def touching(self) -> list[Touch]:
         """No bodies, no contacts."""
-        return ()
+        return []
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+def wrapped(angle: Floats) -> Floats:
+    """The same angles in [-pi, pi), as `cosim.frames.wrap`."""
+    turned: Floats = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    return np.where(turned < np.pi, turned, -np.pi)

@@ -1,6 +1,7 @@
-"""The ground vehicles that a scenario can name, as sets of parameters; the engines know how each set moves.
+"""The vehicles that a scenario can name, as sets of parameters; the engines know how each set moves.
 
-A vehicle's pose is that of its reference point: the middle of the wheel axle, projected onto the floor. Sources:
+Where a vehicle is means its reference point: the middle of the wheel axle, projected onto the floor; the centre of mass of one
+that flies. Vehicles that fly with rotors are in `physics.quadrotor`, those from a user's own files in `physics.urdf`. Sources:
 
 * p2dx.p, amigo.p: robot parameter files of ARIA (ActivMedia/MobileRobots), where the effective track is 2 / DiffConvFactor.
 * Stage: the vehicle definitions of the Player/Stage simulator. Gazebo: those of the Gazebo simulator.
@@ -9,17 +10,35 @@ A vehicle's pose is that of its reference point: the middle of the wheel axle, p
 * Assumed: a plausible value without a published source.
 """
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from cosim.errors import ScenarioError
-from cosim.types import NonNegative, Positive, Value
+from cosim.types import NonNegative, Positive, Value, Vec3
 from physics.positioning import Positioning
-from physics.world import Footprint
+from physics.quadrotor import Quadrotor
+from physics.scene import Hull
+from physics.sensor import Sensor
 
 POSE_SOURCES = ("truth", "odometry", "positioning")
+
+
+class Vehicle(Protocol):
+    """What every vehicle has, whatever it is."""
+
+    @property
+    def radius_m(self) -> float:
+        """Of the circle that it is drawn with."""
+
+    @property
+    def height_m(self) -> float:
+        """From its lowest to its highest point, m."""
+
+    @property
+    def hull(self) -> Hull:
+        """Its outer shape, as others see and touch it."""
 
 
 class Servo(NamedTuple):
@@ -36,15 +55,20 @@ class Servo(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class GroundVehicle:
-    """What all ground vehicles have: the circle and the height that they are drawn with, m."""
+    """What all ground vehicles have."""
 
-    radius_m: Positive = 0.25
-    height_m: Positive = 0.22
+    radius_m: Positive = 0.25  # of the circle that it is drawn with
+    height_m: Positive = 0.22  # from its lowest to its highest point
 
     @property
     def servo(self) -> Servo:
         """How it moves as a point: exactly as commanded, unless a kind says otherwise."""
         return Servo()
+
+    @property
+    def hull(self) -> Hull:
+        """A cylinder on the floor."""
+        return Hull((2.0 * self.radius_m, 2.0 * self.radius_m, self.height_m), (0.0, 0.0, 0.5 * self.height_m), "cylinder")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +80,8 @@ class Kinematic(GroundVehicle):
 class Lag(GroundVehicle):
     """A unicycle whose speeds follow the command with first-order lags, s."""
 
-    tau_v_s: NonNegative = 0.5
-    tau_w_s: NonNegative = 0.3
+    tau_v_s: NonNegative = 0.5  # lag of the forward speed
+    tau_w_s: NonNegative = 0.3  # lag of the yaw rate
 
     @property
     def servo(self) -> Servo:
@@ -72,8 +96,8 @@ class Inertial(Lag):
     ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not meant to reverse.
     """
 
-    accel: Positive = 0.3  # m/s2
-    decel: Positive = 0.75  # m/s2
+    accel: Positive = 0.3  # m/s2, of a growing forward speed
+    decel: Positive = 0.75  # m/s2, of a falling one
     yaw_accel: Positive = 1.5  # rad/s2, assumed
     max_speed: Positive = 0.75  # m/s
     max_yaw_rate: Positive = 1.75  # rad/s
@@ -95,15 +119,15 @@ class DifferentialDrive(GroundVehicle):
 
     mass_kg: Positive  # all of it, wheels included
     length_m: Positive  # of the body's outline
-    width_m: Positive
+    width_m: Positive  # of the body's outline
     axle_ahead_m: float  # of the middle of the outline
     clearance_m: Positive  # between floor and body
     mass_behind_m: Positive  # centre of mass of the body behind the axle; less than caster_behind_m, else it tips over
-    mass_height_m: Positive  # ... and above the floor
-    caster_behind_m: Positive
+    mass_height_m: Positive  # centre of mass of the body above the floor
+    caster_behind_m: Positive  # behind the axle
     caster_friction: NonNegative = 0.05  # of caster and body: a caster rolls nearly without friction
-    wheel_radius_m: Positive
-    wheel_mass_kg: Positive  # each
+    wheel_radius_m: Positive  # of the driven wheels
+    wheel_mass_kg: Positive  # of each wheel
     wheel_friction: NonNegative = 0.9  # rubber on a hard floor, assumed; times the floor's
     track_m: Positive  # between the wheels' points of contact
     torque: Positive  # N m, free at each wheel
@@ -119,16 +143,10 @@ class DifferentialDrive(GroundVehicle):
         if self.mass_behind_m >= self.caster_behind_m:
             raise ValueError(f"mass_behind_m = {self.mass_behind_m} must be less than caster_behind_m = {self.caster_behind_m}")
 
-    def footprint(self, pose: tuple[float, float, float]) -> Footprint:
-        """The outline of the body at a pose (x m, y m, yaw rad), seen from above."""
-        x, y, yaw = pose
-        return Footprint(
-            x=x - self.axle_ahead_m * math.cos(yaw),
-            y=y - self.axle_ahead_m * math.sin(yaw),
-            half_length=0.5 * self.length_m,
-            half_width=0.5 * self.width_m,
-            yaw=yaw,
-        )
+    @property
+    def hull(self) -> Hull:
+        """A box on the floor, with the wheels in it."""
+        return Hull((self.length_m, self.width_m, self.height_m), (-self.axle_ahead_m, 0.0, 0.5 * self.height_m))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,14 +199,42 @@ class AmigoBot(DifferentialDrive):
     yaw_accel: Positive = 1.75  # assumed: 100 deg/s2
 
 
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A vehicle in the air without a body: its velocity follows the command with a first-order lag, within its greatest speeds.
+
+    It always stays level. On its way to a way-point it follows, with the same lag, a point that moves on a straight line at
+    constant speed; so it slows down at the end only as far as the lag makes it.
+    """
+
+    radius_m: Positive = 0.25  # of the cylinder that it is drawn with
+    height_m: Positive = 0.1  # of that cylinder, around its position
+    tau_s: NonNegative = 0.0  # s; 0: it moves exactly as commanded. 0.4 is near to the quadrotor
+    max_speed: Positive = 10.0  # m/s, horizontal; assumed
+    max_climb: Positive = 5.0  # m/s, up and down; assumed
+    max_yaw_rate: Positive = 3.0  # rad/s; assumed
+
+    @property
+    def hull(self) -> Hull:
+        """A cylinder around its position."""
+        return Hull((2.0 * self.radius_m, 2.0 * self.radius_m, self.height_m), kind="cylinder")
+
+
+def flies(model: Vehicle | type[Vehicle]) -> bool:
+    """Whether it, or all of a class, takes commands of vehicles in the air."""
+    return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor)
+
+
 class VehicleSpec(Value, frozen=True, kw_only=True):
-    """One vehicle of a run: what it is, where it starts, and what it takes for its own pose."""
+    """One vehicle of a run: what it is, where it starts, what it carries, and what it takes for its own pose."""
 
     name: str
-    model: GroundVehicle
-    pose: tuple[float, float, float]  # x m, y m, yaw rad
+    model: Vehicle
+    position: Vec3 = (0.0, 0.0, 0.0)  # m, world; on the ground z does not count; too low to fly: it stands on the floor
+    heading: float = 0.0  # rad
     pose_source: str = "truth"  # "truth" | "odometry" | "positioning"
     positioning: Positioning | None = None  # the sensor, if fitted
+    sensors: Mapping[str, Sensor] = {}  # others, by name
 
     def __post_init__(self) -> None:
         key = "pose_source"
@@ -196,3 +242,13 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
             raise ScenarioError(f'"{self.pose_source}" is none of {", ".join(POSE_SOURCES)}', key=key)
         if self.pose_source == "positioning" and self.positioning is None:
             raise ScenarioError('"positioning" needs the sensor of that name to be fitted to the vehicle', key=key)
+        if self.pose_source == "odometry" and flies(self.model):
+            raise ScenarioError('"odometry" needs wheels, which a vehicle that flies has none of', key=key)
+
+    @property
+    def start(self) -> Vec3:
+        """Where it really starts: on the ground, z = 0; in the air, not lower than its hull lets it stand on the floor."""
+        x, y, z = self.position
+        hull = self.model.hull
+        lowest = 0.5 * hull.size[2] - hull.offset[2]
+        return (x, y, max(z, lowest) if z >= 0.0 else z) if flies(self.model) else (x, y, 0.0)

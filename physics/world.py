@@ -1,97 +1,174 @@
-"""What surrounds the vehicles: a flat floor and boxes on it, and the footprints that tell what overlaps.
+"""What surrounds the vehicles: a flat floor, solids on it, things that move, wind and light.
 
-One description serves every engine: Bullet collides with its triangles (`World.mesh`), and other parts may look at its boxes.
+One description serves all: Bullet collides with its triangles (`World.mesh`), scanners, cameras and the radio look at its
+pieces (`World.shapes`).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import msgspec
+import numpy as np
 
-from cosim.types import NonNegative, Vec3
+from cosim.types import Array, NonNegative, Positive, Probability, Vec3
+from physics.blocking import Blocking, outside_m
+from physics.ground import Ground
+from physics.shapes import Shapes, mesh_of, shapes_of
+from physics.solids import AnySolid, Box, Color, Cylinder
 
-Triangle = tuple[int, int, int]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Footprint:
-    """A rectangle seen from above: centre and half lengths in m, yaw of its long axis in rad."""
-
-    x: float
-    y: float
-    half_length: float
-    half_width: float
-    yaw: float
-
-    def corners(self) -> list[tuple[float, float]]:
-        """The four corners, counter-clockwise, m."""
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        a, b = self.half_length, self.half_width
-        return [(self.x + c * u - s * v, self.y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))]
-
-    def overlaps(self, other: "Footprint") -> bool:
-        """Whether two rectangles share area: true unless one of their four edge directions separates them."""
-        mine, theirs = self.corners(), other.corners()
-        for yaw in (self.yaw, self.yaw + 0.5 * math.pi, other.yaw, other.yaw + 0.5 * math.pi):
-            c, s = math.cos(yaw), math.sin(yaw)
-            a = [c * x + s * y for x, y in mine]
-            b = [c * x + s * y for x, y in theirs]
-            if max(a) <= min(b) or max(b) <= min(a):
-                return False
-        return True
+__all__ = ["Ground", "Light", "Movable", "Moving", "Wind", "World", "Zone"]
 
 
-class Box(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A box that stands still: a wall, a table, a building.
+class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A rectangle of the floor with a friction of its own: ice, mud. Where zones overlap, the last one counts.
 
     Args:
-        center: of the box, m, world; a box on the floor has its centre at half its height.
-        size: length, width and height, m, before it is turned.
-        yaw_rad: turned by this about the vertical through its centre.
-        material: what it is made of, a name for the radio's obstruction loss.
+        center: x, y, m.
+        size: length and width, m, before it is turned.
+        yaw_rad: turned by this.
+        friction: multiplies that of what rolls or slides on it, in place of the floor's.
+        color: it is painted in, if at all.
     """
 
-    center: Vec3
-    size: Vec3
+    center: tuple[float, float]
+    size: tuple[float, float]
     yaw_rad: float = 0.0
-    material: str = "concrete"
+    friction: NonNegative
+    color: Color | None = None
+
+
+class Wind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Air that moves: the same everywhere, steady or in gusts.
+
+    Args:
+        velocity: of the mean wind, m/s, world.
+        gust: standard deviation of what is added to each horizontal component, m/s (half of it vertically).
+        gust_time_s: correlation time of the gusts.
+    """
+
+    velocity: Vec3 = (0.0, 0.0, 0.0)
+    gust: NonNegative = 0.0
+    gust_time_s: Positive = 2.0
+
+
+class Light(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A sun without shadows: how bright a face is depends on its direction.
+
+    Args:
+        direction: from the world to the sun, any length.
+        ambient: brightness of faces turned away from it; faces turned to it have 1.
+    """
+
+    direction: Vec3 = (0.3, 0.2, 1.0)
+    ambient: Probability = 0.6
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(value) for value in (*self.center, *self.size, self.yaw_rad)) or min(self.size) <= 0.0:
-            raise ValueError(f"a box needs finite numbers and three positive sizes, not center {self.center}, size {self.size}")
-
-    @property
-    def footprint(self) -> Footprint:
-        """The box seen from above."""
-        (x, y, _), (length, width, _) = self.center, self.size
-        return Footprint(x=x, y=y, half_length=0.5 * length, half_width=0.5 * width, yaw=self.yaw_rad)
-
-    def blocks(self, footprint: Footprint, height_m: float) -> bool:
-        """Whether a body that stands on the floor over ``footprint`` and is ``height_m`` high would be inside the box."""
-        bottom, top = self.center[2] - 0.5 * self.size[2], self.center[2] + 0.5 * self.size[2]
-        return bottom < height_m and top > 0.0 and self.footprint.overlaps(footprint)
+        if not any(self.direction) or not all(map(math.isfinite, self.direction)):
+            raise ValueError(f"light needs a direction of some length, not {self.direction}")
 
 
-# The corners of a box are numbered 0-3 round its bottom and 4-7 above them; two triangles to a side, normals outwards.
-_TRIANGLES: tuple[Triangle, ...] = (
-    *((0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7), (0, 1, 5), (0, 5, 4)),
-    *((1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7)),
-)
+class Movable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A body that can be pushed, with the shape and place of ``solid`` at the start.
+
+    Args:
+        name: unique in the world.
+        solid: a `Box` or a `Cylinder`: ``{ kind = "box", center = [2, 0, 0.2], size = [0.4, 0.4, 0.4] }``.
+        mass_kg: evenly distributed.
+        friction: of its faces.
+    """
+
+    name: str
+    solid: Box | Cylinder
+    mass_kg: Positive
+    friction: NonNegative = 0.5
+
+
+class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An obstacle that keeps to a time-table, whatever stands in its way: at ``way[i]`` at ``times_s[i]``, straight between.
+
+    Args:
+        name: unique in the world.
+        solid: a `Box` or a `Cylinder`; where it says it is does not matter.
+        times_s: increasing.
+        way: centre of the solid, x, y, z m, and its yaw, rad, at each of the times.
+        loop: begin again after the last time; else it stays there.
+    """
+
+    name: str
+    solid: Box | Cylinder
+    times_s: tuple[float, ...]
+    way: tuple[tuple[float, float, float, float], ...]
+    loop: bool = False
+
+    def __post_init__(self) -> None:
+        rising = all(a < b for a, b in zip(self.times_s, self.times_s[1:], strict=False))
+        numbers = (*self.times_s, *(value for place in self.way for value in place))
+        if not rising or len(self.times_s) != len(self.way) or not self.way or not all(map(math.isfinite, numbers)):
+            raise ValueError(f"the moving obstacle {self.name!r} needs as many finite places in way as increasing times_s")
+
+    def pose(self, time_s: float) -> tuple[float, float, float, float]:
+        """Where its centre is, x, y, z m, and its yaw, rad."""
+        first, last = self.times_s[0], self.times_s[-1]
+        if self.loop and last > first:
+            time_s = first + (time_s - first) % (last - first)
+        columns = zip(*self.way, strict=True)
+        x, y, z, yaw = (float(np.interp(time_s, self.times_s, column)) for column in columns)
+        return x, y, z, yaw
 
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A flat floor at z = 0 and boxes. ``floor_friction`` multiplies the friction of what rolls or slides on it."""
+    """A flat floor at z = 0 and what is on and above it.
 
-    boxes: tuple[Box, ...] = ()
+    Args:
+        solids: what stands still.
+        movables: bodies that can be pushed.
+        moving: obstacles that keep to a time-table.
+        floor_friction: multiplies the friction of what rolls or slides on it.
+        zones: parts of the floor with another friction.
+        ground: how the floor looks.
+        wind: see `Wind`.
+        light: see `Light`.
+        bounds: west, south, east and north end, m: vehicles start inside. None: no end.
+        name: for titles and messages.
+    """
+
+    solids: tuple[AnySolid, ...] = ()
+    movables: tuple[Movable, ...] = ()
+    moving: tuple[Moving, ...] = ()
     floor_friction: NonNegative = 1.0
+    zones: tuple[Zone, ...] = ()
+    ground: Ground = field(default_factory=Ground)
+    wind: Wind = field(default_factory=Wind)
+    light: Light = field(default_factory=Light)
+    bounds: tuple[float, float, float, float] | None = None
+    name: str = "world"
 
-    def mesh(self) -> tuple[list[Vec3], list[int]]:
-        """All boxes as one mesh: vertices in m, and three vertex numbers to a triangle, one after the other."""
-        vertices: list[Vec3] = []
-        indices: list[int] = []
-        for box in self.boxes:
-            first, half = len(vertices), 0.5 * box.size[2]
-            vertices += [(x, y, box.center[2] + z) for z in (-half, half) for x, y in box.footprint.corners()]
-            indices += [first + corner for triangle in _TRIANGLES for corner in triangle]
-        return vertices, indices
+    @cached_property
+    def shapes(self) -> Shapes:
+        """Its solids in pieces, for whoever looks at all of them at once."""
+        return shapes_of(self.solids)
+
+    def mesh(self) -> tuple[Array, Array]:
+        """All solids as one mesh: vertices (v, 3) m, and triangles (t, 3) int, counter-clockwise seen from outside."""
+        return mesh_of(self.shapes)
+
+    def outside(self, x: float, y: float) -> float:
+        """How far a place lies beyond the bounds, m; 0: inside, or there are none."""
+        return 0.0 if self.bounds is None else outside_m(self.bounds, x, y)
+
+    def blocking(self, corners: Array, bottom: float, top: float) -> tuple[AnySolid, float] | None:
+        """What a body would be inside of: the solid that it reaches into most, and how far it must be moved to be free, m.
+
+        Args:
+            corners: convex outline of the body from above, (k, 2) m, counter-clockwise.
+            bottom: m.
+            top: m.
+        """
+        found = self._blocking.deepest(corners, bottom, top)
+        return None if found is None else (self.solids[found[0]], found[1])
+
+    @cached_property
+    def _blocking(self) -> Blocking:
+        return Blocking(self.shapes)

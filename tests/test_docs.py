@@ -1,4 +1,4 @@
-"""The reference of scenario keys and the gallery say what the software does."""
+"""The reference of scenario keys says what the software does. (`test_gallery.py` tests the gallery.)"""
 
 import re
 from pathlib import Path
@@ -6,12 +6,15 @@ from typing import Any
 
 import pytest
 
-import cosim
-from cosim import progress, reference, registry, scenario, table
+from cosim import reference, registry, repeat, scenario, table
 from netsim.jammer import Source
 from netsim.materials import ITU_MATERIALS
 from netsim.script import Change
-from physics.world import Box
+from physics.ground import Ground, Mark
+from physics.noise import Noise
+from physics.solids import MATERIAL_COLORS, Box, Cylinder, Prism
+from physics.world import Light, Movable, Moving, Wind, Zone
+from physics.worlds.urban import Target
 
 FOLDER = Path(__file__).parent.parent / "scenarios"
 TEXT = (FOLDER / "README.md").read_text("utf-8")
@@ -43,15 +46,28 @@ TABLES = tables()
 HEADINGS = {
     "physics": ("`[physics]`",),
     "world": ("`[world]`",),
-    "vehicle": ("Vehicles that are points", "Robots with two driven wheels and a caster"),
-    "agent": ("Leaders", "Followers"),
+    "vehicle": tuple(reference.VEHICLES),
+    "sensor": ("`sensors = { NAME = { kind = ... }, ... }`",),
+    "agent": ("Leaders", "Followers", "Patrols"),
     **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
 }
-FROM_ELSEWHERE = {"world", "vehicles", *reference.OFFERED}  # parameters that come from the rest of the scenario
+FROM_ELSEWHERE = {*reference.OFFERED}  # parameters that come from the rest of the scenario
 
 
 def by_kind(*headings: str) -> dict[str, dict[str, str]]:
-    return {name: keys for heading in headings for one in TABLES[heading] for name, keys in one.items()}
+    found: dict[str, dict[str, str]] = {}
+    for heading in headings:
+        for name, keys in ((name, keys) for one in TABLES[heading] for name, keys in one.items()):
+            assert not {*found.get(name, {})} & {*keys}, "a key stands in two tables"
+            found.setdefault(name, {}).update(keys)
+    return found
+
+
+def of_kind(group: str, kind: str, wanted: set[str]) -> dict[str, str]:
+    """What the tables say of a kind: its own, and what it has in common with others."""
+    tables = by_kind(*HEADINGS[group])
+    common = tables.get("quadrotor" if kind == "urdf-quadrotor" else "default", {})
+    return {**{name: says for name, says in common.items() if name in wanted}, **tables.get(kind, {})}
 
 
 def assert_documents(documented: dict[str, str], target: Any, without: set[str]) -> None:
@@ -61,10 +77,10 @@ def assert_documents(documented: dict[str, str], target: Any, without: set[str])
     for name, parameter in wanted.items():
         says = documented[name]
         assert (says == "required") == parameter.required, name
-        default = table.plain(parameter.default)
-        if says.startswith("`") and not isinstance(default, dict):
-            assert scenario.value_of(says.strip("`")) == default, name
+        if says.startswith("`"):
+            assert table.convert(scenario.value_of(says.strip("`")), parameter.annotation) == parameter.default, name
         elif not parameter.required:
+            default = table.plain(parameter.default)
             assert default is None or isinstance(default, dict), f"{name}: its default is {default}"
 
 
@@ -74,6 +90,7 @@ def assert_documents(documented: dict[str, str], target: Any, without: set[str])
         ("Top level", scenario.Scenario, ""),
         ("`[agents]`", scenario.AgentsTable, "defaults"),
         ("`[[vehicle]]` and `[vehicles]`", scenario.VehicleTable, "params"),
+        ("Many at once", repeat.Repeat, ""),
         ("`agent = { ... }` of a vehicle", scenario.AgentTable, "params"),
         ("`[record]`", scenario.RecordTable, ""),
         ("`[metrics]`", scenario.MetricsTable, ""),
@@ -87,16 +104,19 @@ def test_every_key_of_a_table_is_documented(heading: str, target: Any, rest: str
 @pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registry.KINDS.items() for kind in kinds])
 def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str) -> None:
     target = registry.find(group, kind)
-    if set(table.parameters(target)) - FROM_ELSEWHERE:
-        assert_documents(by_kind(*HEADINGS[group])[kind], target, FROM_ELSEWHERE)
-    else:
-        assert f"\n- `{kind}`: " in TEXT.partition(f"# {HEADINGS[group][0]}\n")[2].partition("\n#")[0]
+    if group not in {"physics", "agent"}:
+        sections = [TEXT.partition(f"# {heading}\n")[2].partition("\n#")[0] for heading in HEADINGS[group]]
+        assert sum(f"\n- `{kind}`: " in section for section in sections) == 1
+    if wanted := set(table.parameters(target)) - FROM_ELSEWHERE:
+        assert_documents(of_kind(group, kind, wanted), target, FROM_ELSEWHERE)
 
 
 @pytest.mark.parametrize(
     ("heading", "item", "target"),
     [
-        ("`[world]`", "box", Box),
+        *[("`[world]`", each.__name__.lower(), each) for each in (Box, Cylinder, Prism, Movable, Moving, Zone, Wind, Light)],
+        *[("`[world]`", each.__name__.lower(), each) for each in (Ground, Mark, Target)],
+        (*HEADINGS["sensor"], "noise", Noise),
         ("`positioning = { ... }`", "positioning", registry.piece("positioning")),
         ("`radio = { ... }`", "default", registry.piece("vehicle radio")),
         ("`[radio.script]`", "change", Change),
@@ -113,28 +133,7 @@ def test_every_preset_is_documented() -> None:
 
 
 def test_materials_are_those_that_walls_are_made_of() -> None:
-    (row,) = [line for line in TEXT.splitlines() if line.startswith("| `material` |")]
-    assert re.findall(r"`(\w+)`", row.rpartition("`itu`")[2]) == list(ITU_MATERIALS)
-
-
-@pytest.mark.parametrize("name", scenario.names())
-def test_a_built_in_scenario_prints_what_its_gallery_says(name: str) -> None:
-    section = TEXT.partition(f"### {name}\n")[2].partition("\n## ")[0].partition("\n### ")[0]
-    shown = section.partition("```\n")[2].partition("```")[0]
-    result = cosim.run(name)
-    assert shown.splitlines() == progress.summary(result).splitlines()[1:3]
-    (other,) = re.findall(r"`--set agents.estimator=(\w+)`", section)
-    (rms,) = re.findall(r"(0\.\d{4}) m\s+RMS", section.rpartition("With `--set")[2])
-    changed = cosim.run(name, set={"agents.estimator": other})
-    assert changed.metrics["formation"]["rms_m"] == pytest.approx(float(rms), abs=5e-5)
-
-
-@pytest.mark.parametrize("name", scenario.names())
-def test_a_built_in_scenario_says_in_one_line_what_it_shows(name: str) -> None:
-    assert 30 < len(scenario.first_words(name)) < 100
-
-
-def test_pictures_are_there_and_small() -> None:
-    linked = set(re.findall(r"\]\((pictures/[^)]+)\)", TEXT))
-    assert linked == {f"pictures/{path.name}" for path in (FOLDER / "pictures").iterdir()}
-    assert all((FOLDER / name).stat().st_size < 80_000 for name in linked)
+    said = re.search(r"of kind `itu` knows (.*?), and those six and `stone` have a colour", " ".join(TEXT.split()))
+    assert said
+    assert re.findall(r"`(\w+)`", said[1]) == list(ITU_MATERIALS)
+    assert {*ITU_MATERIALS, "stone"} == {*MATERIAL_COLORS}

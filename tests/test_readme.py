@@ -1,11 +1,14 @@
 """What the README shows works as it is shown."""
 
 import re
+import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
 
 import cosim
+from cosim import registry, scenario
 from cosim.cli import main
 from cosim.testing import check_agent
 
@@ -64,6 +67,29 @@ def test_the_demo_prints_what_the_readme_says(tmp_path: Path, capsys: pytest.Cap
     timing = re.compile(r"in \S+ s \(\S+ real time\)|results: .*")
     shown = timing.sub("", block("", "formation-circle: 3 agents"))
     assert timing.sub("", capsys.readouterr().out) == shown
+
+
+def test_worlds_and_vehicles_are_shown_as_the_readme_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^    vcmvsp ((?:list|show|world|drive) .*)$", README, re.MULTILINE)
+    for command in commands:
+        vcmvsp(*shlex.split(command, comments=True))
+    assert len(commands) == 4
+    assert (tmp_path / "city.png").stat().st_size > 10_000
+    printed = capsys.readouterr().out
+    assert "uav1 (quadrotor), vx=2, 4 s:" in printed
+    named = [name for name in registry.KINDS["world"] if name in printed]
+    assert named == list(registry.KINDS["world"])
+
+
+def test_the_vehicles_of_the_readme_are_understood() -> None:
+    raw = tomllib.loads(block("toml", "count = 100"))
+    parsed, _ = scenario.load({"name": "many", "duration_s": 1.0, **raw})
+    assert len(parsed.vehicle) == 100
+    assert parsed.vehicle[-1].start == ((45.0, 45.0, 10.0), 0.0)
+    assert all(each["kind"] in registry.KINDS["sensor"] for each in parsed.vehicle[0].sensors.values())
 
 
 def test_every_link_leads_somewhere() -> None:

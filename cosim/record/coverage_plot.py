@@ -90,11 +90,11 @@ def _contours(axes: Axes, found: "Map", values: Array, words: dict[float, str]) 
 
 def _scene(axes: Axes, found: "Map") -> None:
     """Walls in a colour for each material, and the vehicles."""
-    materials = sorted({box.material for box in found.boxes})
-    for box in found.boxes:
-        corners = np.array(box.footprint.corners())
-        color = _color_of(materials, box.material)
-        axes.fill(*corners.T, facecolor=color, edgecolor=color, linewidth=2.0, zorder=3, path_effects=_WHITE)
+    materials = sorted({solid.material for solid in found.solids})
+    for solid in found.solids:
+        color = _color_of(materials, solid.material)
+        for piece in solid.uprights():
+            axes.fill(*piece.corners.T, facecolor=color, edgecolor=color, linewidth=2.0, zorder=3, path_effects=_WHITE)
     near_m, named = 0.03 * max(np.ptp(found.x), np.ptp(found.y)), list[tuple[float, float]]()
     for name in sorted(found.places, key=lambda name: name != found.vehicle):  # the sender first: its name, and its star, stay
         x, y, _ = found.places[name]
@@ -116,7 +116,7 @@ def _titles(figure: Figure, axes: Axes, found: "Map") -> None:
         f"{100.0 * found.success.mean():.0f} % of the frames arrive, all places taken together",
         fontsize=9,
     )
-    materials = sorted({box.material for box in found.boxes})
+    materials = sorted({solid.material for solid in found.solids})
     if materials:
         lines = [Line2D([], [], color=_color_of(materials, each), linewidth=3) for each in materials]
         axes.legend(lines, materials, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(materials), borderaxespad=0.2)

@@ -34,6 +34,9 @@ from cosim.types import (
     Follows,
     FrameReport,
     Image,
+    Imu,
+    Later,
+    Measured,
     Message,
     Note,
     Odometry,
@@ -42,6 +45,7 @@ from cosim.types import (
     Value,
     VehicleState,
     Velocity,
+    Waypoint,
 )
 
 
@@ -54,6 +58,7 @@ class Recorder:
         mcap: an open binary stream for the MCAP file, or None. It stays the caller's to close.
         agents: whose ticks the age of information is measured at.
         radius_m: radius of each vehicle's body, for drawing.
+        sensors: whose readings are recorded although they are worked out on demand, by name; ``*``: all.
     """
 
     def __init__(
@@ -64,8 +69,10 @@ class Recorder:
         mcap: BinaryIO | None,
         agents: Sequence[AgentInfo],
         radius_m: Mapping[str, float],
+        sensors: Sequence[str] = (),
     ) -> None:
         self._run, self._record_ticks, self._radius_m = run, record_ticks, radius_m
+        self._sensors = frozenset(sensors)
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._now = 0
         self._latest: tuple[int, States] | None = None
@@ -88,6 +95,10 @@ class Recorder:
             Follows: self._on_follows,
             Note: self._remember,
             Velocity: self._remember,
+            Waypoint: self._remember,
+            Imu: self._remember,
+            Measured: self._remember,
+            Later: self._on_later,
             Message: self._remember,
             Odometry: self._remember,
             Contact: self._on_contact,
@@ -198,17 +209,24 @@ class Recorder:
     def _on_fix(self, key: str, time_ns: int, fix: Fix) -> None:
         self._others.update(self._pack((key, time_ns, fix)))
         if self._log is not None:
-            qw, qx, qy, qz = quaternion_from_yaw(fix.yaw)
+            qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)
             pose = foxglove.Pose(foxglove.Vector3(*fix.position), foxglove.Quaternion(qx, qy, qz, qw))
             self._log.write(
                 key, foxglove.PoseInFrame(foxglove.Time.of(fix.time_ns), "world", pose, fix.sigma_m, fix.sigma_rad), time_ns
             )
 
+    def _on_later(self, key: str, time_ns: int, later: Later) -> None:
+        if "*" in self._sensors or key.partition("/")[2] in self._sensors:
+            reading = later.get()
+            self._handlers.get(type(reading), self._write)(key, time_ns, reading)
+
     def _on_scan(self, key: str, time_ns: int, scan: Scan) -> None:
+        self._others.update(self._pack((key, time_ns, scan.time_ns)) + scan.ranges.tobytes())
         if self._log is not None:
             self._log.write(key, foxglove.LaserScan.of(scan, _vehicle(key), time_ns), time_ns)
 
     def _on_image(self, key: str, time_ns: int, image: Image) -> None:
+        self._others.update(self._pack((key, time_ns, image.time_ns)) + image.pixels.tobytes())
         if self._log is not None:
             self._log.write(key, foxglove.RawImage.of(image, _vehicle(key), time_ns), time_ns)
 

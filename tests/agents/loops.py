@@ -112,7 +112,7 @@ def drive(
     for tick in range(round(duration_s / period_s) + 1):
         now_ns = round(tick * period_s * 1e9)
         lead_command = leader.act(observe(front.pose, now_ns), lead_radio)
-        assert lead_command is not None
+        assert isinstance(lead_command, Velocity)
         on_air.append([received(message) for message in lead_radio.drain()])
         sent = tick - delay_ticks
         orders = []

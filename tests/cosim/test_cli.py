@@ -255,7 +255,7 @@ def test_an_agent_that_calls_exit_fails_like_any_other(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("returned", "words"),
     [
-        ("3", "it must return a Velocity, or None"),
+        ("3", "it must return a Velocity, a Waypoint, or None"),
         ("Velocity(linear=(float('inf'), 0.0, 0.0))", "not finite"),
         pytest.param("Velocity(linear=(1.0, 2.0))", "linear"),
         pytest.param("Velocity(linear='abc')", "linear"),

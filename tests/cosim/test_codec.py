@@ -42,6 +42,7 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     Array: ARRAYS,
     Array | None: ARRAYS | st.none(),
     float: FLOATS,
+    float | None: FLOATS | st.none(),
     int: TIMES,
     str: TEXT,
     str | None: TEXT | st.none(),
@@ -49,6 +50,7 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     tuple[str, ...] | None: st.lists(TEXT, max_size=3).map(tuple) | st.none(),
     tuple[float, float]: st.tuples(FLOATS, FLOATS),
     dict[str, Any] | bytes: st.dictionaries(TEXT, PLAIN, max_size=3) | st.binary(max_size=16),
+    dict[str, float]: st.dictionaries(TEXT, FLOATS, max_size=3),
     dict[str, float | str | bool]: st.dictionaries(TEXT, FLOATS | TEXT | st.booleans(), max_size=3),
 }
 

@@ -1,4 +1,4 @@
-"""The reference of the radio is what the code says now. (`tests/test_docs.py` reads the page itself.)"""
+"""The reference is what the code says now. (`tests/test_docs.py` reads the page itself.)"""
 
 import math
 import os
@@ -17,12 +17,14 @@ from hypothesis import strategies as st
 
 from cosim import radio, reference, registry, scenario, table
 from cosim.errors import ScenarioError
-from cosim.scenario import Source
-from cosim.types import Message, NonNegative, Positive, Probability, Seconds, Vec3
+from cosim.reference_range import reach_m
+from cosim.source import Source
+from cosim.types import Message, NonNegative, Positive, Probability, Seconds, Seed, Vec3
 from netsim.presets import LAYERS, PRESETS, preset
 from tests.netsim.helpers import make_channel, send
 
 RADIO = reference.radio()
+ALL_BLOCKS = "''.join(write() for write in reference.BLOCKS.values())"
 REQUIRED = {"probability": 0.1, "quantiles": [[0.0, 0.0], [1.0, 0.1]], "file": "links.csv"}  # all others may be 0.1
 
 
@@ -45,6 +47,37 @@ class Snow:
 
     db_per_km: NonNegative  # what it takes
     tau_s: Positive = 60.0  # how long
+
+
+class Shower(msgspec.Struct, frozen=True):
+    mm: float = 1.0  # in an hour
+    drops: tuple[Drop, ...] = ()  # of which it is
+
+
+SHOWER = Shower()
+
+
+@dataclass
+class Storm:
+    """Wind."""
+
+    wind: float = 3.0  # m/s
+
+
+@dataclass
+class Hail(Storm):
+    """Ice (kind ``hail``)."""
+
+    wind: float = 5.0  # assumed
+    grain_m: float = 0.01  # across
+
+
+@dataclass
+class Sleet(Hail):
+    """Ice and water."""
+
+    wind: float = 3.0
+    grain_m: float = 0.001  # measured by nobody
 
 
 # --- the page -----------------------------------------------------------------------------------------------------------------
@@ -78,16 +111,16 @@ def test_what_people_wrote_around_it_stays() -> None:
 
 
 def test_a_page_without_a_place_for_it_is_refused() -> None:
-    with pytest.raises(ValueError, match="no block '<!-- generated: radio -->'"):
+    with pytest.raises(ValueError, match="no block '<!-- generated: physics -->'"):
         reference.updated("# Nothing\n")
 
 
 def test_it_is_the_same_in_every_process() -> None:
-    code = "from cosim import reference; import sys; sys.stdout.buffer.write(reference.radio().encode())"
+    code = f"from cosim import reference; import sys; sys.stdout.buffer.write({ALL_BLOCKS}.encode())"
     for salt in ("1", "2"):
         environment = {**os.environ, "PYTHONHASHSEED": salt}
         told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=environment).stdout
-        assert told.decode() == RADIO
+        assert told.decode() == eval(ALL_BLOCKS)
 
 
 # --- what is in it ------------------------------------------------------------------------------------------------------------
@@ -127,7 +160,7 @@ def test_the_table_of_presets_together_with_the_defaults_is_each_preset(name: st
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_at_the_range_of_a_preset_half_of_the_frames_are_received(name: str) -> None:
-    range_m = reference.reach_m(preset(name))
+    range_m = reach_m(preset(name))
     if math.isinf(range_m):
         assert send(make_channel(name), 1e9).outcome == ("received",)
         return
@@ -143,12 +176,12 @@ def test_at_the_range_of_a_preset_half_of_the_frames_are_received(name: str) -> 
 
 def test_ranges_that_others_state() -> None:
     # d0 10^((Pd0 - cutoff) / (10 N)) of the Wireless Simulation Server; ns-3.44 at -82 dBm and exponent 3.
-    ranges = [reference.reach_m(preset(name)) for name in ("wss", "wifi-b-1")]
+    ranges = [reach_m(preset(name)) for name in ("wss", "wifi-b-1")]
     assert ranges == pytest.approx([2.0 * 10.0 ** ((-49.67 + 93.0) / 10.0), 85.565], abs=5e-3)
     layers = preset("wss")
     for exponent, range_m in ((2.0, 293.4), (2.5, 108.2), (3.0, 55.6), (4.0, 24.2)):
         layers["path_loss"]["exponent"] = exponent
-        assert reference.reach_m(layers) == pytest.approx(range_m, abs=0.05)
+        assert reach_m(layers) == pytest.approx(range_m, abs=0.05)
 
 
 # --- how it is said -----------------------------------------------------------------------------------------------------------
@@ -169,6 +202,52 @@ def test_a_table_of_two_kinds() -> None:
     (item,) = reference.lists([Rain, Snow])
     assert item.splitlines()[0] == "Of each of the `drops`:"
     assert item.splitlines()[-1] == "| `size_m` | m | required | across |"
+
+
+def test_tables_within_tables_stand_once_with_all_the_keys_that_hold_them() -> None:
+    @dataclass
+    class Weather:
+        rain: Shower = SHOWER  # it falls
+        showers: tuple[Shower, ...] = ()  # others
+
+    falls, drop = reference.lists([Weather, Weather])
+    assert falls.splitlines()[0] == "Of `rain`, each of the `showers`:"
+    assert "| `drops` | list of tables: see below | `[]` | of which it is |" in falls
+    assert drop.splitlines()[0] == "Of each of the `drops`:"
+
+
+def test_of_a_table_only_what_is_unlike_its_own_defaults_is_shown() -> None:
+    def default(value: Any) -> str:
+        return reference.default_of(table.Parameter(Shower, value, required=False), "")
+
+    assert default(Shower()) == "`{}`"
+    assert default(Shower(mm=2.0)) == "`{ mm = 2.0 }`"
+
+
+def test_the_first_who_speaks_of_a_key_says_what_it_means_the_others_where_their_value_is_from() -> None:
+    assert reference.kinds({"hail": Hail, "sleet": Sleet}, Storm).splitlines() == [
+        "- `hail`: Ice.",
+        "- `sleet`: Ice and water.",
+        "",
+        "| key | type, unit | hail | sleet | meaning |",
+        "|---|---|---|---|---|",
+        "| `wind` | number | `5.0` | – | m/s |",
+        "| `grain_m` | m | `0.01` | `0.001` | across |",
+    ]
+
+
+def test_what_kinds_have_in_common_stands_in_front_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    storms = {"storm": Storm, "hail": Hail, "sleet": Sleet, "rain": Rain}
+    monkeypatch.setitem(registry.KINDS, "world", dict.fromkeys(storms, ""))
+    monkeypatch.setattr(registry, "find", lambda group, kind: storms[kind])
+    common, storm, alike, heads, *rest = reference.families("world").split("\n\n")
+    assert common.splitlines()[2:] == ["| `wind` | number | `3.0` | m/s |"]
+    assert [storm, alike, heads.splitlines()[0]] == [
+        "- `storm`: Wind.",
+        "- `hail`: Ice.\n- `sleet`: Ice and water.",
+        "| key | type, unit | hail | sleet | meaning |",
+    ]
+    assert rest[0] == "- `rain`: It rains: `water` falls."
 
 
 def test_a_parameter_that_means_nothing_is_refused() -> None:
@@ -192,6 +271,8 @@ def test_a_parameter_that_means_nothing_is_refused() -> None:
         ("place", Vec3, "list of 3 values, each a number"),
         ("band", Literal["a", "b"], "one of 'a', 'b'"),
         ("drops", tuple[Drop, ...], "list of tables: see below"),
+        ("drop", Drop | None, "table: see below"),
+        ("seed", Seed, "whole number >= 0"),
         ("losses_db", dict[str, NonNegative], "dB, table"),
     ],
 )

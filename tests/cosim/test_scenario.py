@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from cosim import scenario as scenarios
 from cosim.errors import ScenarioError, UsageError
-from cosim.scenario import Source, load, settings_of, value_of
+from cosim.scenario import load, settings_of, value_of
+from cosim.source import Source
 
 FILE = """# A scenario for these tests: short. More words.
 name = "lines"
@@ -59,7 +60,7 @@ def test_a_file_is_read_into_checked_tables(file: Path) -> None:
     assert scenario.agents.defaults == {"k1": 0.8, "kind": "trajectory"}
     assert scenario.agents.runs == "inprocess"
     one, two = scenario.vehicle
-    assert (one.name, one.kind, one.pose) == ("car1", "lag", (0.0, 0.0, 0.0))  # [vehicles] is the default
+    assert (one.name, one.kind, one.start) == ("car1", "lag", ((0.0, 0.0, 0.0), 0.0))  # [vehicles] is the default
     assert (two.name, two.kind, two.pose) == ("car2", "p2dx", (-1.0, 0.5, 0.0))  # a vehicle's own key wins
     assert two.agent is not None
     assert two.agent.params == {"leader": "car1"}

@@ -84,6 +84,31 @@ def test_a_refusal_says_where_what_and_what_is_allowed(values: dict[str, Any], k
     assert len(error.problem) < 250
 
 
+class Drop(msgspec.Struct, forbid_unknown_fields=True):
+    """A table in a list."""
+
+    size_mm: Positive
+    place: tuple[float, float] = (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("drop", "key", "words"),
+    [
+        ({"size_mm": 0}, "drops[1].size_mm", "must be a number > 0, not 0"),
+        ({"place": [1, 1]}, "drops[1]", "size_mm is missing; it must be a number > 0"),
+        ({"size_mm": 1, "plac": 1}, "drops[1]", "unknown key 'plac'; did you mean 'place'? (allowed: place, size_mm)"),
+        ({"size_mm": 1, "place": [1, "x"]}, "drops[1].place[1]", "a list of 2 values, each a number, not [1, 'x']"),
+        (3, "drops[1]", "Expected `object`, got `int`"),
+    ],
+)
+def test_a_refusal_inside_a_list_of_tables_says_in_which(drop: Any, key: str, words: str) -> None:
+    def shower(drops: tuple[Drop, ...]) -> None: ...
+
+    error = refusal({"drops": [{"size_mm": 1.0}, drop]}, shower)
+    assert error.key == f"radio.rain.{key}"
+    assert words in error.problem
+
+
 def test_what_the_program_gives_is_no_key() -> None:
     assert table.call(Rain, {}, given={"db_per_km": "anything"}).content == ("anything", 0, None, False, (), "wet")
     assert "unknown key 'db_per_km'" in refusal({"db_per_km": 1}, given={"db_per_km": 2}).problem

@@ -143,7 +143,7 @@ COMMANDS = [Event("car1/command", 150_000_000, Velocity(linear=(0.3, 0.0, 0.0), 
 @pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 def test_the_physics_conforms(kind: Any) -> None:
     cars = [
-        VehicleSpec(name=name, model=P2DX(), pose=(x, 0.0, 0.0), positioning=Positioning(rate_hz=5.0))
+        VehicleSpec(name=name, model=P2DX(), position=(x, 0.0, 0.0), positioning=Positioning(rate_hz=5.0))
         for name, x in (("car1", 0.0), ("car2", 2.0))
     ]
     check_federate(lambda: kind(world=World(), vehicles=cars), RUN, COMMANDS)

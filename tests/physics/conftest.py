@@ -66,7 +66,7 @@ def drive() -> Callable[..., Any]:
         world: World | None = None,
         **parameters: Any,
     ) -> SimpleNamespace:
-        spec = VehicleSpec(name="car", model=model, pose=(0.0, 0.0, 0.0))
+        spec = VehicleSpec(name="car", model=model, position=(0.0, 0.0, 0.0))
         physics = kind(world=world or World(), vehicles=[spec], **parameters)
         named = [(at_s, "car", v, w) for at_s, v, w in commands]
         steps = publications(physics, named, duration_s, [Instants(Ticks.rate(hz))])

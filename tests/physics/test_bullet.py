@@ -1,7 +1,6 @@
 """Bodies in Bullet: commands are tracked, momentum and friction show, walls hold, and the same run gives the same bytes."""
 
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,15 +11,16 @@ import pytest
 from cosim.clock import SECOND_NS, Ticks
 from cosim.federate import Event, Instants
 from cosim.types import Contact
-from physics.bullet import BulletEngine
+from physics.bullet import p
+from physics.bullet.engine import BulletEngine
 from physics.federate import BulletPhysics
+from physics.solids import Box
 from physics.vehicles import P2DX, AmigoBot, DifferentialDrive, VehicleSpec
-from physics.world import Box, World
+from physics.world import World
 
 Drive = Callable[..., Any]
-p: Any = sys.modules["pybullet"]  # physics.bullet has loaded it, without its greeting
 ROBOTS = pytest.mark.parametrize("robot", [P2DX(), AmigoBot()], ids=["p2dx", "amigobot"])
-WALL = World(boxes=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
+WALL = World(solids=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
 
 
 def abrupt(robot: DifferentialDrive) -> DifferentialDrive:
@@ -135,8 +135,8 @@ def test_walls_stop_a_robot(robot: DifferentialDrive, speed: float, drive: Drive
 
 def test_robots_collide_and_both_are_named(play: Callable[..., list[list[Event]]]) -> None:
     vehicles = [
-        VehicleSpec(name="late", model=AmigoBot(), pose=(2.0, 0.0, math.pi)),
-        VehicleSpec(name="early", model=P2DX(), pose=(0.0, 0.0, 0.0)),
+        VehicleSpec(name="late", model=AmigoBot(), position=(2.0, 0.0, 0.0), heading=math.pi),
+        VehicleSpec(name="early", model=P2DX(), position=(0.0, 0.0, 0.0)),
     ]
     steps = play(BulletPhysics(world=World(), vehicles=vehicles), [(0.0, "early", 0.5, 0.0)], 5.0, [Instants(Ticks.every(0.1))])
     contacts = [event for events in steps for event in events if event.key == "world/contact"]
@@ -150,7 +150,7 @@ def test_robots_collide_and_both_are_named(play: Callable[..., list[list[Event]]
 def test_wheels_and_boxes_do_not_widen_a_robot(drive: Drive) -> None:
     robot = P2DX()
     walls = tuple(Box(center=(2.0, side * (0.5 * robot.width_m + 0.03 + 0.1), 0.5), size=(3.0, 0.2, 1.0)) for side in (1, -1))
-    moved = drive(BulletPhysics, robot, [(0.0, 0.4, 0.0)], 9.0, world=World(boxes=walls))
+    moved = drive(BulletPhysics, robot, [(0.0, 0.4, 0.0)], 9.0, world=World(solids=walls))
     assert moved.contacts == []
     assert moved.position[-1, 0] > 3.0
 
@@ -159,7 +159,8 @@ def engine(*robots: tuple[DifferentialDrive, tuple[float, float, float]], world:
     return BulletEngine(
         world=world or World(),
         models=[model for model, _ in robots],
-        poses=[pose for _, pose in robots],
+        positions=[(x, y, 0.0) for _, (x, y, _) in robots],
+        headings=[yaw for _, (_, _, yaw) in robots],
         rate_hz=120.0,
         iterations=50,
         gravity=9.81,
@@ -169,15 +170,15 @@ def engine(*robots: tuple[DifferentialDrive, tuple[float, float, float]], world:
 @ROBOTS
 def test_mass_and_centre_are_those_of_the_parameters(robot: DifferentialDrive) -> None:
     moved = engine((robot, (1.0, 2.0, 0.7)))
-    body, client = moved._robots[0].body, moved._client
+    body, client = moved._robots.bodies[0], moved._client
     masses = [p.getDynamicsInfo(body, link, physicsClientId=client)[0] for link in (-1, 0, 1)]
     assert sum(masses) == pytest.approx(robot.mass_kg)
     inertia = p.getDynamicsInfo(body, -1, physicsClientId=client)[2]
     assert inertia[2] == pytest.approx(masses[0] * (robot.length_m**2 + robot.width_m**2) / 12.0)
-    state, odometry = moved.read()[0]
-    assert state.position == pytest.approx((1.0, 2.0, 0.0), abs=1e-12)  # the axle, not the centre of mass
-    assert state.yaw == pytest.approx(0.7)
-    assert odometry.pose == pytest.approx((1.0, 2.0, 0.7))
+    motion = moved.read()
+    assert motion.position[0] == pytest.approx((1.0, 2.0, 0.0), abs=1e-12)  # the axle, not the centre of mass
+    assert motion.attitude[0] == pytest.approx((math.cos(0.35), 0.0, 0.0, math.sin(0.35)))
+    assert motion.odometry[0] == pytest.approx((1.0, 2.0, 0.7, 0.0, 0.0))
     moved.advance(2 * SECOND_NS)
     contacts = p.getContactPoints(bodyA=body, physicsClientId=client)
     assert sum(contact[9] for contact in contacts) == pytest.approx(
@@ -191,26 +192,25 @@ def test_mass_and_centre_are_those_of_the_parameters(robot: DifferentialDrive) -
 @ROBOTS
 def test_the_reference_points_velocity_is_the_derivative_of_its_position(robot: DifferentialDrive) -> None:
     moved = engine((robot, (0.0, 0.0, 0.0)))
-    moved.command(0, 0.3, 1.5)
+    moved.command(0, (0.3, 0.0, 0.0), 1.5)
     moved.advance(3 * SECOND_NS)
-    before = moved.read()[0][0]
+    before = moved.read()
     moved.advance(3 * SECOND_NS + SECOND_NS // 120)
-    after = moved.read()[0][0]
-    by_difference = (np.array(after.position) - np.array(before.position)) * 120.0
-    mean = 0.5 * (np.array(after.velocity) + np.array(before.velocity))
-    assert by_difference == pytest.approx(mean, abs=2e-3)
-    assert after.angular_velocity == pytest.approx((0.0, 0.0, 1.5), abs=0.01)
+    after = moved.read()
+    by_difference = (after.position - before.position) * 120.0
+    assert by_difference == pytest.approx(0.5 * (after.velocity + before.velocity), abs=2e-3)
+    assert after.angular_velocity[0] == pytest.approx((0.0, 0.0, 1.5), abs=0.01)
     moved.close()
 
 
 def scene() -> BulletEngine:
     robots = [(P2DX() if k % 2 else AmigoBot(), (0.8 * (k % 4), 0.8 * (k // 4), 0.3 * k)) for k in range(8)]
-    return engine(*robots, world=World(boxes=(Box(center=(4.5, 1.0, 0.5), size=(0.2, 6.0, 1.0)),)))
+    return engine(*robots, world=World(solids=(Box(center=(4.5, 1.0, 0.5), size=(0.2, 6.0, 1.0)),)))
 
 
 def course(moved: BulletEngine, tick: int) -> None:
     for vehicle in range(8):
-        moved.command(vehicle, 0.4, 0.6 * math.sin(0.1 * tick + vehicle))
+        moved.command(vehicle, (0.4, 0.0, 0.0), 0.6 * math.sin(0.1 * tick + vehicle))
     moved.advance((tick + 1) * SECOND_NS // 10)
 
 
@@ -227,8 +227,8 @@ def test_the_same_run_gives_the_same_bits_also_interleaved_with_another() -> Non
             course(b, tick - 7)
     for tick in range(73, 80):
         course(b, tick)
-    assert a.read() == expected
-    assert b.read() == expected
+    for moved in (a, b):
+        assert [array.tobytes() for array in moved.read()] == [array.tobytes() for array in expected]
     assert a.touching() == touched
     a.close()
     b.close()

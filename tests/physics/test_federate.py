@@ -16,8 +16,9 @@ from cosim.rng import stream
 from cosim.types import Velocity
 from physics.federate import BulletPhysics, KinematicPhysics, Physics
 from physics.positioning import Positioning
+from physics.solids import Box
 from physics.vehicles import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
-from physics.world import Box, World
+from physics.world import World
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
@@ -33,7 +34,7 @@ def car(
     source: str = "truth",
     sensor: Positioning | None = None,
 ) -> VehicleSpec:
-    return VehicleSpec(name=name, model=model or P2DX(), pose=(x, y, 0.0), pose_source=source, positioning=sensor)
+    return VehicleSpec(name=name, model=model or P2DX(), position=(x, y, 0.0), pose_source=source, positioning=sensor)
 
 
 def values(steps: list[list[Event]], key: str) -> list[Any]:
@@ -207,9 +208,9 @@ def test_a_sensor_between_two_bullet_steps_is_refused_and_a_fitting_one_is_not(p
 def test_bodies_that_start_inside_each_other_are_refused_by_name(play: Play) -> None:
     with pytest.raises(ScenarioError, match="car2 and car1 overlap") as raised:
         play(BulletPhysics(world=World(), vehicles=[car(), car("car2", 0.5)]), [], 1.0, TENTH)
-    assert raised.value.key == "vehicle.car2.pose"
-    world = World(boxes=(Box(center=(0.0, 0.0, 1.0), size=(4.0, 4.0, 2.0)),))  # round the robot: no side is touched
-    with pytest.raises(ScenarioError, match=r"car1 overlaps the box at \(0.0, 0.0, 1.0\)"):
+    assert raised.value.key == "vehicle.car2.position"
+    world = World(solids=(Box(center=(0.0, 0.0, 1.0), size=(4.0, 4.0, 2.0)),))  # round the robot: no side is touched
+    with pytest.raises(ScenarioError, match=r"car1 and the box at \(0.0, 0.0, 1.0\).* overlap at the start, by"):
         play(BulletPhysics(world=world, vehicles=[car()]), [], 1.0, TENTH)
 
 
@@ -265,9 +266,10 @@ from cosim.clock import Ticks
 from cosim.federate import Instants, RunInfo
 from physics.federate import {kind}
 from physics.vehicles import P2DX, VehicleSpec
-from physics.world import Box, World
-world = World(boxes=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))
-physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX(), pose=(0.0, 0.0, 0.0))])
+from physics.solids import Box
+from physics.world import World
+world = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))
+physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX())])
 physics.start(RunInfo(scenario="test", seed=1, duration_ns=10**9, vehicles=("car",), instants=(Instants(Ticks.every(0.1)),)))
 physics.step(10**9, ())
 physics.close()

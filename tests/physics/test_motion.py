@@ -13,7 +13,7 @@ from cosim.clock import SECOND_NS
 from cosim.frames import arc, wrap
 from physics.federate import KinematicPhysics
 from physics.motion import MotionEngine
-from physics.vehicles import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
+from physics.vehicles import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
 
 speeds = st.floats(-2.0, 2.0)
 rates = st.floats(-3.0, 3.0)
@@ -21,20 +21,21 @@ spans = st.integers(1, 3 * SECOND_NS)
 
 
 def engine(*models: GroundVehicle, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MotionEngine:
-    return MotionEngine([VehicleSpec(name=f"car{i}", model=model, pose=pose) for i, model in enumerate(models)])
+    x, y, yaw = pose
+    return MotionEngine(models, [(x, y, 0.0)] * len(models), [yaw] * len(models))
 
 
 def row(moved: MotionEngine, number: int = 0) -> tuple[float, float, float, float, float]:
     """x, y, yaw, v, w."""
-    _, odometry = moved.read()[number]
-    return *odometry.pose, odometry.v, odometry.w
+    x, y, yaw, v, w = moved.read().odometry[number].tolist()
+    return x, y, yaw, v, w
 
 
 @given(v=speeds, w=rates, yaw=rates, span_ns=spans)
 @pytest.mark.parametrize("model", [Kinematic(), P2DX(), AmigoBot()], ids=lambda model: type(model).__name__)
 def test_ideal_vehicles_move_on_exact_arcs(model: GroundVehicle, v: float, w: float, yaw: float, span_ns: int) -> None:
     moved = engine(model, pose=(1.0, -2.0, yaw))
-    moved.command(0, v, w)
+    moved.command(0, (v, 0.0, 0.0), w)
     moved.advance(span_ns)
     x, y, turned = arc((1.0, -2.0, yaw), v, w, span_ns / SECOND_NS)
     assert row(moved)[:2] == pytest.approx((x, y), abs=1e-12)
@@ -51,7 +52,7 @@ def test_looking_in_between_changes_nothing(
 ) -> None:
     once, often = engine(model), engine(model)
     for moved in (once, often):
-        moved.command(0, v, w)
+        moved.command(0, (v, 0.0, 0.0), w)
     for cut in sorted(cut for cut in cuts if cut < span_ns):
         often.advance(cut)
     once.advance(span_ns)
@@ -63,7 +64,7 @@ def test_looking_in_between_changes_nothing(
 
 def test_lag_is_exactly_exponential() -> None:
     moved = engine(Lag(tau_v_s=0.5, tau_w_s=0.3))
-    moved.command(0, 0.8, 0.0)
+    moved.command(0, (0.8, 0.0, 0.0), 0.0)
     for k in range(1, 30):
         t = 0.137 * k
         moved.advance(round(t * SECOND_NS))
@@ -75,12 +76,12 @@ def test_lag_is_exactly_exponential() -> None:
 def test_inertial_starts_on_its_ramp_and_then_decays() -> None:
     # e = 0.6, a tau = 0.15: a ramp of 0.3 m/s2 until t1 = 1.5 s, then 0.15 exp(-(t - t1) / 0.5) is missing.
     moved = engine(Inertial())
-    moved.command(0, 0.6, 0.0)
+    moved.command(0, (0.6, 0.0, 0.0), 0.0)
     moved.advance(SECOND_NS)
     assert row(moved)[3] == pytest.approx(0.3)
     moved.advance(5 * SECOND_NS // 2)
     assert row(moved)[3] == pytest.approx(0.6 - 0.15 * math.exp(-2.0))
-    moved.command(0, 0.0, 0.0)  # decelerates at most at 0.75 m/s2: knee 0.375
+    moved.command(0, (0.0, 0.0, 0.0), 0.0)  # decelerates at most at 0.75 m/s2: knee 0.375
     before = row(moved)[3]
     moved.advance(27 * SECOND_NS // 10)
     assert row(moved)[3] == pytest.approx(before - 0.2 * 0.75)
@@ -94,7 +95,7 @@ def test_inertial_keeps_its_limits(sequence: list[tuple[float, float]]) -> None:
     moved, model = engine(Inertial()), Inertial()
     v = w = 0.0
     for k, (wanted_v, wanted_w) in enumerate(sequence, 1):
-        moved.command(0, wanted_v, wanted_w)
+        moved.command(0, (wanted_v, 0.0, 0.0), wanted_w)
         moved.advance(k * SECOND_NS // 5)
         _, _, _, new_v, new_w = row(moved)
         assert -model.decel * 0.2 - 1e-9 <= new_v - v <= model.accel * 0.2 + 1e-9
@@ -114,7 +115,7 @@ def test_agrees_with_a_plain_integration(model: Lag, sequence: list[tuple[float,
     servo, moved = model.servo, engine(model)
     x = y = yaw = v = w = 0.0
     for k, (wanted_v, wanted_w) in enumerate(sequence, 1):
-        moved.command(0, wanted_v, wanted_w)
+        moved.command(0, (wanted_v, 0.0, 0.0), wanted_w)
         moved.advance(k * SECOND_NS // 10)
         goal_v = min(max(wanted_v, -servo.max_speed), servo.max_speed)
         goal_w = min(max(wanted_w, -servo.max_yaw_rate), servo.max_yaw_rate)
@@ -134,8 +135,8 @@ def test_a_fleet_moves_as_each_of_it_alone() -> None:
     draws = np.random.default_rng(3).uniform(-1.0, 1.0, (20, len(models), 2))
     for k, wanted in enumerate(draws, 1):
         for number, (v, w) in enumerate(wanted.tolist()):
-            fleet.command(number, v, w)
-            alone[number].command(0, v, w)
+            fleet.command(number, (v, 0.0, 0.0), w)
+            alone[number].command(0, (v, 0.0, 0.0), w)
         for moved in (fleet, *alone):
             moved.advance(k * SECOND_NS // 10)
     for number, moved in enumerate(alone):
@@ -145,13 +146,13 @@ def test_a_fleet_moves_as_each_of_it_alone() -> None:
 def overshoot(model: GroundVehicle, k1: float, period_s: float = 0.1) -> float:
     """Catch up with a slot that moves at 0.3 m/s, 0.5 m ahead, by v = 0.3 + k1 z; how far beyond it goes, of 0.5 m."""
     moved, period_ns = engine(model), round(period_s * SECOND_NS)
-    moved.command(0, 0.3, 0.0)
+    moved.command(0, (0.3, 0.0, 0.0), 0.0)
     moved.advance(60 * SECOND_NS)  # at speed when it begins
     start_m, least = row(moved)[0], math.inf
     for k in range(round(40.0 / period_s)):
         z = start_m + 0.5 + 0.3 * k * period_s - row(moved)[0]
         least = min(least, z)
-        moved.command(0, 0.3 + k1 * z, 0.0)
+        moved.command(0, (0.3 + k1 * z, 0.0, 0.0), 0.0)
         moved.advance(60 * SECOND_NS + (k + 1) * period_ns)
     return max(0.0, -least / 0.5)
 

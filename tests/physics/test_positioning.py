@@ -7,6 +7,8 @@ from cosim.frames import quaternion_from_yaw, wrap
 from cosim.rng import stream
 from cosim.types import Fix, VehicleState
 from physics.positioning import Positioning
+from physics.sensors.positioning import PositioningSensor
+from tests.physics.sensor_scenes import readings, scene_of
 
 TRUTH = VehicleState(position=(3.0, -4.0, 0.0), attitude=quaternion_from_yaw(3.1))
 
@@ -18,7 +20,7 @@ def fixes(sensor: Positioning, n: int, name: str = "car/positioning") -> list[Fi
 
 def errors(sensor: Positioning, n: int, name: str = "car/positioning") -> np.ndarray:
     """(n, 3): x m, y m, yaw rad."""
-    return np.array([(f.position[0] - 3.0, f.position[1] + 4.0, wrap(f.yaw - 3.1)) for f in fixes(sensor, n, name)])
+    return np.array([(f.position[0] - 3.0, f.position[1] + 4.0, wrap((f.yaw or 0.0) - 3.1)) for f in fixes(sensor, n, name)])
 
 
 def test_errors_are_independent_and_of_the_stated_size() -> None:
@@ -39,7 +41,7 @@ def test_without_noise_it_tells_the_truth() -> None:
 
 
 def test_yaw_is_wrapped() -> None:
-    yaws = [fix.yaw for fix in fixes(Positioning(sigma_rad=0.5), 500)]
+    yaws = [fix.yaw or 0.0 for fix in fixes(Positioning(sigma_rad=0.5), 500)]
     assert min(yaws) >= -np.pi
     assert max(yaws) < np.pi
     assert min(yaws) < 0.0 < max(yaws)  # 3.1 rad with noise lies on both sides of the seam
@@ -61,3 +63,9 @@ def test_parameters_never_move_the_draws() -> None:
     assert 0 < displaced.sum() < 200
     assert np.array_equal(some[~displaced], plain[~displaced])
     assert not np.array_equal(errors(Positioning(sigma_m=0.1), 200, "other/positioning"), plain)
+
+
+def test_as_a_sensor_among_others_it_gives_the_same_fixes_from_the_same_draws() -> None:
+    parameters = {"sigma_m": 0.2, "sigma_rad": 0.1, "outlier_probability": 0.3, "outlier_m": 3.0}
+    scenes = [scene_of(TRUTH.position, t=k * 1e-9, yaw=3.1) for k in range(100)]
+    assert readings(PositioningSensor(**parameters), scenes, "car/positioning") == fixes(Positioning(**parameters), 100)

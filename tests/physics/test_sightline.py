@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from physics.sightline import Sightline
-from physics.world import Box
+from physics.solids import Box
 
 place = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
 boxes = st.builds(

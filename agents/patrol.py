@@ -1,0 +1,113 @@
+"""Patrol: go from way-point to way-point, on wheels or in the air; wait where something stands in the way."""
+
+import math
+
+import numpy as np
+
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from cosim.frames import rotate2, wrap
+from cosim.types import Array, NonNegative, Positive, Scan, Vec3, Velocity, Waypoint
+
+TURN_GAIN = 1.5  # 1/s
+TURN_ON_THE_SPOT = 0.8  # rad: aside by more than that, it turns before it goes on
+
+
+class Patrol(Agent):
+    """Visit points in turn.
+
+    On wheels: turn towards the point, then drive at it, slower the further it lies aside. In the air: tell the autopilot. A
+    vehicle on wheels with a range scanner stops as long as something is nearer than ``clearance`` in its way, and turns where
+    there is more room when it has waited for ``patience_s``.
+
+    Args:
+        way: points, x, y, z m, world; on wheels z does not matter.
+        relative: the points are meant from where the vehicle starts.
+        speed: m/s.
+        loop: begin again after the last one; else stay there.
+        arrive_m: a point is reached from this near.
+        flies: whether it is told way-points or velocities.
+        scanner: name of the range scanner that it looks at; empty: none.
+        clearance: of the way ahead, m.
+        patience_s: how long it waits before it turns aside.
+        report_s: it tells its position by radio so often, s, from a random instant on; 0: never.
+    """
+
+    def __init__(
+        self,
+        way: tuple[Vec3, ...],
+        *,
+        relative: bool = False,
+        speed: Positive = 0.3,
+        loop: bool = True,
+        arrive_m: Positive = 0.3,
+        flies: bool = False,
+        scanner: str = "",
+        clearance: Positive = 0.6,
+        patience_s: NonNegative = 2.0,
+        report_s: NonNegative = 1.0,
+    ) -> None:
+        if not way:
+            raise ValueError("way needs at least one point")
+        self.way, self.relative, self.speed, self.loop, self.arrive_m = way, relative, speed, loop, arrive_m
+        self.flies, self.scanner, self.report_s = flies, scanner, report_s
+        self.clearance, self.patience_s = clearance, patience_s
+        self.sensors = (scanner,) if scanner else ()
+        self._next, self._waiting_s = 0, 0.0
+        self._origin: Vec3 | None = None
+
+    def start(self, info: VehicleInfo) -> None:
+        """Note the period, and draw when to report: not all at once."""
+        self._period_s = info.period_s
+        self._report_at_s = info.stream("report").uniform(0.0, self.report_s) if self.report_s else math.inf
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint:
+        """Go on towards the next point."""
+        if self._origin is None:
+            self._origin = obs.state.position if self.relative else (0.0, 0.0, 0.0)
+        if obs.time_s >= self._report_at_s:
+            self._report_at_s += self.report_s
+            x, y, z = obs.state.position
+            radio.send(x=x, y=y, z=z)
+        return self._fly(obs) if self.flies else self._drive(obs)
+
+    def _aim(self, obs: Observation) -> Vec3:
+        """The next point, or the one after it where this one is reached."""
+        for _ in self.way:
+            x, y, z = (a + b for a, b in zip(self.way[self._next], self._origin or (0.0, 0.0, 0.0), strict=True))
+            away = [a - b for a, b in zip((x, y, z), obs.state.position, strict=True)]
+            if math.hypot(*away[: 3 if self.flies else 2]) > self.arrive_m or (
+                not self.loop and self._next == len(self.way) - 1
+            ):
+                break
+            self._next = (self._next + 1) % len(self.way)
+        return x, y, z
+
+    def _fly(self, obs: Observation) -> Waypoint:
+        return Waypoint(position=self._aim(obs), speed=self.speed)
+
+    def _drive(self, obs: Observation) -> Velocity:
+        x, y, _ = self._aim(obs)
+        ahead, left = rotate2(x - obs.state.position[0], y - obs.state.position[1], -obs.state.yaw)
+        if math.hypot(ahead, left) <= self.arrive_m:
+            return Velocity()
+        aside = wrap(math.atan2(left, ahead))
+        scan = obs.readings.get(self.scanner) if self.scanner else None
+        if isinstance(scan, Scan) and abs(aside) < TURN_ON_THE_SPOT and _nearest(scan, 0.0, self.clearance) < self.clearance:
+            self._waiting_s += self._period_s
+            if self._waiting_s <= self.patience_s:
+                return Velocity()
+            sides = [_nearest(scan, side * TURN_ON_THE_SPOT, 2.0 * self.clearance) for side in (1, -1)]
+            return Velocity(yaw_rate=0.5 if sides[0] >= sides[1] else -0.5)
+        self._waiting_s = 0.0
+        forward = self.speed * max(0.0, math.cos(aside)) if abs(aside) < TURN_ON_THE_SPOT else 0.0
+        return Velocity(linear=(forward, 0.0, 0.0), yaw_rate=max(-1.0, min(TURN_GAIN * aside, 1.0)))
+
+
+def _nearest(scan: Scan, bearing: float, width_m: float) -> float:
+    """How far ahead the nearest return is within a lane of some width around a bearing, m."""
+    aside = scan.angle_min + scan.angle_step * np.arange(len(scan.ranges)) - bearing
+    seen = np.isfinite(scan.ranges) | (scan.ranges < 0.0)  # nearer than it can measure: -inf, as good as 0
+    ranges = np.where(seen, np.maximum(scan.ranges, 0.0), 0.0)
+    ahead, across = ranges * np.cos(aside), ranges * np.sin(aside)
+    inside: Array = ahead[seen & (np.cos(aside) > 0.0) & (np.abs(across) < 0.5 * width_m)]
+    return float(inside.min()) if len(inside) else math.inf

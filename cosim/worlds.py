@@ -1,0 +1,73 @@
+"""Worlds by themselves: found by name, file or scenario, counted and drawn."""
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim import component, registry, table
+from cosim import scenario as scenarios
+from cosim.errors import ScenarioError, UsageError
+from cosim.source import Source
+
+FILES = {".toml": "file", ".yaml": "map", ".yml": "map", ".geojson": "geojson", ".json": "geojson"}
+MESHES = (".obj", ".stl", ".ply", ".glb", ".off")
+
+
+def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
+    """The world that a word names: a kind, ``module:Class``, a file (world, map, GeoJSON, mesh), or a scenario; and its name.
+
+    Args:
+        what: the word.
+        settings: keys of the world or, for a scenario, of the scenario, and their values.
+    """
+    path = Path(what)
+    if what in registry.KINDS["world"] or ":" in what:
+        table_, source, name = {"kind": what}, Source("--set", Path()), what.rpartition(":")[2]
+    elif path.suffix in (*FILES, *MESHES) and path.is_file() and not _is_scenario(path):
+        kind = FILES.get(path.suffix, "mesh")
+        table_, source, name = {"kind": kind, "path": str(path.resolve())}, Source(what, Path()), path.stem
+    elif what in scenarios.names() or path.is_file():
+        parsed, source = scenarios.load(what, settings=settings)
+        table_, name, settings = {"kind": "empty", **parsed.world}, parsed.name, {}
+    else:
+        known = table.unknown("world", what, [*registry.KINDS["world"], *scenarios.names()])
+        raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
+    world, _ = component.build("world", {**table_, **settings}, key="world", source=source)
+    try:
+        return world.build(), name
+    except ValueError as error:
+        raise ScenarioError(str(error), key="world", source=source.name) from error
+
+
+def describe(world: Any, name: str) -> dict[str, Any]:
+    """What is in a world."""
+    kinds = Counter(type(each).__name__.lower() for each in world.solids)
+    materials = Counter(each.material for each in world.solids)
+    return {
+        "world": name,
+        "solids": len(world.solids),
+        "kinds": dict(sorted(kinds.items())),
+        "materials": dict(sorted(materials.items())),
+        "movables": len(world.movables),
+        "moving": len(world.moving),
+        "bounds": world.bounds,
+    }
+
+
+def draw(world: Any, target: Path) -> None:
+    """Draw a world, from above and in perspective, into a PNG file."""
+    if target.suffix.lower() != ".png":
+        raise UsageError(f"--png {target}: the name must end in .png")
+    pictures = registry.piece("world pictures")
+    png: bytes = pictures.png(np.hstack(pictures.draw_world(world)))
+    try:
+        target.write_bytes(png)
+    except OSError as error:
+        raise UsageError(f"--png {target}: cannot be written: {error.strerror}") from error
+
+
+def _is_scenario(path: Path) -> bool:
+    return path.suffix == ".toml" and "vehicle" in scenarios.table_of(path)

@@ -1,0 +1,47 @@
+"""What sensors see of an instant: the vehicles, and the other bodies of the world behind them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from physics.bodies import hull_of, on_time, start_of
+from physics.engine import Motion, Touch
+from physics.scene import Scene
+from physics.vehicles import VehicleSpec
+from physics.world import Movable, Moving, World
+
+
+class Stage:
+    """Rows of bodies: vehicles in the scenario's order, then movables, then moving obstacles; with their ``names``."""
+
+    def __init__(self, world: World, vehicles: Sequence[VehicleSpec], gravity: float) -> None:
+        things: list[Movable | Moving] = [*world.movables, *world.moving]
+        self._world, self._gravity = world, gravity
+        self._vehicles = tuple(spec.name for spec in vehicles)
+        self._hulls = (*(spec.model.hull for spec in vehicles), *(hull_of(each.solid) for each in things))
+        self.names = (*self._vehicles, *(each.name for each in things))
+        self._start_of_movables = start_of(world.movables)
+
+    def scene(self, now_ns: int, motion: Motion, movables: Motion | None, touches: Sequence[Touch]) -> Scene:
+        """The scene of an instant: how vehicles move, and movables if they do; obstacles keep to their time-tables."""
+        bodies = [*motion[:4]]
+        if len(self.names) > len(self._vehicles):
+            things = (self._start_of_movables if movables is None else movables, on_time(self._world.moving, now_ns))
+            bodies = [np.concatenate(each) for each in zip(bodies, *(each[:4] for each in things), strict=True)]
+            for each in bodies:
+                each.flags.writeable = False
+        position, velocity, attitude, angular_velocity = bodies
+        return Scene(
+            now_ns=now_ns,
+            world=self._world,
+            vehicles=self._vehicles,
+            hulls=self._hulls,
+            position=position,
+            velocity=velocity,
+            attitude=attitude,
+            angular_velocity=angular_velocity,
+            acceleration=motion.acceleration,
+            wheels=motion.wheels,
+            touching=[(each.row, each.other, each.place) for each in touches],
+            gravity=self._gravity,
+        )

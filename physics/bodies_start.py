@@ -1,0 +1,70 @@
+"""What is refused before time 0: vehicles outside the world, and bodies that start inside each other or inside a solid."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.errors import ScenarioError
+from cosim.types import Array
+from physics.bodies import heading_of, hull_of, outline
+from physics.polygons import overlap_m
+from physics.vehicles import VehicleSpec, flies
+from physics.world import World
+
+_TOUCHES_M = 1e-9  # bodies that only touch do not overlap
+
+
+class _Body(NamedTuple):
+    name: str
+    corners: Array
+    bottom: float
+    top: float
+
+
+def check_places(world: World, vehicles: Sequence[VehicleSpec]) -> None:
+    """Refuse vehicles that start where the world is not."""
+    for spec in vehicles:
+        key = f"vehicle.{spec.name}.position"
+        if not np.isfinite([*spec.position, spec.heading]).all():
+            raise ScenarioError(f"{spec.name} starts at {spec.position}, heading {spec.heading}: not finite", key=key)
+        if (beyond := world.outside(*spec.position[:2])) > 0.0:
+            raise ScenarioError(f"{spec.name} starts {beyond:.3g} m outside the world ({world.name})", key=key)
+        if flies(spec.model) and spec.position[2] < 0.0:
+            raise ScenarioError(
+                f"{spec.name} starts {-spec.position[2]:.3g} m below the floor; z must not be negative", key=key
+            )
+
+
+def check_overlaps(world: World, vehicles: Sequence[VehicleSpec]) -> None:
+    """Refuse bodies that start inside each other or inside a solid: an engine would fling them apart."""
+    bodies = [
+        _Body(each.name, *outline(hull_of(each.solid), each.solid.center, heading_of(each.solid))) for each in world.movables
+    ]
+    for each in world.moving:
+        x, y, z, heading = each.pose(0.0)
+        bodies.append(_Body(each.name, *outline(hull_of(each.solid), (x, y, z), heading)))
+    others = len(bodies)
+    bodies += [_Body(spec.name, *outline(spec.model.hull, spec.start, spec.heading)) for spec in vehicles]
+    circles = np.array([_circle(body.corners) for body in bodies]).reshape(-1, 3)
+    for number in range(others, len(bodies)):
+        body = bodies[number]
+        x, y, radius = circles[number]
+        apart = np.hypot(circles[:number, 0] - x, circles[:number, 1] - y)
+        for k in np.flatnonzero(apart < circles[:number, 2] + radius).tolist():
+            other = bodies[k]
+            depth = min(overlap_m(body.corners, other.corners), min(body.top, other.top) - max(body.bottom, other.bottom))
+            if depth > _TOUCHES_M:
+                _refuse(body, other.name, depth)
+        if (found := world.blocking(body.corners, body.bottom, body.top)) is not None and found[1] > _TOUCHES_M:
+            _refuse(body, found[0].words, found[1])
+
+
+def _refuse(body: _Body, what: str, depth_m: float) -> None:
+    problem = f"{body.name} and {what} overlap at the start, by {depth_m:.3g} m; move one"
+    raise ScenarioError(problem, key=f"vehicle.{body.name}.position")
+
+
+def _circle(corners: Array) -> tuple[float, float, float]:
+    middle = corners.mean(axis=0)
+    return float(middle[0]), float(middle[1]), float(np.hypot(*(corners - middle).T).max())

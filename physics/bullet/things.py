@@ -1,0 +1,162 @@
+"""What is in a Bullet world besides vehicles: floor and solids, things that can be pushed, obstacles with a time-table."""
+
+import math
+
+import numpy as np
+
+from cosim.types import Array, Vec3
+from physics.bodies import heading_of, on_time
+from physics.bullet import FLOOR, SOLID, WHEEL, p, turned
+from physics.engine import Motion, side_by_side, still
+from physics.solids import Box, Cylinder
+from physics.world import World
+
+_HEAVY_KG = 1e6  # an obstacle with a time-table: nothing holds it up, and unlike a body without mass it wakes what it meets
+_FALLS_ASLEEP = 0.01  # m2/s2: a movable slower than this for 2 s is left out of the steps until something touches it
+
+
+class Things:
+    """The floor, the solids as one mesh, movables and moving obstacles.
+
+    All solids are one mesh: a step costs the same with one box as with hundreds.
+    """
+
+    def __init__(self, client: int, world: World) -> None:
+        self._client, self._moving = client, world.moving
+        plane = p.createCollisionShape(p.GEOM_PLANE, planeNormal=(0.0, 0.0, 1.0), physicsClientId=client)
+        self.floor: int = p.createMultiBody(0.0, plane, physicsClientId=client)
+        # With zones, whatever rolls has its friction scaled by where it is, and the floor leaves it at that.
+        friction = 1.0 if world.zones else world.floor_friction
+        p.changeDynamics(self.floor, -1, lateralFriction=friction, physicsClientId=client)
+        p.setCollisionFilterGroupMask(self.floor, -1, FLOOR, SOLID | WHEEL, physicsClientId=client)
+        self.solids = self._build_solids(world) if world.solids else -1
+        self.movables = [self._build(each.solid, each.mass_kg, each.friction) for each in world.movables]
+        self._asleep()
+        self.moving = [self._build(each.solid, _HEAVY_KG, 0.5) for each in world.moving]
+        for body in self.moving:  # they do not mind the floor
+            p.setCollisionFilterGroupMask(body, -1, SOLID, SOLID, physicsClientId=client)
+        self._sizes = np.array(
+            [_size_m(each.solid) for each in world.movables] + [_size_m(each.solid) for each in world.moving]
+        )
+        self.place(0)
+
+    def _build_solids(self, world: World) -> int:
+        vertices, triangles = world.mesh()
+        mesh = p.createCollisionShape(
+            p.GEOM_MESH,
+            vertices=vertices.tolist(),
+            indices=triangles.ravel().tolist(),
+            flags=p.GEOM_FORCE_CONCAVE_TRIMESH,
+            physicsClientId=self._client,
+        )
+        body: int = p.createMultiBody(0.0, mesh, physicsClientId=self._client)
+        p.setCollisionFilterGroupMask(body, -1, SOLID, SOLID, physicsClientId=self._client)
+        return body
+
+    def _build(self, solid: Box | Cylinder, mass_kg: float, friction: float) -> int:
+        client = self._client
+        if isinstance(solid, Cylinder):
+            shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=solid.radius, height=solid.height, physicsClientId=client)
+        else:
+            half = [0.5 * side for side in solid.size]
+            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=client)
+        body: int = p.createMultiBody(
+            mass_kg,
+            shape,
+            basePosition=solid.center,
+            baseOrientation=turned(heading_of(solid)),
+            flags=p.URDF_ENABLE_SLEEPING,
+            physicsClientId=client,
+        )
+        p.changeDynamics(body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
+        p.setCollisionFilterGroupMask(body, -1, SOLID, FLOOR | SOLID, physicsClientId=client)
+        return body
+
+    def _asleep(self) -> None:
+        for body in self.movables:
+            p.changeDynamics(
+                body,
+                -1,
+                activationState=p.ACTIVATION_STATE_ENABLE_SLEEPING,
+                sleepThreshold=_FALLS_ASLEEP,
+                physicsClientId=self._client,
+            )
+
+    def place(self, now_ns: int) -> None:
+        """Put the moving obstacles where they belong, as fast as they go: what they meet is pushed."""
+        if not self.moving:
+            return
+        now = on_time(self._moving, now_ns)
+        client = self._client
+        for body, place, (w, x, y, z), speed, turning in zip(
+            self.moving,
+            now.position.tolist(),
+            now.attitude.tolist(),
+            now.velocity.tolist(),
+            now.angular_velocity.tolist(),
+            strict=True,
+        ):
+            p.resetBasePositionAndOrientation(body, place, (x, y, z, w), client)
+            p.resetBaseVelocity(body, speed, turning, client)
+
+    def spheres(self, now_ns: int, span_s: float) -> tuple[Array, Array]:
+        """Places (m, 3) m of movables and moving obstacles, and how far around it each may be within ``span_s``, (m,) m."""
+        if not len(self._sizes):
+            return np.empty((0, 3)), np.empty(0)
+        parts = (self.read(), on_time(self._moving, now_ns))
+        velocity = np.concatenate([each.velocity for each in parts])
+        ways = span_s * np.sqrt((velocity * velocity).sum(axis=1))
+        return np.concatenate([each.position for each in parts]), self._sizes + ways
+
+    def read(self) -> Motion:
+        """How the movables move."""
+        if not self.movables:
+            return _NOTHING
+        return base_motion(self._client, self.movables, [(0.0, 0.0, 0.0)] * len(self.movables))
+
+
+def _size_m(solid: Box | Cylinder) -> float:
+    """The radius of a sphere around it."""
+    size = solid.size if isinstance(solid, Box) else (2.0 * solid.radius, 2.0 * solid.radius, solid.height)
+    return 0.5 * math.hypot(*size)
+
+
+_NOTHING = still(np.empty((0, 3)), np.empty(0))
+
+BaseState = tuple[Vec3, tuple[float, float, float, float], Vec3, Vec3]
+"""Of a body's centre of mass: place, m; attitude, x, y, z, w; velocity, m/s; angular velocity, rad/s; in the world's axes."""
+
+
+def base_states(client: int, bodies: list[int]) -> list[BaseState]:
+    """What Bullet says of bodies, as it says it."""
+    poses, speeds = p.getBasePositionAndOrientation, p.getBaseVelocity
+    return [(*poses(body, client), *speeds(body, client)) for body in bodies]
+
+
+def base_motion(client: int, bodies: list[int], references: list[Vec3]) -> Motion:
+    """How bodies move: their reference points, each at a place in the frame of the body's centre of mass, m."""
+    return motion_of(base_states(client, bodies), references)
+
+
+def motion_of(states: list[BaseState], references: list[Vec3]) -> Motion:
+    """The same of what Bullet said."""
+    n = len(states)
+    centre = np.array([each[0] for each in states], float).reshape(n, 3)
+    qx, qy, qz, qw = np.array([each[1] for each in states], float).reshape(n, 4).T
+    velocity = np.array([each[2] for each in states], float).reshape(n, 3)
+    spin = np.array([each[3] for each in states], float).reshape(n, 3)
+    rx, ry, rz = np.array(references, float).reshape(n, 3).T
+    a, b, c = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)  # world_from_body, by rows
+    d, e, f = 2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)
+    g, h, i = 2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
+    x, y, z = a * rx + b * ry + c * rz, d * rx + e * ry + f * rz, g * rx + h * ry + i * rz  # to the reference point, world
+    wx, wy, wz = spin.T
+    return Motion(
+        position=centre + side_by_side(x, y, z),
+        velocity=velocity + side_by_side(wy * z - wz * y, wz * x - wx * z, wx * y - wy * x),
+        attitude=side_by_side(qw, qx, qy, qz),
+        angular_velocity=side_by_side(a * wx + d * wy + g * wz, b * wx + e * wy + h * wz, c * wx + f * wy + i * wz),
+        acceleration=np.zeros((n, 3)),
+        wheels=np.full((n, 2), np.nan),
+        odometry=np.full((n, 5), np.nan),
+    )

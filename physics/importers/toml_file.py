@@ -1,0 +1,64 @@
+"""A world in a TOML file of its own, with the keys that a scenario's ``[world]`` has."""
+
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from cosim import table
+from cosim.errors import ScenarioError
+from cosim.source import Source
+from cosim.types import NonNegative
+from physics.ground import Ground
+from physics.importers.reading import require_file, text_of
+from physics.world import Light, Wind, World
+from physics.worlds.listed import Empty
+
+
+@dataclass(frozen=True, kw_only=True)
+class File:
+    """A world from a TOML file (kind ``file``): ``[[boxes]]``, ``[[cylinders]]``, ``[ground]`` ... as kind ``boxes`` has them.
+
+    Pictures are looked for beside the file.
+    """
+
+    path: str  # of the TOML file
+    floor_friction: NonNegative | None = None  # multiplies the friction of what rolls or slides; None: the file's
+    wind: Wind | None = None  # air that moves; None: the file's
+    light: Light | None = None  # where the sun is; None: the file's
+
+    def __post_init__(self) -> None:
+        require_file(self.path)
+
+    def build(self) -> World:
+        """The world itself.
+
+        Raises:
+            ScenarioError: with the file, the line and the key that is wrong.
+        """
+        path = Path(self.path)
+        text = text_of(path)
+        try:
+            content = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ScenarioError(f"is not TOML: {error}", source=str(path)) from error
+        source = Source(str(path), path.parent, text)
+        listed = table.call(Empty, content, origin=source)
+        try:
+            world = replace(listed, ground=beside(path.parent, listed.ground)).build()
+        except ScenarioError as error:
+            raise ScenarioError(error.problem, key=error.key, source=source.of(error.key)) from error
+        instead: dict[str, Any] = {"floor_friction": self.floor_friction, "wind": self.wind, "light": self.light}
+        given = {key: value for key, value in instead.items() if value is not None}
+        return replace(world, name=path.stem, **given)
+
+
+def beside(folder: Path, ground: Ground) -> Ground:
+    """The ground with pictures whose paths are relative looked for in a folder."""
+    marks = tuple(
+        msgspec.structs.replace(mark, picture=str(folder / mark.picture)) if mark.picture else mark for mark in ground.marks
+    )
+    picture = str(folder / ground.picture) if ground.picture else ""
+    return msgspec.structs.replace(ground, picture=picture, marks=marks)

@@ -1,0 +1,99 @@
+"""Rotations and free rigid bodies, n at once: a column each, so that few NumPy calls do it.
+
+Quaternions (4, n) are w, x, y, z; world_from_body.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_W, _X, _Y, _Z = range(4)
+
+
+def _pairs(*pairs: tuple[int, int]) -> NDArray[np.intp]:
+    """Where products of two components are among all 16."""
+    return np.array([4 * a + b for a, b in pairs])
+
+
+# A rotation matrix, row by row, is the first of these doubled products plus or minus the second; and 1 less on its diagonal.
+_FIRST = _pairs((_W, _W), (_X, _Y), (_X, _Z), (_X, _Y), (_W, _W), (_Y, _Z), (_X, _Z), (_Y, _Z), (_W, _W))
+_SECOND = _pairs((_X, _X), (_W, _Z), (_W, _Y), (_W, _Z), (_Y, _Y), (_W, _X), (_W, _Y), (_W, _X), (_Z, _Z))
+_SIGN = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])[:, None]
+
+# A product of quaternions p q: each component is a sum of four products, the first three of which, but for w, are positive.
+_TERMS = _pairs(
+    *((_W, _W), (_W, _X), (_W, _Y), (_W, _Z)),
+    *((_X, _X), (_X, _W), (_Y, _W), (_Z, _W)),
+    *((_Y, _Y), (_Y, _Z), (_Z, _X), (_X, _Y)),
+    *((_Z, _Z), (_Z, _Y), (_X, _Z), (_Y, _X)),
+)
+_TERM_SIGN = np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, 1.0], [-1.0, -1.0, -1.0, -1.0]])[..., None]
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
+_TINY = 1e-300
+
+
+def rotations(attitude: Floats) -> Floats:
+    """Rotation matrices (3, 3, n) of unit quaternions (4, n)."""
+    n = attitude.shape[1]
+    products = ((attitude + attitude)[:, None] * attitude).reshape(16, n)
+    matrices = products.take(_FIRST, axis=0) + _SIGN * products.take(_SECOND, axis=0)
+    matrices[::4] -= 1.0
+    return matrices.reshape(3, 3, n)
+
+
+def into_world(rotation: Floats, vector: Floats) -> Floats:
+    """Vectors (3, n) of the body frame in the world frame."""
+    terms = rotation * vector
+    result: Floats = terms[:, 0] + terms[:, 1] + terms[:, 2]
+    return result
+
+
+def into_body(rotation: Floats, vector: Floats) -> Floats:
+    """Vectors (3, n) of the world frame in the body frame."""
+    terms = rotation * vector[:, None]
+    result: Floats = terms[0] + terms[1] + terms[2]
+    return result
+
+
+def turned(attitude: Floats, rate: Floats, dt: float) -> Floats:
+    """Unit quaternions (4, n) after ``dt`` s at constant rates (3, n) rad/s, body: the exponential map."""
+    squares = rate * rate
+    speed = np.sqrt(squares[0] + squares[1] + squares[2])
+    half = (0.5 * dt) * speed
+    turn = np.empty_like(attitude)
+    np.cos(half, out=turn[0])
+    np.multiply(rate, np.sin(half) / np.maximum(speed, _TINY), out=turn[1:])
+    n = attitude.shape[1]
+    terms = (attitude[:, None] * turn).reshape(16, n).take(_TERMS, axis=0).reshape(4, 4, n)
+    terms *= _TERM_SIGN
+    after = terms[0] + terms[1] + terms[2] + terms[3]
+    squares = after * after
+    after /= np.sqrt(squares[0] + squares[1] + squares[2] + squares[3])
+    result: Floats = after
+    return result
+
+
+def gyration(inertia: Floats) -> Floats:
+    """What `coupled` is to be multiplied by, for principal moments of inertia (3, n) kg m2, to give rate x J rate."""
+    x, y, z = inertia
+    return np.array([z - y, x - z, y - x])
+
+
+def coupled(rate: Floats) -> Floats:
+    """The products y z, z x and x y of rates (3, n)."""
+    return rate.take(_NEXT, axis=0) * rate.take(_LAST, axis=0)
+
+
+def column(models: Sequence[object], name: str) -> Floats:
+    """An attribute of all of them, (n,)."""
+    return np.array([getattr(model, name) for model in models], float)
+
+
+def columns(rows: Any, size: int) -> Floats:
+    """A (size, n) array of its own from (n, size) numbers, n of which may be 0."""
+    return np.array(rows, float).reshape(-1, size).T.copy()

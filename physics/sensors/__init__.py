@@ -1,0 +1,19 @@
+"""What vehicles carry: one sensor a file. For range scanners and cameras see `physics.scanner` and `physics.camera`.
+
+=================================  ========  ===================================================================
+class                              reading   what it measures
+=================================  ========  ===================================================================
+`gps.Gps`                          Fix       position outdoors: slow and white errors, late
+`uwb.Uwb`                          Fix       position indoors: biases near walls, geometry of anchors
+`positioning.PositioningSensor`    Fix       position and heading with white errors
+`imu.InertialUnit`                 Imu       specific force and angular velocity in the body frame
+`odometry.WheelOdometry`           Odometry  pose and speeds from the turns of two wheels
+`bumper.Bumper`                    Measured  which segments of the hull touch something, 0 or 1
+`neighbours.NeighbourRange`        Measured  distance to each other vehicle within reach, m, by its name
+`altimeter.Altimeter`              Measured  ``height_m`` above the floor
+`compass.Compass`                  Measured  ``yaw_rad`` from east
+=================================  ========  ===================================================================
+
+All take the rate, phase, latency and drop-out of `physics.sensor.Sensor`. Fixes tell the standard deviation of their noise;
+biases near walls and outliers are not in it.
+"""

@@ -1,0 +1,90 @@
+"""Ultra-wideband positioning: a tag without heading, pushed away from walls that it comes near to."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.types import Array, Fix, NonNegative, Positive, Probability, Vec3
+from physics.noise import jump
+from physics.scene import Scene
+from physics.sensor import Sensor
+from physics.sensors.clearance import Clearance, Near
+from physics.sensors.common import made_once, mounted, sightline
+from physics.world import World
+
+_TINY_M = 1e-6  # stands for no error at all where errors are compared
+
+
+@dataclass(kw_only=True)
+class Uwb(Sensor):
+    """Position of a tag, without heading.
+
+    Reflections from solids nearby, and what the direct path passes through, make ranges too long, never too short (D. Dardari
+    et al., Ranging with ultrawide bandwidth signals in multipath environments, Proceedings of the IEEE 97, 2009).
+
+    Without ``anchors`` the error is the same everywhere except near solids: there the fix is pushed away from the nearest one,
+    by ``wall_bias_m`` at its face and linearly less up to ``wall_reach_m`` from it.
+
+    With ``anchors`` the range to each of them errs by ``sigma_m``, by that bias, and by ``blocked_bias_m`` where a solid stands
+    between; the fix errs by what a least-squares solution, linear about the truth, makes of these and of a height that is known
+    to ``sigma_z_m`` beforehand. So geometry dilutes the precision, outside of the anchors most of all, and the standard
+    deviations that a fix tells are the diluted ones (R. B. Langley, Dilution of precision, GPS World 10(5), 1999).
+    """
+
+    sigma_m: NonNegative = 0.15  # standard deviation of x and of y, or of a range, m; 0.1 to 0.3 are usual indoors
+    sigma_z_m: NonNegative = 0.3  # standard deviation of the height, m; with anchors: of what is known of it beforehand
+    wall_bias_m: NonNegative = 0.3  # error at the face of a solid, m; assumed
+    wall_reach_m: Positive = 1.0  # how far from it there is any, m; assumed
+    outlier_probability: Probability = 0.0  # of a fix to be displaced (a reflection taken for the direct path)
+    outlier_m: NonNegative = 2.0  # how far an outlier is displaced, m, in a random direction
+    anchors: tuple[Vec3, ...] = ()  # where they are, m, world; none: the precision is the same everywhere
+    blocked_bias_m: NonNegative = 0.3  # error of a range through a solid, m; assumed
+    mount: Vec3 = (0.0, 0.0, 0.0)  # of the tag, m, body frame
+
+    def __post_init__(self) -> None:
+        places = np.array(self.anchors, float).reshape(-1, 3)
+        if self.anchors and np.linalg.matrix_rank(places[1:, :2] - places[0, :2]) < 2:
+            raise ValueError("anchors must be at least three that do not stand in a line, seen from above")
+        self._places = places
+
+    def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:
+        """Where the tag seems to be. The number of draws depends on that of the anchors alone."""
+        draws = rng.standard_normal(3 + len(self._places))
+        dx, dy = jump(self.outlier_probability, self.outlier_m, rng)
+        place = mounted(scene, row, self.mount)
+        near = made_once(scene.world, Clearance).nearest(place, self.wall_reach_m) if self.wall_bias_m else None
+        bias_m = self.wall_bias_m * (1.0 - near.distance_m / self.wall_reach_m) if near else 0.0
+        if self.anchors:
+            error, sigma_m, sigma_z_m = self._located(scene.world, place, bias_m, draws)
+        else:
+            error = np.array([self.sigma_m, self.sigma_m, self.sigma_z_m]) * draws[:3] + _away(place, near, bias_m)
+            sigma_m, sigma_z_m = self.sigma_m, self.sigma_z_m
+        x, y, z = (place + error).tolist()
+        return Fix(time_ns=scene.now_ns, position=(x + dx, y + dy, z), sigma_m=sigma_m, sigma_z_m=sigma_z_m)
+
+    def _located(self, world: World, place: Array, bias_m: float, draws: Array) -> tuple[Array, float, float]:
+        """Error of a fix from ranges, (3,) m, and its standard deviations without biases: horizontal, vertical, m."""
+        run = place - self._places
+        directions = run / np.maximum(np.linalg.norm(run, axis=1), _TINY_M)[:, None]
+        errors = self.sigma_m * draws[3:] + bias_m
+        if self.blocked_bias_m:
+            passes, _ = sightline(world).crossings(place, self._places)
+            errors = errors + self.blocked_bias_m * passes.any(axis=1)
+        weight = (max(self.sigma_m, _TINY_M) / max(self.sigma_z_m, _TINY_M)) ** 2  # of the known height, beside a range
+        normal = directions.T @ directions
+        normal[2, 2] += weight
+        spread = np.linalg.inv(normal)
+        right = directions.T @ errors
+        right[2] += weight * self.sigma_z_m * draws[2]
+        x, y, z = np.diag(spread).tolist()
+        error: Array = spread @ right
+        return error, self.sigma_m * math.sqrt(0.5 * (x + y)), self.sigma_m * math.sqrt(z)
+
+
+def _away(place: Array, near: Near | None, bias_m: float) -> Array:
+    """Along the line from the nearest point of a solid to the place, (3,) m."""
+    if near is None or near.distance_m == 0.0:
+        return np.zeros(3)
+    away: Array = (place - near.point) * (bias_m / near.distance_m)
+    return away

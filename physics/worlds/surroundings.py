@@ -1,0 +1,89 @@
+"""What every kind of world takes besides its own parameters: further solids, things that move, floor, wind, light."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from cosim.errors import ScenarioError
+from cosim.types import NonNegative
+from physics.ground import Ground, Mark, around, problem_of_picture
+from physics.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
+from physics.world import Light, Movable, Moving, Wind, World, Zone
+
+Bounds = tuple[float, float, float, float]
+
+CALM = Wind()
+DAYLIGHT = Light()
+BARE = Ground()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surroundings:
+    """Base of all kinds of worlds."""
+
+    boxes: tuple[Box, ...] = ()  # further boxes: ``[{ center = [2, 0, 0.5], size = [0.2, 4, 1], material = "brick" }]``
+    cylinders: tuple[Cylinder, ...] = ()  # further cylinders: ``[{ center = [2, 0, 0.5], radius = 0.1, height = 1 }]``
+    prisms: tuple[Prism, ...] = ()  # further outlines, raised: ``[{ outline = [[0, 0], [2, 0], [0, 2]], height = 3 }]``
+    movables: tuple[Movable, ...] = ()  # bodies that can be pushed
+    moving: tuple[Moving, ...] = ()  # obstacles that keep to a time-table
+    floor_friction: NonNegative = 1.0  # multiplies the friction of what rolls or slides on the floor
+    zones: tuple[Zone, ...] = ()  # parts of the floor with another friction
+    wind: Wind = CALM  # air that moves: ``{ velocity = [3, 0, 0], gust = 1 }``
+    light: Light = DAYLIGHT  # where the sun is: ``{ direction = [0.3, 0.2, 1], ambient = 0.6 }``
+
+    def __post_init__(self) -> None:
+        names = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
+        for name in names:
+            if names.count(name) > 1:
+                raise ScenarioError(f"two of movables and moving are called {name!r}: give each a name of its own")
+
+    def complete(
+        self, name: str, *, solids: Sequence[AnySolid] = (), ground: Ground = BARE, bounds: Bounds | None = None
+    ) -> World:
+        """The world of these solids, with all that was listed besides."""
+        if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
+            raise ScenarioError(f"west, south, east, north: the first two must be less, not {bounds}", key="bounds")
+        _check_pictures(ground)
+        return World(
+            name=name,
+            solids=(*solids, *self.boxes, *self.cylinders, *self.prisms),
+            movables=self.movables,
+            moving=self.moving,
+            floor_friction=self.floor_friction,
+            zones=self.zones,
+            ground=_with(ground, self.zones),
+            wind=self.wind,
+            light=self.light,
+            bounds=bounds,
+        )
+
+
+def _with(ground: Ground, zones: Sequence[Zone]) -> Ground:
+    """The ground with the zones painted on it that have a colour."""
+    marks = tuple(
+        Mark(
+            outline=rectangle_points(zone.center, zone.size, zone.yaw_rad),
+            color=zone.color,
+        )
+        for zone in zones
+        if zone.color is not None
+    )
+    if not marks:
+        return ground
+    if ground.plain:
+        return around(marks, ground.color)
+    return msgspec.structs.replace(ground, marks=(*ground.marks, *marks))
+
+
+def _check_pictures(ground: Ground) -> None:
+    """Refuse picture files now that nobody could paint later."""
+    for picture in dict.fromkeys([ground.picture, *(mark.picture for mark in ground.marks)]):
+        if picture and (problem := problem_of_picture(picture)):
+            raise ScenarioError(problem)
+
+
+def rectangle_points(center: Point2, size: Point2, yaw_rad: float = 0.0) -> tuple[Point2, ...]:
+    """The corners of a rectangle, m, as marks and prisms take them."""
+    corners = rectangle(*center, 0.5 * size[0], 0.5 * size[1], yaw_rad).tolist()
+    return tuple((x, y) for x, y in corners)

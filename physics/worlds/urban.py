@@ -1,0 +1,191 @@
+"""A town made up at random: blocks between streets, buildings with coloured roofs, targets on the ground."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from cosim.errors import ScenarioError
+from cosim.rng import stream
+from cosim.types import NonNegative, Positive, Probability, Seed
+from physics.ground import MOST_PIXELS, Ground, Mark
+from physics.solids import Box, Color, Point2
+from physics.world import World
+from physics.worlds.surroundings import Surroundings, rectangle_points
+
+_ASPHALT: Color = (92, 94, 98)
+_PAVED: Color = (172, 168, 160)
+_PARK: Color = (108, 150, 84)
+_LINE: Color = (226, 226, 220)
+_WALLS: tuple[tuple[str, Color], ...] = (
+    ("concrete", (186, 182, 172)),
+    ("concrete", (160, 158, 154)),
+    ("brick", (172, 104, 82)),
+    ("brick", (196, 150, 112)),
+)
+_ROOFS: tuple[Color, ...] = (
+    (198, 62, 50),
+    (216, 138, 44),
+    (232, 204, 72),
+    (70, 140, 78),
+    (48, 112, 176),
+    (116, 82, 154),
+    (72, 74, 82),
+    (150, 150, 152),
+)
+_ROOF_M = 0.5  # thickness of a roof
+_STEPPED = 0.35  # of the higher buildings have a narrower upper part
+_TRIES = 1000  # to find a free place for a target
+
+
+class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Something painted on the ground that is to be found.
+
+    Args:
+        name: for whoever looks for it; empty: target1, target2 and so on.
+        picture: an image file; empty: a disc.
+        color: of the disc.
+        size: edge of the picture or diameter of the disc, m.
+        place: x, y, m; default: somewhere on a street.
+    """
+
+    name: str = ""
+    picture: str = ""
+    color: Color = (224, 32, 160)
+    size: Positive = 2.0
+    place: Point2 | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Urban(Surroundings):
+    """Random buildings in square blocks between streets (kind ``urban``); the origin is the middle of the town."""
+
+    size: tuple[Positive, Positive] = (200.0, 200.0)  # of the town, east-west and north-south, m
+    block: Positive = 36.0  # edge of a block, m
+    street: Positive = 10.0  # width of a street, m
+    lots: Annotated[int, msgspec.Meta(ge=1, le=20)] = 2  # along each edge of a block, one building on each
+    gap: NonNegative = 4.0  # between lots of a block, at least, m
+    density: Probability = 0.85  # chance that a lot is built on; else it is a small park
+    height_min: Positive = 4.0  # of a building, m
+    height_max: Positive = 24.0  # of a building, m
+    targets: tuple[Target, ...] = ()  # painted on the ground
+    seed: Seed = 0  # of everything random here
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.height_max < self.height_min:
+            raise ScenarioError(f"must be at least height_min = {self.height_min:g}", key="height_max")
+        if min(self.size) < self.block + 2.0 * self.street:
+            raise ScenarioError(f"one block of {self.block:g} m and streets of {self.street:g} m do not fit", key="size")
+        if self.lot <= 1.0:
+            raise ScenarioError(
+                f"{self.lots} lots in a block of {self.block:g} m leave less than 1 m for a building", key="gap"
+            )
+
+    @property
+    def lot(self) -> float:
+        """Edge of a lot, m."""
+        return (self.block - (self.lots - 1) * self.gap) / self.lots
+
+    def middles(self, axis: int) -> list[float]:
+        """Where the middles of the blocks are, east-west (0) or north-south (1), m."""
+        pitch = self.block + self.street
+        number = math.floor((self.size[axis] - self.street) / pitch + 1e-9)
+        return [pitch * (k - 0.5 * (number - 1)) for k in range(number)]
+
+    def build(self) -> World:
+        """The world itself."""
+        rng = stream(self.seed, "urban")
+        solids: list[Box] = []
+        blocks, parks = [], []
+        for x in self.middles(0):
+            for y in self.middles(1):
+                blocks.append(Mark(outline=rectangle_points((x, y), (self.block, self.block)), color=_PAVED))
+                for place in self._lots(x, y):
+                    draws = rng.uniform(size=8).tolist()
+                    if draws[0] < self.density:
+                        solids += self._building(place, draws[1:])
+                    else:
+                        parks.append(Mark(outline=rectangle_points(place, (self.lot, self.lot)), color=_PARK))
+        half_length, half_width = 0.5 * self.size[0], 0.5 * self.size[1]
+        ground = Ground(
+            size=self.size,
+            color=_ASPHALT,
+            resolution_m=max(0.1, math.sqrt(self.size[0] * self.size[1] / MOST_PIXELS)),
+            marks=(*self._lines(), *blocks, *parks, *self._targets()),
+        )
+        bounds = (-half_length, -half_width, half_length, half_width)
+        return self.complete("urban", solids=solids, ground=ground, bounds=bounds)
+
+    def _lots(self, x: float, y: float) -> Iterator[Point2]:
+        """The middles of the lots of a block."""
+        places = [(self.lot + self.gap) * (k - 0.5 * (self.lots - 1)) for k in range(self.lots)]
+        return ((x + u, y + v) for u in places for v in places)
+
+    def _building(self, place: Point2, draws: list[float]) -> Iterator[Box]:
+        """One or two storeys of walls, and a roof: boxes one on the other."""
+        long, wide, right, up, tall, look, step = draws
+        size = (self.lot * (0.7 + 0.3 * long), self.lot * (0.7 + 0.3 * wide))
+        center = (place[0] + (right - 0.5) * (self.lot - size[0]), place[1] + (up - 0.5) * (self.lot - size[1]))
+        height = self.height_min + tall * (self.height_max - self.height_min)
+        material, color = _WALLS[int(look * len(_WALLS))]
+        roof = _ROOFS[int(look * len(_WALLS) * len(_ROOFS)) % len(_ROOFS)]
+        eaves = height - min(_ROOF_M, 0.2 * height)
+        bottom = 0.0
+        if step < _STEPPED and tall > 0.4:
+            bottom = eaves * (0.4 + step)
+            yield _box(center, size, 0.0, bottom, material, color)
+            size = (0.65 * size[0], 0.65 * size[1])
+        yield _box(center, size, bottom, eaves, material, color)
+        yield _box(center, size, eaves, height, material, roof)
+
+    def _lines(self) -> Iterator[Mark]:
+        """Broken lines along the middles of the streets."""
+        for axis in (0, 1):
+            pitch, middles, end = self.block + self.street, self.middles(axis), 0.5 * self.size[1 - axis]
+            for middle in [middles[0] - 0.5 * pitch, *(each + 0.5 * pitch for each in middles)]:
+                for start in np.arange(-end, end, 6.0).tolist():
+                    ends = (start, min(start + 3.0, end))
+                    line = tuple((middle, along) if axis == 0 else (along, middle) for along in ends)
+                    yield Mark(line=line, width=0.2, color=_LINE)
+
+    def _targets(self) -> Iterator[Mark]:
+        """The targets, those without a place on streets, clear of each other."""
+        rng = stream(self.seed, "urban/targets")
+        taken: list[tuple[Point2, float]] = []
+        for number, target in enumerate(self.targets):
+            place = target.place or self._free(rng, target, number, taken)
+            taken.append((place, target.size))
+            name, disc = target.name or f"target{number + 1}", not target.picture
+            yield Mark(
+                name=name,
+                color=target.color,
+                center=place,
+                radius=0.5 * target.size if disc else 0.0,
+                picture=target.picture,
+                size=(target.size, target.size),
+            )
+
+    def _free(self, rng: np.random.Generator, target: Target, number: int, taken: list[tuple[Point2, float]]) -> Point2:
+        """A place on a street, all of the target on it."""
+        pitch, room = self.block + self.street, 0.5 * (self.street - target.size)
+        for _ in range(_TRIES if room >= 0.0 else 0):
+            axis = int(rng.integers(2))
+            middles = self.middles(axis)
+            across = middles[0] + (int(rng.integers(len(middles) + 1)) - 0.5) * pitch + float(rng.uniform(-room, room))
+            end = 0.5 * (self.size[1 - axis] - target.size)
+            along = float(rng.uniform(-end, end))
+            place = (across, along) if axis == 0 else (along, across)
+            if all(math.dist(place, other) > 0.75 * (target.size + size) for other, size in taken):
+                return place
+        problem = (
+            f"there is no free place for number {number} on streets {self.street:g} m wide: give it a place, or make it smaller"
+        )
+        raise ScenarioError(problem, key="targets")
+
+
+def _box(center: Point2, size: Point2, bottom: float, top: float, material: str, color: Color) -> Box:
+    return Box(center=(*center, 0.5 * (bottom + top)), size=(*size, top - bottom), material=material, color=color)

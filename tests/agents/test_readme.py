@@ -1,0 +1,31 @@
+"""The README's agent that senses and flies does what it says."""
+
+import re
+from pathlib import Path
+
+import agents
+import cosim
+
+README = (Path(agents.__path__[0]) / "README.md").read_text(encoding="utf-8")
+
+
+def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
+    (code,) = [text for text in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Advance" in text]
+    (tmp_path / "advance.py").write_text(code)
+    (tmp_path / "wall.toml").write_text("""
+        name = "wall"
+        duration_s = 15.0
+        world = { kind = "boxes", boxes = [{ center = [10.1, 0.0, 2.5], size = [0.2, 20.0, 5.0] }] }
+        [[vehicle]]
+        name = "uav"
+        kind = "quadrotor"
+        position = [0.0, 0.0, 2.0]
+        sensors = { ring = { kind = "ring" } }
+        agent = { kind = "advance.py:Advance" }
+    """)
+    result = cosim.run(tmp_path / "wall.toml")
+    last = result.states.to_pandas().iloc[-1]
+    assert 7.5 < last.x < 9.5
+    assert abs(last.vx) < 0.1
+    assert abs(last.z - 2.0) < 0.1
+    assert result.metrics["safety"]["collisions"] == 0

@@ -1,0 +1,155 @@
+"""When sensors are read, and what they are shown."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from cosim.clock import SECOND_NS, Ticks
+from cosim.errors import ScenarioError
+from cosim.federate import Event, Instants, RunInfo
+from cosim.types import Measured, Velocity
+from physics.federate import BulletPhysics, KinematicPhysics, Physics
+from physics.positioning import Positioning
+from physics.quadrotor import Quadrotor
+from physics.scene import Scene
+from physics.sensor import Sensor
+from physics.solids import Box
+from physics.vehicles import P2DX, Point, VehicleSpec
+from physics.world import Movable, Moving, World
+
+BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+FIFTH = (Instants(Ticks.every(0.2)),)
+
+
+@dataclass(kw_only=True)
+class Witness(Sensor):
+    """Keeps the scenes that it was shown."""
+
+    seen: ClassVar[list[tuple[int, Scene]]] = []
+    offset: float = field(default=0.0)
+
+    def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
+        Witness.seen.append((row, scene))
+        return Measured(time_ns=scene.now_ns, values={"z": float(scene.position[row, 2]) + self.offset})
+
+
+@pytest.fixture(autouse=True)
+def fresh() -> None:
+    Witness.seen.clear()
+
+
+def played(physics: Physics, duration_s: float, command: Velocity | None = None) -> list[tuple[int, list[Event]]]:
+    run = RunInfo(scenario="t", seed=1, duration_ns=round(duration_s * SECOND_NS), vehicles=physics._names, instants=FIFTH)
+    told: list[tuple[int, list[Event]]] = []
+    next_ns: int | None = physics.start(run)
+    inbox = [Event(f"{physics._names[0]}/command", 0, command)] if command else []
+    while next_ns is not None:
+        now_ns = next_ns
+        step = physics.step(now_ns, inbox)
+        told.append((now_ns, list(step.events)))
+        next_ns, inbox = step.next_ns, []
+    physics.close()
+    return told
+
+
+@BOTH
+def test_states_are_published_where_they_are_needed_and_readings_at_their_own_ticks(kind: type[Physics]) -> None:
+    sensors: Any = {"witness": Witness(rate_hz=20.0, phase_s=0.1, latency_s=0.05)}
+    car = VehicleSpec(name="car", model=P2DX(), sensors=sensors, positioning=Positioning(rate_hz=4.0))
+    told = played(kind(world=World(), vehicles=[car]), 1.0)
+    at = {now_ns / 1e9: {event.key for event in events} for now_ns, events in told}
+    assert [t for t, keys in at.items() if "world/states" in keys] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert [t for t, keys in at.items() if "car/estimate" in keys] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert [t for t, keys in at.items() if "car/fix" in keys] == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0])
+    assert [t for t, keys in at.items() if "car/witness" in keys] == pytest.approx(np.arange(0.1, 1.001, 0.05))
+    readings: list[Any] = [event for _, events in told for event in events if event.key == "car/witness"]
+    assert all(event.time_ns == event.value.time_ns + SECOND_NS // 20 for event in readings)  # the latency
+
+
+@BOTH
+def test_a_sensor_is_shown_all_bodies_read_only_and_as_they_were_published(kind: type[Physics]) -> None:
+    crate = Movable(name="crate", solid=Box(center=(1.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=1.0)
+    gate = Moving(
+        name="gate",
+        solid=Box(center=(0, 0, 0), size=(1.0, 1.0, 1.0)),
+        times_s=(0.0, 1.0),
+        way=((9.0, 0, 1, 0), (9.0, 2.0, 1, 0)),
+    )
+    world = World(movables=(crate,), moving=(gate,))
+    sensors: Any = {"witness": Witness(rate_hz=5.0)}
+    vehicles = [
+        VehicleSpec(name="car", model=P2DX()),
+        VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors),
+        VehicleSpec(name="point", model=Point(), position=(0.0, 1.0, 2.0)),
+    ]
+    told = played(kind(world=world, vehicles=vehicles), 1.0, Velocity(linear=(0.3, 0.0, 0.0)))
+    states: Any = [event.value for _, events in told for event in events if event.key == "world/states"]
+    assert len(Witness.seen) == len(states) == 6
+    for (row, scene), published in zip(Witness.seen, states, strict=True):
+        assert (row, scene.vehicles, len(scene.hulls)) == (1, ("car", "uav", "point"), 5)
+        assert np.array_equal(scene.position[:3], published.position)
+        assert scene.position[3] == pytest.approx((1.0, 0.0, 0.2), abs=0.05)
+        assert scene.position[4] == pytest.approx((9.0, 2.0 * scene.now_ns / 1e9, 1.0))
+        assert scene.acceleration.shape == (3, 3)
+        assert scene.wheels.shape == (3, 2)
+        assert np.isnan(scene.wheels[1:]).all()
+        for array in (scene.position, scene.velocity, scene.attitude, scene.angular_velocity, scene.acceleration, scene.wheels):
+            assert not array.flags.writeable
+    wheels = Witness.seen[-1][1].wheels[0]
+    assert wheels == pytest.approx(wheels.mean(), rel=1e-3)
+    travelled = Witness.seen[-1][1].position[0, 0]
+    assert wheels.mean() * P2DX().wheel_radius_m == pytest.approx(travelled, abs=2e-3)
+
+
+def test_accelerations_are_means_over_the_last_step() -> None:
+    sensors: Any = {"witness": Witness(rate_hz=120.0)}
+    vehicles = [
+        VehicleSpec(name="car", model=P2DX(), sensors=sensors),
+        VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 3.0, 2.0)),
+    ]
+    played(BulletPhysics(world=World(), vehicles=vehicles), 1.0, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.2))
+    scenes = [scene for _, scene in Witness.seen]
+    assert len(scenes) == 121
+    for before, after in pairwise(scenes):
+        by_difference = (after.velocity[:2] - before.velocity[:2]) * 120.0
+        assert after.acceleration == pytest.approx(by_difference, abs=1e-9)
+    assert max(scene.acceleration[0, 0] for scene in scenes) > 0.2
+
+
+def test_contacts_are_shown_with_their_places() -> None:
+    wall = World(solids=(Box(center=(0.6, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
+    sensors: Any = {"witness": Witness(rate_hz=10.0)}
+    car = VehicleSpec(name="car", model=P2DX(), sensors=sensors)
+    played(BulletPhysics(world=wall, vehicles=[car]), 3.0, Velocity(linear=(0.3, 0.0, 0.0)))
+    row, other, place = Witness.seen[-1][1].touching[0]
+    assert (row, other) == (0, None)
+    assert place[0] == pytest.approx(0.5, abs=0.02)
+    assert Witness.seen[0][1].touching == []
+
+
+def test_sensors_faster_than_physics_or_between_its_steps_are_refused() -> None:
+    for rate_hz in (240.0, 50.0):
+        sensors: Any = {"witness": Witness(rate_hz=rate_hz)}
+        with pytest.raises(ScenarioError, match=f"{rate_hz:g} Hz") as raised:
+            played(BulletPhysics(world=World(), vehicles=[VehicleSpec(name="car", model=P2DX(), sensors=sensors)]), 1.0)
+        assert raised.value.key == "vehicle.car.sensors.witness.rate_hz"
+
+
+@BOTH
+def test_fitting_sensors_moves_nobody(kind: type[Physics]) -> None:
+    def positions(**sensors: Any) -> list[bytes]:
+        vehicles = [
+            VehicleSpec(name="car", model=P2DX(), sensors=sensors),
+            VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 3.0, 0.4)),
+        ]
+        told = played(kind(world=World(), vehicles=vehicles), 2.0, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.2))
+        states: Any = [event.value for _, events in told for event in events if event.key == "world/states"]
+        return [each.position.tobytes() for each in states]
+
+    expected = positions()
+    if kind is BulletPhysics:
+        assert positions(witness=Witness(rate_hz=40.0)) == expected
+    assert positions(witness=Witness(rate_hz=5.0)) == expected

@@ -1,0 +1,51 @@
+"""The gallery of built-in scenarios shows what they print, and what becomes of them where a key is changed."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import cosim
+from cosim import progress, scenario
+
+FOLDER = Path(__file__).parent.parent / "scenarios"
+TEXT = (FOLDER / "README.md").read_text("utf-8")
+
+
+def section(name: str) -> str:
+    return TEXT.partition(f"### {name}\n")[2].partition("\n## ")[0].partition("\n### ")[0]
+
+
+@pytest.mark.parametrize("name", scenario.names())
+def test_a_built_in_scenario_prints_what_its_gallery_says(name: str) -> None:
+    shown = section(name).partition("```\n")[2].partition("```")[0].splitlines()
+    result = cosim.run(name)
+    assert shown == progress.summary(result).splitlines()[1 : 1 + len(shown)]
+    assert shown[0].startswith("radio: ")
+
+
+@pytest.mark.parametrize("name", [name for name in scenario.names() if name.startswith("formation-")])
+def test_a_formation_with_another_estimator_keeps_the_error_that_its_gallery_says(name: str) -> None:
+    (other,) = re.findall(r"`--set agents.estimator=(\w+)`", section(name))
+    (rms,) = re.findall(r"(0\.\d{4}) m\s+RMS", section(name).rpartition("With `--set")[2])
+    changed = cosim.run(name, set={"agents.estimator": other})
+    assert changed.metrics["formation"]["rms_m"] == pytest.approx(float(rms), abs=5e-5)
+
+
+def test_robots_on_patrol_touch_as_often_as_the_gallery_says() -> None:
+    (contacts,) = re.findall(r"(\d+) contacts", section("lab-patrol"))
+    assert cosim.run("lab-patrol").metrics["safety"]["collisions"] == int(contacts)
+    (clearance,) = re.findall(r"`--set agents.clearance=(\S+)` there is no contact", section("lab-patrol"))
+    careful = cosim.run("lab-patrol", set={"agents.clearance": float(clearance)})
+    assert careful.metrics["safety"]["collisions"] == 0
+
+
+@pytest.mark.parametrize("name", scenario.names())
+def test_a_built_in_scenario_says_in_one_line_what_it_shows(name: str) -> None:
+    assert 30 < len(scenario.first_words(name)) < 100
+
+
+def test_pictures_are_there_and_small() -> None:
+    linked = set(re.findall(r"\]\((pictures/[^)]+)\)", TEXT))
+    assert linked == {f"pictures/{path.name}" for path in (FOLDER / "pictures").iterdir()}
+    assert all((FOLDER / name).stat().st_size < 80_000 for name in linked)
