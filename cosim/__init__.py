@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         Follows,
         Image,
         Imu,
+        Measured,
         Message,
         NonNegative,
         Odometry,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
         Scan,
         VehicleState,
         Velocity,
+        Waypoint,
     )
 
 _HOMES = {
@@ -37,6 +39,7 @@ _HOMES = {
         "Follows",
         "Image",
         "Imu",
+        "Measured",
         "Message",
         "NonNegative",
         "Odometry",
@@ -46,6 +49,7 @@ _HOMES = {
         "Scan",
         "VehicleState",
         "Velocity",
+        "Waypoint",
     ),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -59,6 +63,7 @@ __all__ = [  # noqa: RUF022  by topic
     "VehicleInfo",
     "VehicleState",
     "Velocity",
+    "Waypoint",
     "Message",
     "Reception",
     "Follows",
@@ -67,6 +72,7 @@ __all__ = [  # noqa: RUF022  by topic
     "Imu",
     "Scan",
     "Image",
+    "Measured",
     "Positive",
     "NonNegative",
     "Probability",

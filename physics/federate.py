@@ -123,7 +123,7 @@ class Physics:
         if isinstance(command, Waypoint) and not flying:
             problem = f"{vehicle} was given a Waypoint but cannot fly: send Velocity, or make it a quadrotor or a point"
             raise FederateError(self.name, problem)
-        if not all(isfinite(each) for each in _numbers(command, flying)):
+        if not all(map(isfinite, _numbers(command, flying))):
             raise FederateError(self.name, f"the command of {vehicle} is not finite: {command}")
         if isinstance(command, Waypoint) and command.speed is not None and command.speed <= 0.0:
             raise FederateError(self.name, f"the speed of the Waypoint of {vehicle} must be positive, not {command.speed} m/s")

@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 
 _ARC_NS = 20_000_000  # longest arc while speeds change
 _AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
+_NOTHING = still(np.empty((0, 3)), np.empty(0))
 
 
 class MotionEngine:
@@ -105,24 +106,29 @@ class MotionEngine:
 
     def read(self) -> Motion:
         """The state of every vehicle; its wheels are never wrong."""
-        (x, y, yaw), (v, w) = self._pose, self._speed[:, 0]
-        base = still(side_by_side(x, y, np.zeros_like(x)), yaw)
-        half = base.attitude[:, 0], base.attitude[:, 3]
-        cos, sin, zero = half[0] ** 2 - half[1] ** 2, 2.0 * half[0] * half[1], np.zeros_like(x)
-        wanted = (self._command[0, 0] - v) / self._tau[0, 0]
-        gain = np.where(self._tau[0, 0] > _AT_ONCE_S, np.clip(wanted, -self._fall[0, 0], self._rise[0, 0]), 0.0)
+        (x, y, yaw), (v, w), zero = self._pose, self._speed[:, 0], np.zeros(len(self._radius))
+        half_cos, half_sin = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+        cos, sin = half_cos * half_cos - half_sin * half_sin, 2.0 * half_cos * half_sin
+        gain, spin = zero if self._ideal else self._gain(), v * w
         across = self._half_track * self._driven[1]
-        return base._replace(
+        return Motion(
+            position=side_by_side(x, y, zero),
             velocity=side_by_side(v * cos, v * sin, zero),
+            attitude=side_by_side(half_cos, zero, zero, half_sin),
             angular_velocity=side_by_side(zero, zero, w),
-            acceleration=side_by_side(gain * cos - v * w * sin, gain * sin + v * w * cos, zero),
+            acceleration=side_by_side(gain * cos - spin * sin, gain * sin + spin * cos, zero),
             wheels=side_by_side(self._driven[0] - across, self._driven[0] + across) / self._radius[:, None],
             odometry=side_by_side(x, y, wrapped(yaw), v, w),
         )
 
+    def _gain(self) -> Floats:
+        """What the forward speed grows by at this moment, m/s2."""
+        wanted = (self._command[0, 0] - self._speed[0, 0]) / self._tau[0, 0]
+        return np.where(self._tau[0, 0] > _AT_ONCE_S, np.clip(wanted, -self._fall[0, 0], self._rise[0, 0]), 0.0)
+
     def movables(self) -> Motion:
         """Nothing here can push anything."""
-        return still(np.empty((0, 3)), np.empty(0))
+        return _NOTHING
 
     def touching(self) -> list[Touch]:
         """No bodies, no contacts."""
