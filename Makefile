@@ -35,7 +35,7 @@ docs: setup
 test: check
 	$(BIN)/pytest -n auto --dist loadfile
 
-bench: setup .ns3/.ready
+bench: setup .ns3/.ready .drones/.ready
 	NS3_PREFIX=$$(echo .ns3/lib/python*/site-packages/ns3) $(BIN)/python -m bench
 
 # ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++.
@@ -43,5 +43,11 @@ bench: setup .ns3/.ready
 	$(UV) venv --quiet --allow-existing .ns3 && $(UV) pip install --quiet --no-deps --python .ns3/bin/python ns3==3.44.post0
 	@touch $@
 
+# PyFlyt, with which the quadrotors are compared; it wants a NumPy of its own.
+.drones/.ready: $(VENV)/.ready
+	$(UV) venv --quiet --allow-existing --python $(BIN)/python .drones
+	$(UV) pip install --quiet --python .drones/bin/python pyflyt==0.29.0 pybullet==3.2.7 numpy==1.26.4
+	@touch $@
+
 clean:
-	rm -rf $(VENV) .uv .ns3 runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .uv .ns3 .drones runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

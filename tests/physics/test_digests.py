@@ -1,0 +1,193 @@
+"""Fresh runs of a mixed world are equal to the last bit, in other processes and beside other runs in this one."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Generator, Iterator, Mapping
+from itertools import zip_longest
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from cosim.clock import SECOND_NS, Ticks
+from cosim.codec import encode
+from cosim.federate import Event, Instants, RunInfo
+from cosim.types import Later, Velocity, Waypoint
+from physics.camera import Camera, NadirCamera
+from physics.federate import BulletPhysics
+from physics.ground import Ground, Mark
+from physics.positioning import Positioning
+from physics.quadrotor import Quadrotor
+from physics.scanner import Lms, Ring
+from physics.sensor import Sensor
+from physics.sensors.bumper import Bumper
+from physics.sensors.gps import Gps
+from physics.sensors.imu import InertialUnit
+from physics.solids import Box, Cylinder
+from physics.vehicles import P2DX, AmigoBot, Point, Vehicle, VehicleSpec
+from physics.world import Movable, Moving, Wind, World, Zone
+
+DURATION_S = 4.0
+ROOT = Path(__file__).parents[2]
+
+
+class Digest(NamedTuple):
+    """Of everything that a run published, in order."""
+
+    bits: str
+    kinds: Mapping[str, int]  # how many values of each type
+
+
+def mixed_world() -> World:
+    """A bit of everything that a world can have."""
+    return World(
+        solids=(
+            Box(center=(6.0, 0.0, 1.0), size=(1.0, 8.0, 2.0), yaw_rad=0.2),
+            Box(center=(-3.0, 4.0, 2.0), size=(2.0, 2.0, 4.0), color=(200, 40, 40)),
+            Cylinder(center=(0.0, -5.0, 1.5), radius=0.7, height=3.0),
+        ),
+        movables=(
+            Movable(name="crate", solid=Box(center=(1.2, -0.3, 0.15), size=(0.3, 0.25, 0.3)), mass_kg=0.5),
+            Movable(name="box", solid=Box(center=(1.2, 0.0, 0.15), size=(0.3, 0.25, 0.3), yaw_rad=0.4), mass_kg=0.5),
+            Movable(name="bin", solid=Cylinder(center=(1.7, 0.1, 0.2), radius=0.15, height=0.4), mass_kg=1.0),
+        ),
+        moving=(
+            Moving(
+                name="gate",
+                solid=Box(center=(0, 0, 0), size=(0.2, 2.0, 1.0)),
+                times_s=(0.0, 2.0, 4.0),
+                way=((-2.0, -1.0, 0.6, 0.0), (-2.0, 1.0, 0.6, 1.0), (-2.0, -1.0, 0.6, 2.0)),
+            ),
+        ),
+        zones=(Zone(center=(2.0, 2.0), size=(2.0, 2.0), friction=0.1),),
+        ground=Ground(marks=(Mark(center=(1.0, 1.0), radius=0.5, color=(220, 30, 160)),)),
+        wind=Wind(velocity=(1.0, -0.5, 0.0), gust=2.0, gust_time_s=0.5),
+    )
+
+
+def vehicles() -> list[VehicleSpec]:
+    """Robots that push crates about, quadrotors that meet walls and each other, sensors that err and drop out."""
+
+    def spec(
+        name: str, model: Vehicle, place: tuple[float, float, float], heading: float = 0.0, **sensors: Sensor
+    ) -> VehicleSpec:
+        return VehicleSpec(
+            name=name, model=model, position=place, heading=heading, sensors=sensors, positioning=Positioning(rate_hz=5.0)
+        )
+
+    scan = Lms(no_return=0.02, outlier_probability=0.02, drop_out=0.1)  # a run copies its sensors
+    ahead = Camera(rate_hz=5.0, width=80, height=60, noise=3.0, depth=True)
+    down = NadirCamera(rate_hz=5.0, width=80, height=60, latency_s=0.1)
+    return [
+        spec("car0", P2DX(), (0.0, 0.0, 0.0), scan=scan, camera=ahead, imu=InertialUnit(), bumper=Bumper()),
+        spec("car1", P2DX(), (0.0, 1.5, 0.0), 0.3, scan=scan, gps=Gps()),
+        spec("amigo", AmigoBot(), (3.4, 0.1, 0.0), 3.1, scan=Lms(), camera=ahead),
+        spec("uav0", Quadrotor(downwash=True), (0.0, 0.0, 3.0), scan=Ring(), camera=down, imu=InertialUnit()),
+        spec("uav1", Quadrotor(), (4.0, 0.0, 1.2), scan=Ring(), camera=down),
+        spec("uav2", Quadrotor(ground_effect=True), (0.0, 0.0, 4.5), 1.0, gps=Gps(), camera=down),
+        spec("point", Point(tau_s=0.3), (-4.0, -4.0, 2.0), camera=down),
+    ]
+
+
+def orders() -> list[Event]:
+    """Who is told what, and when."""
+    told: list[tuple[float, str, Velocity | Waypoint]] = [
+        (0.0, "car0", Velocity(linear=(0.9, 0.0, 0.0))),
+        (0.0, "car1", Velocity(linear=(0.6, 0.0, 0.0), yaw_rate=0.2)),
+        (0.5, "amigo", Velocity(linear=(0.5, 0.0, 0.0))),
+        (0.0, "uav0", Velocity(linear=(1.0, 1.0, 0.0), yaw_rate=0.5)),
+        (0.1, "uav1", Velocity(linear=(2.5, 0.0, 0.0))),  # into the wall
+        (0.0, "uav2", Waypoint(position=(1.0, 1.0, 0.3), yaw=-1.0)),
+        (0.3, "point", Waypoint(position=(2.0, -3.0, 1.0))),
+        (1.1, "uav0", Velocity(linear=(-1.0, 0.5, 0.3), yaw_rate=-0.5)),
+        (2.2, "car1", Velocity(linear=(0.2, 0.0, 0.0), yaw_rate=-0.6)),
+    ]
+    return [Event(f"{name}/command", round(at_s * SECOND_NS), value) for at_s, name, value in told]
+
+
+def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False) -> Generator[None, None, Digest]:
+    """One run, which rests after each step.
+
+    Readings on demand are worked out together if ``wanted``, and when all is over if ``late``.
+    """
+    physics = BulletPhysics(world=world, vehicles=vehicles())
+    names = tuple(spec.name for spec in physics.vehicles)
+    keys = tuple(f"{spec.name}/{sensor}" for spec in physics.vehicles for sensor in spec.sensors) if wanted else ()
+    needed = (Instants(Ticks.every(0.05)),)
+    end_ns = round(DURATION_S * SECOND_NS)
+    info = RunInfo(scenario="mixed", seed=seed, duration_ns=end_ns, vehicles=names, instants=needed, wanted=keys)
+    waiting, kept, hashed, kinds = orders(), list[Event](), hashlib.blake2b(digest_size=16), Counter[str]()
+
+    def take(events: list[Event]) -> None:
+        for event in events:
+            hashed.update(encode(event))
+            value = event.value.get() if isinstance(event.value, Later) else event.value
+            kinds[type(value).__name__] += 1
+
+    next_ns: int | None = physics.start(info)
+    try:
+        while next_ns is not None:
+            now_ns = next_ns
+            due = [event for event in waiting if event.time_ns <= now_ns]
+            waiting = [event for event in waiting if event.time_ns > now_ns]
+            step = physics.step(now_ns, due)
+            kept += step.events
+            if not late:
+                take(kept)
+                kept = []
+            next_ns = step.next_ns
+            yield
+    finally:
+        physics.close()
+    take(kept)
+    return Digest(hashed.hexdigest(), kinds)
+
+
+def digests(*runs: Generator[None, None, Digest]) -> list[Digest]:
+    """Of runs that take turns, a step each."""
+    found: dict[int, Digest] = {}
+
+    def watched(number: int, one: Generator[None, None, Digest]) -> Iterator[None]:
+        found[number] = yield from one
+
+    for _ in zip_longest(*(watched(number, one) for number, one in enumerate(runs))):
+        pass
+    return [found[number] for number in range(len(runs))]
+
+
+@pytest.fixture(scope="module")
+def alone() -> Digest:
+    """Of a run by itself."""
+    return digests(run(mixed_world()))[0]
+
+
+def test_something_of_everything_is_in_it(alone: Digest) -> None:
+    assert set(alone.kinds) == {"States", "VehicleState", "Odometry", "Fix", "Imu", "Measured", "Scan", "Image", "Contact"}
+    assert alone.kinds["States"] == 81
+    assert alone.kinds["Image"] == 6 * 21
+    assert digests(run(mixed_world(), seed=2))[0].bits != alone.bits
+
+
+@pytest.mark.parametrize("salt", ["1", "2"])
+def test_runs_in_other_processes_are_equal(alone: Digest, salt: str) -> None:
+    environment = {**os.environ, "PYTHONHASHSEED": salt, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, __file__]
+    found = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=60)
+    assert found.stdout.split()[-1] == alone.bits
+
+
+def test_runs_that_take_turns_in_one_process_are_equal(alone: Digest) -> None:
+    """In one world or in two, beside one with other gusts; readings worked out together, one by one, or at the end."""
+    shared = mixed_world()
+    first, other, second, third = digests(
+        run(shared), run(shared, seed=2), run(shared, wanted=True), run(mixed_world(), late=True)
+    )
+    assert first.bits == second.bits == third.bits == alone.bits
+    assert other.bits != alone.bits
+
+
+if __name__ == "__main__":
+    sys.stdout.write(digests(run(mixed_world()))[0].bits)
