@@ -4,6 +4,7 @@ It turns what was published about a vehicle into an `Observation`, calls the age
 into events that take effect at tick + latency. It is the only caller of `Agent.act`, in the simulation and elsewhere.
 """
 
+import math
 import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -169,10 +170,10 @@ class _Seat:
         if not isinstance(command, Velocity | Waypoint):
             raise self._error(f"returned {table.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
-            plain = _plain(command)
+            plain, total = _plain(command)
         except (TypeError, ValueError):
             raise self._error(f"returned {command}; every coordinate must be a number") from None
-        if table.non_finite(msgspec.structs.astuple(plain)) is not None:
+        if not math.isfinite(total):
             raise self._error(f"returned a command that is not finite: {plain}")
         return plain
 
@@ -236,14 +237,15 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
     return agent, table.complete(kind, params), taken
 
 
-def _plain(command: Velocity | Waypoint) -> Velocity | Waypoint:
-    """The command in plain floats."""
+def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
+    """The command in plain floats, and their sum, which is finite only if all are."""
     if isinstance(command, Velocity):
         x, y, z = map(float, command.linear)
-        return Velocity(linear=(x, y, z), yaw_rate=float(command.yaw_rate))
+        rate = float(command.yaw_rate)
+        return Velocity(linear=(x, y, z), yaw_rate=rate), x + y + z + rate
     x, y, z = map(float, command.position)
     yaw, speed = (None if each is None else float(each) for each in (command.yaw, command.speed))
-    return Waypoint(position=(x, y, z), yaw=yaw, speed=speed)
+    return Waypoint(position=(x, y, z), yaw=yaw, speed=speed), x + y + z + (yaw or 0.0) + (speed or 0.0)
 
 
 def _own_copy(reception: Reception) -> Reception:

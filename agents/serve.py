@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from agents.federate import AgentHost
 from cosim.errors import UsageError, VcmvspError
 from cosim.transport.remote import Desk
@@ -44,7 +46,8 @@ def host(
     def hello(host_id: str) -> Hello:
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=folder, params=params or {}, token=token)
 
-    return serve(hello, Desk(AgentHost), endpoint, on_state=on_state)
+    with threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
+        return serve(hello, Desk(AgentHost), endpoint, on_state=on_state)
 
 
 def _end_with_parent(pipe: io.FileIO) -> None:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import tomli_w
+from threadpoolctl import threadpool_limits
 
 from cosim import scenario as scenarios
 from cosim.agent import Agent
@@ -160,7 +161,8 @@ def run(
     parsed, source = scenarios.load(scenario, settings=set, seed=seed)
     started, cpu = datetime.now(UTC), time.process_time()
     try:
-        with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly:
+        # One thread for linear algebra: sums come out the same on any number of cores, and small ones are quicker so.
+        with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly, threadpool_limits(1):
             clock = SimClock() if realtime is None else WallClock(realtime)
             simulation = _Simulation(assembly, clock, folder, progress)
             with _writing(folder.path if folder else None), simulation.calm():

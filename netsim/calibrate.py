@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cosim.errors import UsageError
 from netsim.calibrate_field import CORRELATED, INDEPENDENT, WITH_FADING, Survey, spreads
@@ -82,13 +83,14 @@ def fit(
         )
 
     survey = survey_of(np.arange(len(used.lost)))
-    models = _models(survey, scouts=survey_of(sample(used, _SCOUTS)))
-    order = _choose(models, survey.nearest_m)
-    best, naive = models[order], models[INDEPENDENT]
-    aic = {MODELS[each]: model.aic for each, model in models.items()}
-    aic["without distance"] = _without(survey, [1], best)
-    if materials:
-        aic["without walls"] = _without(survey, range(2, 2 + len(materials)), best)
+    with threadpool_limits(1):  # threads that share small matrices on a busy machine wait for each other most of the time
+        models = _models(survey, scouts=survey_of(sample(used, _SCOUTS)))
+        order = _choose(models, survey.nearest_m)
+        best, naive = models[order], models[INDEPENDENT]
+        aic = {MODELS[each]: model.aic for each, model in models.items()}
+        aic["without distance"] = _without(survey, [1], best)
+        if materials:
+            aic["without walls"] = _without(survey, range(2, 2 + len(materials)), best)
 
     errors, naive_errors = np.sqrt(np.diagonal(best.coefficients_spread)), np.sqrt(np.diagonal(naive.coefficients_spread))
     rows = zip(best.coefficients.tolist(), errors.tolist(), naive_errors.tolist(), best.freedom.tolist(), strict=True)
