@@ -16,8 +16,8 @@ class Patrol(Agent):
     """Visit points in turn.
 
     On wheels: turn towards the point, then drive at it, slower the further it lies aside. In the air: tell the autopilot. A
-    vehicle on wheels with a range scanner stops as long as something is nearer than ``clearance`` in its way, and turns where
-    there is more room when it has waited for ``patience_s``.
+    vehicle on wheels with a range scanner stops as long as something is nearer than ``clearance`` in its way, and goes
+    round it on the side with more room when it has waited for ``patience_s``: round small things, for it plans no way.
 
     Args:
         way: points, x, y, z m, world; on wheels z does not matter.
@@ -52,7 +52,7 @@ class Patrol(Agent):
         self.flies, self.scanner, self.report_s = flies, scanner, report_s
         self.clearance, self.patience_s = clearance, patience_s
         self.sensors = (scanner,) if scanner else ()
-        self._next, self._waiting_s = 0, 0.0
+        self._next, self._waiting_s, self._detour_s, self._side = 0, 0.0, 0.0, 1
         self._origin: Vec3 | None = None
 
     def start(self, info: VehicleInfo) -> None:
@@ -90,17 +90,27 @@ class Patrol(Agent):
         ahead, left = rotate2(x - obs.state.position[0], y - obs.state.position[1], -obs.state.yaw)
         if math.hypot(ahead, left) <= self.arrive_m:
             return Velocity()
-        aside = wrap(math.atan2(left, ahead))
         scan = obs.readings.get(self.scanner) if self.scanner else None
-        if isinstance(scan, Scan) and abs(aside) < TURN_ON_THE_SPOT and _nearest(scan, 0.0, self.clearance) < self.clearance:
+        blocked = isinstance(scan, Scan) and _nearest(scan, 0.0, self.clearance) < self.clearance
+        if self._detour_s > 0.0:
+            return self._go_round(blocked=blocked)
+        aside = wrap(math.atan2(left, ahead))
+        if blocked and abs(aside) < TURN_ON_THE_SPOT:
             self._waiting_s += self._period_s
-            if self._waiting_s <= self.patience_s:
-                return Velocity()
-            sides = [_nearest(scan, side * TURN_ON_THE_SPOT, 2.0 * self.clearance) for side in (1, -1)]
-            return Velocity(yaw_rate=0.5 if sides[0] >= sides[1] else -0.5)
+            if self._waiting_s > self.patience_s and isinstance(scan, Scan):
+                room = [_nearest(scan, side * TURN_ON_THE_SPOT, 2.0 * self.clearance) for side in (1, -1)]
+                self._side, self._detour_s = (1 if room[0] >= room[1] else -1), 2.0 * self.clearance / self.speed
+            return Velocity()
         self._waiting_s = 0.0
         forward = self.speed * max(0.0, math.cos(aside)) if abs(aside) < TURN_ON_THE_SPOT else 0.0
         return Velocity(linear=(forward, 0.0, 0.0), yaw_rate=max(-1.0, min(TURN_GAIN * aside, 1.0)))
+
+    def _go_round(self, *, blocked: bool) -> Velocity:
+        """Turn to the side that was chosen until the way is free, then go that way for a while."""
+        if blocked:
+            return Velocity(yaw_rate=0.5 * self._side)
+        self._detour_s -= self._period_s
+        return Velocity(linear=(self.speed, 0.0, 0.0))
 
 
 def _nearest(scan: Scan, bearing: float, width_m: float) -> float:

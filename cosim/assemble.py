@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Self
 
 import msgspec
@@ -168,10 +169,10 @@ class Assembly:
     def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
         key, kind, own = f"vehicle.{vehicle.name}", self._vehicle_class(vehicle), self._own(vehicle)
         also = {*table.parameters(VehicleTable)} - {"params"}
-        own, files = component.located(own, self._source)
+        own = component.with_files(own, lambda name: str((self._source.folder / name).resolve()))
         model = table.call(kind, own, key=key, origin=self._source, also=also)
-        kept = {name: self._resolution.keep(path) for name, path in files.items()}
-        self._resolution.vehicles[vehicle.name] = {**table.complete(kind, own), **kept}
+        full = component.with_files(table.complete(kind, own), lambda name: self._resolution.keep(Path(name)))
+        self._resolution.vehicles[vehicle.name] = full
         sensor = None
         if vehicle.positioning is not None:
             positioning = registry.piece("positioning")

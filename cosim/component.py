@@ -14,8 +14,8 @@ Portable = Callable[[str], str]
 Keep = Callable[[Path], str]
 """Keeps a file that the scenario uses; how the resolved scenario names it."""
 
-FILES = ("file", "path")
-"""Parameters that name a file, relative to the scenario's folder."""
+FILES = ("file", "path", "picture")
+"""Keys that name a file, relative to the scenario's folder, wherever they stand in a table."""
 
 
 def name_of(path: Path) -> str:
@@ -60,13 +60,19 @@ def build(
     target = registry.find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source)
     known = table.parameters(target)
     given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
-    params, files = located(source.kept(content, key, known), source)
+    params = with_files(source.kept(content, key, known), lambda name: str((source.folder / name).resolve()))
     built = table.call(target, params, key=key, origin=source, given=given)
-    kept = {name: keep(path) for name, path in files.items()}
-    return built, {"kind": portable(kind), **table.complete(target, params, without=given), **kept}
+    for path in getattr(built, "files", tuple)():  # those that its own files name
+        keep(path)
+    full = with_files(table.complete(target, params, without=given), lambda name: keep(Path(name)))
+    return built, {"kind": portable(kind), **full}
 
 
-def located(params: Mapping[str, Any], source: Source) -> tuple[dict[str, Any], dict[str, Path]]:
-    """Parameters with the files that they name where these really are; and these files."""
-    files = {name: (source.folder / params[name]).resolve() for name in FILES if isinstance(params.get(name), str)}
-    return {**params, **{name: str(path) for name, path in files.items()}}, files
+def with_files(content: Any, change: Callable[[str], str]) -> Any:
+    """A table with the names of the files in it changed."""
+    if isinstance(content, Mapping):
+        return {
+            name: change(value) if name in FILES and isinstance(value, str) and value else with_files(value, change)
+            for name, value in content.items()
+        }
+    return [with_files(each, change) for each in content] if isinstance(content, list) else content

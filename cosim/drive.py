@@ -19,6 +19,7 @@ from cosim.scenario import AgentsTable
 from cosim.types import Array, States, Velocity, Waypoint
 
 SCHEMA = "vcmvsp.drive/1"
+STEP_S = 0.05  # from row to row, where steps of physics allow it
 NEAR = 0.9  # rise time: to this part of the final speed
 _VELOCITY = ("v", "vx", "vy", "vz", "w")
 _WAYPOINT = ("x", "y", "z", "yaw", "speed")
@@ -91,15 +92,17 @@ def drive(
         raise UsageError(f"--vehicle {table.unknown('vehicle', vehicle, names)}")
     mine = parsed.vehicle[names.index(vehicle)]
     kind = registry.find("vehicle", mine.kind, folder=source.folder, key=f"vehicle.{vehicle}.kind", origin=source)
-    given = command_of(command, mine.start[1], flies=registry.piece("flies")(kind))
-    period_s = min(parsed.record.period_s, 0.1)
+    flies = registry.piece("flies")(kind)
+    given = command_of(command, mine.start[1], flies=flies)
+    steps = STEP_S * parsed.physics.get("rate_hz", 120.0)
+    period_s = STEP_S if abs(steps - round(steps)) < 1e-9 else min(parsed.record.period_s, 0.1)
     alone = msgspec.structs.replace(
         parsed,
         agents=AgentsTable(),
         record=msgspec.structs.replace(parsed.record, period_s=period_s),
         vehicle=tuple(msgspec.structs.replace(each, agent=None) for each in parsed.vehicle),
     )
-    seen = _Seen(vehicle)
+    seen = _Seen(vehicle, flies=flies)
     with Assembly(alone, source, objects={vehicle: Constant(given, period_s)}) as assembly:
         kernel = Kernel(assembly.run_info, assembly.federates)
         assembly.start(kernel)
@@ -120,8 +123,8 @@ def drive(
 class _Seen:
     """Keeps what is published of one vehicle."""
 
-    def __init__(self, vehicle: str) -> None:
-        self._vehicle, self._rows, self._contacts = vehicle, dict[int, list[float]](), 0
+    def __init__(self, vehicle: str, *, flies: bool) -> None:
+        self._vehicle, self._flies, self._rows, self._contacts = vehicle, flies, dict[int, list[float]](), 0
 
     def on(self, event: Event) -> None:
         """Take an event."""
@@ -167,9 +170,15 @@ class _Seen:
             "contacts": self._contacts,
         }
         if isinstance(command, Velocity):
-            speed = v if abs(command.linear[0]) > 0.0 and not command.linear[1] else np.hypot(vx, vy)
-            for name, series, wanted in (("v", speed, float(np.hypot(*command.linear[:2]))), ("w", w, command.yaw_rate)):
-                figures[name] = _response(time_s, series, math.copysign(wanted, command.linear[0]) if name == "v" else wanted)
+            (lx, ly, lz), rate = command.linear, command.yaw_rate
+            along, wanted = v, lx
+            if self._flies:  # velocities are in the world frame: along the one that was commanded
+                wanted = math.hypot(lx, ly)
+                along = (vx * lx + vy * ly) / wanted if wanted else np.hypot(vx, vy)
+            figures["v"] = _response(time_s, along, wanted)
+            figures["w"] = _response(time_s, w, rate)
+            if self._flies:
+                figures["vz"] = _response(time_s, vz, lz)
         else:
             away = np.sqrt(sum((now - to) ** 2 for now, to in zip((x, y, z), command.position, strict=True)))
             figures["final_error_m"] = float(away[-1])

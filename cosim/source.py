@@ -35,7 +35,8 @@ class Source:
         inside = [argument for path, argument in self._set.items() if path.startswith(f"{key}.")]
         if key and inside:
             return inside[-1]
-        line = next((self._lines[prefix] for prefix in _prefixes(key) if prefix in self._lines), None)
+        of_all = re.sub(r"^(vehicle\.[^.]*?)\d+(?=\.|$)", r"\1", key)  # one of many that stand in one table
+        line = next((self._lines[prefix] for prefix in (*_prefixes(key), *_prefixes(of_all)) if prefix in self._lines), None)
         return f"{self.name} line {line}" if line and key else self.name
 
 

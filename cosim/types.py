@@ -146,7 +146,8 @@ class Later:
     def get(self) -> Reading:
         """The reading."""
         if self._work is not None:
-            self._reading, self._work = self._work(), None
+            self._reading = self._work()  # where that fails, it fails again at the next look
+            self._work = None
         assert self._reading is not None  # noqa: S101
         return self._reading
 

@@ -127,9 +127,10 @@ class Batch:
     def reading(self, number: int) -> Reading:
         """That of one of its members."""
         if self._work is not None:
-            (seed, scene, members), self._work = self._work, None
+            seed, scene, members = self._work
             rngs = [stream(seed, f"{each.key}/{scene.now_ns}") for each in members]
-            self._readings = _measure(scene, members, rngs)
+            self._readings = _measure(scene, members, rngs)  # where that fails, it fails again at the next look
+            self._work = None
         return self._readings[number]
 
 
@@ -188,4 +189,4 @@ def _named(members: Sequence[Fitted]) -> str:
 
 def _divisors(hz: float) -> str:
     """Some rates that would do, for messages."""
-    return ", ".join(f"{hz / by:g}" for by in (1, 2, 3, 4, 6, 12)) + " Hz"
+    return ", ".join(f"{hz / by:g}" for by in (1, 2, 3, 4, 5, 6, 8, 10, 12, 24) if float(f"{hz / by:g}") == hz / by) + " Hz"

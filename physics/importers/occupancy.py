@@ -37,6 +37,10 @@ class Map(Surroundings):
         super().__post_init__()
         require_file(self.path)
 
+    def files(self) -> tuple[Path, ...]:
+        """The picture that the YAML file names."""
+        return (_read_yaml(Path(self.path))["image"],)
+
     def build(self) -> World:
         """The world itself.
 

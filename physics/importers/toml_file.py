@@ -32,12 +32,13 @@ class File:
     def __post_init__(self) -> None:
         require_file(self.path)
 
-    def build(self) -> World:
-        """The world itself.
+    def files(self) -> tuple[Path, ...]:
+        """The pictures that it names."""
+        listed, _ = self._read()
+        return tuple(Path(each) for each in (listed.ground.picture, *(mark.picture for mark in listed.ground.marks)) if each)
 
-        Raises:
-            ScenarioError: with the file, the line and the key that is wrong.
-        """
+    def _read(self) -> tuple[Empty, Source]:
+        """What stands in the file, and where."""
         path = Path(self.path)
         text = text_of(path)
         try:
@@ -46,13 +47,22 @@ class File:
             raise ScenarioError(f"is not TOML: {error}", source=str(path)) from error
         source = Source(str(path), path.parent, text)
         listed = table.call(Empty, content, origin=source)
+        return replace(listed, ground=beside(path.parent, listed.ground)), source
+
+    def build(self) -> World:
+        """The world itself.
+
+        Raises:
+            ScenarioError: with the file, the line and the key that is wrong.
+        """
+        listed, source = self._read()
         try:
-            world = replace(listed, ground=beside(path.parent, listed.ground)).build()
+            world = listed.build()
         except ScenarioError as error:
             raise ScenarioError(error.problem, key=error.key, source=source.of(error.key)) from error
         instead: dict[str, Any] = {"floor_friction": self.floor_friction, "wind": self.wind, "light": self.light}
         given = {key: value for key, value in instead.items() if value is not None}
-        return replace(world, name=path.stem, **given)
+        return replace(world, name=Path(self.path).stem, **given)
 
 
 def beside(folder: Path, ground: Ground) -> Ground:

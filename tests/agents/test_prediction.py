@@ -100,7 +100,7 @@ def test_an_estimator_of_ones_own_is_an_object_or_a_name() -> None:
 def test_the_estimator_of_the_readme_works() -> None:
     blocks = (Path(__file__).parents[2] / "agents" / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
     names: dict[str, Any] = {}
-    exec(blocks[0].split("```")[0], names)
+    exec(next(block for block in blocks if "class Cautious" in block).split("```")[0], names)
     follower = LeaderFollower("lead", estimator=names["Cautious"]())
     start = LeaderState(1.0, 2.0, 0.3, 0.4, -0.2)
     assert follower.estimator.predict(report(start), 0.1) == (1.0, 2.0, 0.3, 0.2, -0.1)

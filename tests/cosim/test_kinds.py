@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 
 from cosim import drive, registry
@@ -126,3 +127,35 @@ def test_a_ground_robot_cannot_be_sent_to_a_point(tmp_path: Path) -> None:
     outcome = vcmvsp("drive", str(scenario), "--vehicle", "car", "--command", "x=1,y=2,z=3")
     assert outcome.code != 0
     assert "car was given a Waypoint but cannot fly" in outcome.err
+
+
+@pytest.mark.parametrize("command", ["vx=1", "v=1", "vx=-1,vy=1", "v=-1", "vz=1"])
+def test_what_flies_is_judged_along_its_command_whatever_its_heading(tmp_path: Path, command: str) -> None:
+    scenario = tmp_path / "pair.toml"
+    scenario.write_text(PAIR.replace("heading = 1.0", "heading = -2.0"))
+    about = json.loads(vcmvsp("drive", str(scenario), "--vehicle", "uav", "--command", command, "--seconds", "6", "--json").out)
+    judged = about["vz" if command.startswith("vz") else "v"]
+    assert abs(judged["error_percent"]) < 1.0
+
+
+def test_files_that_a_scenario_names_are_found_beside_it_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "lawn.png"), np.full((8, 8, 3), (0, 200, 0), np.uint8))
+    (folder / "plot.toml").write_text("[ground]\npicture = 'lawn.png'\nsize = [4.0, 4.0]\n")
+    for number, world in enumerate(
+        ("kind = 'file'\npath = 'plot.toml'", "kind = 'boxes'\nboxes = []\nground = { picture = 'lawn.png', size = [4, 4] }")
+    ):
+        (folder / "s.toml").write_text(f"{PAIR}[world]\n{world}\n")
+        monkeypatch.chdir(tmp_path)
+        assert vcmvsp("run", "mine/s.toml", "--set", "duration_s=0.2", "--out", f"first{number}").code == 0
+        again = vcmvsp("run", f"first{number}/scenario.toml", "--out", f"again{number}")
+        assert (again.code, (tmp_path / f"again{number}" / "lawn.png").is_file()) == (0, True)
+
+
+def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(
+        "name = 's'\nduration_s = 1.0\n[[vehicle]]\nname = 'q'\ncount = 3\nkind = 'p2dx'\nspacing = [0.1, 0.1]\n"
+    )
+    outcome = vcmvsp("check", str(tmp_path / "s.toml"))
+    assert (outcome.code, "s.toml line 3: vehicle.q2.position: q2 and q1 overlap" in outcome.err) == (2, True), outcome.err
