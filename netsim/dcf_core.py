@@ -8,7 +8,7 @@ Written for NumPy and for compilation alike, see `netsim.compiled`: what changes
 """
 
 from netsim.dcf_air import detect, put_on_air, settle, take_off_air
-from netsim.dcf_backoff import back_off, count_down, doze, draw, ready_ns, request, sense
+from netsim.dcf_backoff import back_off, count_down, defer_one, doze, draw, request, sense, wait
 from netsim.dcf_queue import decide, enqueue, expire, insert, leave
 from netsim.dcf_state import (
     ACK,
@@ -92,7 +92,7 @@ def release(s: State, rules: Rules, i: int, now: int, counting_ns: int) -> None:
     """Radio i has done with a frame, or with an attempt; its new backoff counts from a time on."""
     s.sending[i] = NOBODY
     s.due[i] = s.wake_ns[i] = NEVER
-    back_off(s, i, counting_ns)
+    back_off(s, rules, i, counting_ns)
     if s.head[i] != NOBODY:
         request(s, rules, i, now)
 
@@ -112,9 +112,9 @@ def arrive(s: State, rules: Rules, f: int, now: int) -> None:
         count_down(s, rules, i, now)
         if s.slots[i] == 0:
             if s.idle_ns[i] > now:
-                back_off(s, i, now)
+                back_off(s, rules, i, now)
             else:
-                s.counting_ns[i] = now + rules.difs_ns
+                wait(s, rules, i, now + rules.difs_ns)
         request(s, rules, i, now)
 
 
@@ -167,6 +167,7 @@ def send(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
     put_on_air(s, rules, i, now, air_ns)
     s.eifs_ns[i] = 0
     s.idle_ns[i] = max(s.idle_ns[i], now + air_ns)
+    defer_one(s, rules, i)
 
 
 def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
@@ -183,8 +184,6 @@ def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
     s.due[ANSWER * len(s.lock) + i] = NEVER
     doze(s, rules, now)
     send(s, rules, i, now, rules.ack_air_ns)
-    if s.due[i] < NEVER:
-        s.due[i] = max(ready_ns(s, rules, i), s.wake_ns[i])
 
 
 def finish(s: State, rules: Rules, i: int, now: int) -> None:

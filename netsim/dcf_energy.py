@@ -6,9 +6,9 @@ from netsim.dcf_state import ON_AIR, Rules, State
 from netsim.layers import Floats, Ints
 
 
-def interference(s: State, rules: Rules, i: int) -> Floats:
-    """Noise and the power of everything but the frame of radio i, (n,) mW."""
-    total = np.full(len(s.lock), rules.noise_mw)
+def interference(s: State, rules: Rules, i: int) -> Floats | float:
+    """Noise and the power of everything but the frame of radio i, (n,) mW; a number if there is nothing else."""
+    total: Floats | float = rules.noise_mw
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
         if other != i:
@@ -43,8 +43,8 @@ def energy_end(s: State, order: Ints, threshold_mw: float) -> Ints:
     until = np.zeros(len(s.lock), np.int64)
     total = np.zeros(len(s.lock))
     for i in order:
-        total = total + s.level[i]
-        until = np.where((until == 0) & (total >= threshold_mw), s.end_ns[i], until)
+        total += s.level[i]
+        until[(total >= threshold_mw) & (until == 0)] = s.end_ns[i]
     return until
 
 

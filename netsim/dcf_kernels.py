@@ -6,9 +6,11 @@ same order, and leave the same bits behind; but a loop leaves out what changes n
 
 import numpy as np
 
+from netsim.dcf_backoff import defer, defer_one
 from netsim.dcf_energy import by_end, energy_end, energy_end_at, interference, interference_at
 from netsim.dcf_state import (
     COLLISION,
+    EIFS_OVER,
     ERROR,
     HEADER,
     NEVER,
@@ -28,11 +30,11 @@ from netsim.layers import Ints
 
 def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
     """The frame of radio i was exposed to what is on the air now, for parts of its header and its payload."""
-    sinr = s.level[i] / (rules.noise_mw if s.counts[ON_AIR] == 1 else interference(s, rules, i))
-    s.least[i] = np.minimum(s.least[i], sinr)
+    sinr, least = s.level[i] / interference(s, rules, i), s.least[i]
+    np.minimum(least, sinr, out=least)
     if header_ns == 0 and payload_ns == 0:
         return
-    receiving = (s.lock == i) | (not s.detected[i])
+    receiving = s.lock == i if s.detected[i] else np.ones(len(least), np.bool_)
     step, part = places(sinr)
     hazard = s.hazard[i].copy()
     if header_ns > 0:
@@ -41,7 +43,7 @@ def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, head
             s.spoiled[i] = receiving & (hazard >= s.patience[i])
     if payload_ns > 0:
         hazard += s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part)
-    s.hazard[i] = np.where(receiving, hazard, s.hazard[i])
+    np.putmask(s.hazard[i], receiving, hazard)
 
 
 def suffer_loop(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
@@ -64,14 +66,14 @@ def suffer_loop(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int,
 
 def hear_begin(s: State, rules: Rules, i: int, now: int) -> None:
     """Radio i begins to send: who is free hears it; who receives what it cannot decode, or what is weaker, lets go of that."""
-    sending = s.end_ns > now
+    sending, level = s.end_ns > now, s.level[i]
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
         held = s.lock == other
         if captures(s, rules, other, now):
-            s.lock[:] = np.where(held & (s.level[i] >= rules.capture * s.level[other]), NOBODY, s.lock)
+            s.lock[held & (level >= rules.capture * s.level[other])] = NOBODY
         if now >= s.start_ns[other] + rules.header_end_ns:
-            s.lock[:] = np.where(held & s.spoiled[other], NOBODY, s.lock)
+            s.lock[held & s.spoiled[other]] = NOBODY
     s.lock[i] = NOBODY
     s.pending[i] = ~sending & (s.lock == NOBODY)
     s.pending[i, i] = False
@@ -79,8 +81,8 @@ def hear_begin(s: State, rules: Rules, i: int, now: int) -> None:
     s.spoiled[i] = False
     s.hazard[i] = 0.0
     s.least[i] = np.inf
-    s.level[i] = np.where(s.level[i] < rules.faintest_mw, 0.0, s.level[i])
-    s.level[i, i] = 0.0
+    level[level < rules.faintest_mw] = 0.0
+    level[i] = 0.0
 
 
 def hear_begin_loop(s: State, rules: Rules, i: int, now: int) -> None:
@@ -113,23 +115,24 @@ def captures(s: State, rules: Rules, other: int, now: int) -> bool:
 
 def notice(s: State, rules: Rules, i: int) -> Ints:
     """The frame of radio i is noticed or not; until when the medium is busy for what is known now, (n,)."""
-    strongest = s.pending[i].copy()
+    level, strongest, busy = s.level[i], s.pending[i].copy(), np.zeros(len(s.lock), np.int64)
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
         if other != i:
-            strongest = strongest & ~(s.pending[other] & (s.level[other] > s.level[i]))
+            strongest &= ~(s.pending[other] & (s.level[other] > level))
     power = interference(s, rules, i)
-    noticed = strongest & (s.level[i] >= s.sensitivity_mw) & (s.level[i] >= rules.preamble_snr * power)
-    s.lock[:] = np.where(noticed, i, s.lock)
-    s.header_ns[:] = np.where(noticed, np.maximum(s.idle_ns, s.start_ns[i] + rules.header_end_ns), s.header_ns)
+    noticed = strongest & (level >= s.sensitivity_mw) & (level >= rules.preamble_snr * power)
+    s.lock[noticed] = i
+    np.putmask(s.header_ns, noticed, np.maximum(s.idle_ns, s.start_ns[i] + rules.header_end_ns))
+    s.pending[i] = False
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
-        s.pending[other] = s.pending[other] & ~noticed
+        if other != i:
+            s.pending[other] &= ~noticed
+    busy[noticed] = s.end_ns[i]
     missed = strongest & ~noticed
-    s.pending[i] = False
-    busy = np.where(noticed, s.end_ns[i], 0)
-    if missed.any():
-        busy = np.where(missed, energy_end(s, by_end(s), rules.busy_mw), busy)
+    if np.count_nonzero(missed):
+        np.putmask(busy, missed, energy_end(s, by_end(s), rules.busy_mw))
     return busy
 
 
@@ -169,14 +172,19 @@ def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
     held = s.lock == i
     heard = held & ~s.spoiled[i]
     received = s.fate[i] == RECEIVED
+    lost, busy = heard & ~received, np.zeros(len(held), np.int64)
     timeout = s.due[TIMEOUT * len(held) :]
-    if timeout.min() < NEVER:
-        timeout[:] = np.where(heard & (timeout < NEVER) & (timeout >= payload_ns), now + PAYLOAD_OVER_NS, timeout)
-    s.eifs_ns[:] = np.where(heard, np.where(received, 0, now + rules.eifs_ns), s.eifs_ns)
-    s.lock[:] = np.where(held, NOBODY, s.lock)
-    busy = np.where(received, reserved_ns, 0)
+    if timeout[timeout.argmin()] < NEVER:
+        timeout[heard & (timeout < NEVER) & (timeout >= payload_ns)] = now + PAYLOAD_OVER_NS
+    s.eifs_ns[heard] = 0
+    if np.count_nonzero(lost):
+        s.eifs_ns[lost] = s.counts[EIFS_OVER] = now + rules.eifs_ns
+    if s.counts[EIFS_OVER] > now:
+        defer(s, rules, heard)
+    s.lock[held] = NOBODY
+    busy[received] = reserved_ns
     if s.counts[ON_AIR] > 0:
-        busy = np.where(held, np.maximum(busy, energy_end(s, by_end(s), rules.busy_mw)), busy)
+        np.putmask(busy, held, np.maximum(busy, energy_end(s, by_end(s), rules.busy_mw)))
     return busy
 
 
@@ -192,7 +200,10 @@ def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> I
             if not s.spoiled[i, j]:
                 if payload_ns <= timeout[j] < NEVER:
                     timeout[j] = now + PAYLOAD_OVER_NS
-                eifs_ns[j] = 0 if fate[j] == RECEIVED else now + rules.eifs_ns
+                eifs_ns[j] = 0
+                if fate[j] != RECEIVED:
+                    eifs_ns[j] = s.counts[EIFS_OVER] = now + rules.eifs_ns
+                defer_one(s, rules, j)
             if len(order) > 0:
                 busy[j] = max(busy[j], energy_end_at(s, order, rules.busy_mw, j))
     return busy
@@ -200,20 +211,23 @@ def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> I
 
 def judge(s: State, rules: Rules, i: int, now: int) -> None:
     """Say for each radio whether it received the frame of radio i, which ends now; and if not, why not."""
-    survived = s.hazard[i] < s.patience[i]
-    ok = (s.lock == i) & survived
-    alone = survived
+    fate, level, alone = s.fate[i], s.level[i], s.hazard[i] < s.patience[i]
+    ok = (s.lock == i) & alone
+    if np.count_nonzero(ok) == len(ok) - 1:  # most often
+        fate[:] = RECEIVED
+        fate[i] = TRANSMITTING
+        return
     if s.shared[i]:  # what would have become of it with nothing else on the air?
-        step, part = places(s.level[i] / rules.noise_mw)
+        step, part = places(level / rules.noise_mw)
         header = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns) * between(s.tables[HEADER], step, part)
         payload_ns = now - s.start_ns[i] - rules.header_end_ns
         alone = header + s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part) < s.patience[i]
-    weak = (s.level[i] < s.sensitivity_mw) | (s.level[i] < rules.preamble_snr * rules.noise_mw)
-    fate = np.where(alone, COLLISION, ERROR)
-    fate = np.where(s.deaf[i], TRANSMITTING, fate)
-    fate = np.where(weak, UNDETECTED, fate)
-    s.fate[i] = np.where(ok, RECEIVED, fate)
-    s.fate[i, i] = TRANSMITTING
+    fate[:] = ERROR
+    fate[alone] = COLLISION
+    fate[s.deaf[i]] = TRANSMITTING
+    fate[(level < s.sensitivity_mw) | (level < rules.preamble_snr * rules.noise_mw)] = UNDETECTED
+    fate[ok] = RECEIVED
+    fate[i] = TRANSMITTING
 
 
 def judge_loop(s: State, rules: Rules, i: int, now: int) -> None:

@@ -41,8 +41,8 @@ PER_FRAME = (
     *("attempts", "row", "began_ns", "told", "outcome", "least_there", "patiences"),
 )
 CORE = (
-    *("netsim.hazard", "netsim.dcf_energy", "netsim.dcf_kernels", "netsim.dcf_air"),
-    *("netsim.dcf_queue", "netsim.dcf_backoff", "netsim.dcf_core"),
+    *("netsim.hazard", "netsim.dcf_energy", "netsim.dcf_backoff", "netsim.dcf_kernels"),
+    *("netsim.dcf_air", "netsim.dcf_queue", "netsim.dcf_core"),
 )
 
 
@@ -87,6 +87,7 @@ class DcfMedium:
         self._decided: list[Batch] = []  # and not yet handed out
         self._draw()
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
+        self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
         self._state.drawn[:] = 1
 
     @property

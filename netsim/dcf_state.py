@@ -29,6 +29,7 @@ DECIDED = 3  # rows in the `out` arrays
 SCARCE = 4  # 1: some radio has no draw left
 WANTED = 5  # frame whose levels are asked for
 SOONEST = 6  # when something happens next, as far as `run` has seen
+EIFS_OVER = 7  # when the last EIFS is over that any radio has begun
 
 # Rows of `State.tables` that are always there; payloads have the others.
 HEADER, ACKNOWLEDGEMENT = 0, 1
@@ -79,8 +80,8 @@ class State(NamedTuple):
     power_mw: Floats  # with which it sends
     lock: Ints  # whose frame it is receiving, or NOBODY
     # Their contention, (n,)
-    counting_ns: Ints  # when the backoff began to count down, at the earliest
-    slots: Ints  # left of it
+    slots: Ints  # of its backoff that were left when it last learnt that the medium is busy for longer
+    over_ns: Ints  # when the last of them is over, for what it knows
     wake_ns: Ints  # when it looks next whether it may send; NEVER: it does not want to
     window: Ints  # contention window: a backoff is one of 0..window
     failures: Ints  # attempts since the last acknowledgement
@@ -168,8 +169,8 @@ def new_state(
         sensitivity_mw=np.full(n, sensitivity_mw),
         power_mw=np.ones(n),
         lock=ints(NOBODY),
-        counting_ns=ints(0),
         slots=ints(0),
+        over_ns=ints(0),
         wake_ns=ints(NEVER),
         window=ints(rules.cw_min),
         failures=ints(0),
@@ -220,7 +221,7 @@ def new_state(
         levels=floats(64, n),
         placed=ints(NOBODY),
         arrivals=ints(NOBODY, frames),
-        counts=ints(0, 7),
+        counts=ints(0, 8),
         out_frame=ints(0, output),
         out_start=ints(0, output),
         out_end=ints(0, output),

@@ -2,16 +2,19 @@
 
 from bisect import bisect
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from netsim import dcf_core
 from netsim.dcf import Dcf
+from netsim.dcf_state import Rules, State
 from netsim.medium import Decided, Fate
 from netsim.phy import Dsss
 from netsim.phy_ofdm import Ofdm
-from tests.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, frame, mixed, open_air, periodic, run, square
+from tests.netsim.dcf_runs import MS, PHYS, UNTIL, US, bytes_of, frame, mixed, open_air, periodic, run, square
 
 
 @pytest.mark.parametrize("phy", PHYS, ids=str)
@@ -48,6 +51,23 @@ def test_what_is_received_took_its_time_and_a_radio_sends_one_frame_at_a_time(se
             assert each.fate[offered.sender] == Fate.TRANSMITTING
     received = [each for each in decided if (each.fate == Fate.RECEIVED).any()]
     assert len(received) > 20
+
+
+@pytest.mark.parametrize("seed", [142, 149, 160])  # who overslept gets up at the very end of a frame that it does not hear
+def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    times: list[int] = []
+    upcoming = dcf_core.upcoming
+
+    def watched(s: State, rules: Rules) -> tuple[int, int, int]:
+        what, who, now = upcoming(s, rules)
+        times.append(now)
+        return what, who, now
+
+    monkeypatch.setattr(dcf_core, "upcoming", watched)
+    frames = [msgspec.structs.replace(each, time_ns=each.time_ns // (20 * US) * (20 * US)) for each in mixed(seed, frames=100)]
+    run(open_air(6, Ofdm(54e6), Dcf(cw_min=7, cca_threshold_dbm=-70.0), seed=seed), frames, UNTIL)
+    assert len(times) > 300
+    assert times == sorted(times)
 
 
 @settings(max_examples=25, deadline=None)
