@@ -91,7 +91,7 @@ class AerialEngine:
         """Nothing here can push anything."""
         return still(np.empty((0, 3)), np.empty(0))
 
-    def touching(self) -> list[Touch]:
+    def touching(self, *, passing: bool) -> list[Touch]:
         """No bodies, no contacts."""
         return []
 

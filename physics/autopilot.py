@@ -33,6 +33,7 @@ from physics.rigid import Floats, column, columns, coupled, gyration, into_body
 LOOP_HZ = 60.0  # of way-points and velocities; slower where steps are longer
 
 _EARLY_S = 1e-9  # of rounding, where steps add up to a period
+_LEAST_GRAVITY = 1e-9  # m/s2, that it reckons with where there is none: somewhere must be up
 _LEAST_LIFT = 0.2  # of the weight, however fast it is to go down
 _LEAST_TRIM, _MOST_TRIM = -0.3, 0.6  # of gravity: the vertical part of the integral, which may not hold it on the ground
 _LEASH_RAD = 0.5  # how far the heading wanted may be ahead of the heading
@@ -51,7 +52,7 @@ class Autopilot:
 
     def __init__(self, models: Sequence[Quadrotor], headings: Any, gravity: float) -> None:
         n = len(models)
-        self._gravity = gravity
+        self._gravity = gravity = max(gravity, _LEAST_GRAVITY)
         self._mass, self._max_speed = column(models, "mass_kg"), column(models, "max_speed")
         self._max_climb, self._max_yaw_rate = column(models, "max_climb"), column(models, "max_yaw_rate")
         self._limits = list(

@@ -12,7 +12,6 @@ from physics.solids import Box, Cylinder, rectangle
 from physics.world import Movable, Moving
 
 _SIDES = 16  # of the polygon that stands for a circle where outlines are compared
-_INSTANT_S = 1e-4  # over which the speed of a moving obstacle is taken
 
 
 def hull_of(solid: Box | Cylinder, color: tuple[int, int, int] = (120, 100, 80)) -> Hull:
@@ -38,7 +37,7 @@ def on_time(moving: Sequence[Moving], now_ns: int) -> Motion:
     """Obstacles where their time-tables say they are, and as fast as they go on from there."""
     now_s = now_ns / SECOND_NS
     places = np.array([each.pose(now_s) for each in moving], float).reshape(-1, 4)
-    speeds = (np.array([each.pose(now_s + _INSTANT_S) for each in moving], float).reshape(-1, 4) - places) / _INSTANT_S
+    speeds = np.array([each.rates(now_s) for each in moving], float).reshape(-1, 4)
     turning = np.zeros((len(moving), 3))
     turning[:, 2] = speeds[:, 3]
     return still(places[:, :3], places[:, 3])._replace(velocity=speeds[:, :3], angular_velocity=turning)

@@ -1,4 +1,4 @@
-"""What is refused before time 0: vehicles outside the world, and bodies that start inside each other or inside a solid."""
+"""What is refused before time 0: equal names, sensors that do not fit, bodies outside the world or inside each other."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,6 +9,7 @@ from cosim.errors import ScenarioError
 from cosim.types import Array
 from physics.bodies import heading_of, hull_of, outline
 from physics.polygons import overlap_m
+from physics.quadrotor import Quadrotor
 from physics.vehicles import VehicleSpec, flies
 from physics.world import World
 
@@ -17,9 +18,38 @@ _TOUCHES_M = 1e-9  # bodies that only touch do not overlap
 
 class _Body(NamedTuple):
     name: str
+    key: str  # in the scenario
     corners: Array
     bottom: float
     top: float
+
+
+def check_names(world: World, vehicles: Sequence[VehicleSpec]) -> None:
+    """Refuse bodies of one name: contacts tell names."""
+    taken = {spec.name for spec in vehicles}
+    for key, things in (("world.movables", world.movables), ("world.moving", world.moving)):
+        for each in things:
+            if each.name in taken:
+                raise ScenarioError(f"{each.name!r} is the name of another vehicle or body too; names must differ", key=key)
+            taken.add(each.name)
+
+
+def check_sensors(vehicles: Sequence[VehicleSpec]) -> None:
+    """Refuse sensors that vehicles cannot carry."""
+    for spec in vehicles:
+        for name, sensor in spec.sensors.items():
+            if problem := sensor.misfit(spec.model):
+                raise ScenarioError(f"{spec.name} {problem}", key=f"vehicle.{spec.name}.sensors.{name}")
+
+
+def check_lift(vehicles: Sequence[VehicleSpec], gravity: float) -> None:
+    """Refuse quadrotors that cannot carry themselves."""
+    for spec in vehicles:
+        if isinstance(spec.model, Quadrotor):
+            try:
+                spec.model.check_lift(gravity)
+            except ValueError as error:
+                raise ScenarioError(str(error), key=f"vehicle.{spec.name}") from error
 
 
 def check_places(world: World, vehicles: Sequence[VehicleSpec]) -> None:
@@ -37,21 +67,31 @@ def check_places(world: World, vehicles: Sequence[VehicleSpec]) -> None:
 
 
 def check_overlaps(world: World, vehicles: Sequence[VehicleSpec]) -> None:
-    """Refuse bodies that start inside each other or inside a solid: an engine would fling them apart."""
-    bodies = [
-        _Body(each.name, *outline(hull_of(each.solid), each.solid.center, heading_of(each.solid))) for each in world.movables
-    ]
+    """Refuse vehicles and movables that start inside each other or inside a solid: an engine would fling them apart.
+
+    Vehicles may not start inside a moving obstacle either; movables may, and so may other obstacles.
+    """
+    bodies = []
     for each in world.moving:
         x, y, z, heading = each.pose(0.0)
-        bodies.append(_Body(each.name, *outline(hull_of(each.solid), (x, y, z), heading)))
-    others = len(bodies)
-    bodies += [_Body(spec.name, *outline(spec.model.hull, spec.start, spec.heading)) for spec in vehicles]
+        bodies.append(_Body(each.name, "", *outline(hull_of(each.solid), (x, y, z), heading)))
+    movables, key = len(bodies), "world.movables"
+    bodies += [
+        _Body(each.name, key, *outline(hull_of(each.solid), each.solid.center, heading_of(each.solid)))
+        for each in world.movables
+    ]
+    cars = len(bodies)
+    bodies += [
+        _Body(spec.name, f"vehicle.{spec.name}.position", *outline(spec.model.hull, spec.start, spec.heading))
+        for spec in vehicles
+    ]
     circles = np.array([_circle(body.corners) for body in bodies]).reshape(-1, 3)
-    for number in range(others, len(bodies)):
+    for number in range(movables, len(bodies)):
         body = bodies[number]
         x, y, radius = circles[number]
         apart = np.hypot(circles[:number, 0] - x, circles[:number, 1] - y)
-        for k in np.flatnonzero(apart < circles[:number, 2] + radius).tolist():
+        first = 0 if number >= cars else movables
+        for k in (first + np.flatnonzero(apart[first:] < circles[first:number, 2] + radius)).tolist():
             other = bodies[k]
             depth = min(overlap_m(body.corners, other.corners), min(body.top, other.top) - max(body.bottom, other.bottom))
             if depth > _TOUCHES_M:
@@ -62,7 +102,7 @@ def check_overlaps(world: World, vehicles: Sequence[VehicleSpec]) -> None:
 
 def _refuse(body: _Body, what: str, depth_m: float) -> None:
     problem = f"{body.name} and {what} overlap at the start, by {depth_m:.3g} m; move one"
-    raise ScenarioError(problem, key=f"vehicle.{body.name}.position")
+    raise ScenarioError(problem, key=body.key)
 
 
 def _circle(corners: Array) -> tuple[float, float, float]:

@@ -33,16 +33,13 @@ class Touch(NamedTuple):
     """Two bodies that press against each other, or one against the world. Touching the floor does not count."""
 
     row: int  # a vehicle
-    other: (
-        int | None
-    )  # another vehicle, of a greater row; n + k: the k-th movable, then the k-th moving obstacle; None: a solid
+    other: int | None  # another vehicle, of a greater row; n + k: the k-th movable, then the k-th obstacle; None: a solid
     place: Vec3  # m, world
-    solid: int | None = None  # which one of ``World.solids``
 
     @property
-    def key(self) -> tuple[int, int, int]:
+    def key(self) -> tuple[int, int]:
         """Who touches what, for sorting."""
-        return self.row, -1 if self.other is None else self.other, -1 if self.solid is None else self.solid
+        return self.row, -1 if self.other is None else self.other
 
 
 class Engine(Protocol):
@@ -66,8 +63,11 @@ class Engine(Protocol):
     def movables(self) -> Motion:
         """How every movable of the world moves now: no rows where nothing can push them."""
 
-    def touching(self) -> list[Touch]:
-        """What touches now, by rows; also what has touched only in passing since this was last asked, if an engine notices."""
+    def touching(self, *, passing: bool) -> list[Touch]:
+        """What touches now, by rows: asking changes nothing.
+
+        With ``passing`` also what has touched since that was last asked for, if an engine notices.
+        """
 
     def close(self) -> None:
         """Release everything."""
@@ -92,7 +92,7 @@ def gathered(parts: "list[tuple[Motion, Array]]", count: int) -> Motion:
     if len(parts) == 1 and len(parts[0][1]) == count:
         whole = parts[0][0]  # one engine has all, in order
     else:
-        whole = Motion(*(np.empty((count, width)) for width in (3, 3, 4, 3, 3, 2, 5)))
+        whole = Motion(*(np.full((count, width), np.nan) for width in (3, 3, 4, 3, 3, 2, 5)))
         for motion, rows in parts:
             for target, source in zip(whole, motion, strict=True):
                 target[rows] = source

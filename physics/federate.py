@@ -29,7 +29,7 @@ from cosim.rng import stream
 from cosim.types import Array, Contact, Fix, NonNegative, Odometry, Rate, States, VehicleState, Velocity, Waypoint
 from physics.aerial import AerialEngine
 from physics.bodies_scene import Stage
-from physics.bodies_start import check_overlaps, check_places
+from physics.bodies_start import check_lift, check_names, check_overlaps, check_places, check_sensors
 from physics.engine import Engine, Motion, Touch, gathered
 from physics.estimates import estimate, state_of
 from physics.instruments import Instruments
@@ -94,13 +94,20 @@ class Physics:
         fitted = {spec.name: spec.sensors for spec in self.vehicles}
         self._instruments = Instruments(fitted, run.seed, wanted=frozenset(run.wanted))
         self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))  # equal ones once, in order
+        check_names(self.world, self.vehicles)
         check_places(self.world, self.vehicles)
+        check_sensors(self.vehicles)
         self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
         self._mover = {
             self._names[number]: (engine, row, flies(self.vehicles[number].model))
             for engine, numbers in self._engines
             for row, number in enumerate(numbers.tolist())
         }
+        for spec in self.vehicles:
+            if spec.name not in self._mover:
+                problem = f"{spec.name} is a {type(spec.model).__name__}, which physics cannot move: "
+                problem += "derive it from GroundVehicle, Point or Quadrotor"
+                raise ScenarioError(problem, key=f"vehicle.{spec.name}.kind")
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
@@ -158,7 +165,6 @@ class Physics:
         if not (asked or fixes or sensing):
             return []
         motion = gathered([(engine.read(), rows) for engine, rows in self._engines], len(self.vehicles))
-        touches = self._touches() if asked or sensing else []
         events = []
         if asked:
             states = States(
@@ -174,10 +180,10 @@ class Physics:
             events.append(Event(f"{self._names[number]}/fix", now_ns, fix))
         if sensing:
             movables = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
-            scene = self._stage.scene(now_ns, motion, movables[0] if movables else None, touches)
+            scene = self._stage.scene(now_ns, motion, movables[0] if movables else None, self._touches(passing=False))
             events += self._instruments.read(scene)
         if asked:
-            events += self._estimates(now_ns, motion) + self._contacts(now_ns, touches)
+            events += self._estimates(now_ns, motion) + self._contacts(now_ns, self._touches(passing=True))
         return events
 
     def _estimates(self, now_ns: int, motion: Motion) -> list[Event]:
@@ -194,12 +200,12 @@ class Physics:
                 events.append(Event(f"{spec.name}/odometry", now_ns, odometry))
         return events
 
-    def _touches(self) -> list[Touch]:
+    def _touches(self, *, passing: bool) -> list[Touch]:
         """What touches, in the federate's rows: vehicles in the scenario's order, then the other bodies of the world."""
         touches = []
         for engine, rows in self._engines:
             own = [*rows.tolist(), *range(len(self.vehicles), len(self._stage.names))]
-            found = [(each, None if each.other is None else own[each.other]) for each in engine.touching()]
+            found = [(each, None if each.other is None else own[each.other]) for each in engine.touching(passing=passing)]
             touches += [each._replace(row=own[each.row], other=other) for each, other in found]
         return touches
 
@@ -254,6 +260,7 @@ class BulletPhysics(Physics):
         ]
         specs = [self.vehicles[n] for n in bodies]
         check_overlaps(self.world, specs)
+        check_lift(specs, self.gravity)
         bullet = BulletEngine(
             world=self.world,
             models=[spec.model for spec in specs],

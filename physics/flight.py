@@ -75,7 +75,7 @@ class Fleet:
         """From now on go to ``position`` m and stay, facing ``yaw`` rad (None: as now), at most as fast as ``speed`` m/s."""
         self._pilot.set_waypoint(row, position, yaw, speed)
 
-    def wrench(self, dt: float, wind: Any, rows: Any = None) -> tuple[Floats, Floats]:
+    def wrench(self, dt: float, wind: Any) -> tuple[Floats, Floats]:
         """Let autopilots and rotors of all vehicles run on by ``dt`` s; what acts on the bodies meanwhile.
 
         To be called once in every step of physics, for all vehicles.
@@ -83,7 +83,6 @@ class Fleet:
         Args:
             dt: s.
             wind: (n, 3) m/s, world.
-            rows: which rows to return (indices or a mask); None: all.
 
         Returns:
             Force on the centre of mass (n, 3) N without gravity, and torque (n, 3) N m, both in the world frame.
@@ -107,18 +106,16 @@ class Fleet:
         np.multiply(self._yaw_arm, pairs[1] - pairs[0], out=body[2, 1])
         terms = rotation[:, :, None] * body
         world = terms[:, 0] + terms[:, 1] + terms[:, 2]
-        force, torque = world[:, 0].T, world[:, 1].T
-        return (force, torque) if rows is None else (force[rows], torque[rows])
+        return world[:, 0].T, world[:, 1].T
 
-    def integrate(self, rows: Any, force: Any, torque: Any, dt: float) -> None:
-        """Move free bodies on by ``dt`` s under gravity and what acts on them.
+    def integrate(self, force: Any, torque: Any, dt: float) -> None:
+        """Move all on as free bodies by ``dt`` s under gravity and what acts on them.
 
         After `wrench` in the same step, attitudes must still be the same as then.
 
         Args:
-            rows: which vehicles move (indices or a mask); None: all.
-            force: (n, 3) N, world, on the centre of mass, for all vehicles; without gravity.
-            torque: (n, 3) N m, world, for all vehicles.
+            force: (n, 3) N, world, on the centre of mass; without gravity.
+            torque: (n, 3) N m, world.
             dt: s.
         """
         rotation = rotations(self._attitude) if self._rotation is None else self._rotation
@@ -128,7 +125,4 @@ class Fleet:
         velocity = self._velocity + force.T * (dt / self._mass)
         velocity[2] -= self._gravity * dt
         after = (self._position + velocity * dt, velocity, turned(self._attitude, rate, dt), rate)
-        if rows is None:
-            np.concatenate(after, out=self._state)
-        else:
-            self._state[:, rows] = np.concatenate(after)[:, rows]
+        np.concatenate(after, out=self._state)

@@ -130,7 +130,7 @@ class MotionEngine:
         """Nothing here can push anything."""
         return _NOTHING
 
-    def touching(self) -> list[Touch]:
+    def touching(self, *, passing: bool) -> list[Touch]:
         """No bodies, no contacts."""
         return []
 

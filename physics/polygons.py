@@ -12,6 +12,13 @@ Point = tuple[float, float]
 _ROUNDING = 4e-16  # of a turn, against its two products (J. R. Shewchuk, Adaptive precision predicates, 1997: 3.33e-16)
 
 
+def outward(corners: Array) -> Array:
+    """Unit normals of the edges of polygons, (..., k, 2), to the outside of those that run counter-clockwise."""
+    along = np.roll(corners, -1, axis=-2) - corners
+    normals: Array = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.hypot(along[..., :1], along[..., 1:])
+    return normals
+
+
 def overlap_m(a: Array, b: Array) -> float:
     """How far one of two convex polygons, (k, 2) and (j, 2) m, must be moved so that they share no area; 0: they share none.
 
@@ -19,9 +26,8 @@ def overlap_m(a: Array, b: Array) -> float:
     """
     depth = math.inf
     for polygon in (a, b):
-        edges = np.roll(polygon, -1, axis=0) - polygon
-        normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.hypot(*edges.T)[:, None]
-        mine, theirs = a @ normals.T, b @ normals.T
+        axes = outward(polygon).T
+        mine, theirs = a @ axes, b @ axes
         ahead, behind = mine.max(axis=0) - theirs.min(axis=0), theirs.max(axis=0) - mine.min(axis=0)
         depth = min(depth, float(np.minimum(ahead, behind).min()))
     return max(depth, 0.0)
@@ -38,9 +44,7 @@ def width_m(outline: Array) -> float:
 
     One of its edges lies along the gap (M. E. Houle, G. T. Toussaint, Computing the width of a set, 1988).
     """
-    edges = np.roll(outline, -1, axis=0) - outline
-    normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.hypot(*edges.T)[:, None]
-    shadows: Array = outline @ normals.T
+    shadows: Array = outline @ outward(outline).T
     return float((shadows.max(axis=0) - shadows.min(axis=0)).min())
 
 

@@ -9,7 +9,7 @@ from cosim.types import Array
 from physics.raycast_pairs import Nearest, Reached, pairs
 from physics.raycast_pieces import Near, Pieces
 from physics.shapes import Shapes
-from physics.world import World
+from physics.world import World, made_once
 
 FLOOR = -2  # in `Reached.which`
 _FEW = 16  # beams in a cell: with fewer, all beams are tested with all pieces
@@ -138,11 +138,11 @@ class Caster:
 
 def caster_of(world: World) -> Caster:
     """The caster of a world, which is made once and kept with it."""
-    kept = vars(world)
-    if "caster" not in kept:
-        kept["caster"] = Caster(world.shapes)
-    caster: Caster = kept["caster"]
-    return caster
+    return made_once(world, _caster)
+
+
+def _caster(world: World) -> Caster:
+    return Caster(world.shapes)
 
 
 def _to_floor(origins: Array, directions: Array) -> Array:

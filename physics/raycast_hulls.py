@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.types import Array
-from physics.raycast_pairs import Nearest, Reached, touching_spheres
 from physics.scene import Hull, Scene, rotations
 
 _NEVER_ZERO = 1e-300  # added to what is divided by: changes nothing but a zero
@@ -52,30 +51,6 @@ def _sizes_of(hulls: tuple[Hull, ...]) -> _Sizes:
         across = np.where(around, size[0] ** 2, size[0] ** 2 + size[1] ** 2)
         _last[:] = [_Sizes(hulls, 0.5 * size, offset, around, 0.5 * np.sqrt(across + size[2] ** 2))]
     return _last[0]
-
-
-def cast_bodies(scene: Scene, origins: Array, directions: Array, reach_m: float, own: int | Array = -1) -> Reached:
-    """How far beams get until they meet a body.
-
-    Args:
-        scene: the bodies.
-        origins: (r, 3) m, world.
-        directions: (r, 3), unit vectors.
-        reach_m: no further than this.
-        own: row, or (r,) rows, of the body that a beam does not see; -1: none.
-
-    Returns:
-        The distances, 0 where a beam begins inside a body, and the rows, -1 where nothing was met.
-    """
-    hulls = hulls_of(scene)
-    beam, body = touching_spheres(origins, directions, reach_m, hulls.centre, hulls.radius)
-    others = body != np.broadcast_to(own, len(origins))[beam]
-    beam, body = beam[others], body[others]
-    start, toward = in_frames(hulls, body, np.stack([(origins[beam] - hulls.centre[body]).T, directions[beam].T], axis=1))
-    distance = meet(hulls, body, start, toward)
-    nearest = Nearest(len(origins))
-    nearest.meet(beam, distance, body)
-    return nearest.within(reach_m)
 
 
 def in_frames(hulls: Hulls, body: Array, vectors: Array) -> tuple[Array, ...]:

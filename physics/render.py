@@ -12,8 +12,7 @@ from physics.render_ground import View, ground, inverse_depth, levels_of
 from physics.render_hidden import shown
 from physics.render_large import LARGE_PX, Buffers, draw_large
 from physics.scene import Scene
-from physics.sensors.common import made_once
-from physics.world import World
+from physics.world import World, made_once
 
 NEAREST_M = 0.005  # along the optical axis: what is nearer is cut off
 

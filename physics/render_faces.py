@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.types import Array
+from physics.polygons import outward
 from physics.raycast_hulls import hulls_of
 from physics.scene import Scene
 from physics.shapes import Shapes
@@ -81,8 +82,7 @@ def _walls(shapes: Shapes, count: int) -> tuple[Array, Array]:
     for group in shapes.groups:
         m, k, _ = group.corners.shape
         if k == 4:
-            along = np.roll(group.corners, -1, axis=1) - group.corners
-            normal = np.stack([along[:, :, 1], -along[:, :, 0]], axis=2) / np.hypot(along[:, :, :1], along[:, :, 1:])
+            normal = outward(group.corners)
             last = min(first + m, count)  # there are fewer pieces where the last lie under the floor
             walls[first:last] = np.dstack([normal, (normal * group.corners).sum(axis=2)])[: last - first]
             block[first:last] = group.bottom[: last - first] <= 0.0

@@ -46,13 +46,6 @@ def rotations(attitude: Floats) -> Floats:
     return matrices.reshape(3, 3, n)
 
 
-def into_world(rotation: Floats, vector: Floats) -> Floats:
-    """Vectors (3, n) of the body frame in the world frame."""
-    terms = rotation * vector
-    result: Floats = terms[:, 0] + terms[:, 1] + terms[:, 2]
-    return result
-
-
 def into_body(rotation: Floats, vector: Floats) -> Floats:
     """Vectors (3, n) of the world frame in the body frame."""
     terms = rotation * vector[:, None]

@@ -44,6 +44,10 @@ class Sensor(ABC):
     latency_s: Seconds = 0.0
     drop_out: Probability = 0.0
 
+    def misfit(self, model: object) -> str:
+        """What keeps it from being fitted to a vehicle like this one (`physics.vehicles`); empty: nothing does."""
+        return ""
+
     @abstractmethod
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Reading:
         """The reading of the vehicle in this row of the scene."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.types import Array
-from physics.polygons import area_m2, convex_parts, width_m
+from physics.polygons import area_m2, convex_parts, outward, width_m
 from physics.solids import Prism, Solid
 
 Floats = NDArray[np.float64]
@@ -144,9 +144,7 @@ def _thickness(rings: Sequence[Array]) -> float:
 
 def _shrunk(ring: Array) -> Array:
     """A ring with its edges moved inwards by the skin; at sharp corners by no more than ten skins."""
-    edges = np.roll(ring, -1, axis=0) - ring
-    edges /= np.hypot(*edges.T)[:, None]
-    inwards = np.column_stack([-edges[:, 1], edges[:, 0]])
+    inwards = -outward(ring)
     before = np.roll(inwards, 1, axis=0)
     total = before + inwards
     scale = np.maximum((total * total).sum(axis=1), 0.04)  # 2 (1 + cos of the turn)

@@ -5,6 +5,7 @@ parameters with plausible defaults. What Bullet would silently replace or leave 
 mass or inertia, a joint that is not there, a root link whose inertia is turned.
 """
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -62,6 +63,9 @@ class UrdfDrive(GroundVehicle):
         left, right = (
             tree.wheel(name, key) for name, key in ((self.left_wheel, "left_wheel"), (self.right_wheel, "right_wheel"))
         )
+        if not math.isclose(left.radius_m, right.radius_m, rel_tol=1e-6):
+            problem = f"both wheels must have the same radius, not {left.radius_m:g} m and {right.radius_m:g} m"
+            raise ScenarioError(problem, key="right_wheel")
         track = float(left.place[1] - right.place[1])
         if track <= 0.0:
             raise ScenarioError(f"{self.left_wheel} is not to the left (+y) of {self.right_wheel}", key="left_wheel")
@@ -128,24 +132,40 @@ class _Tree:
                     tag = needed.rpartition("/")[2]
                     problem = f"the link {name!r} of {self.path.name} has no <{tag}>: an engine would make one up"
                     raise ScenarioError(problem, key="file")
+            _ = _origin(link.find("inertial"))  # numbers that cannot be read
             mass, inertia = self._mass(link)
-            if not (mass > 0.0 and (np.linalg.eigvalsh(inertia) > 0.0).all()):
+            if not (0.0 < mass < math.inf and (np.linalg.eigvalsh(inertia) > 0.0).all()):
                 raise ScenarioError(f"mass and inertia of the link {name!r} of {self.path.name} must be positive", key="file")
-        children = {_name(joint, "child") for joint in self._joints.values()}
+        root = self._check_tree()
+        inertial = self._links[root].find("inertial")
+        turned = _origin(inertial)[:3, :3]
+        off = [abs(float(_attributes(inertial, "inertia").get(each, "0"))) for each in _OFF_DIAGONAL]
+        if max(off) > 0.0 or not np.array_equal(turned, np.eye(3)):
+            problem = f"the inertia of the root link {root!r} of {self.path.name} must be about x, y and z: "
+            problem += "without rpy, ixy, ixz, iyz"
+            raise ScenarioError(problem, key="file")
+
+    def _check_tree(self) -> str:
+        """Its root."""
+        children = [_name(joint, "child") for joint in self._joints.values()]
         roots = [name for name in self._links if name not in children]
         strays = [each for joint in self._joints.values() for each in (_name(joint, "child"), _name(joint, "parent"))]
         if missing := [name for name in strays if name not in self._links]:
             raise ScenarioError(f"a joint of {self.path.name} names {missing[0]!r}, which is no link of it", key="file")
         if len(roots) != 1:
             raise ScenarioError(f"{self.path.name} must have one root link, not {len(roots)}", key="file")
-        (self._root,) = roots
-        inertial = self._links[self._root].find("inertial")
-        turned = _origin(inertial)[:3, :3]
-        off = [abs(float(_attributes(inertial, "inertia").get(each, "0"))) for each in _OFF_DIAGONAL]
-        if max(off) > 0.0 or not np.array_equal(turned, np.eye(3)):
-            problem = f"the inertia of the root link {self._root!r} of {self.path.name} must be about x, y and z: "
-            problem += "without rpy, ixy, ixz, iyz"
+        (root,) = roots
+        if twice := [name for name in children if children.count(name) > 1]:
+            raise ScenarioError(f"the link {twice[0]!r} of {self.path.name} is the child of two joints", key="file")
+        held = {root}
+        for _ in self._links:
+            held |= {_name(joint, "child") for joint in self._joints.values() if _name(joint, "parent") in held}
+        if loose := [name for name in self._links if name not in held]:
+            problem = f"joints of {self.path.name} run in a circle: {loose[0]!r} does not hang from {root!r}"
             raise ScenarioError(problem, key="file")
+        for joint in self._joints.values():
+            _ = _origin(joint), _axis(joint)  # numbers that cannot be read
+        return root
 
     @staticmethod
     def _mass(link: ET.Element) -> tuple[float, Array]:
@@ -178,16 +198,30 @@ class _Tree:
             raise ScenarioError(
                 f"the joint {name!r} of {self.path.name} is {joint.get('type')}, and a wheel must turn", key=key
             )
+        if joint.get("type") == "revolute" and {"lower", "upper"} & {*_attributes(joint, "limit")}:
+            problem = f"the joint {name!r} of {self.path.name} has limits, and a wheel must turn without end: "
+            raise ScenarioError(problem + "make it continuous, or take lower and upper out of its <limit>", key=key)
         link = _name(joint, "child")
         frame = self.frame(link)
-        axis = frame[:3, :3] @ np.array(_numbers(_attributes(joint, "axis").get("xyz", "1 0 0")))
+        axis = frame[:3, :3] @ _axis(joint)
         if abs(axis[1]) < 0.99 * float(np.linalg.norm(axis)):
             raise ScenarioError(f"the axis of {name!r} of {self.path.name} must lie along y, left to right", key=key)
         for shape in self._links[link].iterfind("collision"):
             for kind in ("sphere", "cylinder"):
                 if (geometry := shape.find(f"geometry/{kind}")) is not None:
-                    return _Wheel(frame[:3, 3], float(np.sign(axis[1])), float(geometry.get("radius", "nan")))
+                    radius_m = self._radius(geometry, f"the {kind} of the link {link!r}", key)
+                    return _Wheel(frame[:3, 3], float(np.sign(axis[1])), radius_m)
         raise ScenarioError(f"the link {link!r} of {self.path.name} needs a sphere or cylinder to roll on", key=key)
+
+    def _radius(self, geometry: ET.Element, what: str, key: str) -> float:
+        told = geometry.get("radius", "")
+        try:
+            radius_m = float(told)
+        except ValueError:
+            radius_m = math.nan
+        if not 0.0 < radius_m < math.inf:
+            raise ScenarioError(f"{what} of {self.path.name} needs a positive radius, not {told!r}", key=key)
+        return radius_m
 
     def whole(self) -> tuple[float, tuple[float, float, float]]:
         """Mass, kg, and inertia about x, y, z through the common centre of mass, kg m2, as one rigid body."""
@@ -216,7 +250,14 @@ def _name(joint: ET.Element, end: str) -> str:
 
 
 def _numbers(text: str) -> list[float]:
-    return [float(each) for each in text.split()]
+    numbers = [float(each) for each in text.split()]
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{text!r} should be three finite numbers")
+    return numbers
+
+
+def _axis(joint: ET.Element) -> Array:
+    return np.array(_numbers(_attributes(joint, "axis").get("xyz", "1 0 0")))
 
 
 def _origin(element: ET.Element | None) -> Array:

@@ -140,6 +140,8 @@ class DifferentialDrive(GroundVehicle):
     def __post_init__(self) -> None:
         if 2.0 * self.wheel_mass_kg >= self.mass_kg:
             raise ValueError(f"mass_kg = {self.mass_kg} must exceed that of both wheels, 2 x {self.wheel_mass_kg} kg")
+        if self.clearance_m >= self.height_m:
+            raise ValueError(f"clearance_m = {self.clearance_m} must be less than height_m = {self.height_m}")
         if self.mass_behind_m >= self.caster_behind_m:
             raise ValueError(f"mass_behind_m = {self.mass_behind_m} must be less than caster_behind_m = {self.caster_behind_m}")
 

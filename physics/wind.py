@@ -43,7 +43,7 @@ class Gusts:
 
     def advance(self, to_ns: int) -> NDArray[np.float64]:
         """The wind (n, 3) m/s, world, read-only, at this time, which is never before that of the call before."""
-        tick = to_ns * GUST_HZ // SECOND_NS
+        tick = ((to_ns + 1) * GUST_HZ - 1) // SECOND_NS  # times of ticks are whole ns too, rounded down
         if self._steady or tick <= self._tick:
             return self._now
         while self._tick < tick:

@@ -5,8 +5,11 @@ pieces (`World.shapes`).
 """
 
 import math
+from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -17,17 +20,19 @@ from physics.ground import Ground
 from physics.shapes import Shapes, mesh_of, shapes_of
 from physics.solids import AnySolid, Box, Color, Cylinder
 
-__all__ = ["Ground", "Light", "Movable", "Moving", "Wind", "World", "Zone"]
+__all__ = ["Ground", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]
+
+T = TypeVar("T")
 
 
 class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A rectangle of the floor with a friction of its own: ice, mud. Where zones overlap, the last one counts.
+    """A rectangle of the floor with a friction of its own for robots: ice, mud. Where zones overlap, the last one counts.
 
     Args:
         center: x, y, m.
         size: length and width, m, before it is turned.
         yaw_rad: turned by this.
-        friction: multiplies that of what rolls or slides on it, in place of the floor's.
+        friction: multiplies that of robots on it, in place of the floor's; movables and quadrotors keep to the floor's.
         color: it is painted in, if at all.
     """
 
@@ -36,6 +41,10 @@ class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     yaw_rad: float = 0.0
     friction: NonNegative
     color: Color | None = None
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (*self.center, *self.size, self.yaw_rad))) or min(self.size) <= 0.0:
+            raise ValueError(f"a zone needs finite numbers and two positive sizes, not center {self.center}, size {self.size}")
 
 
 class Wind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -109,12 +118,25 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def pose(self, time_s: float) -> tuple[float, float, float, float]:
         """Where its centre is, x, y, z m, and its yaw, rad."""
-        first, last = self.times_s[0], self.times_s[-1]
-        if self.loop and last > first:
-            time_s = first + (time_s - first) % (last - first)
+        time_s = self._in_table(time_s)
         columns = zip(*self.way, strict=True)
         x, y, z, yaw = (float(np.interp(time_s, self.times_s, column)) for column in columns)
         return x, y, z, yaw
+
+    def rates(self, time_s: float) -> tuple[float, float, float, float]:
+        """How fast its centre goes on from there, m/s, and it turns, rad/s; jumping back to the first place does not count."""
+        time_s = self._in_table(time_s)
+        k = bisect_right(self.times_s, time_s)
+        if k in (0, len(self.times_s)):
+            return 0.0, 0.0, 0.0, 0.0
+        span_s = self.times_s[k] - self.times_s[k - 1]
+        x, y, z, yaw = ((there - here) / span_s for here, there in zip(self.way[k - 1], self.way[k], strict=True))
+        return x, y, z, yaw
+
+    def _in_table(self, time_s: float) -> float:
+        """The time of the table that stands for a time of the run."""
+        first, last = self.times_s[0], self.times_s[-1]
+        return first + (time_s - first) % (last - first) if self.loop and last > first else time_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,3 +194,13 @@ class World:
     @cached_property
     def _blocking(self) -> Blocking:
         return Blocking(self.shapes)
+
+
+def made_once(world: World, make: Callable[[World], T]) -> T:
+    """What ``make`` makes of a world, kept as long as the world is: worlds never change."""
+    kept: dict[str, Any] = vars(world)  # where a cached property keeps its value
+    name = f"_{make.__module__}.{make.__qualname__}"
+    if name not in kept:
+        kept[name] = make(world)
+    made: T = kept[name]
+    return made

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from cosim.types import Array
+from physics.polygons import outward
 from physics.shapes import Shapes
 
 REACH_M = 1.5  # the map knows pieces this far around a cell: more than a vehicle and its way to the next look take together
@@ -43,8 +44,7 @@ class SolidsMap:
 
     def _enter(self, number: int, corners: Array) -> Array:
         """Note the sides of a piece; the cells that have a place within reach of it."""
-        edges = np.roll(corners, -1, axis=0) - corners
-        normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.hypot(*edges.T)[:, None]
+        normals = outward(corners)
         offsets = (normals * corners).sum(axis=1)
         self._normals[number, : len(corners)], self._offsets[number, : len(corners)] = normals, offsets
         reach = REACH_M + self._size * math.sqrt(0.5)  # from the middle of a cell

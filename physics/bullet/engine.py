@@ -8,7 +8,7 @@ from cosim.clock import Ticks
 from cosim.types import Vec3
 from physics.bullet import p
 from physics.bullet.clearance import REACH_M
-from physics.bullet.flyers import LOOK_HZ, Flyers
+from physics.bullet.flyers import Flyers
 from physics.bullet.robots import Robots
 from physics.bullet.things import Things
 from physics.bullet.touch import Touches
@@ -94,10 +94,10 @@ class BulletEngine:
         bodies |= {row: self._flyers.bodies[k] for k, row in enumerate(self._flying)}
         others = [*self._things.movables, *self._things.moving]
         jointed = [row for row, model in drives.items() if isinstance(model, UrdfDrive)]
-        self._touches = Touches(self._client, world, bodies, others, jointed)
-        self._hits: list[Touch] = []  # of quadrotors since they were last asked for
+        self._touches = Touches(self._client, bodies, others, jointed)
+        self._hits: list[Touch] = []  # of quadrotors since what touched in passing was last asked for
         self._accelerations = accelerations
-        self._robot_reach = np.array([_reach_m(model) for model in drives.values()])
+        self._robot_reach = np.array([_reach_m(model, self._flyers.look_s) for model in drives.values()])
         self._robot_top = max((model.hull.size[2] for model in drives.values()), default=0.0)
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
@@ -139,7 +139,7 @@ class BulletEngine:
 
     def _look(self) -> None:
         """Have the quadrotors look around for whatever else moves."""
-        places, reach = self._things.spheres(self._ticks.at(self._step), 1.0 / LOOK_HZ)
+        places, reach = self._things.spheres(self._ticks.at(self._step), self._flyers.look_s)
         if self._driving and float(self._flyers.fleet.position[:, 2].min()) < self._robot_top + REACH_M:
             at = [p.getBasePositionAndOrientation(body, self._client)[0] for body in self._robots.bodies]
             places, reach = np.concatenate([places, at]), np.concatenate([reach, self._robot_reach])
@@ -158,11 +158,13 @@ class BulletEngine:
         """How every movable moves now."""
         return self._things.read()
 
-    def touching(self) -> list[Touch]:
-        """What presses against each other in this step, and what quadrotors have bounced off since this was last asked."""
+    def touching(self, *, passing: bool) -> list[Touch]:
+        """What presses against each other in this step; with ``passing`` also what quadrotors have bounced off since then."""
         near = [self._flying[k] for k in np.flatnonzero(self._flyers.near).tolist()]
-        found, self._hits = self._touches.now([*self._driving, *near]) + self._hits, []
-        return sorted({each.key: each for each in reversed(found)}.values(), key=lambda each: each.key)
+        found = self._touches.now([*self._driving, *near])
+        if passing:
+            found, self._hits = sorted(found + self._hits, key=lambda each: each.key), []
+        return found
 
     def close(self) -> None:
         """Give the Bullet world back."""
@@ -171,6 +173,6 @@ class BulletEngine:
             self._client = -1
 
 
-def _reach_m(model: DifferentialDrive | UrdfDrive) -> float:
-    """How far from its centre of mass a robot may touch something before the next look."""
-    return float(np.linalg.norm(model.hull.size)) + model.max_speed / LOOK_HZ
+def _reach_m(model: DifferentialDrive | UrdfDrive, span_s: float) -> float:
+    """How far from its centre of mass a robot may touch something within ``span_s``."""
+    return float(np.linalg.norm(model.hull.size)) + model.max_speed * span_s

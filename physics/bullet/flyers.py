@@ -24,7 +24,7 @@ from physics.scene import rotations
 from physics.shapes import Shapes
 from physics.wind import Gusts
 
-LOOK_HZ = 20.0
+_LOOK_HZ = 20.0
 _AWAY_LOOKS = 10  # clear in so many looks: handed back
 _SLACK_M = 0.1  # between surfaces; what half of 40 m/s2 in the time between two looks squared may add is in it
 _FRICTION = 0.5  # of the hull, assumed
@@ -53,8 +53,8 @@ class Flyers:
         self.fleet = Fleet(models, np.array(positions, float).reshape(n, 3), np.array(headings, float), gravity)
         self._reach = np.array([float(np.hypot(model.radius_m, 0.5 * model.height_m)) for model in models])
         self._map = SolidsMap(shapes)
-        self._steps_a_look = max(1, round(1.0 / (LOOK_HZ * step_s)))
-        self._look_s = (self._steps_a_look + 1) * step_s  # Bullet leaves a body out of the step in which it wakes
+        self._steps_a_look = max(1, round(1.0 / (_LOOK_HZ * step_s)))
+        self.look_s = (self._steps_a_look + 1) * step_s  # ahead: Bullet leaves a body out of the step in which it wakes
         self._step = 0
         self.bodies = [self._build(model) for model in models]
         self.near = np.ones(n, bool)  # until the first look
@@ -119,10 +119,10 @@ class Flyers:
         """Decide who is near anything; ``others`` (m, 3) m are places of other bodies, with radius and way to the next look."""
         fleet = self.fleet
         position, velocity = fleet.position, fleet.velocity
-        way = np.sqrt((velocity * velocity).sum(axis=1)) * self._look_s
+        way = np.sqrt((velocity * velocity).sum(axis=1)) * self.look_s
         margin = self._reach + way + _SLACK_M
         near = (position[:, 2] < margin) | self._map.near(position, margin)
-        near |= near_each_other(position, velocity, self._reach, self._look_s, 2.0 * _SLACK_M)
+        near |= near_each_other(position, velocity, self._reach, self.look_s, 2.0 * _SLACK_M)
         near |= near_others(position, margin, others, other_reach)
         self._clear_looks = np.where(near, 0, self._clear_looks + 1)
         stays = near | (self.near & (self._clear_looks < _AWAY_LOOKS))
@@ -154,7 +154,7 @@ class Flyers:
                 p.applyExternalForce(bodies[row], -1, forces[row], at[row], p.WORLD_FRAME, client)
                 p.applyExternalTorque(bodies[row], -1, torques[row], p.WORLD_FRAME, client)
         self._before = fleet.velocity.copy()
-        fleet.integrate(None, force, torque, self._step_s)
+        fleet.integrate(force, torque, self._step_s)
         self._step += 1
 
     def take(self) -> None:

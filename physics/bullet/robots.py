@@ -15,7 +15,7 @@ from cosim.frames import arc
 from cosim.types import Vec3
 from physics.bullet import p, turned
 from physics.bullet.build import LEFT, RIGHT, differential_drive, finish
-from physics.bullet.things import BaseState, base_states, motion_of
+from physics.bullet.things import BaseState, base_states, floor_friction, motion_of
 from physics.engine import Motion
 from physics.firmware import Firmware
 from physics.motion import wrapped
@@ -160,16 +160,16 @@ def _made(client: int, model: DifferentialDrive | UrdfDrive, position: Vec3, hea
 
 
 class _Zones:
-    """Scales the friction of robots by that of the floor below their centre of mass."""
+    """Gives robots the friction of where their centre of mass is; the floor's, by which Bullet multiplies, is divided out."""
 
     def __init__(self, client: int, world: World, robots: Sequence[_Wheels]) -> None:
-        self._client, self._zones, self._floor = client, world.zones, world.floor_friction
+        self._client, self._zones, self._floor = client, world.zones, floor_friction(world)
         self._links = [
             [(link, p.getDynamicsInfo(each.body, link, client)[1]) for link in range(-1, p.getNumJoints(each.body, client))]
             for each in robots
         ]
         self._bodies = [each.body for each in robots]
-        self._present = [1.0] * len(robots)
+        self._present = [self._floor] * len(robots)
 
     def scale(self) -> None:
         """Give every robot that came into another zone the friction there."""
@@ -179,7 +179,7 @@ class _Zones:
             if friction != self._present[row]:
                 self._present[row] = friction
                 for link, own in self._links[row]:
-                    p.changeDynamics(body, link, lateralFriction=own * friction, physicsClientId=self._client)
+                    p.changeDynamics(body, link, lateralFriction=own * friction / self._floor, physicsClientId=self._client)
 
     def _at(self, x: float, y: float) -> float:
         return next((zone.friction for zone in reversed(self._zones) if _inside(zone, x, y)), self._floor)

@@ -12,6 +12,7 @@ from physics.solids import Box, Cylinder
 from physics.world import World
 
 _HEAVY_KG = 1e6  # an obstacle with a time-table: nothing holds it up, and unlike a body without mass it wakes what it meets
+_LEAST_FRICTION = 1e-6  # as good as none
 _FALLS_ASLEEP = 0.01  # m2/s2: a movable slower than this for 2 s is left out of the steps until something touches it
 
 
@@ -25,9 +26,7 @@ class Things:
         self._client, self._moving = client, world.moving
         plane = p.createCollisionShape(p.GEOM_PLANE, planeNormal=(0.0, 0.0, 1.0), physicsClientId=client)
         self.floor: int = p.createMultiBody(0.0, plane, physicsClientId=client)
-        # With zones, whatever rolls has its friction scaled by where it is, and the floor leaves it at that.
-        friction = 1.0 if world.zones else world.floor_friction
-        p.changeDynamics(self.floor, -1, lateralFriction=friction, physicsClientId=client)
+        p.changeDynamics(self.floor, -1, lateralFriction=floor_friction(world), physicsClientId=client)
         p.setCollisionFilterGroupMask(self.floor, -1, FLOOR, SOLID | WHEEL, physicsClientId=client)
         self.solids = self._build_solids(world) if world.solids else -1
         self.movables = [self._build(each.solid, each.mass_kg, each.friction) for each in world.movables]
@@ -113,6 +112,11 @@ class Things:
         if not self.movables:
             return _NOTHING
         return base_motion(self._client, self.movables, [(0.0, 0.0, 0.0)] * len(self.movables))
+
+
+def floor_friction(world: World) -> float:
+    """Of the floor in Bullet: never 0 where there are zones, in which that of robots is made up for it."""
+    return max(world.floor_friction, _LEAST_FRICTION) if world.zones else world.floor_friction
 
 
 def _size_m(solid: Box | Cylinder) -> float:

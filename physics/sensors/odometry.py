@@ -15,6 +15,8 @@ from physics.sensor import Sensor
 
 Relative = Annotated[float, msgspec.Meta(gt=-1, le=1)]
 
+_NO_WHEELS = "has no two driven wheels (wheel_radius_m, track_m) whose turns could be counted"
+
 
 @dataclass(kw_only=True)
 class WheelOdometry(Sensor):
@@ -43,12 +45,15 @@ class WheelOdometry(Sensor):
         self._pose = (0.0, 0.0, 0.0)
         self._last: tuple[int, float, float] | None = None  # ns; what the encoders said, rad
 
+    def misfit(self, model: object) -> str:
+        """It needs wheels."""
+        return "" if hasattr(model, "wheel_radius_m") and hasattr(model, "track_m") else _NO_WHEELS
+
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Odometry:
         """The pose, and mean speeds since the last reading. Two normal draws."""
         if self.wheel_radius_m is None or self.track_m is None or math.isnan(scene.wheels[row, 0]):
             name = scene.vehicles[row]
-            problem = f"{name} has no two driven wheels (wheel_radius_m, track_m) whose turns could be counted"
-            raise ScenarioError(problem, key=f"vehicle.{name}.sensors")
+            raise ScenarioError(f"{name} {_NO_WHEELS}", key=f"vehicle.{name}.sensors")
         left, right = (self._counted(angle) for angle in scene.wheels[row].tolist())
         noise_left, noise_right = rng.standard_normal(2).tolist()
         if self._last is None:

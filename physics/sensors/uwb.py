@@ -10,8 +10,8 @@ from physics.noise import jump
 from physics.scene import Scene
 from physics.sensor import Sensor
 from physics.sensors.clearance import Clearance, Near
-from physics.sensors.common import made_once, mounted, sightline
-from physics.world import World
+from physics.sensors.common import mounted, sightline
+from physics.world import World, made_once
 
 _TINY_M = 1e-6  # stands for no error at all where errors are compared
 

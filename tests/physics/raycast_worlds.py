@@ -7,6 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from physics.raycast_hulls import hulls_of, in_frames, meet
+from physics.raycast_pairs import Nearest, Reached, touching_spheres
 from physics.scene import Hull, Scene
 from physics.solids import AnySolid, Box, Cylinder, Mesh, Prism
 from physics.world import World
@@ -96,3 +98,29 @@ def beams(ahead: Floats, left: Floats, first: float, step: float, count: int) ->
     angle = first + step * np.arange(count)
     found: Floats = np.outer(np.cos(angle), ahead) + np.outer(np.sin(angle), left)
     return found
+
+
+def cast_bodies(
+    scene: Scene, origins: Floats, directions: Floats, reach_m: float, own: int | NDArray[np.int64] = -1
+) -> Reached:
+    """How far beams get until they meet a body, beam by beam.
+
+    Args:
+        scene: the bodies.
+        origins: (r, 3) m, world.
+        directions: (r, 3), unit vectors.
+        reach_m: no further than this.
+        own: row, or (r,) rows, of the body that a beam does not see; -1: none.
+
+    Returns:
+        The distances, 0 where a beam begins inside a body, and the rows, -1 where nothing was met.
+    """
+    hulls = hulls_of(scene)
+    beam, body = touching_spheres(origins, directions, reach_m, hulls.centre, hulls.radius)
+    others = body != np.broadcast_to(own, len(origins))[beam]
+    beam, body = beam[others], body[others]
+    start, toward = in_frames(hulls, body, np.stack([(origins[beam] - hulls.centre[body]).T, directions[beam].T], axis=1))
+    distance = meet(hulls, body, start, toward)
+    nearest = Nearest(len(origins))
+    nearest.meet(beam, distance, body)
+    return nearest.within(reach_m)

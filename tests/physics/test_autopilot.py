@@ -28,7 +28,7 @@ def steps(fleet: Fleet, seconds: float, hz: float = 240.0, push: Any = (0.0, 0.0
     seen = []
     for step in range(round(seconds * hz)):
         force, torque = fleet.wrench(1.0 / hz, wind)
-        fleet.integrate(None, force + push, torque, 1.0 / hz)
+        fleet.integrate(force + push, torque, 1.0 / hz)
         _, x, y, _ = fleet.attitude[0]
         seen.append(
             [(step + 1) / hz, *fleet.position[0], *fleet.velocity[0], *fleet.rate[0], math.acos(1 - 2 * (x * x + y * y))]
@@ -106,7 +106,7 @@ def test_rates_are_damped_as_if_the_body_were_a_ball() -> None:
     model = Quadrotor(inertia=(0.0040, 0.0055, 0.0073), motor_lag_s=1e-9, drag=(0.0, 0.0, 0.0), yaw_rate_gain=20.0)
     fleet, rate, dt = hovering(model), np.array([1.0, -1.5, 0.3]), 1e-6
     fleet.rate[0] = rate
-    fleet.integrate(None, *fleet.wrench(dt, CALM), dt)
+    fleet.integrate(*fleet.wrench(dt, CALM), dt)
     assert (fleet.rate[0] - rate) / dt == pytest.approx(-20.0 * rate, rel=1e-4)  # gyroscopic torque is made up for
 
 
@@ -185,3 +185,15 @@ def test_with_it_there_is_none() -> None:
     fleet.set_waypoint(0, (0.0, 0.0, 10.0))
     seen = steps(fleet, 25.0, push=(0.5, 0.0, -0.5))
     assert seen["position"][:, -1] == pytest.approx((0.0, 0.0, 10.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 1e-12])
+def test_without_gravity_it_is_driven_by_its_rotors_alone(gravity: float) -> None:
+    fleet = Fleet([Quadrotor()] * 3, [(0.0, 3.0 * row, 5.0) for row in range(3)], [0.0] * 3, gravity)
+    fleet.set_velocity(1, (1.0, 0.0, 1.0), 0.5)
+    fleet.set_waypoint(2, (1.0, 6.0, 7.0))
+    for _ in range(240):
+        fleet.integrate(*fleet.wrench(1 / 120, np.zeros((3, 3))), 1 / 120)
+    assert all(np.isfinite(each).all() for each in (fleet.position, fleet.velocity, fleet.attitude, fleet.rate, fleet.rotor))
+    assert fleet.position[0] == pytest.approx((0.0, 0.0, 5.0), abs=1e-3)  # nothing to do
+    assert (fleet.velocity[1:, 2] > 0.3).all()

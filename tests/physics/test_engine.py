@@ -39,7 +39,7 @@ class Jumper:
     def movables(self) -> Motion:
         return still(np.empty((0, 3)), np.empty(0))
 
-    def touching(self) -> list[Touch]:
+    def touching(self, *, passing: bool) -> list[Touch]:
         return [Touch(0, 1, (0.5, 0.0, 0.0))]
 
     def close(self) -> None:
@@ -125,3 +125,8 @@ def test_rows_of_several_engines_make_one_fleet_that_cannot_be_written_to() -> N
     assert both.position[:, 0].tolist() == [0.0, 1.0, 0.0, 1.0]
     with pytest.raises(ValueError, match="read-only"):
         both.position[0, 0] = 1.0
+
+
+def test_rows_that_no_engine_moves_are_not_a_number() -> None:
+    some = gathered([(still(np.ones((2, 3)), np.ones(2)), np.array([0, 2]))], 3)
+    assert all(np.isnan(array[1]).all() for array in some)

@@ -16,9 +16,12 @@ from cosim.rng import stream
 from cosim.types import Velocity
 from physics.federate import BulletPhysics, KinematicPhysics, Physics
 from physics.positioning import Positioning
+from physics.quadrotor import Quadrotor
+from physics.scene import Hull
+from physics.sensors.odometry import WheelOdometry
 from physics.solids import Box
 from physics.vehicles import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
-from physics.world import World
+from physics.world import Movable, Moving, World
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
@@ -214,6 +217,79 @@ def test_bodies_that_start_inside_each_other_are_refused_by_name(play: Play) -> 
         play(BulletPhysics(world=world, vehicles=[car()]), [], 1.0, TENTH)
 
 
+def box(name: str, x: float, z: float = 0.2) -> Movable:
+    return Movable(name=name, solid=Box(center=(x, 0.0, z), size=(0.4, 0.4, 0.4)), mass_kg=1.0)
+
+
+def test_movables_that_start_inside_anything_but_a_moving_obstacle_are_refused_by_name(play: Play) -> None:
+    wall = Box(center=(3.0, 0.0, 0.5), size=(1.0, 1.0, 1.0))
+    ram = Moving(name="ram", solid=wall, times_s=(0.0,), way=((-3.0, 0.0, 0.5, 0.0),))
+
+    def start(*movables: Movable) -> None:
+        world = World(solids=(wall,), movables=movables, moving=(ram,))
+        play(BulletPhysics(world=world, vehicles=[car("car", 0.0)]), [], 0.1, TENTH)
+
+    start(box("a", 1.0), box("b", 1.4), box("c", 1.0, 0.6), box("d", -3.0))  # side by side, on top, where the ram is
+    for movables, words, key in (
+        ([box("a", 2.4)], r"a and the box at .* overlap at the start, by 0\.1 m", "world.movables"),
+        ([box("a", 1.0), box("b", 1.1)], r"b and a overlap at the start, by 0\.3 m", "world.movables"),
+        ([box("a", 0.3)], "car and a overlap at the start, by 0.116 m", "vehicle.car.position"),  # front at 0.2155 m
+    ):
+        with pytest.raises(ScenarioError, match=words) as raised:
+            start(*movables)
+        assert raised.value.key == key
+    with pytest.raises(ScenarioError, match="ram overlap"):
+        play(BulletPhysics(world=World(moving=(ram,)), vehicles=[car("car", -3.0)]), [], 0.1, TENTH)
+
+
+@BOTH
+def test_all_bodies_have_names_of_their_own(kind: type[Physics], play: Play) -> None:
+    post = Box(center=(0.0, 0.0, 0.5), size=(0.1, 0.1, 1.0))
+    ram = Moving(name="ram", solid=post, times_s=(0.0,), way=((9.0, 0.0, 0.5, 0.0),))
+    for movables, moving, key in (
+        ((box("car", 2.0),), (), "world.movables"),
+        ((box("a", 2.0), box("a", 3.0)), (), "world.movables"),
+        ((box("ram", 2.0),), (ram,), "world.moving"),
+    ):
+        with pytest.raises(ScenarioError, match="names must differ") as raised:
+            play(kind(world=World(movables=movables, moving=moving), vehicles=[car("car")]), [], 0.1, TENTH)
+        assert raised.value.key == key
+
+
+class Boat:
+    """A vehicle that derives from none of those that physics can move."""
+
+    radius_m, height_m, hull = 0.3, 0.3, Hull((0.6, 0.6, 0.3))
+
+
+@BOTH
+def test_a_vehicle_that_no_engine_moves_is_refused(kind: type[Physics], play: Play) -> None:
+    boat = VehicleSpec(name="tug", model=Boat(), position=(0.0, 5.0, 0.0))
+    with pytest.raises(ScenarioError, match="tug is a Boat, which physics cannot move: derive it from GroundVehicle") as raised:
+        play(kind(world=World(), vehicles=[car(), boat]), [], 0.1, TENTH)
+    assert raised.value.key == "vehicle.tug.kind"
+
+
+@BOTH
+def test_sensors_that_a_vehicle_cannot_carry_are_refused_at_the_start(kind: type[Physics]) -> None:
+    spec = VehicleSpec(name="uav", model=Quadrotor(), position=(0, 0, 1), sensors={"odo": WheelOdometry()})
+    with pytest.raises(ScenarioError, match="uav has no two driven wheels") as raised:
+        kind(world=World(), vehicles=[spec]).start(RunInfo(scenario="t", seed=1, duration_ns=SECOND_NS, vehicles=("uav",)))
+    assert raised.value.key == "vehicle.uav.sensors.odo"
+
+
+def test_a_quadrotor_that_cannot_carry_itself_is_refused_by_name(play: Play) -> None:
+    heavy = VehicleSpec(name="uav", model=Quadrotor(mass_kg=2.5), position=(0.0, 0.0, 1.0))
+    with pytest.raises(ScenarioError, match=r"cannot carry 2\.5 kg") as raised:
+        play(BulletPhysics(world=World(), vehicles=[heavy]), [], 0.1, TENTH)
+    assert raised.value.key == "vehicle.uav"
+
+
+def test_a_body_without_height_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"clearance_m = 0\.22 must be less than height_m = 0\.22"):
+        P2DX(clearance_m=0.22)
+
+
 def test_vehicles_without_a_body_ride_along_in_bullet_as_they_move_alone(play: Play) -> None:
     models = {"body": P2DX(), "unicycle": Kinematic(), "lag": Lag()}
     commands = [(0.0, name, 0.3, 0.3) for name in models]
@@ -266,6 +342,9 @@ from cosim.clock import Ticks
 from cosim.federate import Instants, RunInfo
 from physics.federate import {kind}
 from physics.vehicles import P2DX, VehicleSpec
+from physics.quadrotor import Quadrotor
+from physics.scene import Hull
+from physics.sensors.odometry import WheelOdometry
 from physics.solids import Box
 from physics.world import World
 world = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))

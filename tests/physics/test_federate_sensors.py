@@ -16,7 +16,8 @@ from physics.positioning import Positioning
 from physics.quadrotor import Quadrotor
 from physics.scene import Scene
 from physics.sensor import Sensor
-from physics.solids import Box
+from physics.sensors.bumper import Bumper
+from physics.solids import Box, Cylinder
 from physics.vehicles import P2DX, Point, VehicleSpec
 from physics.world import Movable, Moving, World
 
@@ -153,3 +154,43 @@ def test_fitting_sensors_moves_nobody(kind: type[Physics]) -> None:
     if kind is BulletPhysics:
         assert positions(witness=Witness(rate_hz=40.0)) == expected
     assert positions(witness=Witness(rate_hz=5.0)) == expected
+
+
+def test_fitting_sensors_loses_no_contact() -> None:
+    """A quadrotor bounces off a wall between two publications; it is asked what touches in between, and no longer does."""
+    wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))
+
+    def contacts(**sensors: Any) -> list[tuple[int, Any]]:
+        uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
+        told = played(BulletPhysics(world=wall, vehicles=[uav]), 3.0, Velocity(linear=(3.0, 0.0, 0.0)))
+        return [(event.time_ns, event.value) for _, events in told for event in events if event.key == "world/contact"]
+
+    expected = contacts()
+    assert expected
+    for rate_hz in (5.0, 20.0, 120.0):
+        assert contacts(witness=Witness(rate_hz=rate_hz)) == expected
+
+
+def test_what_touches_is_shown_to_a_sensor_only_while_it_does() -> None:
+    """And so no sensor changes what another one is shown."""
+    wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))
+
+    def shown(**others: Any) -> list[bool]:
+        Witness.seen.clear()
+        sensors = {"witness": Witness(rate_hz=20.0), **others}
+        uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
+        played(BulletPhysics(world=wall, vehicles=[uav]), 2.0, Velocity(linear=(3.0, 0.0, 0.0)))
+        return [bool(scene.touching) for _, scene in Witness.seen if scene.now_ns % (SECOND_NS // 20) == 0]
+
+    assert shown() == shown(bumper=Bumper(rate_hz=120.0))
+
+
+def test_all_places_where_a_body_touches_are_shown() -> None:
+    """A robot drives straight into two posts."""
+    posts = World(solids=tuple(Cylinder(center=(1.0, y, 0.5), radius=0.05, height=1.0) for y in (0.15, -0.15)))
+    sensors: Any = {"witness": Witness(rate_hz=20.0)}
+    car = VehicleSpec(name="car", model=P2DX(), sensors=sensors)
+    played(BulletPhysics(world=posts, vehicles=[car]), 5.0, Velocity(linear=(0.3, 0.0, 0.0)))
+    sides = [{round(float(place[1]) / 0.15) for _, _, place in scene.touching} for _, scene in Witness.seen]
+    assert {1, -1} in sides
+    assert all(side <= {1, -1} for side in sides)

@@ -20,7 +20,7 @@ def fly(fleet: Fleet, seconds: float, hz: float, wind: Any = (0.0, 0.0, 0.0)) ->
     seen = []
     for _ in range(round(seconds * hz)):
         force, torque = fleet.wrench(1.0 / hz, air)
-        fleet.integrate(None, force, torque, 1.0 / hz)
+        fleet.integrate(force, torque, 1.0 / hz)
         seen.append((fleet.position.copy(), fleet.velocity.copy(), fleet.attitude.copy(), fleet.rate.copy()))
     position, velocity, attitude, rate = map(np.array, zip(*seen, strict=True))
     w, x, y, z = np.moveaxis(attitude, -1, 0)
@@ -167,7 +167,7 @@ def test_a_heading_that_was_held_fast_is_not_made_up_for() -> None:
     fleet = fleet_of(1)
     fleet.set_velocity(0, (0.0, 0.0, 0.0), 1.0)
     for _ in range(600):  # 5 s
-        fleet.integrate(None, *fleet.wrench(1 / 120, np.zeros((1, 3))), 1 / 120)
+        fleet.integrate(*fleet.wrench(1 / 120, np.zeros((1, 3))), 1 / 120)
         fleet.attitude[0], fleet.rate[0] = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     fleet.set_velocity(0, (0.0, 0.0, 0.0), 0.0)
     seen = fly(fleet, 5.0, 120.0)
@@ -218,7 +218,7 @@ def test_what_it_cannot_push_away_does_not_hold_it_for_long(way: tuple[float, fl
     fleet.set_velocity(0, way, 0.0)
     for _ in range(1200):  # 10 s
         force, torque = fleet.wrench(1 / 120, np.zeros((1, 3)))
-        fleet.integrate(None, force, torque, 1 / 120)
+        fleet.integrate(force, torque, 1 / 120)
         fleet.position[0], fleet.velocity[0] = (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)
     back = -np.array(way)
     fleet.set_velocity(0, back.tolist(), 0.0)
@@ -251,22 +251,8 @@ def test_vehicles_of_a_fleet_do_not_know_of_each_other() -> None:
                 some.set_velocity(place, (1.0, row, 0.0), 0.5)
         for _ in range(240):
             force, torque = some.wrench(1 / 240, wind[rows])
-            some.integrate(None, force, torque, 1 / 240)
+            some.integrate(force, torque, 1 / 240)
         return np.hstack([some.position, some.velocity, some.attitude, some.rate, some.rotor])
 
     together, apart = fleet([0, 1, 2]), np.vstack([fleet([row]) for row in range(3)])
     assert (together == apart).all()
-
-
-def test_only_some_rows_may_be_asked_for() -> None:
-    pair = [fleet_of(5), fleet_of(5)]
-    for fleet in pair:
-        for row in range(5):
-            fleet.set_velocity(row, (row, -row, 0.5 * row), 0.1 * row)
-    (every, every_torque), (some, some_torque) = (
-        pair[0].wrench(0.01, np.ones((5, 3))),
-        pair[1].wrench(0.01, np.ones((5, 3)), [3, 1]),
-    )
-    assert (some == every[[3, 1]]).all()
-    assert (some_torque == every_torque[[3, 1]]).all()
-    assert (pair[0].rotor == pair[1].rotor).all()  # but all of them run on

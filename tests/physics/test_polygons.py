@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cosim.types import Array
-from physics.polygons import Point, area_m2, convex_parts, overlap_m, problem_of, width_m
+from physics.polygons import Point, area_m2, convex_parts, outward, overlap_m, problem_of, width_m
 
 L_SHAPE = ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.0, 1.0), (1.0, 3.0), (0.0, 3.0))
 COMB = (
@@ -174,3 +174,14 @@ def test_the_width_of_a_rectangle_is_its_shorter_edge(length: float, width: floa
     corners = np.array([(0, 0), (length, 0), (length, width), (0, width)]) @ np.array([[c, s], [-s, c]])
     assert width_m(corners) == pytest.approx(min(length, width))
     assert overlap_m(corners, corners) == pytest.approx(min(length, width))
+
+
+@given(st.integers(3, 9), st.floats(-4.0, 4.0), st.floats(0.1, 5.0))
+def test_outward_normals_are_upright_on_the_edges_and_point_away(sides: int, turn: float, radius: float) -> None:
+    angles = turn + np.arange(sides) * math.tau / sides
+    corners = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    normals, along = outward(corners), np.roll(corners, -1, axis=0) - corners
+    assert np.hypot(*normals.T) == pytest.approx(1.0)
+    assert (normals * along).sum(axis=1) == pytest.approx(0.0, abs=1e-9)
+    assert (normals * corners).sum(axis=1) == pytest.approx(radius * math.cos(math.pi / sides))  # how far off each edge is
+    assert (outward(np.stack([corners, 2.0 * corners]))[0] == normals).all()

@@ -59,5 +59,5 @@ def test_one_that_cannot_carry_itself_is_refused() -> None:
 def test_there_may_be_none() -> None:
     fleet = Fleet([], np.empty((0, 3)), [])
     force, torque = fleet.wrench(0.01, np.empty((0, 3)))
-    fleet.integrate(None, force, torque, 0.01)
+    fleet.integrate(force, torque, 0.01)
     assert force.shape == torque.shape == fleet.position.shape == (0, 3)

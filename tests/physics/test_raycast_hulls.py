@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from physics.raycast_hulls import cast_bodies
 from physics.scene import Hull, Scene
 from physics.world import World
-from tests.physics.raycast_worlds import Floats, attitudes, hulls, scene
+from tests.physics.raycast_worlds import Floats, attitudes, cast_bodies, hulls, scene
 
 INF = math.inf
 BOX = Hull(size=(2.0, 1.0, 0.5), offset=(0.5, 0.0, 0.25))

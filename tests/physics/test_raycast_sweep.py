@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from physics.raycast import Caster, caster_of
-from physics.raycast_hulls import cast_bodies, hulls_of
+from physics.raycast_hulls import hulls_of
 from physics.raycast_sweep import sweep
 from physics.scanner import RangeScanner, fan_of, true_ranges
 from physics.scene import Hull, Scene
 from physics.solids import Box, Mesh
 from physics.world import World
-from tests.physics.raycast_worlds import Floats, attitudes, beams, hulls, scene, solids
+from tests.physics.raycast_worlds import Floats, attitudes, beams, cast_bodies, hulls, scene, solids
 
 
 def sensors_of(rng: np.random.Generator, count: int, pitches: tuple[float, ...]) -> list[RangeScanner]:

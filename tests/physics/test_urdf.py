@@ -48,6 +48,11 @@ max_speed = 1.2
 accel = 0.8
 """
 
+LINK = '<link name="{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
+JOINT = '<joint name="{1}" type="fixed"><parent link="{0}"/><child link="{1}"/></joint>'
+STRAYS = LINK.format("x") + LINK.format("y") + JOINT.format("x", "y") + JOINT.format("y", "x")
+SECOND = JOINT.format("right", "left")
+
 FRAME = """\
 <robot name="frame">
   <link name="body"><inertial><mass value="0.4"/><inertia ixx="1e-3" iyy="1e-3" izz="2e-3"/></inertial></link>
@@ -167,6 +172,13 @@ def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> 
         ("</robot>", "", "is no XML", "file"),
         ("robot", "model", "is no URDF", "file"),
         ('<sphere radius="0.1"/>', '<box size="1 1 1"/>', "needs a sphere or cylinder", "left_wheel"),
+        ('<sphere radius="0.1"/>', "<sphere/>", "sphere of the link 'left' .* needs a positive radius", "left_wheel"),
+        ('radius="0.1"', 'radius="big"', "sphere of the link 'left' .* radius, not 'big'", "left_wheel"),
+        ('radius="0.1"', 'radius="0.08"', r"same radius, not 0\.08 m and 0\.1 m", "right_wheel"),
+        ('0.05 0.2 0.1"', '0.05 0.2 0.1" rpy="0 0"', "a number cannot be read: '0 0' should be three", "file"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 one 0"/>', "a number cannot be read", "file"),
+        ("</robot>", STRAYS + "</robot>", "joints of cart.urdf run in a circle: 'x'", "file"),
+        ("</robot>", SECOND + "</robot>", "'left' of cart.urdf is the child of two joints", "file"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_named(old: str, new: str, words: str, key: str, tmp_path: Path) -> None:
@@ -176,6 +188,24 @@ def test_what_is_wrong_with_a_file_is_named(old: str, new: str, words: str, key:
     with pytest.raises(ScenarioError, match=words) as raised:
         UrdfDrive(file=str(file), left_wheel="left_wheel", right_wheel="right_wheel")
     assert raised.value.key == key
+
+
+@pytest.mark.parametrize("limits", ['lower="-1.5" ', 'upper="1.5" ', ""])
+def test_a_wheel_may_be_revolute_but_for_its_limits(limits: str, tmp_path: Path) -> None:
+    file = tmp_path / "cart.urdf"
+    limit = f'<limit {limits}effort="10" velocity="10"/></joint>'
+    file.write_text(ROBOT.replace("continuous", "revolute").replace("</joint>", limit))
+    keys: Any = {"file": str(file), "left_wheel": "left_wheel", "right_wheel": "right_wheel"}
+    if limits:
+        with pytest.raises(ScenarioError, match=r"'left_wheel' .* has limits.*: make it continuous") as raised:
+            UrdfDrive(**keys)
+        assert raised.value.key == "left_wheel"
+        return
+    moved = engine(UrdfDrive(**keys))
+    moved.command(0, (0.5, 0.0, 0.0), 0.0)
+    moved.advance(6 * SECOND_NS)
+    assert moved.read().wheels[0] == pytest.approx(2.75 / 0.1, rel=0.02)  # on and on
+    moved.close()
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
@@ -195,9 +225,9 @@ def test_contacts_of_any_of_its_links_but_wheels_with_the_floor_are_named(cart: 
         gravity=9.81,
     )
     moved.advance(SECOND_NS)
-    assert moved.touching() == []
+    assert moved.touching(passing=True) == []
     moved.command(0, (0.4, 0.0, 0.0), 0.0)
     moved.advance(5 * SECOND_NS)
-    assert [(touch.row, touch.other, touch.solid) for touch in moved.touching()] == [(0, None, 0)]
+    assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
     assert moved.read().position[0, 0] - 0.05 - 0.05 + 0.2 == pytest.approx(0.9, abs=0.02)  # the box of the base at the wall
     moved.close()

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.clock import SECOND_NS
+from cosim.clock import SECOND_NS, Ticks
 from physics.wind import GUST_HZ, Gusts
 from physics.world import Wind
 
@@ -56,9 +56,20 @@ def test_however_time_is_cut_the_gusts_are_the_same() -> None:
 def test_the_wind_is_steady_between_its_ticks() -> None:
     gusts = Gusts(WINDY, 3, seed=3)
     first = gusts.advance(0)
-    assert gusts.advance(16_666_666) is first
-    assert (gusts.advance(16_666_667) != first).all()
-    assert gusts.advance(33_333_333) is gusts.advance(20_000_000)  # 1/60 s later, to the nanosecond below
+    assert gusts.advance(16_666_665) is first
+    second = gusts.advance(16_666_666)  # 1/60 s, to the nanosecond below
+    assert (second != first).all()
+    assert gusts.advance(33_333_332) is second
+    assert (gusts.advance(33_333_333) != second).all()
+
+
+@pytest.mark.parametrize("hz", [60, 120, 240])
+def test_each_gust_lasts_a_tick_at_any_rate_of_steps(hz: int) -> None:
+    """Gust number k blows from step k hz / 60 on, though both times are rounded to whole nanoseconds."""
+    every, ticks = series(Gusts(WINDY, 1, seed=3), 1000), Ticks.rate(hz)
+    gusts = Gusts(WINDY, 1, seed=3)
+    stepped = np.array([gusts.advance(ticks.at(step)) for step in range(1000 * hz // GUST_HZ)])
+    assert (stepped == np.repeat(every, hz // GUST_HZ, axis=0)).all()
 
 
 def test_one_more_vehicle_changes_no_other_one_s_gusts() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cosim.types import Array
 from physics.polygons import overlap_m
 from physics.solids import Box, Cylinder, Mesh, rectangle
-from physics.world import Light, Moving, World
+from physics.world import Light, Moving, World, Zone
 from physics.worlds import Boxes, Empty
 
 
@@ -109,6 +109,31 @@ def test_a_moving_obstacle_keeps_to_its_time_table() -> None:
     assert cart.pose(9.0) == way[1]
     around = Moving(name="cart", solid=box, times_s=(0.0, 2.0), way=way, loop=True)
     assert around.pose(1.0) == around.pose(5.0) == (2.0, 1.0, 0.5, 0.5)
+
+
+@given(time_s=st.floats(0.0, 50.0), span_s=st.floats(0.3, 3.0))
+def test_an_obstacle_that_goes_round_is_never_faster_than_its_time_table(time_s: float, span_s: float) -> None:
+    box = Box(center=(0.0, 0.0, 0.0), size=(1.0, 1.0, 1.0))
+    way = ((0.0, 0.0, 0.5, 0.0), (2.0 * span_s, 0.0, 0.5, 3.0 * span_s), (0.0, span_s, 0.5, 6.0 * span_s))
+    around = Moving(name="cart", solid=box, times_s=(0.0, span_s, 2.0 * span_s), way=way, loop=True)
+    rates = around.rates(time_s)
+    first, second = ((2.0, 0.0, 0.0, 3.0), (-2.0, 1.0, 0.0, 3.0))
+    assert rates in (pytest.approx(first), pytest.approx(second))
+    here, soon = (np.array(around.pose(each)) for each in (time_s, time_s + 1e-6))
+    if np.abs(soon - here).max() < 1e-5:  # neither back at the start by then nor at a bend
+        assert rates == pytest.approx((soon - here) / 1e-6, abs=1e-3) or time_s % span_s > span_s - 2e-6
+
+
+def test_an_obstacle_stands_before_its_first_and_after_its_last_time() -> None:
+    box, still = Box(center=(0.0, 0.0, 0.0), size=(1.0, 1.0, 1.0)), (0.0, 0.0, 0.0, 0.0)
+    cart = Moving(name="cart", solid=box, times_s=(1.0, 3.0), way=((0.0, 0.0, 0.5, 0.0), (4.0, 2.0, 0.5, 1.0)))
+    assert [cart.rates(t) for t in (0.5, 1.0, 2.9, 3.0, 9.0)] == [still, *[(2.0, 1.0, 0.0, 0.5)] * 2, still, still]
+
+
+@pytest.mark.parametrize("size", [(0.0, 1.0), (1.0, -1.0), (1.0, math.nan)])
+def test_zones_of_no_size_are_refused(size: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match=r"a zone needs .* two positive sizes"):
+        Zone(center=(0.0, 0.0), size=size, friction=0.5)
 
 
 @pytest.mark.parametrize(("times", "count"), [((0.0, 0.0), 2), ((1.0, 0.0), 2), ((0.0,), 2), ((), 0), ((0.0, math.nan), 2)])
