@@ -72,6 +72,10 @@ class Assembly:
         self.federates: list[Federate] = [physics, air, *self._hosts.federates]
         self.record_ticks = Ticks.every(scenario.record.period_s)
         self.recorded_sensors = scenario.record.sensors
+        fitted = {name for each in self._sensors.values() for name in each}
+        if unfit := [name for name in scenario.record.sensors if name not in fitted | {"*"}]:
+            problem = f"no vehicle carries it: {table.unknown('sensor', unfit[0], fitted | {'*'})}"
+            raise ScenarioError(problem, key="record.sensors", source=source.of("record.sensors"))
         self.run_info = RunInfo(
             scenario=scenario.name,
             seed=scenario.seed,
@@ -98,14 +102,14 @@ class Assembly:
             raise
 
     @contextlib.contextmanager
-    def _placed(self, table_key: str = "") -> Iterator[None]:
+    def _placed(self) -> Iterator[None]:
         """A part knows the key that is wrong, and at most a file of its own; here the line or --set is known too."""
         try:
             yield
         except ScenarioError as error:
             if error.source and error.source != self._source.name:
                 raise  # in a file that the scenario names
-            key = table.join(table_key, error.key)
+            key = error.key
             if key in {f"vehicle.{each.name}.position" for each in self._scenario.vehicle if each.pose is not None}:
                 key = f"{key.removesuffix('position')}pose"  # the word that the scenario uses
             raise ScenarioError(error.problem, key=key, source=self._source.of(key)) from error
@@ -127,8 +131,7 @@ class Assembly:
 
     def _build_world(self) -> Any:
         world, self._resolution.tables["world"] = self._component("world", {"kind": "empty", **self._scenario.world}, "world")
-        with self._placed("world"):
-            return world.build()
+        return component.world_of(world, key="world", source=self._source)
 
     def _build_radio(self, world: Any) -> Federate:
         built = radio.of_scenario(

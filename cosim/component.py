@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim import registry, table
-from cosim.errors import ScenarioError
+from cosim.errors import ScenarioError, place_of
 from cosim.source import Source
 
 Portable = Callable[[str], str]
@@ -66,6 +66,24 @@ def build(
         keep(path)
     full = with_files(table.complete(target, params, without=given), lambda name: keep(Path(name)))
     return built, {"kind": portable(kind), **full}
+
+
+def world_of(maker: Any, *, key: str, source: Source) -> Any:
+    """The world that a kind builds; whatever goes wrong in it is said with its place."""
+    try:
+        world = maker.build()
+    except ScenarioError as error:
+        if error.source:
+            raise  # in a file that the scenario names
+        where = table.join(key, error.key)
+        raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
+    except Exception as error:
+        problem = f"{type(maker).__name__}.build raised {type(error).__name__}: {error}{place_of(error)}"
+        raise ScenarioError(problem, key=key, source=source.of(key)) from error
+    if not isinstance(world, registry.piece("world")):
+        problem = f"{type(maker).__name__}.build must return a World, not {table.show(world)}"
+        raise ScenarioError(problem, key=key, source=source.of(key))
+    return world
 
 
 def with_files(content: Any, change: Callable[[str], str]) -> Any:

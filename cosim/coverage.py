@@ -58,7 +58,7 @@ def site_of(parsed: Scenario, source: Source) -> Site:
         ScenarioError: they cannot be built.
     """
     world, _ = component.build("world", {"kind": "empty", **parsed.world}, key="world", source=source)
-    solids = world.build().solids
+    solids = component.world_of(world, key="world", source=source).solids
     built = radio.of_scenario(parsed, source, solids=solids)
     places = {each.name: each.start[0] for each in parsed.vehicle}
     return Site(built.channel, solids, built.radios, places)

@@ -20,6 +20,8 @@ from cosim.types import Array, States, Velocity, Waypoint
 
 SCHEMA = "vcmvsp.drive/1"
 STEP_S = 0.05  # from row to row, where steps of physics allow it
+ARRIVED_M = 0.1
+LARGEST = 1e6  # m, m/s, rad, rad/s
 NEAR = 0.9  # rise time: to this part of the final speed
 _VELOCITY = ("v", "vx", "vy", "vz", "w")
 _WAYPOINT = ("x", "y", "z", "yaw", "speed")
@@ -44,17 +46,9 @@ def command_of(text: str, heading: float, *, flies: bool) -> Velocity | Waypoint
         heading: of the vehicle at the start, rad.
         flies: whether velocities are in the world frame: ``v`` is then along the heading.
     """
-    values: dict[str, float] = {}
-    for part in text.split(","):
-        name, equals, number = part.strip().partition("=")
-        try:
-            values[name] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals or name not in (*_VELOCITY, *_WAYPOINT) or not math.isfinite(values.get(name, math.nan)):
-            raise UsageError(
-                f"--command {text}: '{part.strip()}' is none of NAME=NUMBER with {', '.join((*_VELOCITY, *_WAYPOINT))}"
-            )
+    values = _numbers(text)
+    if not flies and (others := {*values} - {"v", "w"}):
+        raise UsageError(f"--command {text}: {', '.join(sorted(others))} are for vehicles that fly; give v and w")
     if {*values} <= {*_VELOCITY}:
         if "v" in values and {"vx", "vy"} & {*values}:
             raise UsageError(f"--command {text}: either v, or vx and vy")
@@ -63,12 +57,30 @@ def command_of(text: str, heading: float, *, flies: bool) -> Velocity | Waypoint
         if flies and "v" in values:
             x, y = v * math.cos(heading), v * math.sin(heading)
         return Velocity(linear=(x, y, values.get("vz", 0.0)), yaw_rate=values.get("w", 0.0))
-    if {*values} <= {*_WAYPOINT} and {"x", "y", "z"} <= {*values}:
+    if {*values} <= {*_WAYPOINT} and {"x", "y", "z"} <= {*values} and values.get("speed", 1.0) > 0.0:
         place = values["x"], values["y"], values["z"]
         return Waypoint(position=place, yaw=values.get("yaw"), speed=values.get("speed"))
     raise UsageError(
-        f"--command {text}: give a velocity ({', '.join(_VELOCITY)}) or a way-point (x, y, z and perhaps yaw, speed)"
+        f"--command {text}: give a velocity ({', '.join(_VELOCITY)}) or a way-point (x, y, z and perhaps yaw, speed > 0)"
     )
+
+
+def _numbers(text: str) -> dict[str, float]:
+    """The numbers of a command by their names."""
+    values: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, number = part.strip().partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if name not in (*_VELOCITY, *_WAYPOINT) or not abs(value) <= LARGEST:
+            allowed = ", ".join((*_VELOCITY, *_WAYPOINT))
+            raise UsageError(f"--command {text}: '{part.strip()}' is none of NAME=NUMBER with {allowed}")
+        if name in values:
+            raise UsageError(f"--command {text}: {name} is given twice")
+        values[name] = value
+    return values
 
 
 def drive(
@@ -182,8 +194,9 @@ class _Seen:
         else:
             away = np.sqrt(sum((now - to) ** 2 for now, to in zip((x, y, z), command.position, strict=True)))
             figures["final_error_m"] = float(away[-1])
-            inside = np.nonzero(away > 0.1)[0]
-            figures["arrival_s"] = float(time_s[min(inside[-1] + 1, len(time_s) - 1)]) if len(inside) else 0.0
+            inside = np.nonzero(away > ARRIVED_M)[0]
+            first = inside[-1] + 1 if len(inside) else 0  # from then on it is there
+            figures["arrival_s"] = float(time_s[first]) if first < len(time_s) else None
         return {**figures, "series": {name: column.tolist() for name, column in columns.items()}}
 
 

@@ -48,6 +48,7 @@ PIECES: Mapping[str, str] = {
     "flies": "physics.vehicles:flies",
     "vehicle spec": "physics.vehicles:VehicleSpec",
     "positioning": "physics.positioning:Positioning",
+    "world": "physics.world:World",
     "world pictures": "physics.draw",
     "radio": "netsim.federate:RadioFederate",
     "channel": "netsim.channel:Channel",
@@ -232,7 +233,9 @@ def load_file(path: Path) -> ModuleType:
     """Import a Python file by its path, afresh; modules beside it can be imported by it."""
     name = f"_vcmvsp_{path.stem}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
     loader = importlib.machinery.SourceFileLoader(name, str(path))
-    module = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, loader, origin=str(path)))
+    spec = importlib.machinery.ModuleSpec(name, loader, origin=str(path))
+    spec.has_location = True  # so that the module has a __file__, by which its source is found
+    module = importlib.util.module_from_spec(spec)
     before = {*sys.modules, name}
     sys.modules[name] = module
     sys.path.insert(0, str(path.parent))

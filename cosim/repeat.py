@@ -26,7 +26,7 @@ _PLACES = {"pose": Vec3, "position": Vec3}
 class Repeat(msgspec.Struct, frozen=True, kw_only=True):
     """How a vehicle is repeated."""
 
-    count: Annotated[int, msgspec.Meta(ge=1, le=100_000)]  # how many there are; their names get numbers, from 1 on
+    count: Annotated[int, msgspec.Meta(ge=1, le=10_000)]  # how many there are; their names get numbers, from 1 on
     columns: Annotated[int, msgspec.Meta(ge=1)] | None = None  # in each row; None: all in one
     spacing: tuple[float, float] = (1.0, 1.0)  # m, between columns (along x) and between rows (along y)
 

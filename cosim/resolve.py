@@ -11,7 +11,6 @@ from typing import Any
 from cosim import registry, table
 from cosim.agent import AgentInfo
 from cosim.clock import SECOND_NS
-from cosim.errors import ScenarioError
 from cosim.scenario import Scenario, VehicleTable
 from cosim.source import Source
 
@@ -43,11 +42,12 @@ class Resolution:
 
     def keep(self, path: Path) -> str:
         """Keep a file that the scenario uses, as it is now; its name beside the resolved scenario."""
-        path = path.resolve()
-        if self._paths.setdefault(path.name, path) != path:
-            raise ScenarioError(f"two different files are called {path.name}; give one another name", source=self._source.name)
-        self.files.setdefault(path.name, path.read_bytes())
-        return path.name
+        path, name, number = path.resolve(), path.name, 1
+        while self._paths.setdefault(name, path) != path:  # another file of that name is kept already
+            number += 1
+            name = f"{path.stem}-{number}{path.suffix}"
+        self.files.setdefault(name, path.read_bytes())
+        return name
 
     def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str]) -> dict[str, Any]:
         """The resolved scenario, in TOML's types.

@@ -261,6 +261,8 @@ def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
             here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
         elif depth == 1 and parents[0] == "vehicle" and part not in here:
             raise ScenarioError(table.unknown("vehicle", part, here), key=key, source=source.of(key))
+        elif depth == 2 and parents[0] == "vehicle":  # one key of a table that it shares with all others
+            here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
         else:
             here = here.setdefault(part, {})
         if not isinstance(here, dict):

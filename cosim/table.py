@@ -158,7 +158,7 @@ def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
         words, _, inside = str(error).partition(" - at `$")
-        if inside and structs(annotation):
+        if structs(annotation) and (inside or words.startswith("Object ")):
             raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
         raise _refused(f"must be {describe(annotation)}, not {show(value)}", key, origin) from error
     except TypeError:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim import component, registry, table
 from cosim import scenario as scenarios
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import UsageError
 from cosim.source import Source
 
 FILES = {".toml": "file", ".yaml": "map", ".yml": "map", ".geojson": "geojson", ".json": "geojson"}
@@ -36,10 +36,7 @@ def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
         known = table.unknown("world", what, [*registry.KINDS["world"], *scenarios.names()])
         raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
     world, _ = component.build("world", {**table_, **settings}, key="world", source=source)
-    try:
-        return world.build(), name
-    except ValueError as error:
-        raise ScenarioError(str(error), key="world", source=source.name) from error
+    return component.world_of(world, key="world", source=source), name
 
 
 def describe(world: Any, name: str) -> dict[str, Any]:

@@ -38,6 +38,7 @@ _ROOFS: tuple[Color, ...] = (
 )
 _ROOF_M = 0.5  # thickness of a roof
 _STEPPED = 0.35  # of the higher buildings have a narrower upper part
+MOST_LOTS = 20_000  # they take some seconds to build
 _TRIES = 1000  # to find a free place for a target
 
 
@@ -80,6 +81,9 @@ class Urban(Surroundings):
             raise ScenarioError(f"must be at least height_min = {self.height_min:g}", key="height_max")
         if min(self.size) < self.block + 2.0 * self.street:
             raise ScenarioError(f"one block of {self.block:g} m and streets of {self.street:g} m do not fit", key="size")
+        across = [math.floor(each / (self.block + self.street)) for each in self.size]
+        if (lots := across[0] * across[1] * self.lots**2) > MOST_LOTS:
+            raise ScenarioError(f"a town of {lots} lots is too large: at most {MOST_LOTS}; give larger blocks", key="size")
         if self.lot <= 1.0:
             raise ScenarioError(
                 f"{self.lots} lots in a block of {self.block:g} m leave less than 1 m for a building", key="gap"

@@ -121,14 +121,6 @@ def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
     assert (outcome.code, "unknown vehicle 'cat'" in outcome.err) == (2, True)
 
 
-def test_a_ground_robot_cannot_be_sent_to_a_point(tmp_path: Path) -> None:
-    scenario = tmp_path / "pair.toml"
-    scenario.write_text(PAIR)
-    outcome = vcmvsp("drive", str(scenario), "--vehicle", "car", "--command", "x=1,y=2,z=3")
-    assert outcome.code != 0
-    assert "car was given a Waypoint but cannot fly" in outcome.err
-
-
 @pytest.mark.parametrize("command", ["vx=1", "v=1", "vx=-1,vy=1", "v=-1", "vz=1"])
 def test_what_flies_is_judged_along_its_command_whatever_its_heading(tmp_path: Path, command: str) -> None:
     scenario = tmp_path / "pair.toml"
