@@ -10,6 +10,7 @@ from netsim.medium import Codes, Fate
 Rows = NDArray[np.intp]
 
 FREE = -1  # locked to no frame
+_UNNOTICED = 1e-9  # of the noise: what is weaker is no event at a receiver
 
 
 class Flight:
@@ -25,7 +26,7 @@ class Flight:
         self.deaf: Bools = np.zeros(0, np.bool_)  # who was when it began, (n,)
         self.rows: Rows = np.zeros(0, np.intp)  # who is locked to it, (m,)
         self.hazard: Floats = np.zeros(0)  # so far, (m,)
-        self.settled_ns = start_ns  # up to here
+        self.settled_ns: Ints = np.zeros(0, np.int64)  # up to here, (m,)
 
 
 class Air:
@@ -36,7 +37,8 @@ class Air:
     nanosecond the strongest comes first, as the nearest would.
 
     The hazard ``-log(success per bit)`` of each piece of constant SINR adds up. With ``forgetful``, as in ns-3.44, a frame is
-    looked at only when another begins and at its own end: a disturbance that is over by then is forgotten.
+    looked at only when another begins that is not far below the noise, and at its own end: a disturbance that is over by then
+    is forgotten.
     """
 
     def __init__(
@@ -71,8 +73,9 @@ class Air:
 
     def begin(self, now_ns: int, flights: list[Flight]) -> None:
         """These frames, usually one, go on the air."""
+        noticed = np.max([each.power_mw for each in flights], axis=0) > _UNNOTICED * self._noise_mw
         for each in self._flights:
-            self._settle(each, now_ns)
+            self._settle(each, now_ns, noticed[each.rows])
         deaf = self._deaf_until_ns > now_ns
         before = self._noise_mw + self._power_mw
         free = (self._locked == FREE) & ~deaf
@@ -83,6 +86,7 @@ class Air:
             mine = free & (each.power_mw == strongest) if len(flights) > 1 else free
             each.rows = np.flatnonzero(mine)
             each.hazard = np.zeros(len(each.rows))
+            each.settled_ns = np.full(len(each.rows), now_ns)
             self._locked[each.rows] = each.sender
             free = free & ~mine
         self._flights += flights
@@ -94,7 +98,7 @@ class Air:
     def end(self, now_ns: int, flight: Flight) -> Codes:
         """A frame ends: its `Fate` at every radio, (n,)."""
         for each in [flight] if self._forgetful else self._flights:
-            self._settle(each, now_ns)
+            self._settle(each, now_ns, np.ones(len(each.rows), bool))
         self._flights.remove(flight)
         self._add_up()
         self._locked[flight.rows] = FREE
@@ -111,14 +115,14 @@ class Air:
         fate[flight.sender] = Fate.TRANSMITTING
         return fate
 
-    def _settle(self, flight: Flight, now_ns: int) -> None:
-        """Count the hazard since it was last counted, at the SINR that lasted since then."""
-        bits = flight.bits_per_ns * (now_ns - flight.settled_ns)
-        if bits:
+    def _settle(self, flight: Flight, now_ns: int, where: Bools) -> None:
+        """Count the hazard since it was last counted, at the SINR that lasted since then, at some of its receivers."""
+        bits = flight.bits_per_ns * (now_ns - flight.settled_ns) * where
+        if bits.any():
             power_mw = flight.power_mw[flight.rows]
             others_mw = self._power_mw[flight.rows] - power_mw
             flight.hazard += bits * self._hazard(power_mw, self._noise_mw[flight.rows] + others_mw)
-            flight.settled_ns = now_ns
+            flight.settled_ns[where] = now_ns
 
     def _hazard(self, power_mw: Floats, disturbance_mw: Floats) -> Floats:
         """Of one bit."""

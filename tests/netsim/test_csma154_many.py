@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from netsim.medium import Decided, Fate
@@ -130,6 +130,7 @@ def test_steps_make_no_difference_and_are_foretold(script: Script, cuts: list[in
 
 
 @given(script=scripts(4))
+@example(script=[(0, 1, 0, 100), (0, 3, 0, 20), (128, 0, 0, 100)])  # its frame begins while another is disturbed
 @settings(max_examples=30, deadline=None)
 def test_a_radio_out_of_reach_changes_nothing(script: Script) -> None:
     """Neither its draws nor its frames, wherever it stands in the order of rows."""
