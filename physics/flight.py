@@ -22,7 +22,7 @@ import numpy as np
 from physics import rotorwash
 from physics.autopilot import Autopilot
 from physics.quadrotor import Quadrotor
-from physics.rigid import Floats, column, columns, coupled, gyration, into_body, rotations, turned
+from physics.rigid import Floats, column, columns, coupled, gyration, into_body, precession, rotations, turned
 
 
 class Fleet:
@@ -104,6 +104,7 @@ class Fleet:
         np.multiply(self._arm, differences[1], out=body[0, 1])
         np.multiply(-self._arm, differences[0], out=body[1, 1])
         np.multiply(self._yaw_arm, pairs[1] - pairs[0], out=body[2, 1])
+        body[:, 1] += precession(self._rate, body[:, 1], self._flexibility, self._gyration, dt)
         terms = rotation[:, :, None] * body
         world = terms[:, 0] + terms[:, 1] + terms[:, 2]
         return world[:, 0].T, world[:, 1].T

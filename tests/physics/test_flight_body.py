@@ -9,7 +9,7 @@ import pytest
 
 from physics.flight import Fleet
 from physics.quadrotor import Quadrotor
-from physics.rigid import into_body, rotations
+from physics.rigid import gyration, into_body, precession, rotations
 
 MODEL = Quadrotor(inertia=(0.0040, 0.0055, 0.0073))  # three different moments: it tumbles
 NOTHING = np.zeros((1, 3))
@@ -97,7 +97,30 @@ def tumbled(hz: int) -> tuple[float, float]:
     return float(lost), abs(spin_energy(fleet) / energy - 1.0)
 
 
-def test_tumbling_keeps_momentum_and_energy_to_first_order() -> None:
+@pytest.mark.parametrize("hz", [60, 120, 240])
+@pytest.mark.parametrize("inertia", [(0.0040, 0.0055, 0.0073), (0.0040, 0.0040, 0.0073)], ids=["three", "two"])
+def test_with_the_torque_of_precession_tumbling_keeps_energy_and_momentum(hz: int, inertia: tuple[float, float, float]) -> None:
+    """What `Fleet.wrench` adds: energy and amount of momentum stay, and its direction within what a step turns."""
+    fleet, moments, dt = alone(Quadrotor(inertia=inertia), rate=(5.0, 0.3, 2.0)), np.array(inertia), 1.0 / hz
+    before, energy = rotation(fleet) @ (moments * fleet.rate[0]), float(moments @ fleet.rate[0] ** 2)
+    none, flexibility, gyrations = np.zeros((3, 1)), 1.0 / moments[:, None], gyration(moments[:, None])
+    for _ in range(5 * hz):
+        torque = precession(fleet.rate.T, none, flexibility, gyrations, dt)
+        fleet.integrate(NOTHING, (rotation(fleet) @ torque).T, dt)
+        after = rotation(fleet) @ (moments * fleet.rate[0])
+        assert np.linalg.norm(after - before) < 1.5 * dt * np.linalg.norm(before)
+    assert float(moments @ fleet.rate[0] ** 2) == pytest.approx(energy, rel=1e-9)
+    assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before), rel=1e-9)
+
+
+def test_who_hardly_tumbles_gets_none_whoever_else_does() -> None:
+    rates, moments = np.array([[5.0, 0.3, 2.0], [0.1, 0.2, 0.0]]).T, np.array(MODEL.inertia)[:, None] * np.ones(2)
+    torque = precession(rates, np.zeros((3, 2)), 1.0 / moments, gyration(moments), 0.01)
+    assert np.abs(torque[:, 0]).max() > 0.0
+    assert torque[:, 1].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_without_it_tumbling_keeps_momentum_and_energy_to_first_order() -> None:
     errors = np.array([tumbled(hz) for hz in (240, 480, 960, 1920)])
     assert errors[0] == pytest.approx(0.0, abs=0.025)
     assert errors[:-1] / errors[1:] == pytest.approx(2.0, rel=0.1)
