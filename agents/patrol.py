@@ -9,6 +9,7 @@ from cosim.frames import rotate2, wrap
 from cosim.types import Array, NonNegative, Positive, Scan, Vec3, Velocity, Waypoint
 
 TURN_GAIN = 1.5  # 1/s
+LANE_M = 0.6  # what it needs of the way, across
 TURN_ON_THE_SPOT = 0.8  # rad: aside by more than that, it turns before it goes on
 
 
@@ -16,8 +17,9 @@ class Patrol(Agent):
     """Visit points in turn.
 
     On wheels: turn towards the point, then drive at it, slower the further it lies aside. In the air: tell the autopilot. A
-    vehicle on wheels with a range scanner stops as long as something is nearer than ``clearance`` in its way, and goes
-    round it on the side with more room when it has waited for ``patience_s``: round small things, for it plans no way.
+    vehicle on wheels with a range scanner stops as long as something in its way is nearer than ``clearance``, and than the
+    point; when it has waited for ``patience_s`` it turns where there is more room until the way is free. That lets vehicles
+    pass each other, and leads round no wall: it plans no way.
 
     Args:
         way: points, x, y, z m, world; on wheels z does not matter.
@@ -52,7 +54,7 @@ class Patrol(Agent):
         self.flies, self.scanner, self.report_s = flies, scanner, report_s
         self.clearance, self.patience_s = clearance, patience_s
         self.sensors = (scanner,) if scanner else ()
-        self._next, self._waiting_s, self._detour_s, self._side = 0, 0.0, 0.0, 1
+        self._next, self._waiting_s = 0, 0.0
         self._origin: Vec3 | None = None
 
     def start(self, info: VehicleInfo) -> None:
@@ -88,36 +90,26 @@ class Patrol(Agent):
     def _drive(self, obs: Observation) -> Velocity:
         x, y, _ = self._aim(obs)
         ahead, left = rotate2(x - obs.state.position[0], y - obs.state.position[1], -obs.state.yaw)
-        if math.hypot(ahead, left) <= self.arrive_m:
+        away, aside = math.hypot(ahead, left), wrap(math.atan2(left, ahead))
+        if away <= self.arrive_m:
             return Velocity()
         scan = obs.readings.get(self.scanner) if self.scanner else None
-        blocked = isinstance(scan, Scan) and _nearest(scan, 0.0, self.clearance) < self.clearance
-        if self._detour_s > 0.0:
-            return self._go_round(blocked=blocked)
-        aside = wrap(math.atan2(left, ahead))
-        if blocked and abs(aside) < TURN_ON_THE_SPOT:
+        if isinstance(scan, Scan) and abs(aside) < TURN_ON_THE_SPOT and _nearest(scan, 0.0) < min(self.clearance, away):
             self._waiting_s += self._period_s
-            if self._waiting_s > self.patience_s and isinstance(scan, Scan):
-                room = [_nearest(scan, side * TURN_ON_THE_SPOT, 2.0 * self.clearance) for side in (1, -1)]
-                self._side, self._detour_s = (1 if room[0] >= room[1] else -1), 2.0 * self.clearance / self.speed
-            return Velocity()
+            if self._waiting_s <= self.patience_s:
+                return Velocity()
+            sides = [_nearest(scan, side * TURN_ON_THE_SPOT) for side in (1, -1)]
+            return Velocity(yaw_rate=0.5 if sides[0] >= sides[1] else -0.5)
         self._waiting_s = 0.0
         forward = self.speed * max(0.0, math.cos(aside)) if abs(aside) < TURN_ON_THE_SPOT else 0.0
         return Velocity(linear=(forward, 0.0, 0.0), yaw_rate=max(-1.0, min(TURN_GAIN * aside, 1.0)))
 
-    def _go_round(self, *, blocked: bool) -> Velocity:
-        """Turn to the side that was chosen until the way is free, then go that way for a while."""
-        if blocked:
-            return Velocity(yaw_rate=0.5 * self._side)
-        self._detour_s -= self._period_s
-        return Velocity(linear=(self.speed, 0.0, 0.0))
 
-
-def _nearest(scan: Scan, bearing: float, width_m: float) -> float:
-    """How far ahead the nearest return is within a lane of some width around a bearing, m."""
+def _nearest(scan: Scan, bearing: float) -> float:
+    """How far ahead the nearest return is within a lane around a bearing, m."""
     aside = scan.angle_min + scan.angle_step * np.arange(len(scan.ranges)) - bearing
     seen = np.isfinite(scan.ranges) | (scan.ranges < 0.0)  # nearer than it can measure: -inf, as good as 0
     ranges = np.where(seen, np.maximum(scan.ranges, 0.0), 0.0)
     ahead, across = ranges * np.cos(aside), ranges * np.sin(aside)
-    inside: Array = ahead[seen & (np.cos(aside) > 0.0) & (np.abs(across) < 0.5 * width_m)]
+    inside: Array = ahead[seen & (np.cos(aside) > 0.0) & (np.abs(across) < 0.5 * LANE_M)]
     return float(inside.min()) if len(inside) else math.inf

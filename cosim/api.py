@@ -24,6 +24,7 @@ import tomli_w
 from threadpoolctl import threadpool_limits
 
 from cosim import scenario as scenarios
+from cosim import worlds
 from cosim.agent import Agent
 from cosim.assemble import Assembly
 from cosim.clock import Clock, SimClock, WallClock
@@ -33,6 +34,7 @@ from cosim.kernel import Kernel
 from cosim.record.metrics import Window
 from cosim.record.recorder import Recorder
 from cosim.record.tables import Placement, load
+from cosim.types import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -63,12 +65,13 @@ class Result:
         resolved: dict[str, Any],
         files: Mapping[str, bytes],
         mcap: io.BytesIO | None,
+        outlines: Sequence[Array] = (),
     ) -> None:
         self.metrics, self.about = metrics, about
         self.scenario = tomli_w.dumps(resolved)
         self._recorder, self._files = recorder, dict(files)
         self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
-        self._mcap = mcap
+        self._mcap, self._outlines = mcap, outlines
 
     @property
     def states(self) -> "pa.Table":
@@ -83,7 +86,7 @@ class Result:
     def plot(self) -> "dict[str, Figure]":
         """The run's figures, by name: ``trajectory`` and ``formation_error``."""
         recorder = self._recorder
-        return _figures(recorder.states, recorder.radio, recorder.follows, self._window)
+        return _figures(recorder.states, recorder.radio, recorder.follows, self._window, self._outlines)
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write everything that a run leaves into a folder."""
@@ -113,11 +116,13 @@ class Result:
             plots.save_png(figure, folder / f"{name}.png")
 
 
-def _figures(states: "pa.Table", radio: "pa.Table", follows: Sequence[Placement], window: Window) -> "dict[str, Figure]":
+def _figures(
+    states: "pa.Table", radio: "pa.Table", follows: Sequence[Placement], window: Window, outlines: Sequence[Array]
+) -> "dict[str, Figure]":
     from cosim.record import plots
 
     return {
-        "trajectory": plots.trajectory(states, follows),
+        "trajectory": plots.trajectory(states, follows, outlines),
         "formation_error": plots.formation_error(states, radio, follows, window),
     }
 
@@ -202,7 +207,11 @@ def plot(run_dir: Path, out: Path) -> list[Path]:
         window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
     except ValueError as error:  # a damaged table or scenario
         raise UsageError(f"{run_dir} cannot be read: {error}") from error
-    figures = _figures(recording.states, recording.radio, recording.follows, (window.get("from_s", 0.0), window.get("to_s")))
+    seen: Sequence[Array] = ()
+    with contextlib.suppress(VcmvspError):  # a world that is not to be had any more is not drawn
+        seen = worlds.outlines(worlds.world_of(str(scenario), {})[0])
+    within = window.get("from_s", 0.0), window.get("to_s")
+    figures = _figures(recording.states, recording.radio, recording.follows, within, seen)
     paths = {out / f"{name}.png": figure for name, figure in figures.items()}
     with _writing(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -314,7 +323,8 @@ class _Simulation:
             "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
             "versions": _versions(),
         }
-        result = Result(recorder, metrics, about, resolved, assembly.files, self._mcap)
+        seen = worlds.outlines(assembly.world)
+        result = Result(recorder, metrics, about, resolved, assembly.files, self._mcap, seen)
         if self._folder is not None:
             result.write(self._folder.path)
         return result

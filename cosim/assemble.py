@@ -58,7 +58,7 @@ class Assembly:
             raise ScenarioError(problem, key="agents")
         agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)
         self._resolution = Resolution(scenario, source)
-        world = self._build_world()
+        world = self.world = self._build_world()
         air, physics = self._build_radio(world), self._build_physics(world)
         self.radius_m: Mapping[str, float] = physics.radius_m
         self._hosts = Hosts(agents, tell)

@@ -11,6 +11,7 @@ from cosim import component, registry, table
 from cosim import scenario as scenarios
 from cosim.errors import UsageError
 from cosim.source import Source
+from cosim.types import Array
 
 FILES = {".toml": "file", ".yaml": "map", ".yml": "map", ".geojson": "geojson", ".json": "geojson"}
 MESHES = (".obj", ".stl", ".ply", ".glb", ".off")
@@ -52,6 +53,12 @@ def describe(world: Any, name: str) -> dict[str, Any]:
         "moving": len(world.moving),
         "bounds": world.bounds,
     }
+
+
+def outlines(world: Any) -> list[Array]:
+    """What stands in a world seen from above: outlines, (k, 2) m each, of its convex pieces; meshes by their triangles."""
+    shapes = world.shapes
+    return [*(corners for group in shapes.groups for corners in group.corners), *shapes.triangles[:, :, :2]]
 
 
 def draw(world: Any, target: Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from cosim.clock import SECOND_NS
@@ -66,15 +67,18 @@ def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 @_styled
-def trajectory(states: pa.Table, follows: Sequence[Placement] = ()) -> Figure:
+def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
     """Where the vehicles went, seen from above: a dot where each starts, arrowheads on the way and a larger one where it ends.
 
-    At a few instants thin lines join followers and leaders, so that the shape of the formation shows.
+    At a few instants thin lines join followers and leaders, so that the shape of the formation shows. ``outlines``, (k, 2) m
+    each, are what stood about.
     """
     moved = motion(states)
     x, y, _ = moved.position
     figure = Figure(figsize=(6.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
+    solids = PolyCollection(outlines, facecolor="0.88", edgecolor="0.72", linewidth=0.5, zorder=1)
+    axes.add_collection(solids, autolim=False)  # the paths say how much of the world is shown
     last = len(moved.time_ns) - 1
     shown: list[int] = np.unique(np.linspace(0, last, SNAPSHOTS).round().astype(int)).tolist() if last > 0 else []
     for instant in shown:
@@ -229,3 +233,5 @@ def _legend(axes: Axes) -> None:
     axes.legend(
         handles[:18], labels[:18], loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, borderaxespad=0.2, columnspacing=1.2
     )
+    if len(labels) > 18:
+        axes.set_title(f"and {len(labels) - 18} more", loc="right", fontsize="small")

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+import cosim
 from cosim import drive, registry
 from cosim.errors import UsageError
 from cosim.types import Velocity, Waypoint
@@ -151,3 +152,12 @@ def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
     )
     outcome = vcmvsp("check", str(tmp_path / "s.toml"))
     assert (outcome.code, "s.toml line 3: vehicle.q2.position: q2 and q1 overlap" in outcome.err) == (2, True), outcome.err
+
+
+def test_solids_are_seen_in_the_figure_of_the_paths_which_say_how_much_of_them(tmp_path: Path) -> None:
+    boxes = [{"center": [x, 2.0, 0.5], "size": [1.0, 1.0, 1.0]} for x in (3.0, 300.0)]
+    (tmp_path / "s.toml").write_text(f"{PAIR}[world]\nkind = 'boxes'\nboxes = []\n")
+    runs = [cosim.run(tmp_path / "s.toml", set={"world.boxes": each}) for each in ([], boxes)]
+    plain, seen = (run.plot()["trajectory"].axes[0] for run in runs)
+    assert [len(each.collections[0].get_paths()) for each in (plain, seen)] == [0, 2]
+    assert plain.get_xlim() == seen.get_xlim()
