@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 
 from bench import bare, camera, drones, radio, scanner, sensors, vehicles
-from bench.measure import Row, in_turn, table
+from bench.measure import Row, in_turn, measured, table
 from bench.workloads import run_cpu_s, star
 from cosim import scenario as scenarios
 from cosim.assemble import Assembly
@@ -128,10 +128,7 @@ def start_row() -> Row:
 def main() -> int:
     """Print the table."""
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
-    rows = []
-    for measure in (kernel_row, bullet_row, federation_row, start_row):
-        print(f"measuring: {measure.__name__} ...", file=sys.stderr, flush=True)
-        rows.append(measure())
+    rows = measured((kernel_row, bullet_row, federation_row, start_row))
     print("measuring: the radio ...", file=sys.stderr, flush=True)
     rows += radio.rows()
     for part in (vehicles, sensors, drones, scanner, camera):

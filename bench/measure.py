@@ -1,8 +1,9 @@
 """Timing two things in turn, so that a machine whose speed drifts drifts for both."""
 
 import statistics
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 Timed = Callable[[], float]
@@ -35,6 +36,15 @@ def in_turn(ours: Timed, other: Timed, rounds: int) -> tuple[float, float, float
         statistics.median(b for _, b in pairs),
         statistics.median(a / b for a, b in pairs),
     )
+
+
+def measured(measures: Sequence[Callable[[], Row]]) -> list[Row]:
+    """The rows that these measure, one after the other, told as they begin."""
+    found = []
+    for measure in measures:
+        print(f"measuring: {measure.__module__.rpartition('.')[2]}, {measure.__name__} ...", file=sys.stderr, flush=True)
+        found.append(measure())
+    return found
 
 
 def table(rows: list[Row]) -> str:

@@ -4,12 +4,11 @@ Run with ``python -m bench.sensors``. CPU time of one core; robots carry a scann
 also a camera that looks down, 160 x 120. Scans are taken ten times a second and pictures five times.
 """
 
-import sys
 from collections.abc import Callable, Sequence
 from functools import cache
 
 from bench.camera import PITCH_M, city, crossings
-from bench.measure import Row, in_turn, table
+from bench.measure import Row, in_turn, measured, table
 from bench.vehicles import Fleet, federate_cpu_s
 from cosim.types import Vec3
 from physics.camera import NadirCamera
@@ -89,11 +88,7 @@ ALL: Sequence[Callable[[], Row]] = (robots_3, mixed_10, mixed_50, unread)
 
 def rows() -> list[Row]:
     """All of them."""
-    found = []
-    for measure in ALL:
-        print(f"measuring: sensors, {measure.__name__} ...", file=sys.stderr, flush=True)
-        found.append(measure())
-    return found
+    return measured(ALL)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,10 @@
 Run with ``python -m bench.vehicles``. Everything is CPU time of one core, in turn with what it is compared to.
 """
 
-import sys
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from bench.measure import Row, cpu, in_turn, table
+from bench.measure import Row, cpu, in_turn, measured, table
 from cosim.clock import SECOND_NS, Ticks
 from cosim.federate import Event, Instants, RunInfo
 from cosim.types import Later, Velocity
@@ -167,11 +166,7 @@ ALL: Sequence[Callable[[], Row]] = (robots_10, robots_50, mixed_50, quadrotors_5
 
 def rows() -> list[Row]:
     """All of them."""
-    found = []
-    for measure in ALL:
-        print(f"measuring: {measure.__name__} ...", file=sys.stderr, flush=True)
-        found.append(measure())
-    return found
+    return measured(ALL)
 
 
 if __name__ == "__main__":

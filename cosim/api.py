@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import tomli_w
-from threadpoolctl import threadpool_limits
 
 from cosim import scenario as scenarios
 from cosim import worlds
@@ -65,13 +64,13 @@ class Result:
         resolved: dict[str, Any],
         files: Mapping[str, bytes],
         mcap: io.BytesIO | None,
-        outlines: Sequence[Array] = (),
+        world: Any,
     ) -> None:
         self.metrics, self.about = metrics, about
         self.scenario = tomli_w.dumps(resolved)
         self._recorder, self._files = recorder, dict(files)
         self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
-        self._mcap, self._outlines = mcap, outlines
+        self._mcap, self._world = mcap, world
 
     @property
     def states(self) -> "pa.Table":
@@ -86,7 +85,7 @@ class Result:
     def plot(self) -> "dict[str, Figure]":
         """The run's figures, by name: ``trajectory`` and ``formation_error``."""
         recorder = self._recorder
-        return _figures(recorder.states, recorder.radio, recorder.follows, self._window, self._outlines)
+        return _figures(recorder.states, recorder.radio, recorder.follows, self._window, worlds.outlines(self._world))
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write everything that a run leaves into a folder."""
@@ -166,8 +165,7 @@ def run(
     parsed, source = scenarios.load(scenario, settings=set, seed=seed)
     started, cpu = datetime.now(UTC), time.process_time()
     try:
-        # One thread for linear algebra: sums come out the same on any number of cores, and small ones are quicker so.
-        with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly, threadpool_limits(1):
+        with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly:
             clock = SimClock() if realtime is None else WallClock(realtime)
             simulation = _Simulation(assembly, clock, folder, progress)
             with _writing(folder.path if folder else None), simulation.calm():
@@ -323,8 +321,7 @@ class _Simulation:
             "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
             "versions": _versions(),
         }
-        seen = worlds.outlines(assembly.world)
-        result = Result(recorder, metrics, about, resolved, assembly.files, self._mcap, seen)
+        result = Result(recorder, metrics, about, resolved, assembly.files, self._mcap, assembly.world)
         if self._folder is not None:
             result.write(self._folder.path)
         return result

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, Self
 
 import msgspec
@@ -125,13 +124,19 @@ class Assembly:
 
     # --- parts --------------------------------------------------------------------------------------------------------------
 
-    def _component(self, group: str, content: Mapping[str, Any], key: str, **given: Any) -> tuple[Any, dict[str, Any]]:
+    def _component(
+        self, group: str, content: Mapping[str, Any], key: str, *, offered: Mapping[str, Any] | None = None, **given: Any
+    ) -> tuple[Any, dict[str, Any]]:
         portable, keep = self._resolution.portable, self._resolution.keep
-        return component.build(group, content, key=key, source=self._source, portable=portable, given=given, keep=keep)
+        return component.build(
+            group, content, key=key, source=self._source, portable=portable, given=given, offered=offered, keep=keep
+        )
 
     def _build_world(self) -> Any:
-        world, self._resolution.tables["world"] = self._component("world", {"kind": "empty", **self._scenario.world}, "world")
-        return component.world_of(world, key="world", source=self._source)
+        portable, keep = self._resolution.portable, self._resolution.keep
+        world, resolved = component.world_of(self._scenario.world, self._source, portable=portable, keep=keep)
+        self._resolution.tables["world"] = resolved
+        return world
 
     def _build_radio(self, world: Any) -> Federate:
         built = radio.of_scenario(
@@ -172,10 +177,9 @@ class Assembly:
     def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
         key, kind, own = f"vehicle.{vehicle.name}", self._vehicle_class(vehicle), self._own(vehicle)
         also = {*table.parameters(VehicleTable)} - {"params"}
-        own = component.with_files(own, lambda name: str((self._source.folder / name).resolve()))
+        own = component.found(own, self._source)
         model = table.call(kind, own, key=key, origin=self._source, also=also)
-        full = component.with_files(table.complete(kind, own), lambda name: self._resolution.keep(Path(name)))
-        self._resolution.vehicles[vehicle.name] = full
+        self._resolution.vehicles[vehicle.name] = component.kept(table.complete(kind, own), self._resolution.keep)
         sensor = None
         if vehicle.positioning is not None:
             positioning = registry.piece("positioning")
@@ -201,10 +205,7 @@ class Assembly:
             if not name.replace("_", "").replace("-", "").isalnum() or name in TOPICS:
                 problem = f"a sensor cannot be called '{name}': letters, digits, _ and -, and none of {', '.join(TOPICS)}"
                 raise ScenarioError(problem, key=where, source=self._source.of(where))
-            portable = self._resolution.portable
-            fitted[name], tables[name] = component.build(
-                "sensor", content, key=where, source=self._source, portable=portable, offered=wheels
-            )
+            fitted[name], tables[name] = self._component("sensor", content, where, offered=wheels)
         self._sensors[vehicle.name], self._resolution.sensors[vehicle.name] = fitted, tables
         return fitted
 

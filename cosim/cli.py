@@ -11,6 +11,7 @@ import typer
 from cosim.cli_calibrate import calibrate_command
 from cosim.cli_explain import radio_command
 from cosim.cli_kinds import list_command, show_command, world_command
+from cosim.cli_options import AsJson
 from cosim.cli_radio import register
 from cosim.errors import Interrupted, UsageError, VcmvspError
 from cosim.streams import stdout_to_stderr
@@ -30,7 +31,6 @@ Sets = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario, e.g. radio.loss.probability=0.3."),
 ]
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")]
 
 
 @app.command("run")

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.cli_options import AsJson
 from cosim.errors import UsageError
 
 
@@ -23,15 +24,13 @@ def calibrate_command(
         str | None, typer.Option(metavar="SCENARIO", help="Whose walls stood there: the loss of each material is fitted.")
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for radio.toml and calibration.png.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")] = False,
+    json: AsJson = False,
 ) -> None:
     """Fit path loss, shadowing, walls and fading to a measured log; with standard errors.
 
     Example: vcmvsp calibrate links.csv --tx-power 16 --sensitivity -90 --world lab.toml --out lab-radio
     """
     import msgspec
-    import scipy.linalg  # noqa: F401  brings the threads that are limited below
-    from threadpoolctl import threadpool_limits
 
     from cosim import registry
     from cosim.api import to_json
@@ -47,15 +46,14 @@ def calibrate_command(
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     fitting = registry.piece("calibration").calibrate_command
-    with threadpool_limits(limits=1):  # threads for small matrices wait for each other on a busy machine
-        calibration = fitting(
-            links,
-            tx_power_dbm=tx_power,
-            reference_distance_m=reference_distance,
-            sensitivity_dbm=sensitivity,
-            sightline=None if world is None else _sightline(world),
-            out=out,
-        )
+    calibration = fitting(
+        links,
+        tx_power_dbm=tx_power,
+        reference_distance_m=reference_distance,
+        sensitivity_dbm=sensitivity,
+        sightline=None if world is None else _sightline(world),
+        out=out,
+    )
     if json:
         sys.stdout.write(to_json({**msgspec.to_builtins(calibration), "radio": calibration.table()}))
         return
@@ -69,5 +67,5 @@ def _sightline(world: str) -> Any:
     from cosim import component, registry, scenario
 
     parsed, source = scenario.load(world)
-    built, _ = component.build("world", {"kind": "empty", **parsed.world}, key="world", source=source)
-    return registry.piece("sightline")(built.build().solids)
+    built, _ = component.world_of(parsed.world, source)
+    return registry.piece("sightline")(built.solids)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.cli_options import AsJson
 from cosim.errors import UsageError
 
 
@@ -32,7 +33,7 @@ def radio_command(
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Map: change a key of the scenario.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")] = False,
+    json: AsJson = False,
 ) -> None:
     """Explain the radio: delivery, losses and link budgets of a run; coverage of a scenario.
 

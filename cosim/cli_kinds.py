@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.cli_options import AsJson
 from cosim.errors import UsageError
 from cosim.streams import stdout_to_stderr
 
 GROUPS = {"worlds": "world", "vehicles": "vehicle", "sensors": "sensor", "agents": "agent"}
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. radio.loss.probability=0.3.")
 ]

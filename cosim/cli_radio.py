@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cosim.cli_options import AsJson
 from cosim.errors import Interrupted, ScenarioError, UsageError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ Sets = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key of a layer, e.g. path_loss.exponent=2.5."),
 ]
 Size = Annotated[int, typer.Option(metavar="BYTES", help="Payload of a frame; the standard's headers are added.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")]
 
 
 def register(app: typer.Typer) -> None:

@@ -60,16 +60,22 @@ def build(
     target = registry.find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source)
     known = table.parameters(target)
     given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
-    params = with_files(source.kept(content, key, known), lambda name: str((source.folder / name).resolve()))
+    params = found(source.kept(content, key, known), source)
     built = table.call(target, params, key=key, origin=source, given=given)
     for path in getattr(built, "files", tuple)():  # those that its own files name
         keep(path)
-    full = with_files(table.complete(target, params, without=given), lambda name: keep(Path(name)))
-    return built, {"kind": portable(kind), **full}
+    return built, {"kind": portable(kind), **kept(table.complete(target, params, without=given), keep)}
 
 
-def world_of(maker: Any, *, key: str, source: Source) -> Any:
-    """The world that a kind builds; whatever goes wrong in it is said with its place."""
+def world_of(
+    content: Mapping[str, Any], source: Source, *, portable: Portable = str, keep: Keep = name_of
+) -> tuple[Any, dict[str, Any]]:
+    """The world that a table ``[world]`` describes, and the table with all its defaults; arguments as for `build`.
+
+    Whatever goes wrong in building it is said with its place.
+    """
+    key = "world"
+    maker, resolved = build(key, {"kind": "empty", **content}, key=key, source=source, portable=portable, keep=keep)
     try:
         world = maker.build()
     except ScenarioError as error:
@@ -83,14 +89,24 @@ def world_of(maker: Any, *, key: str, source: Source) -> Any:
     if not isinstance(world, registry.piece("world")):
         problem = f"{type(maker).__name__}.build must return a World, not {table.show(world)}"
         raise ScenarioError(problem, key=key, source=source.of(key))
-    return world
+    return world, resolved
 
 
-def with_files(content: Any, change: Callable[[str], str]) -> Any:
+def found(params: Mapping[str, Any], source: Source) -> dict[str, Any]:
+    """Parameters with the files that they name where these really are."""
+    return dict(_with_files(params, lambda name: str((source.folder / name).resolve())))
+
+
+def kept(params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
+    """Parameters with the files that they name kept, by the names under which they are."""
+    return dict(_with_files(params, lambda name: keep(Path(name))))
+
+
+def _with_files(content: Any, change: Callable[[str], str]) -> Any:
     """A table with the names of the files in it changed."""
     if isinstance(content, Mapping):
         return {
-            name: change(value) if name in FILES and isinstance(value, str) and value else with_files(value, change)
+            name: change(value) if name in FILES and isinstance(value, str) and value else _with_files(value, change)
             for name, value in content.items()
         }
-    return [with_files(each, change) for each in content] if isinstance(content, list) else content
+    return [_with_files(each, change) for each in content] if isinstance(content, list) else content

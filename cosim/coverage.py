@@ -57,11 +57,10 @@ def site_of(parsed: Scenario, source: Source) -> Site:
     Raises:
         ScenarioError: they cannot be built.
     """
-    world, _ = component.build("world", {"kind": "empty", **parsed.world}, key="world", source=source)
-    solids = component.world_of(world, key="world", source=source).solids
-    built = radio.of_scenario(parsed, source, solids=solids)
+    world, _ = component.world_of(parsed.world, source)
+    built = radio.of_scenario(parsed, source, solids=world.solids)
     places = {each.name: each.start[0] for each in parsed.vehicle}
-    return Site(built.channel, solids, built.radios, places)
+    return Site(built.channel, world.solids, built.radios, places)
 
 
 def coverage(

@@ -14,6 +14,7 @@ from cosim.assemble import Assembly
 from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from cosim.federate import Event
+from cosim.frames import yaw_of
 from cosim.kernel import Kernel
 from cosim.scenario import AgentsTable
 from cosim.types import Array, States, Velocity, Waypoint
@@ -142,12 +143,11 @@ class _Seen:
         """Take an event."""
         if isinstance(event.value, States):
             row, states = event.value.names.index(self._vehicle), event.value
-            qw, qx, qy, qz = states.attitude[row].tolist()
-            yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+            _, qx, qy, _ = attitude = states.attitude[row].tolist()
             tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (qx * qx + qy * qy))))
             self._rows[event.time_ns] = [
                 *states.position[row].tolist(),
-                yaw,
+                yaw_of(attitude),
                 *states.velocity[row].tolist(),
                 float(states.angular_velocity[row, 2]),
                 tilt,

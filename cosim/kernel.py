@@ -20,6 +20,7 @@ from operator import attrgetter
 from typing import TypeVar
 
 import simpy
+from threadpoolctl import threadpool_limits
 
 from cosim.clock import Clock, SimClock
 from cosim.errors import FederateError, VcmvspError
@@ -77,6 +78,10 @@ class Kernel:
             on_instant: called with the time before each instant (progress).
         """
         self._observe = observe
+        with threadpool_limits(1):  # of linear algebra: sums come out the same on any number of cores, small ones quicker
+            self._run(on_instant)
+
+    def _run(self, on_instant: Callable[[int], None] | None) -> None:
         self._clock.start()
         last, end_ns = -1, self.run_info.duration_ns
         while (now := self._env.peek()) <= end_ns:

@@ -32,12 +32,12 @@ def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
         table_, source, name = {"kind": kind, "path": str(path.resolve())}, Source(what, Path()), path.stem
     elif what in scenarios.names() or path.is_file():
         parsed, source = scenarios.load(what, settings=settings)
-        table_, name, settings = {"kind": "empty", **parsed.world}, parsed.name, {}
+        table_, name, settings = dict(parsed.world), parsed.name, {}
     else:
         known = table.unknown("world", what, [*registry.KINDS["world"], *scenarios.names()])
         raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
-    world, _ = component.build("world", {**table_, **settings}, key="world", source=source)
-    return component.world_of(world, key="world", source=source), name
+    world, _ = component.world_of({**table_, **settings}, source)
+    return world, name
 
 
 def describe(world: Any, name: str) -> dict[str, Any]:

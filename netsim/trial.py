@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 import msgspec
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.rng import stream
@@ -105,6 +106,11 @@ def run(channel: Air, plan: Broadcasts, *, sink: Sink | None = None, progress: P
         `Tally.summary`, and ``cpu_s``: CPU time of this process for it, without that of ``sink``, and without what is compiled
         or tabulated once in a process.
     """
+    with threadpool_limits(1):  # as in a run: sums come out the same on any number of cores
+        return _run(channel, plan, sink, progress)
+
+
+def _run(channel: Air, plan: Broadcasts, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
     names = plan.names
     messages = [Message(sender=name, body={}, size_bytes=plan.size_bytes) for name in names]
     _warm_up(channel, plan, messages[0])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cosim.clock import SECOND_NS
 from cosim.frames import wrap
 from cosim.types import Vec3
-from physics.engine import Motion, Touch, still
+from physics.engine import Bodiless, Motion, still
 from physics.quadrotor import Quadrotor
 from physics.vehicles import Point
 
@@ -28,7 +28,7 @@ _AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
 _YAW = 3
 
 
-class AerialEngine:
+class AerialEngine(Bodiless):
     """Moves n vehicles in the air. Nothing collides: there are no bodies. Quadrotors move as a `Point` without lag."""
 
     def __init__(self, models: Sequence[Point | Quadrotor], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
@@ -86,14 +86,3 @@ class AerialEngine:
         return still(self._place[:3].T.copy(), self._place[_YAW])._replace(
             velocity=self._speed[:3].T.copy(), angular_velocity=turning, acceleration=gain[:3].T.copy()
         )
-
-    def movables(self) -> Motion:
-        """Nothing here can push anything."""
-        return still(np.empty((0, 3)), np.empty(0))
-
-    def touching(self, *, passing: bool) -> list[Touch]:
-        """No bodies, no contacts."""
-        return []
-
-    def close(self) -> None:
-        """Nothing to release."""

@@ -87,6 +87,24 @@ def still(position: Array, heading: Array) -> Motion:
     return Motion(position, zero, attitude, zero, zero, np.full((n, 2), np.nan), np.full((n, 5), np.nan))
 
 
+NO_BODIES = still(np.empty((0, 3)), np.empty(0))
+
+
+class Bodiless:
+    """What engines have in common that move vehicles without bodies: nothing collides."""
+
+    def movables(self) -> Motion:
+        """Nothing here can push anything."""
+        return NO_BODIES
+
+    def touching(self, *, passing: bool) -> list[Touch]:
+        """No bodies, no contacts."""
+        return []
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
 def gathered(parts: "list[tuple[Motion, Array]]", count: int) -> Motion:
     """The rows of several engines as one, read-only: each with the places (k,) that its rows have among ``count``."""
     if len(parts) == 1 and len(parts[0][1]) == count:

@@ -19,17 +19,16 @@ from numpy.typing import NDArray
 
 from cosim.clock import SECOND_NS
 from cosim.types import Vec3
-from physics.engine import Motion, Touch, side_by_side, still
+from physics.engine import Bodiless, Motion, side_by_side
 from physics.vehicles import GroundVehicle
 
 Floats = NDArray[np.float64]
 
 _ARC_NS = 20_000_000  # longest arc while speeds change
 _AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
-_NOTHING = still(np.empty((0, 3)), np.empty(0))
 
 
-class MotionEngine:
+class MotionEngine(Bodiless):
     """Moves n vehicles by their `Servo`. Nothing collides: there are no bodies."""
 
     def __init__(self, models: Sequence[GroundVehicle], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
@@ -125,17 +124,6 @@ class MotionEngine:
         """What the forward speed grows by at this moment, m/s2."""
         wanted = (self._command[0, 0] - self._speed[0, 0]) / self._tau[0, 0]
         return np.where(self._tau[0, 0] > _AT_ONCE_S, np.clip(wanted, -self._fall[0, 0], self._rise[0, 0]), 0.0)
-
-    def movables(self) -> Motion:
-        """Nothing here can push anything."""
-        return _NOTHING
-
-    def touching(self, *, passing: bool) -> list[Touch]:
-        """No bodies, no contacts."""
-        return []
-
-    def close(self) -> None:
-        """Nothing to release."""
 
 
 def wrapped(angle: Floats) -> Floats:

@@ -7,7 +7,7 @@ import numpy as np
 from cosim.types import Array, Vec3
 from physics.bodies import heading_of, on_time
 from physics.bullet import FLOOR, SOLID, WHEEL, p, turned
-from physics.engine import Motion, side_by_side, still
+from physics.engine import NO_BODIES, Motion, side_by_side
 from physics.solids import Box, Cylinder
 from physics.world import World
 
@@ -110,7 +110,7 @@ class Things:
     def read(self) -> Motion:
         """How the movables move."""
         if not self.movables:
-            return _NOTHING
+            return NO_BODIES
         return base_motion(self._client, self.movables, [(0.0, 0.0, 0.0)] * len(self.movables))
 
 
@@ -124,8 +124,6 @@ def _size_m(solid: Box | Cylinder) -> float:
     size = solid.size if isinstance(solid, Box) else (2.0 * solid.radius, 2.0 * solid.radius, solid.height)
     return 0.5 * math.hypot(*size)
 
-
-_NOTHING = still(np.empty((0, 3)), np.empty(0))
 
 BaseState = tuple[Vec3, tuple[float, float, float, float], Vec3, Vec3]
 """Of a body's centre of mass: place, m; attitude, x, y, z, w; velocity, m/s; angular velocity, rad/s; in the world's axes."""

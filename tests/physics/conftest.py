@@ -13,6 +13,7 @@ from cosim.types import Velocity
 from physics.federate import Physics
 from physics.vehicles import GroundVehicle, VehicleSpec
 from physics.world import World
+from tests.physics.stepping import stepped
 
 Command = tuple[float, str, float, float]  # from when, s; vehicle; v, m/s; w, rad/s
 
@@ -28,23 +29,11 @@ def publications(
         vehicles=tuple(spec.name for spec in physics.vehicles),
         instants=tuple(instants),
     )
-    waiting = [
+    told = [
         Event(f"{name}/command", seconds_to_ns(at_s), Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
         for at_s, name, v, w in commands
     ]
-    published: list[list[Event]] = []
-    next_ns: int | None = physics.start(run)
-    try:
-        while next_ns is not None:
-            now_ns = next_ns
-            inbox = [event for event in waiting if event.time_ns <= now_ns]
-            waiting = [event for event in waiting if event.time_ns > now_ns]
-            step = physics.step(now_ns, inbox)
-            published.append(list(step.events))
-            next_ns = step.next_ns
-    finally:
-        physics.close()
-    return published
+    return list(stepped(physics, run, told))
 
 
 @pytest.fixture

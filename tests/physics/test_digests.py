@@ -29,6 +29,7 @@ from physics.sensors.imu import InertialUnit
 from physics.solids import Box, Cylinder
 from physics.vehicles import P2DX, AmigoBot, Point, Vehicle, VehicleSpec
 from physics.world import Movable, Moving, Wind, World, Zone
+from tests.physics.stepping import stepped
 
 DURATION_S = 4.0
 ROOT = Path(__file__).parents[2]
@@ -119,7 +120,7 @@ def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False
     needed = (Instants(Ticks.every(0.05)),)
     end_ns = round(DURATION_S * SECOND_NS)
     info = RunInfo(scenario="mixed", seed=seed, duration_ns=end_ns, vehicles=names, instants=needed, wanted=keys)
-    waiting, kept, hashed, kinds = orders(), list[Event](), hashlib.blake2b(digest_size=16), Counter[str]()
+    kept, hashed, kinds = list[Event](), hashlib.blake2b(digest_size=16), Counter[str]()
 
     def take(events: list[Event]) -> None:
         for event in events:
@@ -127,21 +128,12 @@ def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False
             value = event.value.get() if isinstance(event.value, Later) else event.value
             kinds[type(value).__name__] += 1
 
-    next_ns: int | None = physics.start(info)
-    try:
-        while next_ns is not None:
-            now_ns = next_ns
-            due = [event for event in waiting if event.time_ns <= now_ns]
-            waiting = [event for event in waiting if event.time_ns > now_ns]
-            step = physics.step(now_ns, due)
-            kept += step.events
-            if not late:
-                take(kept)
-                kept = []
-            next_ns = step.next_ns
-            yield
-    finally:
-        physics.close()
+    for events in stepped(physics, info, orders()):
+        kept += events
+        if not late:
+            take(kept)
+            kept = []
+        yield
     take(kept)
     return Digest(hashed.hexdigest(), kinds)
 

@@ -17,6 +17,7 @@ from physics.quadrotor import Quadrotor
 from physics.solids import Box
 from physics.vehicles import P2DX, Kinematic, Point, Vehicle, VehicleSpec
 from physics.world import Movable, Moving, Wind, World
+from tests.physics.stepping import stepped
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
@@ -35,20 +36,8 @@ def values(steps: list[list[Event]], key: str) -> list[Any]:
 def flown(physics: Physics, commands: list[tuple[float, str, Velocity | Waypoint]], duration_s: float) -> list[dict[str, Any]]:
     """Values by key at every tenth of a second; commands are handed over at their own times."""
     run = RunInfo(scenario="test", seed=1, duration_ns=round(duration_s * SECOND_NS), vehicles=physics._names, instants=TENTH)
-    told: list[dict[str, Any]] = []
-    next_ns: int | None = physics.start(run)
-    waiting = [Event(f"{name}/command", round(at_s * SECOND_NS), command) for at_s, name, command in commands]
-    try:
-        while next_ns is not None:
-            now_ns = next_ns
-            inbox = [event for event in waiting if event.time_ns <= now_ns]
-            waiting = [event for event in waiting if event.time_ns > now_ns]
-            step = physics.step(now_ns, inbox)
-            told.append({event.key: event.value for event in step.events})
-            next_ns = step.next_ns
-    finally:
-        physics.close()
-    return told
+    told = [Event(f"{name}/command", round(at_s * SECOND_NS), command) for at_s, name, command in commands]
+    return [{event.key: event.value for event in events} for events in stepped(physics, run, told)]
 
 
 @BOTH
