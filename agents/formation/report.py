@@ -8,6 +8,14 @@ key       type   meaning
 ``x y``   float  its own estimate of its position, m, world
 ``th``    float  its own estimate of its yaw, rad
 ``v w``   float  speeds from then on, m/s and rad/s: the command of this tick (a leader) or measured (a follower)
+--------- ------ -----------------------------------------------------------------------------------
+``a al``  float  how fast they change, m/s2 and rad/s2 (where the estimator ``acc`` or a feed-forward needs them)
+``plan``  list   the speeds of the ticks to come, v0, w0, v1, w1, ...; the first are those of now (for ``plan``)
+``dt``    float  s between them
+``lead``  list   ``t_ns x y th v w`` of the newest report of the team's leader, relayed
+``shape`` str    which shape the team has now (where a team has one)
+``sn``    int    how often it has changed: the newest counts, whoever passes it on
+``order`` list   which member has which place: the numbers of the members, by place; absent: as they are numbered
 ========= ====== ===================================================================================
 
 The keys are short because every byte costs air time.
@@ -42,10 +50,10 @@ class Report(NamedTuple):
     body: Mapping[str, Any]  # all that was sent: estimators of your own may find more in it
 
 
-def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float) -> None:
-    """Send the report of this tick to all who can hear it."""
+def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float, **more: Any) -> None:
+    """Send the report of this tick to all who can hear it; ``more`` as in the second part of the table."""
     x, y, _ = obs.state.position
-    radio.send(seq=seq, t_ns=obs.time_ns, x=x, y=y, th=yaw_of(obs.state.attitude), v=v, w=w)
+    radio.send(seq=seq, t_ns=obs.time_ns, x=x, y=y, th=yaw_of(obs.state.attitude), v=v, w=w, **more)
 
 
 def measured_speeds(obs: Observation) -> tuple[float, float]:

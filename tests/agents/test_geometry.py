@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.formation import LeaderState, axle_velocity, hand_point, hand_velocity
-from agents.formation.leader_follower import Place, formation_law
+from agents.formation.law import Place, formation_law
 from cosim.frames import arc
 
 ANGLE = st.floats(-10.0, 10.0)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.formation import LeaderFollower, LeaderState, Trajectory
-from agents.formation.leader_follower import Demand, Place, formation_law
+from agents.formation.law import Demand, Place, formation_law
 from cosim.frames import arc
 from cosim.rng import stream
 from tests.agents.loops import Floats, Pose, drive

@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from agents.formation import LeaderFollower
-from agents.formation.leader_follower import Place
+from agents.formation.law import Place
 from cosim.agent import Observation, Radio
 from cosim.types import Follows, Velocity
 from tests.validation.fleet import AHEAD, K1, LEFT, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, R, T, V, W, errors, fleet, poses
