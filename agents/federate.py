@@ -20,6 +20,7 @@ from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.scenario import AgentTable
 from cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
 
+NEVER_NS = 2**63
 ALWAYS = ("odometry", "fix")  # what every vehicle may have besides the sensors that the scenario names
 
 
@@ -60,7 +61,7 @@ class AgentHost:
         events: list[Event] = []
         for seat in self._seats.values():
             if seat.next_ns == now_ns:
-                seat.act(now_ns, events)
+                (seat.act if now_ns < seat.fails_ns else seat.die)(now_ns, events)
         return Step(events, min(seat.next_ns for seat in self._seats.values()))
 
     def close(self) -> None:
@@ -104,6 +105,8 @@ class _Seat:
         self._readings = Readings()
         self._heard: list[Reception] = []
         self._follows: Follows | None = None
+        self.fails_ns = NEVER_NS if spec.fails_s is None else seconds_to_ns(spec.fails_s)
+        self._dead = False
 
     def start(self, run: RunInfo) -> None:
         self._radio, self._started = Radio(self._vehicle, run.vehicles), True
@@ -163,6 +166,14 @@ class _Seat:
         if notes := self.agent.drain_notes():
             events.append(Event(f"{vehicle}/note", when, Note(values=notes)))
         events.extend(Event(f"{vehicle}/send", when, message) for message in self._radio.drain())
+        self.next_ns = self._ticks.after(now_ns)
+
+    def die(self, now_ns: int, events: list[Event]) -> None:
+        """From now on the vehicle stands still and says nothing."""
+        if not self._dead:
+            self._dead, when = True, now_ns + self.info.latency_ns
+            note = Note(values={"status": "failed"})
+            events += [Event(f"{self._vehicle}/command", when, Velocity()), Event(f"{self._vehicle}/note", when, note)]
         self.next_ns = self._ticks.after(now_ns)
 
     def _checked(self, command: Any) -> Velocity | Waypoint:

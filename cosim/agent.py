@@ -58,6 +58,7 @@ class AgentSpec(Value, frozen=True, kw_only=True):
     latency_s: float
     source: str  # the scenario file, for error messages
     sensors: tuple[str, ...] = ()  # what the vehicle carries, by name
+    fails_s: float | None = None  # from then on it is dead
 
 
 class AgentInfo(Value, frozen=True, kw_only=True):

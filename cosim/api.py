@@ -82,6 +82,11 @@ class Result:
         """Frames, a row per frame and receiver."""
         return self._recorder.radio
 
+    @property
+    def follows(self) -> Sequence[Placement]:
+        """Who meant to keep which place, and from when on."""
+        return self._recorder.follows
+
     def plot(self) -> "dict[str, Figure]":
         """The run's figures, by name: ``trajectory`` and ``formation_error``."""
         recorder = self._recorder
@@ -89,6 +94,8 @@ class Result:
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write everything that a run leaves into a folder."""
+        if self._mcap is None and self.folder is None:
+            raise UsageError("a run with mcap = False cannot be saved: it has no recording")
         with _writing(Path(folder)):
             path = Folder(Path(folder), force=force).claim()
             if self._mcap is not None:
@@ -137,6 +144,7 @@ def run(
     out: str | Path | None = None,
     numbered: bool = False,
     force: bool = False,
+    mcap: bool = True,
     progress: Progress | None = None,
     tell: Tell = lambda _: None,
 ) -> Result:
@@ -152,6 +160,7 @@ def run(
         out: folder to write into; the recording then grows on disk while the run goes on.
         numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...: ``result.folder`` says which it was.
         force: write into a folder that is not empty.
+        mcap: without it, nothing but tables and metrics is kept, in memory, which takes two thirds of the time.
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
 
@@ -162,12 +171,14 @@ def run(
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
+    if folder and not mcap:
+        raise UsageError("mcap = False: what is written into a folder includes the MCAP file")
     parsed, source = scenarios.load(scenario, settings=set, seed=seed)
     started, cpu = datetime.now(UTC), time.process_time()
     try:
         with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly:
             clock = SimClock() if realtime is None else WallClock(realtime)
-            simulation = _Simulation(assembly, clock, folder, progress)
+            simulation = _Simulation(assembly, clock, folder, progress, mcap=mcap)
             with _writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
                 result = simulation.result(failure, started, time.process_time() - cpu)
@@ -221,12 +232,14 @@ def plot(run_dir: Path, out: Path) -> list[Path]:
 class _Simulation:
     """One run: kernel and recording, from the first event to the files."""
 
-    def __init__(self, assembly: Assembly, clock: Clock, folder: "Folder | None", progress: Progress | None) -> None:
+    def __init__(
+        self, assembly: Assembly, clock: Clock, folder: "Folder | None", progress: Progress | None, *, mcap: bool
+    ) -> None:
         self._assembly, self._clock, self._folder = assembly, clock, folder
         self._progress = progress
         self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
         self._kernel = Kernel(assembly.run_info, assembly.federates, clock=clock)
-        self._mcap: io.BytesIO | None = None
+        self._mcap = io.BytesIO() if mcap and folder is None else None
         self._recorder: Recorder | None = None
 
     def run(self) -> VcmvspError | None:
@@ -284,10 +297,8 @@ class _Simulation:
     @contextlib.contextmanager
     def _recording(self) -> Iterator[Recorder]:
         with contextlib.ExitStack() as stack:
-            stream: BinaryIO
-            if self._folder is None:
-                stream = self._mcap = io.BytesIO()
-            else:
+            stream: BinaryIO | None = self._mcap
+            if self._folder is not None:
                 stream = stack.enter_context((self._folder.claim() / "run.mcap").open("wb" if self._folder.force else "xb"))
             assembly = self._assembly
             self._recorder = Recorder(

@@ -264,6 +264,7 @@ class Assembly:
             latency_s=latency,
             source=self._source.name,
             sensors=tuple(self._sensors[vehicle.name]),
+            fails_s=None if vehicle.agent is None else vehicle.agent.fails_s,
         )
 
     def _check_defaults_taken(self) -> None:

@@ -129,9 +129,10 @@ def vehicle_radio() -> str:
     return parameter_table({"default": registry.piece("vehicle radio")})
 
 
-def patrol() -> str:
-    """The parameters of agents that patrol."""
-    return parameter_table({"patrol": registry.find("agent", "patrol")})
+def agents(*names: str) -> str:
+    """The parameters of kinds of agents, and the tables that they hold."""
+    classes = {name: registry.find("agent", name) for name in names}
+    return "\n\n".join([kinds(classes), *lists(classes.values())])
 
 
 BLOCKS: Mapping[str, Callable[[], str]] = {
@@ -141,7 +142,10 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "sensors": lambda: families("sensor"),
     "vehicle radio": vehicle_radio,
     "vehicle kinds": vehicles,
-    "patrol": patrol,
+    "leaders": lambda: agents("trajectory", "route", "teleop"),
+    "followers": lambda: agents("leader_follower"),
+    "consensus": lambda: agents("consensus"),
+    "patrol": lambda: agents("patrol"),
 }
 
 

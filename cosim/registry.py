@@ -116,7 +116,10 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "agent": {
         "trajectory": "agents.formation.trajectory:Trajectory",
+        "route": "agents.formation.route:Route",
+        "teleop": "agents.formation.teleop:Teleop",
         "leader_follower": "agents.formation.leader_follower:LeaderFollower",
+        "consensus": "agents.formation.consensus:Consensus",
         "patrol": "agents.patrol:Patrol",
     },
     "estimator": {},  # a parameter of agents, which know their own

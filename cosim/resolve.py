@@ -68,6 +68,7 @@ class Resolution:
             "vehicles": shared,
             "record": table.plain(scenario.record),
             "metrics": table.plain(scenario.metrics),
+            **({"study": table.plain(scenario.study)} if scenario.study.vary else {}),
             "vehicle": [
                 {**self._vehicle(each, shared), **self._agent(each, told.get(each.name), brought)} for each in scenario.vehicle
             ],
@@ -113,6 +114,7 @@ class Resolution:
             kind=None if kind == shared.get("kind") else self.portable(kind),
             period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
             latency_s=own.latency_s if own else None,
+            fails_s=own.fails_s if own else None,
         )
         taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
         return {"agent": {**full, **{name: value for name, value in info.params.items() if name not in taken}}}

@@ -47,6 +47,7 @@ class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
     runs: Runs | None = None  # default: agents.runs
     period_s: Period | None = None
     latency_s: Seconds | None = None
+    fails_s: Seconds | None = None  # from then on it is dead: its vehicle stands still and sends nothing
     params: Mapping[str, Any] = {}
 
 
@@ -92,6 +93,14 @@ class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
     to_s: NonNegative | None = None  # default: the end
 
 
+class StudyTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[study]``: what ``vcmvsp study`` does with this scenario unless told otherwise."""
+
+    vary: Mapping[str, tuple[Any, ...]] = {}  # key path -> its values
+    seeds: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 20  # runs of each combination of values
+    metrics: tuple[str, ...] = ()  # what is drawn and summarised, e.g. "formation.rms_m"
+
+
 class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     """A whole scenario. ``duration_s`` is simulated time; agents act at 0 <= t < duration."""
 
@@ -105,6 +114,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     vehicles: Mapping[str, Any] = {}
     record: RecordTable = RecordTable()
     metrics: MetricsTable = MetricsTable()
+    study: StudyTable = StudyTable()
     vehicle: tuple[VehicleTable, ...]
 
 
@@ -156,7 +166,7 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
         **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio") if name in raw},
         **{
             name: table.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
-            for name, kind in (("record", RecordTable), ("metrics", MetricsTable))
+            for name, kind in (("record", RecordTable), ("metrics", MetricsTable), ("study", StudyTable))
             if name in raw
         },
     }

@@ -1,0 +1,30 @@
+"""A vehicle that dies in a run: its agent is not asked any more, its last orders count, and nothing is heard of it."""
+
+import pytest
+
+import cosim
+from tests.validation.fleet import fleet, poses
+
+DIES_S = 4.0
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.25])
+def test_a_dead_vehicle_stands_still_and_sends_nothing(latency_s: float) -> None:
+    scenario = fleet(8.0, radio={"preset": "ideal"})
+    scenario["agents"] = {"latency_s": latency_s}
+    scenario["vehicle"][0]["agent"]["fails_s"] = DIES_S
+    result = cosim.run(scenario, mcap=False)
+    times, moved = poses(result)
+    stands = times >= DIES_S + latency_s
+    assert (moved[stands, 0] == moved[stands, 0][0]).all()
+    assert (moved[~stands, 0][1:] != moved[~stands, 0][:-1]).any(axis=1)[-3:].all()  # until then it moves
+    sent = result.radio.to_pandas().query("sender == 'car1'").sent_ns / 1e9
+    assert sent.max() == pytest.approx(DIES_S - 0.1 + latency_s)
+
+
+def test_it_does_not_matter_where_it_dies() -> None:
+    scenario = fleet(6.0, radio={"preset": "ideal"})
+    scenario["vehicle"][1]["agent"]["fails_s"] = 3.0
+    digests = {cosim.run(scenario, agents=runs).metrics["digest"] for runs in ("inprocess", "encoded")}  # type: ignore[arg-type]
+    assert len(digests) == 1
+    assert "fails_s = 3.0" in cosim.run(scenario, mcap=False).scenario
