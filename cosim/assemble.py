@@ -275,7 +275,9 @@ class Assembly:
             if name not in taken:
                 key = f"agents.{name}"
                 known = {each for info in self.infos for each in info.known}
-                why = f"every agent that has it sets its own '{name}'" if name in known else None
+                why = f"every agent that has it sets its own '{name}'" if name in known or name == "kind" else None
+                if not self.infos:
+                    why = "no vehicle has an agent (a vehicle gets one by an agent table, which may be empty: agent = {})"
                 allowed = {*known, *table.parameters(AgentsTable), "kind"} - {"defaults"}
                 problem = f"no agent takes this default: {why or table.unknown('key', name, allowed)}"
                 raise ScenarioError(problem, key=key, source=self._source.of(key))

@@ -248,12 +248,19 @@ def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
 
 def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Source]:
     if isinstance(scenario, Mapping):
-        return msgspec.to_builtins(dict(scenario)), Source("scenario", Path())
+        return msgspec.to_builtins(dict(scenario), enc_hook=_number), Source("scenario", Path())
     path, text = path_of(scenario), text_of(scenario)
     try:
         return tomllib.loads(text), Source(str(scenario), path.parent, text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
+
+
+def _number(value: Any) -> Any:
+    """NumPy's numbers and arrays, as a notebook may give them, in plain ones."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise ScenarioError(f"holds a {type(value).__name__}, {table.show(value)}, which is no value that TOML could say")
 
 
 def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:

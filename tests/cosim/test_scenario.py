@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -225,3 +226,13 @@ def test_the_window_may_end_where_it_begins_but_not_before() -> None:
     assert load(minimal(metrics={"from_s": 1, "to_s": 1}))[0].metrics.to_s == 1.0
     with pytest.raises(ScenarioError, match=r"metrics\.to_s: must not be earlier than metrics\.from_s"):
         load(minimal(metrics={"from_s": 1.5, "to_s": 1}))
+
+
+def test_numbers_and_arrays_of_numpy_are_taken_as_what_they_say() -> None:
+    plain = minimal(duration_s=2.0)
+    numpys = minimal(duration_s=np.float64(2.0))
+    numpys["vehicle"][0]["pose"] = np.array([1.0, 2.0, 0.5])
+    plain["vehicle"][0]["pose"] = [1.0, 2.0, 0.5]
+    assert load(numpys)[0] == load(plain)[0]
+    with pytest.raises(ScenarioError, match="holds a object"):
+        load(minimal(world=object()))

@@ -1,0 +1,132 @@
+"""Three delays that are easily taken for one another, and what each of them does: of the leader's reports (the radio's delay),
+of the follower's own loop (its agent's latency), and between its decisions (its agent's period).
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import lambertw
+
+import cosim
+from tests.validation.fleet import AHEAD, K1, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
+
+START = 0.5  # m behind the slot
+FINE = 0.01  # s: a period that is short against the delays
+LATE = 0.3  # s of latency, thirty such periods
+
+
+def alone(k1: float, latency_s: float, duration_s: float, *, period_s: float = FINE) -> tuple[Floats, Floats]:
+    """A follower behind its slot at a leader that stands, its loop closed late: times and z1."""
+    scenario = fleet(duration_s, [{"pose": (-1.0 - START, 0.0, 0.0), "k1": k1, **NEVER_LOST}], path="straight", radio=lossy())
+    settings = {
+        "vehicle.car1.agent.speed": 0.0,
+        "vehicle.car2.agent.latency_s": latency_s,
+        "agents.period_s": period_s,
+        "record.period_s": period_s,
+    }
+    times, z = errors(cosim.run(scenario, set=settings))
+    return times, z[:, 0, 0]
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 1.0, 5.0, 10.0])
+def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float) -> None:
+    """Lag v d, reached as exp(-k t) whatever the delay; with k d up to 8, five times what the loop itself could bear."""
+    radio = lossy(delay_s=delay_s)
+    times, z = errors(
+        cosim.run(fleet(delay_s + 25.0, [NEVER_LOST], path="straight", radio=radio, agents={"estimator": "hold"}))
+    )
+    assert z[-1, 0, 0] == pytest.approx(V * delay_s, rel=1e-6)
+    heard = z[times >= delay_s + 0.05, 0, 0] - V * delay_s
+    assert heard[:50] == pytest.approx(heard[0] * (1.0 - K1 * T) ** np.arange(50), abs=1e-9)
+
+
+def test_late_reports_on_a_circle_shift_the_follower_along_its_arc() -> None:
+    """|z| = 2 R sin(w d / 2) behind a leader on the circle, settled at an age of 5 s as well as at 1 s."""
+    for delay_s in (1.0, 5.0):
+        scenario = fleet(60.0 + delay_s, [NEVER_LOST], radio=lossy(delay_s=delay_s), agents={"estimator": "hold"})
+        _, z = errors(cosim.run(scenario))
+        assert np.hypot(*z[-1, 0]) == pytest.approx(2.0 * R * math.sin(0.5 * W * delay_s), rel=1e-4)
+
+
+def test_a_late_loop_overshoots_from_k_d_over_one_e_on() -> None:
+    """z' = -k z(t - d). Sampled, the double root lies at k T = d^d / (d + 1)^(d + 1), d in ticks: 0.362 for k d, for d = 30."""
+    ticks = round(LATE / FINE)
+    limit = ticks**ticks / (ticks + 1) ** (ticks + 1) * ticks
+    assert limit == pytest.approx(1.0 / math.e, rel=0.02)
+    for k_d, overshoots in ((0.34, False), (0.97 * limit, False), (1.04 * limit, True), (0.40, True)):
+        _, z = alone(k_d / LATE, LATE, 12.0)
+        assert (z.min() < 0.0) == overshoots
+
+
+@pytest.mark.parametrize(("k_d", "stable"), [(1.45, True), (1.52, True), (1.60, False), (1.70, False)])
+def test_a_late_loop_is_unstable_from_k_d_over_half_pi_on(k_d: float, stable: bool) -> None:
+    """Growth per s of z' = -k z(t - d): s = W(-k d) / d; the period counts as half of it more delay."""
+    times, z = alone(k_d / LATE, LATE, 12.0)
+    late = z[times > 4.0]
+    past = np.stack([late[20:-20], late[:-40]], axis=1)
+    growth = math.sqrt(-np.linalg.lstsq(past, late[40:], rcond=None)[0][1]) ** (1.0 / (20 * FINE))
+    delay_s = LATE + 0.5 * FINE
+    assert growth == pytest.approx(math.exp((lambertw(-k_d / LATE * delay_s) / delay_s).real), rel=0.01)
+    assert (growth < 1.0) == stable == (k_d < 0.5 * math.pi)
+
+
+@pytest.mark.parametrize(("period_s", "bound"), [(0.1, 19.654), (0.5, 3.6536), (1.0, 1.6536), (2.0, 0.6536)])
+def test_a_slow_agent_bounds_the_gain_across(period_s: float, bound: float) -> None:
+    """k2 < 2 / T - v / ell: from 0.1 mm aside it decays 5 % below, and grows 5 % above."""
+    assert bound == pytest.approx(2.0 / period_s - V / AHEAD, rel=1e-4)
+    for factor, grows in ((0.95, False), (1.05, True)):
+        pose = (-AHEAD, -0.5 + 1e-4, 0.0)
+        follower = {"bearing_deg": 30.0, "pose": pose, "k2": factor * bound, "k1": 0.5, **NEVER_LOST}
+        scenario = fleet(41 * period_s, [follower], path="straight", radio=lossy())
+        _, z = errors(cosim.run(scenario, set={"agents.period_s": period_s, "record.period_s": period_s}))
+        aside = np.abs(z[:, 0, 1])
+        # the second tick is the first that has a report; an error of the heading, which dies out at v / ell, comes with it
+        assert (aside[30:41].max() > aside[2:12].max()) == grows
+
+
+@pytest.mark.parametrize(("period_s", "overshoot"), [(0.1, 0.0), (0.5, 0.0), (1.0, 0.0), (2.0, 0.6), (2.4, 0.92), (2.6, None)])
+def test_a_slow_agent_bounds_the_gain_along(period_s: float, overshoot: float | None) -> None:
+    """z1[n + 1] = (1 - k1 T) z1[n] (Fig 33): overshoot k1 T - 1, unstable (None) for k1 T > 2."""
+    _, z = alone(K1, 0.0, 20 * period_s, period_s=period_s)
+    assert z[1:] == pytest.approx(START * (1.0 - K1 * period_s) ** np.arange(len(z) - 1), abs=1e-6)
+    if overshoot is None:
+        assert abs(z[-1]) > 2.0 * START
+    else:
+        assert max(0.0, -z.min() / START) == pytest.approx(overshoot, abs=1e-9)
+
+
+K = 2.0  # 1/s, for the three knobs
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "latency_s", "period_s"),
+    [
+        (0.1, 0.0, 0.1),
+        (0.6, 0.0, 0.1),
+        (3.0, 0.0, 0.1),
+        (0.1, 0.3, 0.1),
+        (0.1, 0.6, 0.1),
+        (0.1, 0.0, 0.3),
+        (0.1, 0.0, 0.6),
+        (0.6, 0.3, 0.3),
+    ],
+)
+def test_each_of_three_knobs_moves_its_own_number_only(delay_s: float, latency_s: float, period_s: float) -> None:
+    """The standing lag tells the age of reports, v d; how a start error goes away, the latency and the period of the loop.
+
+    The leader decides at 10 Hz throughout; latency and period are those of the follower's agent.
+    """
+    follower = {"pose": (-1.0 - START, 0.0, 0.0), "k1": K, "estimator": "hold", **NEVER_LOST}
+    scenario = fleet(90.0, [follower], path="straight", radio=lossy(delay_s=delay_s))
+    settings = {"vehicle.car2.agent.latency_s": latency_s, "vehicle.car2.agent.period_s": period_s}
+    _, z = errors(cosim.run(scenario, set=settings))
+    lag = z[-1, 0, 0]
+    assert lag == pytest.approx(V * delay_s, abs=1e-6)
+    ticks = z[:: round(period_s / T), 0, 0] - lag  # at the follower's own ticks
+    age = round(latency_s / period_s)
+    first = math.ceil(delay_s / period_s - 1e-9)  # the tick at which it hears of the leader; it acts on it ``age`` later
+    expected = [*ticks[: first + age + 1]]
+    while len(expected) < len(ticks):
+        expected.append(expected[-1] - K * period_s * expected[-1 - age])
+    assert ticks == pytest.approx(expected, abs=1e-6)
