@@ -86,7 +86,9 @@ def summary(result: "Result") -> str:
         )
     if formation["rms_m"] is not None:
         settled = "not settled" if formation["settling_s"] is None else f"settled after {formation['settling_s']:.1f} s"
-        lines.append(f"formation: error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most, {settled}")
+        chain = formation["hop_gain"] is not None  # errors of links add up
+        shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
+        lines.append(f"formation: error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}")
     if late := about["lateness"]:
         lines.append(
             f"lateness:  {1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "

@@ -11,11 +11,14 @@ An event is handled by the type of its value; one of another type is written as 
 """
 
 import hashlib
+import math
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 
 from cosim.agent import AgentInfo
@@ -80,6 +83,9 @@ class Recorder:
         self._rows: list[tuple[int, States]] = []
         self._frames: list[FrameReport] = []
         self._follows: list[Placement] = []
+        self._commands = {
+            name: array("d") for name in run.vehicles
+        }  # time ns, velocity m/s, yaw rate rad/s, one after the other
         self._collisions = 0
         self._others = hashlib.sha256()  # what is in no table, for the digest
         self._pack = msgspec.msgpack.Encoder(enc_hook=foxglove.to_json).encode
@@ -94,8 +100,8 @@ class Recorder:
             FrameReport: self._on_frame,
             Follows: self._on_follows,
             Note: self._remember,
-            Velocity: self._remember,
-            Waypoint: self._remember,
+            Velocity: self._on_command,
+            Waypoint: self._on_command,
             Imu: self._remember,
             Measured: self._remember,
             Later: self._on_later,
@@ -147,11 +153,12 @@ class Recorder:
         return self._built()[1]
 
     def metrics(self, *, window: metrics.Window) -> dict[str, Any]:
-        """The numbers of the run (schema ``vcmvsp.metrics/1``); formation errors and ages within the window (s)."""
+        """The numbers of the run (schema ``vcmvsp.metrics/1``); all but counts within the window (s)."""
         states, radio = self._built()
-        moved = metrics.motion(states)
-        end_ns = self._facts().end_ns
-        ages = metrics.ages_s(radio, self._follows, self._ticks, window, end_ns)
+        moved, got = metrics.motion(states), metrics.receptions(radio)
+        end_ns, vehicles = self._facts().end_ns, self._run.vehicles
+        ages = metrics.age_metrics(got, self._follows, self._ticks, window, end_ns)
+        commands = {name: np.array(rows).reshape(-1, 5) for name, rows in self._commands.items()}
         return {
             "schema": metrics.SCHEMA,
             "scenario": self._run.scenario,
@@ -159,6 +166,8 @@ class Recorder:
             "duration_s": end_ns / SECOND_NS,
             "formation": metrics.formation_metrics(moved, self._follows, window),
             "radio": metrics.radio_metrics(radio, ages, end_ns),
+            "control": metrics.control_metrics(commands, vehicles, window, end_ns),
+            "connectivity": metrics.connectivity_metrics(got, vehicles, window, end_ns),
             "safety": {"collisions": self._collisions, "min_separation_m": metrics.min_separation_m(moved)},
             "digest": digest([states, radio], self._others.digest()),
         }
@@ -201,6 +210,11 @@ class Recorder:
         self._follows.append(Placement(time_ns, vehicle, follows))
         self._scene_is_due = True
         self._remember(key, time_ns, follows)
+
+    def _on_command(self, key: str, time_ns: int, command: Velocity | Waypoint) -> None:
+        values = (*command.linear, command.yaw_rate) if isinstance(command, Velocity) else (math.nan,) * 4
+        self._commands[_vehicle(key)].extend((time_ns, *values))
+        self._remember(key, time_ns, command)
 
     def _on_contact(self, key: str, time_ns: int, contact: Contact) -> None:
         self._collisions += 1

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -12,64 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.agent import AgentInfo
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError
-from cosim.federate import Event, RunInfo
-from cosim.frames import quaternion_from_yaw
-from cosim.record import Recorder
+from cosim.federate import Event
 from cosim.record.digest import digest
 from cosim.record.metrics import ages_s, links, min_separation_m, motion
 from cosim.types import Contact, Follows, FrameReport, Note, States, frozen
-
-TENTH = Ticks.every(0.1)
-Pose = tuple[float, float, float]
-
-
-def states(time_ns: int, poses: dict[str, Pose]) -> Event:
-    """True states from planar poses (x, y, yaw)."""
-    zero = frozen(np.zeros((len(poses), 3)))
-    position = frozen([(x, y, 0.0) for x, y, _ in poses.values()])
-    attitude = frozen([quaternion_from_yaw(yaw) for _, _, yaw in poses.values()])
-    value = States(names=tuple(poses), position=position, velocity=zero, attitude=attitude, angular_velocity=zero)
-    return Event("world/states", time_ns, value)
-
-
-def frame(number: int, sender: str, sent_ns: int, received: dict[str, int | None]) -> Event:
-    """A frame and when each receiver got it (None: lost)."""
-    count = len(received)
-    value = FrameReport(
-        frame=number,
-        sender=sender,
-        sent_ns=sent_ns,
-        size_bytes=60,
-        receivers=tuple(received),
-        distance_m=frozen(np.full(count, 1.0 + number)),
-        rssi_dbm=frozen(np.full(count, -60.0 - number)),
-        received_ns=frozen([-1 if at is None else at for at in received.values()], np.int64),
-        outcome=tuple("random loss" if at is None else "received" for at in received.values()),
-        wall_materials=("wood",) * count,
-    )
-    parts = {name: frozen(np.full(count, 7.0)) for name in ("snr_db", "sinr_db", "path_loss_db", "wall_loss_db")}
-    parts |= {name: frozen(np.full(count, 3.0)) for name in ("shadowing_db", "fading_db")}
-    parts |= {name: frozen(np.full(count, 5), np.int64) for name in ("walls", "copy_ns")}
-    return Event("radio/frame", sent_ns, msgspec.structs.replace(value, **parts))
-
-
-def follows(vehicle: str, leader: str, slot: tuple[float, float], handle_m: float, time_ns: int = 0) -> Event:
-    return Event(f"{vehicle}/follows", time_ns, Follows(leader=leader, slot=slot, handle_m=handle_m))
-
-
-def recorded(names: Sequence[str], events: Iterable[Event], end_ns: int, ticks: Ticks = TENTH) -> Recorder:
-    """A recorder that has seen these events and is closed."""
-    run = RunInfo(scenario="test", seed=3, duration_ns=end_ns, vehicles=tuple(names))
-    agents = [AgentInfo(vehicle=name, agent="x", ticks=ticks, latency_ns=0, params={}, known=(), taken=()) for name in names]
-    recorder = Recorder(run, record_ticks=TENTH, mcap=None, agents=agents, radius_m={})
-    for event in sorted(events, key=lambda event: event.time_ns):
-        recorder.on(event)
-    recorder.close(end_ns)
-    return recorder
-
+from tests.cosim.recordings import TENTH, Pose, follows, frame, recorded, states
 
 L, SIDE, R, W = math.sqrt(3) / 2, 0.5, 2.0, 0.15  # the standard triangle on the standard circle
 
@@ -167,15 +116,21 @@ def test_following_a_vehicle_that_does_not_exist_is_refused() -> None:
 
 def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
     result = recorded("a", [states(0, {"a": (1.0, 2.0, 3.0)})], SECOND_NS).metrics(window=(20.0, None))
-    assert result["formation"] == {
-        "rms_m": None, "mean_m": None, "max_m": None, "final_m": None, "settling_s": None, "per_follower": {}
-    }  # fmt: skip
+    lengths = ("rms_m", "max_m", "final_m")
+    link = dict.fromkeys((*lengths, "mean_m", "settling_s", "overshoot", "convergence_1_s", "hop_gain"))
+    assert result["formation"] == {**link, "shape": dict.fromkeys(lengths), "per_follower": {}}
+    ages = dict.fromkeys(("mean", "p95", "max", "time_average", "peak"))
     assert result["radio"] == {
         "frames": 0, "receptions": 0, "delivery_ratio": None, "losses": {},
-        "delay_s": dict.fromkeys(("mean", "p50", "p95", "p99", "max")), "age_s": dict.fromkeys(("mean", "p95", "max")),
+        "delay_s": dict.fromkeys(("mean", "p50", "p95", "p99", "max")), "age_s": ages,
     }  # fmt: skip
+    rms = ("speed_rms_m_s", "yaw_rate_rms_rad_s", "acceleration_rms_m_s2", "yaw_acceleration_rms_rad_s2")
+    control = dict.fromkeys((*rms, "effort_m2_s"))
+    assert result["control"] == {**control, "per_vehicle": {"a": control}}
+    assert result["connectivity"] == dict.fromkeys(("mean", "min", "connected_share"))
     assert result["safety"] == {"collisions": 0, "min_separation_m": None}
-    assert list(result) == ["schema", "scenario", "seed", "duration_s", "formation", "radio", "safety", "digest"]
+    parts = ["formation", "radio", "control", "connectivity", "safety"]
+    assert list(result) == ["schema", "scenario", "seed", "duration_s", *parts, "digest"]
     assert (result["schema"], result["scenario"], result["seed"], result["duration_s"]) == ("vcmvsp.metrics/1", "test", 3, 1.0)
     json.dumps(result, allow_nan=False)
 

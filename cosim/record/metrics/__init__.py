@@ -1,0 +1,75 @@
+"""The numbers of a run, computed from what it recorded: formation, radio, commands, connectivity, safety.
+
+Formation error of a follower (Toh 2012, equations 3-31 and 3-34, for any slot): its handle,
+``h = p_f + ell (cos th_f, sin th_f)``, should lie on the point ``r = p_l + Rot(th_l) (slot + (ell, 0))`` of its leader's frame;
+``z = Rot(-th_f) (r - h)``. All poses are true ones, whatever the vehicles believed.
+
+The schema ``vcmvsp.metrics/1``, as `Recorder.metrics` gives it. Keys may be added to it; none changes its meaning. Which keys
+there are depends on the scenario and not on chance, but for the causes of losses. Where there is nothing to measure a value
+is None, never NaN::
+
+    schema, scenario, seed
+    duration_s                      simulated time that the run lasted
+    formation                       |z| at the recorded instants; of a key marked *: of each link alone, too
+      rms_m, mean_m, max_m *        over the window and all followers
+      final_m *                     greatest at the last instant
+      settling_s *                  from then on no follower is more than 5 cm off, to the end of the run
+      overshoot *                   greatest of a follower; share of its start error (`responses`), of the whole run
+      convergence_1_s *             slowest of a follower; 1/s, of the whole run
+      hop_gain *                    greatest of a follower: RMS |z| of its link over RMS |z| of its leader's link, in the window
+      shape                         misfit of the teams' centres and their shape (`shape`)
+        rms_m, max_m                over the window
+        final_m                     at the last instant
+      per_follower.<name>           those marked *, of one
+    radio                           of the whole run, but for the ages
+      frames                        frames that entered the channel
+      receptions, delivery_ratio    frames received, and their share of frame x receiver
+      losses.<cause>                how many were lost, by cause
+      delay_s                       mean, p50, p95, p99, max; from sending to reception
+      age_s                         of information, in the window (`ages`)
+        mean, p95, max              at the agents' ticks
+        time_average                over all time: exact area of the sawtooth
+        peak                        mean of what the age had risen to before each reception that lowered it
+    control                         commanded velocities, held from one to the next, in the window (`control`)
+      speed_rms_m_s, yaw_rate_rms_rad_s
+      acceleration_rms_m_s2, yaw_acceleration_rms_rad_s2
+      effort_m2_s                   integral of the squared speed over time
+      per_vehicle.<name>            the same of one
+    connectivity                    of all vehicles by radio, in each second of the window (`connectivity`)
+      mean, min                     of the algebraic connectivity
+      connected_share               share of the seconds in which it is greater than 0
+    safety
+      collisions                    touches that began
+      min_separation_m              smallest distance of two centres at a recorded instant
+    digest                          SHA-256 of all that was recorded (`cosim.record.digest`)
+"""
+
+from cosim.record.metrics.ages import Link, age_metrics, ages_s, links
+from cosim.record.metrics.connectivity import connectivity_metrics
+from cosim.record.metrics.control import control_metrics
+from cosim.record.metrics.formation import SETTLED_M, formation_errors, formation_metrics
+from cosim.record.metrics.motion import Motion, min_separation_m, motion
+from cosim.record.metrics.radio import Receptions, radio_metrics, receptions
+from cosim.record.metrics.window import Window
+
+SCHEMA = "vcmvsp.metrics/1"
+
+__all__ = [
+    "SCHEMA",
+    "SETTLED_M",
+    "Link",
+    "Motion",
+    "Receptions",
+    "Window",
+    "age_metrics",
+    "ages_s",
+    "connectivity_metrics",
+    "control_metrics",
+    "formation_errors",
+    "formation_metrics",
+    "links",
+    "min_separation_m",
+    "motion",
+    "radio_metrics",
+    "receptions",
+]

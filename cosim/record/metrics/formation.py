@@ -1,0 +1,119 @@
+"""How well followers keep their places, each against its own leader."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.clock import SECOND_NS
+from cosim.record.metrics.motion import Motion
+from cosim.record.metrics.responses import response
+from cosim.record.metrics.shape import shape_metrics
+from cosim.record.metrics.window import Window, between, followers, stretches, window_ns
+from cosim.record.tables import Placement
+from cosim.types import Array, Follows
+
+SETTLED_M = 0.05  # a follower this near to its place has settled
+ROUNDING_M = 1e-6  # errors of a leader's link below it are rounding, which nobody passes on
+
+
+def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, Array]:
+    """``|z|`` (m,) in m of every follower, in the order of the run's vehicles; NaN before it follows anyone."""
+    return {name: _length(_offsets(moved, name, follows)) for name in followers(moved.names, follows)}
+
+
+def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Window) -> dict[str, Any]:
+    """The ``formation`` part: RMS, mean, maximum, gain and shape over the window, the rest over the whole run."""
+    begin, end = window_ns(window)
+    inside = (moved.time_ns >= begin) & (moved.time_ns <= end)
+    offsets = {name: _offsets(moved, name, follows) for name in followers(moved.names, follows)}
+    errors = {name: _length(offset) for name, offset in offsets.items()}
+    each = {}
+    for name, error in errors.items():
+        turned = offsets[name] * np.exp(-1j * moved.yaw[:, moved.column(name)])  # into the follower's frame
+        steps = [(moved.time_ns[span], turned[span]) for span, _ in _parts(moved, name, follows)]
+        overshoot, rate = response(steps, SETTLED_M)
+        each[name] = {
+            **_summary(error[np.newaxis], inside),
+            "settling_s": _settling_s(moved.time_ns, error[np.newaxis]),
+            "overshoot": overshoot,
+            "convergence_1_s": rate,
+            "hop_gain": _hop_gain(error, _of_leader(moved, name, follows, errors), inside),
+        }
+    together = np.array(list(errors.values())).reshape(len(errors), len(moved.time_ns))
+    return {
+        **_summary(together, inside),
+        "settling_s": _settling_s(moved.time_ns, together),
+        "overshoot": max(_known(each, "overshoot"), default=None),
+        "convergence_1_s": min(_known(each, "convergence_1_s"), default=None),
+        "hop_gain": max(_known(each, "hop_gain"), default=None),
+        "shape": shape_metrics(moved, follows, inside),
+        "per_follower": each,
+    }
+
+
+def _parts(moved: Motion, name: str, follows: Sequence[Placement]) -> list[tuple[slice, Follows]]:
+    """The recorded instants of each of a follower's stretches in which it follows somebody."""
+    spans = [(between(moved.time_ns, begin, end), placed) for begin, end, placed in stretches(name, follows)]
+    return [(span, placed) for span, placed in spans if placed.leader is not None and span.start < span.stop]
+
+
+def _offsets(moved: Motion, name: str, follows: Sequence[Placement]) -> Array:
+    """``r - h`` (m,) of a follower in the world, m: x + iy; NaN while it follows nobody."""
+    x, y, _ = moved.position
+    offset = np.full(len(moved.time_ns), np.nan, np.complex128)
+    f = moved.column(name)
+    for span, placed in _parts(moved, name, follows):
+        leader, (slot_x, slot_y), ell = moved.column(str(placed.leader)), placed.slot, placed.handle_m
+        th_l, th_f = moved.yaw[span, leader], moved.yaw[span, f]
+        cos, sin, ahead = np.cos(th_l), np.sin(th_l), slot_x + ell
+        offset.real[span] = x[span, leader] + cos * ahead - sin * slot_y - x[span, f] - ell * np.cos(th_f)
+        offset.imag[span] = y[span, leader] + sin * ahead + cos * slot_y - y[span, f] - ell * np.sin(th_f)
+    return offset
+
+
+def _length(offset: Array) -> Array:
+    return np.asarray(np.hypot(offset.real, offset.imag))
+
+
+def _of_leader(moved: Motion, name: str, follows: Sequence[Placement], errors: dict[str, Array]) -> Array:
+    """The error (m,) of the leader that a follower has at the time; NaN while that follows nobody."""
+    error = np.full(len(moved.time_ns), np.nan)
+    for span, placed in _parts(moved, name, follows):
+        if placed.leader in errors:
+            error[span] = errors[placed.leader][span]
+    return error
+
+
+def _hop_gain(own: Array, leaders: Array, inside: Array) -> float | None:
+    """RMS of a link's error over that of its leader's link, where both are measured; None where there is no such."""
+    both = inside & np.isfinite(own) & np.isfinite(leaders)
+    below, above = np.sqrt(np.sum(own[both] ** 2)), np.sqrt(np.sum(leaders[both] ** 2))
+    return float(below / above) if above > ROUNDING_M * np.sqrt(both.sum()) else None
+
+
+def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
+    """Of errors (followers, m): root mean square, mean and maximum in the window, and the greatest at the last instant."""
+    chosen = errors[:, inside]
+    chosen = chosen[np.isfinite(chosen)]
+    final = errors[:, -1:]
+    final = final[np.isfinite(final)]
+    return {
+        "rms_m": float(np.sqrt(np.mean(chosen**2))) if chosen.size else None,
+        "mean_m": float(np.mean(chosen)) if chosen.size else None,
+        "max_m": float(np.max(chosen)) if chosen.size else None,
+        "final_m": float(np.max(final)) if final.size else None,
+    }
+
+
+def _settling_s(time_ns: Array, errors: Array) -> float | None:
+    """The earliest recorded instant from which no error exceeds `SETTLED_M` any more."""
+    measured = np.any(np.isfinite(errors), axis=0)
+    unsettled = np.flatnonzero(np.any(errors[:, measured] > SETTLED_M, axis=0))
+    times = time_ns[measured]
+    since = unsettled[-1] + 1 if unsettled.size else 0
+    return float(times[since] / SECOND_NS) if since < len(times) else None
+
+
+def _known(each: dict[str, dict[str, Any]], key: str) -> list[float]:
+    return [summary[key] for summary in each.values() if summary[key] is not None]

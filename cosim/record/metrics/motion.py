@@ -1,0 +1,49 @@
+"""Where the vehicles were: the table of states as dense arrays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from cosim.record.columns import names_of, numbers
+from cosim.types import Array
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The recorded poses of m instants and n vehicles; NaN where a vehicle was not there."""
+
+    time_ns: Array  # (m,)
+    names: tuple[str, ...]
+    position: Array  # (3, m, n) m, world
+    yaw: Array  # (m, n) rad
+
+    def column(self, name: str) -> int:
+        """Which column belongs to a vehicle."""
+        return self.names.index(name)
+
+
+def motion(states: pa.Table) -> Motion:
+    """The table of states as dense arrays."""
+    names, code = names_of(states, "vehicle")
+    times, instant = np.unique(numbers(states, "time_ns"), return_inverse=True)
+
+    def dense(values: Array) -> Array:
+        result = np.full((len(times), len(names)), np.nan)
+        result[instant, code] = values
+        return result
+
+    w, x, y, z = (numbers(states, name) for name in ("qw", "qx", "qy", "qz"))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    position = np.stack([dense(numbers(states, name)) for name in ("x", "y", "z")])
+    return Motion(times, names, position, dense(yaw))
+
+
+def min_separation_m(moved: Motion) -> float | None:
+    """Smallest distance (m) between the centres of any two vehicles at any recorded instant."""
+    best = np.inf
+    for shift in range(1, len(moved.names)):  # column j against column j + shift: every pair once, whole blocks of memory
+        apart = moved.position[:, :, shift:] - moved.position[:, :, :-shift]
+        squared = np.einsum("kmn,kmn->mn", apart, apart)
+        best = min(best, np.fmin.reduce(squared, axis=None, initial=np.inf))
+    return float(np.sqrt(best)) if best < np.inf else None
