@@ -174,6 +174,8 @@ class _Seat:
             self._dead, when = True, now_ns + self.info.latency_ns
             note = Note(values={"status": "failed"})
             events += [Event(f"{self._vehicle}/command", when, Velocity()), Event(f"{self._vehicle}/note", when, note)]
+            if self._follows is not None:  # it means to keep no place any more
+                events.append(Event(f"{self._vehicle}/follows", when, self._place(None)))
         self.next_ns = self._ticks.after(now_ns)
 
     def _checked(self, command: Any) -> Velocity | Waypoint:
@@ -244,7 +246,8 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
         agent: Agent = table.call(kind, params, key=key, origin=origin, also=table.parameters(AgentTable))
     except ScenarioError as error:
         name = error.key.removeprefix(f"{key}.")
-        raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if name in taken else error) from error
+        shared = name.partition(".")[0] in taken  # the first chunk: what is wrong may be inside a table
+        raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if shared else error) from error
     return agent, table.complete(kind, params), taken
 
 

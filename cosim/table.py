@@ -160,7 +160,7 @@ def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None
         words, _, inside = str(error).partition(" - at `$")
         if structs(annotation) and (inside or words.startswith("Object ")):
             raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
-        raise _refused(f"must be {describe(annotation)}, not {show(value)}", key, origin) from error
+        raise _refused(_unlike(value, annotation), key, origin) from error
     except TypeError:
         return value  # an annotation that only Python objects meet; the target checks it itself
 
@@ -177,7 +177,15 @@ def _inside(words: str, path: str, value: Any, annotation: Any) -> str:
         return words
     for step in re.findall(r"\w+", path.partition(name[1])[0] + name[1]):
         value = value[int(step) if step.isdigit() else step]
-    return f"must be {describe(known[name[1]].annotation)}, not {show(value)}"
+    return _unlike(value, known[name[1]].annotation)
+
+
+def _unlike(value: Any, annotation: Any) -> str:
+    """What is allowed instead of this value, and which of a choice is nearly it."""
+    problem = f"must be {describe(annotation)}, not {show(value)}"
+    choices = [each for each in typing.get_args(annotation) if isinstance(each, str)]
+    near = difflib.get_close_matches(value, choices, n=1) if isinstance(value, str) else []
+    return f"{problem}; did you mean '{near[0]}'?" if near else problem
 
 
 def structs(annotation: Any) -> list[type[msgspec.Struct]]:

@@ -21,6 +21,6 @@ class Formation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ] = ()  # of shape "own": each member's place, x forward, y left, m; the first is [0, 0]
     topology: TopologyName = "star"  # who follows whom
     branching: Annotated[int, msgspec.Meta(ge=1)] = 2  # of topology "k-tree": how many follow each
-    parents: Mapping[str, str] = {}  # of topology "graph": whom each member follows, by name
+    parents: Mapping[str, str] | None = None  # of topology "graph": whom each member follows, by name
     members: tuple[str, ...] = ()  # by their places, the first leads; default: all vehicles of the run in their order
     changes: tuple[tuple[NonNegative, ShapeName], ...] = ()  # of the leader: from when on (s) the team takes which shape

@@ -138,7 +138,7 @@ WRONG_VALUES = [
         "s.toml line",
         "vehicle.car2.agent.leader",
         "is missing",
-        "a string",
+        "the name of a vehicle",
     ),
     case(
         "box without size",

@@ -1,0 +1,71 @@
+"""Members die on the way: who follows whom then, since when, and how far the error goes."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import cosim
+from tests.validation.fleet import lossy, poses
+from tests.validation.teams import COLUMN, link_errors, parents_of, team
+
+DIES_S = 40.0
+
+
+def loss_of(car: str, duration_s: float = 60.0, period_s: float = 0.1) -> cosim.Result:
+    """A column of six on the circle, heartbeat 1 s, one of whose members dies."""
+    agents = {"heartbeat_s": 1.0, "handle": 0.5, "period_s": period_s}
+    scenario = team(6, duration_s, COLUMN, agents=agents, record={"period_s": 0.1})
+    return cosim.run(scenario, set={f"vehicle.{car}.agent.fails_s": DIES_S})
+
+
+def test_the_one_behind_a_dead_member_follows_the_one_before_it() -> None:
+    """Re-parented at 41.0 s; its error peaks at 0.32 m and is below 5 cm 4.4 s after the loss (simulated)."""
+    result = loss_of("car3")
+    times, errors = link_errors(result)
+    assert parents_of(result)["car4"] == [(0.0, "car3"), (41.0, "car2")]
+    assert all(len(parents) == 1 for car, parents in parents_of(result).items() if car != "car4")
+    after = times >= DIES_S
+    assert errors["car4"][after].max() == pytest.approx(0.32, rel=0.05)
+    assert times[after][errors["car4"][after] > 0.05][-1] + 0.1 - DIES_S == pytest.approx(4.4, abs=0.11)
+    assert max(error[-1] for error in errors.values() if not np.isnan(error[-1])) > 1.0  # car3, which stands
+    assert all(errors[car][-1] < 1e-3 for car in ("car2", "car4", "car5", "car6"))
+
+
+@pytest.mark.parametrize(("period_s", "most_m"), [(0.1, 0.04), (0.05, 0.02)])
+def test_those_further_behind_notice_little(period_s: float, most_m: float) -> None:
+    """Of a jump of its speed they hear a period later: < 2 cm at 20 Hz, twice that at 10 Hz."""
+    times, errors = link_errors(loss_of("car3", period_s=period_s, duration_s=50.0))
+    after = times >= DIES_S
+    assert max(errors[car][after].max() for car in ("car5", "car6")) < most_m
+
+
+@pytest.mark.parametrize("topology", ["star", "chain", "k-tree"])
+def test_when_the_leader_dies_the_lowest_member_leads_and_the_others_keep_the_shape(topology: str) -> None:
+    """It comes to a stop, for there is nothing to follow; the others end in their places around it."""
+    formation = {"shape": "wedge", "topology": topology, "spacing": 1.0}
+    scenario = team(6, 60.0, formation, leader={"path": "straight"}, agents={"heartbeat_s": 1.0})
+    result = cosim.run(scenario, set={"vehicle.car1.agent.fails_s": DIES_S})
+    parents = parents_of(result)
+    assert parents["car2"] == [(0.0, "car1"), (41.0, None)]
+    assert all(since == 41.0 and parent == "car2" for car in parents if car != "car2" for since, parent in parents[car][1:])
+    _, errors = link_errors(result)
+    assert all(error[-1] < 2e-3 for car, error in errors.items() if car != "car2")
+    _, moved = poses(result)
+    assert np.abs(moved[-1] - moved[-20]).max() < 1e-3
+    assert moved[-1, 1, 0] == pytest.approx(moved[-1, 0, 0] - 0.866 + 0.3 * (1.0 + 0.5), abs=0.05)  # dr for 1 s, faded in 1 s
+
+
+def test_losses_alone_raise_as_many_false_alarms_as_the_formula_says() -> None:
+    """(1 - p) / T p^(t / T) a second and link, here p = 0.7 and t = 1 s (p = 0.5: 18 an hour). Each is taken back."""
+    p, duration_s, links = 0.7, 200.0, 5
+    agents = {"heartbeat_s": 1.0, "timeout_s": 1e9}
+    scenario = team(links + 1, duration_s, COLUMN, agents=agents, radio=lossy(p), record={"period_s": 10.0})
+    followed = parents_of(cosim.run(scenario))
+    alarms = sum(
+        before == f"car{int(car[3:]) - 1}" for car, parents in followed.items() for (_, before), _ in pairwise(parents)
+    )
+    expected = (1 - p) / 0.1 * p**10 * duration_s * links
+    assert alarms == pytest.approx(expected, abs=3 * math.sqrt(expected))
+    assert expected > 80

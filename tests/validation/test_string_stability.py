@@ -1,0 +1,87 @@
+"""Chains through the whole platform: the gain from hop to hop, and what cures it.
+
+Of a follower with servo lag tau on a straight line, gain k, delay d: ``|G| = |N| / |tau s^2 + s + k|`` at s = j omega, with
+N = s + k (``hold``), (1 + k d) s + k (``dr``), k (speed not fed forward), tau s^2 + s + k (acceleration fed forward, too).
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cosim
+from tests.validation.fleet import K1, lossy
+from tests.validation.teams import COLUMN, rms_of_links, swing, team
+
+OMEGA, TAU, DELAY_S, STEP_S = 0.8, 0.5, 0.3, 0.01  # rad/s, s, s, s
+SURGING = {"path": "stopgo", "yaw_rate": 0.0, "surge_s": math.tau / OMEGA}
+
+
+def surge(delay_s: float = DELAY_S, count: int = 4, **agents: Any) -> cosim.Result:
+    """A column on a straight line, with servos of 0.5 s, whose leader swings its speed; agents at 100 Hz."""
+    settings = {"period_s": STEP_S, "max_reverse": 1e9, **agents}
+    scenario = team(count, 30.0, COLUMN, leader=SURGING, kind="lag", agents=settings, radio=lossy(0.0, delay_s))
+    return cosim.run({**scenario, "record": {"period_s": 0.1}})
+
+
+def gain(numerator: complex) -> float:
+    s = 1j * OMEGA
+    return abs(numerator) / abs(TAU * s * s + s + K1)
+
+
+@pytest.mark.parametrize(
+    ("agents", "delay_s", "numerator", "reference"),
+    [
+        ({"estimator": "hold"}, DELAY_S, 1j * OMEGA + K1, 1.213),
+        ({"estimator": "dr"}, DELAY_S, (1 + K1 * DELAY_S) * 1j * OMEGA + K1, 1.366),
+        ({"estimator": "hold", "feed": "none"}, DELAY_S, K1, 0.857),
+        ({"estimator": "hold", "feed_forward_s": TAU}, 0.0, TAU * (1j * OMEGA) ** 2 + 1j * OMEGA + K1, 1.0),
+    ],
+    ids=["hold", "dr", "no speed", "acceleration"],
+)
+def test_the_gain_of_a_hop(agents: dict[str, Any], delay_s: float, numerator: complex, reference: float) -> None:
+    """A sinusoid on the leader's speed at 0.8 rad/s: every follower swings by |G| of the one before it, within 1.5 %."""
+    tell: dict[str, Any] = {"tell": ["a"]} if "feed_forward_s" in agents else {}
+    amplitudes = np.abs(swing(surge(delay_s, **agents, **tell), OMEGA))
+    assert gain(numerator) == pytest.approx(reference, abs=6e-4)
+    assert amplitudes[1:] / amplitudes[:-1] == pytest.approx(gain(numerator), rel=0.015)
+
+
+@pytest.mark.parametrize("estimator", ["hold", "dr"])
+def test_with_the_leaders_speed_the_chain_is_string_stable(estimator: str) -> None:
+    """All feed the same speed forward: behind the first, errors change by k / |tau s^2 + s + k| <= 1 a hop (k tau <= 1/2)."""
+    swings = swing(surge(estimator=estimator, feed="leader", count=5), OMEGA)
+    errors = np.abs(np.diff(swings))
+    assert (errors[2:] / errors[1:-1]).max() <= 1.0
+    if estimator == "hold":
+        assert errors[2:] / errors[1:-1] == pytest.approx(gain(K1), rel=0.015)
+
+
+def test_without_the_speed_the_error_stands() -> None:
+    """The price of feeding nothing forward: a lag of v / k at every hop."""
+    scenario = team(4, 40.0, COLUMN, leader={"path": "straight"}, agents={"feed": "none"}, metrics={"from_s": 39.0})
+    assert rms_of_links(cosim.run(scenario)) == pytest.approx([0.3 / K1] * 3, rel=1e-3)
+
+
+def column(**agents: Any) -> list[float]:
+    """RMS of each link of a column of 7 with servos behind a random leader, delay 0.3 s, 10 Hz."""
+    leader: dict[str, Any] = {"path": "random", "tell": ["a"]}
+    scenario = team(7, 120.0, COLUMN, leader=leader, kind="lag", agents={"handle": 0.5, **agents}, radio=lossy(0.0, DELAY_S))
+    return rms_of_links(cosim.run({**scenario, "metrics": {"from_s": 20.0}}))
+
+
+def test_dead_reckoning_is_better_near_the_leader_and_worse_far_from_it() -> None:
+    """Simulated: hold .110 to .152 m, dr .062 to .258 m; dr wins up to link 3, and loses from link 4 on."""
+    hold, dr = column(estimator="hold"), column(estimator="dr")
+    assert [hold[0], hold[-1]] == pytest.approx([0.110, 0.152], rel=0.05)
+    assert [dr[0], dr[-1]] == pytest.approx([0.062, 0.258], rel=0.1)
+    assert [one < other for one, other in zip(dr, hold, strict=True)] == [True] * 3 + [False] * 3
+
+
+def test_cures_of_the_whole_column() -> None:
+    """The leader's speed, or the parent's acceleration: the end of the chain is far better off than without."""
+    plain, led, pushed = column(), column(feed="leader"), column(feed_forward_s=TAU)
+    assert led[-1] < 0.25 * plain[-1]
+    assert max(led) < 1.1 * led[0]
+    assert pushed[-1] < 0.5 * plain[-1]
