@@ -1,0 +1,107 @@
+"""Studies: how quick a run is, what a study adds to it, and what a second core brings.
+
+Run with ``python -m bench.studies``. The workload is that of a formation under loss: three points without bodies, 10 Hz.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import tomli_w
+
+from bench.measure import Row, cpu, in_turn, measured, table
+from bench.workloads import star
+from cosim import api
+from cosim.studies.engine import study
+from cosim.studies.rows import decode
+from cosim.studies.worker import Job, Work, run_one, version
+
+ROUNDS = 5
+DURATION_S = 120.0
+RUNS = 200
+JOBS = 2
+IDEAL = {"preset": "ideal", "loss": {"probability": 0.2}, "delay": {"seconds": 0.05, "jitter_s": 0.02}}
+VARY = {"radio.loss.probability": [0.1, 0.3]}
+
+
+def formation(duration_s: float = DURATION_S) -> dict[str, Any]:
+    """The scenario."""
+    return star(3, physics="kinematic", duration_s=duration_s)
+
+
+def succeeded(work: Work, seed: int) -> None:
+    """One run; one that fails takes no time, and must not be timed."""
+    if (error := decode(run_one(work, Job(seed, {}))).error) is not None:
+        raise RuntimeError(error)
+
+
+def wall_s(scenario: dict[str, Any], runs: int, jobs: int) -> float:
+    """Wall-clock seconds of a study, from the first check to the table."""
+    begin = time.monotonic()
+    found = study(scenario, vary=VARY, seeds=runs // 2, jobs=jobs)
+    seconds = time.monotonic() - begin
+    if found.num_rows != runs or found["error"].null_count != runs:
+        raise RuntimeError(f"runs failed: {found['error'].to_pylist()}")
+    return seconds
+
+
+def speed() -> Row:
+    """A run of a study, on the channel that the built-in studies have: tables and metrics, no files."""
+    return _speed("an ideal channel with loss and delay", formation() | {"radio": IDEAL})
+
+
+def speed_contended() -> Row:
+    """The same where the robots contend for the air."""
+    return _speed("802.11b", formation())
+
+
+def _speed(radio: str, scenario: dict[str, Any]) -> Row:
+    work = Work(tomli_w.dumps(scenario), ".", version())
+    ours, other, ratio = in_turn(
+        lambda: cpu(lambda: succeeded(work, 1)), lambda: cpu(lambda: api.run(scenario, seed=1)), ROUNDS
+    )
+    name = f"study: a run of 3 kinematic robots, 10 Hz, 120 s, {radio}; beside it cosim.run with its MCAP file in memory"
+    times = DURATION_S / ours
+    return Row(name, f"{times:.0f}x real time", f"{DURATION_S / other:.0f}x", ratio, ">= 200x a core", times >= 200.0)
+
+
+def overhead() -> Row:
+    """Runs that take no time, so that what is left is the study's: a longer one less a shorter one, without the start."""
+    scenario, runs = formation(0.1), 200
+    work = Work(tomli_w.dumps(scenario), ".", version())
+
+    def ours() -> float:
+        return (wall_s(scenario, 2 * runs, 1) - wall_s(scenario, runs, 1)) / runs
+
+    def other() -> float:
+        begin = time.monotonic()
+        for number in range(runs):
+            succeeded(work, number)
+        return (time.monotonic() - begin) / runs
+
+    mine, its, _ = in_turn(ours, other, 3)
+    added = 1000.0 * (mine - its)
+    name = (
+        "study: a run of 0.1 s in one worker; beside it the same run in a loop, in this process (ratio: ms that the study adds)"
+    )
+    return Row(name, f"{1000 * mine:.1f} ms", f"{1000 * its:.1f} ms", added, "<= 50 ms a run", added <= 50.0)
+
+
+def efficiency() -> Row:
+    """Two workers beside one, start and end included; where there are two cores."""
+    one, two = wall_s(formation(), RUNS, 1), wall_s(formation(), RUNS, JOBS)
+    share = one / (JOBS * two)
+    name = f"study: {RUNS} runs of 120 s with {JOBS} jobs; beside it with one (ratio: parallel efficiency)"
+    return Row(name, f"{two:.0f} s", f"{one:.0f} s", share, ">= 0.85", share >= 0.85)
+
+
+ALL: Sequence[Callable[[], Row]] = (speed, speed_contended, overhead, efficiency)
+
+
+def rows() -> list[Row]:
+    """All of them."""
+    return measured(ALL)
+
+
+if __name__ == "__main__":
+    print(table(rows()))

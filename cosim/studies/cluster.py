@@ -1,0 +1,104 @@
+"""Runs on a cluster: the workers of a Dask scheduler, wherever they are. The only module that knows Dask.
+
+Which workers there are, and what becomes of the runs of one that is lost, is the scheduler's business.
+"""
+
+import importlib
+import re
+import time
+import uuid
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from typing import Any
+
+from cosim.errors import UsageError, VcmvspError
+from cosim.studies.plan import Run
+from cosim.studies.pool import DIED, Answered, Asked
+from cosim.studies.worker import Work, failed, run_one, version
+
+TIMEOUT_S = 10
+PER_THREAD = 4  # runs that are handed over at once: enough that no worker waits for us
+LEAST = 8  # also to a cluster that has no workers yet, so that it knows that it needs some
+LOOK_EVERY_S = 5.0
+_ADDRESS = re.compile(r"([a-z]+://)?[^/\s]+:\d+")
+
+
+class Cluster:
+    """The workers of a scheduler. Use it as a context manager: leaving it takes back what is under way.
+
+    Args:
+        work: what all runs share.
+        address: of the scheduler, e.g. ``tcp://10.0.0.1:8786``; or a cluster object of Dask's.
+
+    Raises:
+        UsageError: Dask is not installed, nobody answers, or workers have another version of vcmvsp.
+    """
+
+    def __init__(self, work: Work, address: Any) -> None:
+        try:
+            distributed: Any = importlib.import_module("distributed")
+        except ImportError as error:
+            raise UsageError('--cluster needs Dask: pip install "vcmvsp[cluster]"') from error
+        self._distributed, self._work, self._name = distributed, work, str(address)
+        if isinstance(address, str) and not _ADDRESS.fullmatch(address):
+            raise UsageError(f"--cluster {address}: must be the address of a Dask scheduler, e.g. tcp://10.0.0.1:8786")
+        try:
+            self._client: Any = distributed.Client(address, timeout=f"{TIMEOUT_S}s", set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            problem = f"no Dask scheduler answers there within {TIMEOUT_S} s"
+            raise UsageError(f"--cluster {self._name}: {problem} ({' '.join(str(error).split())})") from error
+        self._capacity, self._looked = LEAST, 0.0
+        try:
+            self._check_versions()
+        except BaseException:
+            self._client.close()
+            raise
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._client.close()
+
+    def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
+        """The ``count`` rows of these runs, in the order in which they become known."""
+        source, study = enumerate(asked), uuid.uuid4().hex
+        running: dict[str, Run] = {}
+        done = self._distributed.as_completed(loop=self._client.loop)
+        while True:
+            for number, (run, job) in islice(source, max(0, self._room() - len(running))):
+                key = f"vcmvsp-{study}-{number}"
+                future = self._client.submit(run_one, self._work, job, key=key, pure=False)
+                running[future.key] = run
+                done.add(future)
+            if not running:
+                return
+            future = next(done)
+            yield running.pop(future.key), self._answer(future)
+
+    def _answer(self, future: Any) -> bytes:
+        if future.status == "finished":
+            answer: bytes = future.result()
+            return answer
+        if future.status in ("cancelled", "lost"):
+            raise VcmvspError(f"the cluster at {self._name} is gone")
+        error = future.exception()
+        return DIED if isinstance(error, self._distributed.KilledWorker) else failed(f"{type(error).__name__}: {error}")
+
+    def _room(self) -> int:
+        """How many runs may be under way; clusters grow and shrink."""
+        if time.monotonic() - self._looked > LOOK_EVERY_S:
+            self._capacity = max(LEAST, PER_THREAD * sum(self._client.nthreads().values()))
+            self._looked = time.monotonic()
+        return self._capacity
+
+    def _check_versions(self) -> None:
+        try:
+            found: dict[str, str] = self._client.run(version)
+        except Exception as error:  # whatever its workers make of it
+            raise UsageError(
+                f"--cluster {self._name}: a worker cannot run vcmvsp ({type(error).__name__}: {' '.join(str(error).split())})"
+            ) from error
+        others = {worker: theirs for worker, theirs in found.items() if theirs != self._work.version}
+        for worker, theirs in others.items():
+            raise UsageError(f"--cluster {self._name}: {worker} has vcmvsp {theirs}, this is {self._work.version}")

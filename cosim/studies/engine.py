@@ -1,0 +1,186 @@
+"""``cosim.study``: what ``vcmvsp study`` does. From the arguments to the table, in the order in which things happen."""
+
+import contextlib
+import platform
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from cosim.api import to_json
+from cosim.errors import Interrupted, UsageError
+from cosim.studies import plan as plans
+from cosim.studies import rows
+from cosim.studies.examine import examined, where
+from cosim.studies.plan import Plan
+from cosim.studies.pool import Answered, Pool, cores
+from cosim.studies.store import Answers, Store, begun
+from cosim.studies.worker import Job, Work, version
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Progress = Callable[[int, int, int], None]
+ABOUT_SCHEMA = "vcmvsp.study-about/1"
+
+
+class Studied(NamedTuple):
+    """What a study gave."""
+
+    table: "pa.Table"
+    plan: Plan
+    folder: Path | None
+
+
+def study(
+    scenario: str | Path | Mapping[str, Any],
+    *,
+    vary: Mapping[str, Sequence[Any] | str] | None = None,
+    seeds: int | None = None,
+    seed: int | None = None,
+    set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
+    metrics: Sequence[str] | None = None,
+    jobs: int | None = None,
+    cluster: Any = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> "pa.Table":
+    """Run a scenario at every combination of some values, with the same seeds at each.
+
+    Args:
+        scenario: a built-in name, the path of a TOML file, or its content as a mapping.
+        vary: key path -> values, e.g. ``{"radio.loss.probability": [0.0, 0.3]}``, or as text, ``"0:0.9:0.1"``; without it, and
+            likewise for ``seeds`` and ``metrics``: what the scenario says in ``[study]``.
+        seeds: runs of each combination.
+        seed: the first seed, instead of the scenario's.
+        set: key path -> value, for all runs.
+        metrics: what is drawn and summarised; the table has all.
+        jobs: runs at once on this machine; default: one on each core.
+        cluster: run there instead: the address of a Dask scheduler, e.g. ``tcp://10.0.0.1:8786``, or Dask's cluster object.
+        out: folder for ``study.parquet``, summary, figures and report; without it nothing is written.
+        resume: go on with the study in ``out``; values and seeds may have been added. Failed runs are run again.
+        force: write into a folder that is not empty.
+        progress: called with (done, failed, total) runs.
+
+    Returns:
+        A row per run, point by point: the varied keys, ``seed``, every number of the run's metrics by its path, ``error`` (null
+        where the run succeeded) and ``digest``.
+
+    Raises:
+        ScenarioError, UsageError: before the first run, if any of them could not begin.
+        Interrupted: Ctrl-C; what is done is in ``out``.
+    """
+    return conduct(
+        scenario, vary=vary, seeds=seeds, seed=seed, settings=set or {}, metrics=metrics, jobs=jobs, cluster=cluster,
+        out=None if out is None else Path(out), resume=resume, force=force, progress=progress or (lambda *_: None),
+    ).table  # fmt: skip
+
+
+def conduct(
+    scenario: str | Path | Mapping[str, Any],
+    *,
+    vary: Mapping[str, Sequence[Any] | str] | None,
+    seeds: int | None,
+    seed: int | None,
+    settings: Mapping[str, Any],
+    metrics: Sequence[str] | None,
+    jobs: int | None,
+    cluster: Any,
+    out: Path | None,
+    resume: bool,
+    force: bool,
+    progress: Progress,
+) -> Studied:
+    """`study`, with what it was."""
+    started, begin = datetime.now(UTC), time.monotonic()
+    _check_arguments(jobs, cluster, out, resume=resume, force=force)
+    stored = None if out is None else begun(out, resume=resume, force=force)
+    base = plans.base_of(scenario)
+    plan = plans.make(base, vary=vary, seeds=seeds, seed=seed, settings=settings, metrics=metrics, stored=stored)
+    plan = examined(plan, base)
+    work = Work(plan.scenario_toml, str(base.folder), version(), where(plan, base))
+    with _writing(out), _workers(work, jobs, cluster) as ask, _answers(plan, out, resume=resume, force=force) as answers:
+        before = len(answers.rows)
+        try:
+            _run(plan, answers, ask, progress)
+        except KeyboardInterrupt:
+            again = "; the same command with --resume goes on" if out else ""
+            raise Interrupted(f"interrupted: {len(answers.rows)} of {plan.size} runs are done{again}") from None
+        table = answers.finish()
+        if out is not None:
+            from cosim.studies import outputs
+
+            spec: Any = plan
+            outputs.write(out, table, spec)
+            about = _about(plan, started, time.monotonic() - begin, plan.size - before, cluster=cluster, jobs=jobs)
+            (out / "about.json").write_text(to_json(about), "utf-8")
+    return Studied(table, plan, out)
+
+
+Ask = Callable[[Iterator[tuple[plans.Run, Job]], int], Iterator[Answered]]
+
+
+def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress) -> None:
+    """Have all runs made that are still to be made."""
+    total, done, failed = plan.size, len(answers.rows), 0
+    known = frozenset(answers.rows)
+    asked = ((run, Job(run.seed, plan.settings(run.point))) for run in plan.runs if run.key not in known)
+    progress(done, failed, total)
+    for run, row in ask(asked, total - done):
+        answers.add(run.key, row)
+        done, failed = done + 1, failed + (rows.decode(row).error is not None)
+        progress(done, failed, total)
+
+
+@contextlib.contextmanager
+def _workers(work: Work, jobs: int | None, cluster: Any) -> Iterator[Ask]:
+    """Where runs are made."""
+    if cluster is None:
+        with Pool(work, jobs or cores()) as pool:
+            yield pool.answers
+    else:
+        from cosim.studies.cluster import Cluster
+
+        with Cluster(work, cluster) as connected:
+            yield connected.answers
+
+
+@contextlib.contextmanager
+def _writing(out: Path | None) -> Iterator[None]:
+    """A full disk and the like is said in one line."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"cannot write into {out}: {error.strerror or error}") from error
+
+
+def _answers(plan: Plan, out: Path | None, *, resume: bool, force: bool) -> Answers:
+    return Answers(plan) if out is None else Store(out, plan, resume=resume, force=force)
+
+
+def _check_arguments(jobs: int | None, cluster: Any, out: Path | None, *, resume: bool, force: bool) -> None:
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"--jobs {jobs}: must be at least 1")
+    if jobs is not None and cluster is not None:
+        raise UsageError("--jobs and --cluster exclude each other: a cluster knows how many workers it has")
+    if resume and out is None:
+        raise UsageError("--resume: --out says which study is to go on")
+    if resume and force:
+        raise UsageError("--resume and --force exclude each other: go on, or begin anew?")
+
+
+def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: Any, jobs: int | None) -> dict[str, Any]:
+    """The only part that differs between two equal studies."""
+    return {
+        "schema": ABOUT_SCHEMA,
+        "started": started.isoformat(),
+        "wall_s": wall_s,
+        "runs": plan.size,
+        "runs_made": made,  # the others were there already
+        "where": f"{jobs or cores()} jobs" if cluster is None else str(cluster),
+        "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
+        "versions": plan.versions,
+    }

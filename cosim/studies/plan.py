@@ -1,0 +1,224 @@
+"""What a study is: a scenario, the values of its keys, the seeds. Written down as ``study.toml`` before the first run."""
+
+import itertools
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import tomli_w
+
+from cosim import scenario as scenarios
+from cosim import table
+from cosim.errors import UsageError
+from cosim.studies.grid import EXAMPLE, MOST, label, values_of
+from cosim.types import Seed
+
+SCHEMA = "vcmvsp.study/1"
+OWN_COLUMNS = ("seed", "error", "digest")
+
+
+class Run(NamedTuple):
+    """One run of a study."""
+
+    point: tuple[Any, ...]  # a value for each varied key
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Which run it is, whatever the order of the values, and in which process or file it is asked."""
+        return "\n".join((*map(label, self.point), str(self.seed)))
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True):
+    """A study. All points have the same seeds, so that they face the same draws (common random numbers)."""
+
+    scenario: str  # its name, or its file
+    scenario_toml: str  # its text, as it was when the study began
+    vary: dict[str, list[Any]]  # key path -> values; the product of all is run, the last key changing first
+    seeds: list[int]
+    metrics: list[str] = []  # what is drawn and summarised
+    set: dict[str, Any] = {}  # key path -> value, for all runs
+    versions: dict[str, str] = {}
+    files: dict[str, str] = {}  # SHA-256 of each file that the scenario names
+    schema: str = SCHEMA
+
+    @property
+    def points(self) -> Iterator[tuple[Any, ...]]:
+        """All combinations of the values."""
+        return itertools.product(*self.vary.values())
+
+    @property
+    def runs(self) -> Iterator[Run]:
+        """All runs, in the order in which they stand in the table: point by point, seed by seed."""
+        return (Run(point, seed) for point in self.points for seed in self.seeds)
+
+    @property
+    def size(self) -> int:
+        """How many runs there are."""
+        return len(self.seeds) * math.prod(map(len, self.vary.values()))
+
+    def settings(self, point: tuple[Any, ...]) -> dict[str, Any]:
+        """What ``--set`` would have to say for this point."""
+        return {**self.set, **dict(zip(self.vary, point, strict=True))}
+
+    def to_toml(self) -> str:
+        """``study.toml``: the seeds as the first and their number, the scenario's text as it was, where TOML can hold that."""
+        rest = {
+            name: value for name, value in msgspec.to_builtins(self).items() if name not in ("scenario_toml", "seeds", "schema")
+        }
+        head = {"schema": self.schema, "seed": self.seeds[0], "seeds": len(self.seeds)}
+        whole = f"scenario_toml = '''\n{self.scenario_toml}'''\n{tomli_w.dumps({**head, **rest})}"
+        try:
+            if tomllib.loads(whole)["scenario_toml"] == self.scenario_toml:
+                return whole
+        except tomllib.TOMLDecodeError:  # three quotes inside
+            pass
+        return tomli_w.dumps({"scenario_toml": self.scenario_toml, **head, **rest})
+
+    @classmethod
+    def read(cls, path: Path) -> "Plan":
+        """The plan that stands in a ``study.toml``."""
+        try:
+            found = tomllib.loads(path.read_text("utf-8"))
+            first = found.pop("seed")
+            return msgspec.convert({**found, "seeds": list(range(first, first + found["seeds"]))}, cls)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UsageError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
+
+
+class Base(NamedTuple):
+    """The scenario of a study."""
+
+    text: str  # TOML
+    folder: Path  # its files are relative to
+    asked: str | Path | Mapping[str, Any]  # as it was named: for messages with lines
+
+
+def base_of(scenario: str | Path | Mapping[str, Any]) -> Base:
+    """The scenario's text, taken once: what happens to the file while the study runs does not matter."""
+    if isinstance(scenario, Mapping):
+        return Base(tomli_w.dumps(table.plain(dict(scenario))), Path.cwd(), scenario)
+    return Base(scenarios.text_of(scenario), scenarios.path_of(scenario).resolve().parent, scenario)
+
+
+def content(text: str) -> dict[str, Any]:
+    """The scenario to be run: what studies do with it does not belong to it."""
+    return {name: value for name, value in tomllib.loads(text).items() if name != "study"}
+
+
+def make(
+    base: Base,
+    *,
+    vary: Mapping[str, Any] | None,
+    seeds: int | None,
+    seed: int | None,
+    settings: Mapping[str, Any],
+    metrics: Sequence[str] | None,
+    stored: Plan | None,
+) -> Plan:
+    """The plan of a study: what is asked for, else what it was before (``stored``), else what the scenario says in ``[study]``.
+
+    Raises:
+        UsageError, ScenarioError: nothing is varied, a value stands twice, there are no seeds.
+    """
+    parsed, _ = scenarios.load(base.asked, settings=settings, seed=seed)
+    said = parsed.study
+    full = _vary(vary) if vary else stored.vary if stored else _vary(said.vary)
+    if not full:
+        raise UsageError(f"nothing is varied: the scenario has no [study] table, so say what, e.g. {EXAMPLE}")
+    for key, values in full.items():
+        _check_values(key, values, settings)
+    count = seeds if seeds is not None else len(stored.seeds) if stored else said.seeds
+    if count < 1:
+        raise UsageError(f"--seeds {count}: must be at least 1")
+    first = parsed.seed if seed is not None or not stored else stored.seeds[0]
+    if count * math.prod(map(len, full.values())) > MOST:
+        raise UsageError(f"more than {MOST} runs: give fewer values or --seeds")
+    table.convert(first + count - 1, Seed, key="--seed plus --seeds")
+    return Plan(
+        scenario=parsed.name if isinstance(base.asked, Mapping) else str(base.asked),
+        scenario_toml=base.text,
+        vary=full,
+        seeds=list(range(first, first + count)),
+        metrics=list(metrics or (stored.metrics if stored else said.metrics)),
+        set={key: table.plain(value) for key, value in settings.items()},
+    )
+
+
+def check_same(plan: Plan, stored: Plan, out: Path) -> None:
+    """Refuse to go on with another study than the one that was begun; values and seeds may have been added.
+
+    Raises:
+        UsageError: naming what differs.
+    """
+    for what, now, then in (
+        ("the scenario", content(plan.scenario_toml), content(stored.scenario_toml)),
+        ("--set", plan.set, stored.set),
+        ("its file", plan.files, stored.files),
+        ("the version of", _ours(plan.versions), _ours(stored.versions)),
+    ):
+        if (difference := _difference(now, then)) is not None:
+            raise UsageError(f"--resume {out}: holds another study: {what} differs ({difference})")
+    if list(plan.vary) != list(stored.vary):
+        raise UsageError(f"--resume {out}: holds another study: it varies {', '.join(stored.vary)}, in this order")
+    for key, values in stored.vary.items():
+        present = {label(value) for value in plan.vary[key]}
+        if left := [value for value in map(label, values) if value not in present]:
+            raise UsageError(f"--resume {out}: values may be added, not left out: {key} was varied over {', '.join(left)} too")
+    if not {*stored.seeds} <= {*plan.seeds}:
+        was = f"{stored.seeds[0]} to {stored.seeds[-1]}"
+        raise UsageError(f"--resume {out}: seeds may be added, not left out: they were {was}")
+
+
+def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
+    full: dict[str, list[Any]] = {}
+    for key, values in vary.items():
+        try:
+            listed = values_of(values) if isinstance(values, str) else [_plain(value) for value in values]
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"the values of {key}: {error}") from error
+        full[key] = listed
+    return full
+
+
+def _plain(value: Any) -> Any:
+    """The value in TOML's types, of Python's or NumPy's."""
+    found = table.plain(value.tolist() if hasattr(value, "tolist") else value)
+    if found is None:
+        raise ValueError(f"{table.show(value)} is no value that a scenario can have")
+    return found
+
+
+def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) -> None:
+    if key in settings:
+        raise UsageError(f"{key} is both set and varied; which is it?")
+    if key in OWN_COLUMNS:
+        raise UsageError(f"{key} cannot be varied; --seeds says how many seeds there are, --seed which is the first")
+    if not values:
+        raise UsageError(f"{key} is varied over no values")
+    seen: set[str] = set()
+    for value in values:
+        if label(value) in seen:
+            raise UsageError(f"{key} is varied over {label(value)} twice")
+        seen.add(label(value))
+
+
+def _ours(versions: Mapping[str, str]) -> dict[str, str]:
+    return {name: version for name, version in versions.items() if name == "vcmvsp"}
+
+
+def _difference(now: Any, then: Any, key: str = "") -> str | None:
+    """The first thing in which two nested values differ."""
+    if isinstance(now, dict) and isinstance(then, dict):
+        names = [*then, *(name for name in now if name not in then)]
+        inside = (_difference(now.get(name), then.get(name), table.join(key, name)) for name in names)
+        return next((each for each in inside if each is not None), None)
+    if isinstance(now, list) and isinstance(then, list) and len(now) == len(then):
+        pairs = enumerate(zip(now, then, strict=True))
+        return next((each for i, (a, b) in pairs if (each := _difference(a, b, f"{key}[{i}]")) is not None), None)
+    if now == then:
+        return None
+    return f"{key}: {'nothing' if now is None else table.show(now)} now, {'nothing' if then is None else table.show(then)} then"

@@ -1,0 +1,148 @@
+"""Rows of a study's table, and the table.
+
+A run's row is kept as the JSON that its worker gave, which is a fifth of the memory of a dictionary, until a table is built.
+Which columns there are, in which order, and of which types depends on the rows alone, not on who made them when.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from cosim.record.columns import column
+from cosim.studies.grid import label
+from cosim.studies.plan import Plan, Run
+from cosim.types import Array
+
+LOSSES = "radio.losses."
+
+
+class Row(msgspec.Struct, frozen=True):
+    """What a run gave."""
+
+    values: dict[str, float | int | str | None] = {}  # its metrics, flattened
+    error: str | None = None
+
+
+encode = msgspec.json.Encoder().encode
+decode = msgspec.json.Decoder(Row).decode
+
+
+def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Every scalar of a nested mapping, by its path."""
+    found: dict[str, Any] = {}
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{prefix}{name}.")
+        elif not isinstance(value, list | tuple):
+            found[f"{prefix}{name}"] = value
+    return found
+
+
+class Column:
+    """A metric in all runs, filled run by run: numbers, or texts."""
+
+    def __init__(self, size: int) -> None:
+        self._numbers, self._valid = np.zeros(size), np.zeros(size, np.bool_)
+        self._texts: dict[int, str] = {}
+        self._whole = True
+
+    def put(self, row: int, value: float | str) -> None:
+        """A run's value."""
+        if isinstance(value, str):
+            self._texts[row] = value
+            return
+        self._numbers[row], self._valid[row] = value, True
+        self._whole = self._whole and isinstance(value, int)
+
+    def fill(self, rows: Array, value: int) -> None:
+        """A value for those of the runs that have none."""
+        empty = rows & ~self._valid
+        self._numbers[empty], self._valid[empty] = value, True
+
+    def arrow(self) -> Any:
+        """Whole numbers, texts, or else numbers, as which a column counts that has no value at all."""
+        if self._texts:
+            return self.texts()
+        whole = self._whole and self._valid.any()
+        return column(self._numbers.astype(np.int64) if whole else self._numbers, self._valid)
+
+    def texts(self) -> Any:
+        """Texts, whether there are any or not."""
+        return strings([self._texts.get(row) for row in range(len(self._valid))])
+
+
+def table_of(plan: Plan, answers: Mapping[str, bytes]) -> pa.Table:
+    """The table of the runs that have an answer, in the plan's order.
+
+    The varied keys, ``seed``, the metrics in alphabetical order (numbers in names by size), ``error`` and ``digest``.
+    """
+    runs = [run for run in plan.runs if run.key in answers]
+    metrics: dict[str, Column] = {name: Column(len(runs)) for name in plan.metrics}
+    errors: list[str | None] = []
+    for place, run in enumerate(runs):  # one by one: as dictionaries, all of them would take much memory
+        row = decode(answers[run.key])
+        errors.append(row.error)
+        for name, value in row.values.items():
+            if name not in metrics:
+                metrics[name] = Column(len(runs))
+            if value is not None:
+                metrics[name].put(place, value)
+    succeeded = np.array([error is None for error in errors], np.bool_)
+    digest = metrics.pop("digest", Column(len(runs)))
+    columns: dict[str, Any] = {}
+    for place, (key, values) in enumerate(plan.vary.items()):
+        columns[key] = _varied([run.point[place] for run in runs], values)
+    columns["seed"] = column(np.array([run.seed for run in runs], np.int64))
+    for name in sorted(metrics.keys() - columns.keys() - {"error"}, key=_natural):
+        if name.startswith(LOSSES):
+            metrics[name].fill(succeeded, 0)  # a cause that did not occur
+        columns[name] = metrics[name].arrow()
+    columns["error"] = strings(errors)
+    columns["digest"] = digest.texts()
+    return pa.table(columns)
+
+
+def answers_of(table: pa.Table, keys: Sequence[str]) -> dict[str, bytes]:
+    """The answers from which a table was made; failed runs have none, and are run again."""
+    answers: dict[str, bytes] = {}
+    names = [name for name in table.column_names if name not in (*keys, "seed", "error")]
+    for batch in table.to_batches(max_chunksize=500):
+        for row in batch.to_pylist():
+            if row["error"] is None:
+                run = Run(tuple(row[key] for key in keys), row["seed"])
+                answers[run.key] = encode(Row({name: row[name] for name in names}))
+    return answers
+
+
+def strings(values: Sequence[str | None]) -> Any:
+    """An Arrow array of texts."""
+    encoded = [(value or "").encode() for value in values]
+    offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+    valid = np.array([value is not None for value in values], np.bool_)
+    buffers = [_bits(valid), pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
+    return pa.Array.from_buffers(pa.string(), len(values), buffers)
+
+
+def _bits(values: Array) -> Any:
+    return pa.py_buffer(np.packbits(values, bitorder="little").tobytes())
+
+
+def _natural(name: str) -> list[Any]:
+    """For sorting: ``car2`` before ``car10``."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
+
+
+def _varied(values: Sequence[Any], all_values: Sequence[Any]) -> Any:
+    """A column of a varied key; its type is that of all values of the plan, and text where they are mixed, lists or tables."""
+    kinds = {type(value) for value in all_values}
+    if kinds == {bool}:
+        return pa.Array.from_buffers(pa.bool_(), len(values), [None, _bits(np.array(values, np.bool_))])
+    if kinds == {int}:
+        return column(np.array(values, np.int64))
+    if kinds <= {int, float}:
+        return column(np.array(values, np.float64))
+    return strings([label(value) for value in values])

@@ -1,0 +1,199 @@
+"""A study's folder: one table that is readable at any moment, and nothing lost by whatever ends the study.
+
+``study.toml`` says what is run and is written first. A finished run is a line of ``study.journal`` at once; now and then the
+table ``study.parquet`` is written anew, beside the old one and then in its place, and the journal is emptied. That is done so
+rarely that it takes less than a fiftieth of the time, however large the table. In the end there is no journal.
+"""
+
+import contextlib
+import fcntl
+import os
+import platform
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cosim.api import Folder
+from cosim.errors import UsageError
+from cosim.record.tables import write_table
+from cosim.studies import rows
+from cosim.studies.plan import Plan, check_same
+
+PLAN, TABLE, JOURNAL, LOCK = "study.toml", "study.parquet", "study.journal", "study.lock"
+UNFINISHED = {LOCK, f"{PLAN}.tmp"}  # what a study leaves that was killed before it began
+FIGURES = tuple(f"{name}.{kind}" for name in ("study", "study-map") for kind in ("png", "svg"))
+OUTPUTS = ("about.json", "summary.csv", "report.html", *FIGURES)
+SHARE = 0.02  # of the time may go into writing the table
+
+
+class Line(msgspec.Struct, frozen=True):
+    """A line of the journal."""
+
+    run: str
+    row: msgspec.Raw
+
+
+class Answers:
+    """What the runs gave, in memory.
+
+    Args:
+        plan: of which study.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.rows: dict[str, bytes] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Nothing is held."""
+
+    def add(self, run: str, row: bytes) -> None:
+        """Keep a run's row."""
+        self.rows[run] = row
+
+    def finish(self) -> pa.Table:
+        """The table of all runs."""
+        return rows.table_of(self.plan, self.rows)
+
+
+def begun(folder: Path, *, resume: bool, force: bool) -> Plan | None:
+    """The plan of the study that a folder holds and that is to go on; None: a new one begins there.
+
+    Raises:
+        UsageError: the folder holds something, and it is not said what to do with that.
+    """
+    there = {path.name for path in folder.iterdir()} - UNFINISHED if folder.is_dir() else set()
+    if force or not there:
+        Folder(folder, force=True)  # whether it can be written
+        return None
+    if PLAN not in there:
+        why = "holds no study" if resume else "is not empty; give another folder, or --force to overwrite"
+        raise UsageError(f"--out {folder}: {why}")
+    plan = Plan.read(folder / PLAN)
+    if not resume:
+        what = "--resume to go on with it, --force to begin anew"
+        raise UsageError(f"--out {folder}: holds a study of {plan.scenario} already: {what}, or give another folder")
+    return plan
+
+
+class Store(Answers):
+    """The same, in a folder. Use it as a context manager: meanwhile no other study can write there.
+
+    Args:
+        folder: where.
+        plan: of which study.
+        resume: go on with what is there, which must be the same study.
+        force: begin anew, whatever is there.
+    """
+
+    def __init__(self, folder: Path, plan: Plan, *, resume: bool, force: bool) -> None:
+        super().__init__(plan)
+        self._folder, self._resume, self._force = folder, resume, force
+        self._next = 0.0
+        self._journal: IO[bytes]
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as stack:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(_locked(self._folder / LOCK))
+            if stored := begun(self._folder, resume=self._resume, force=self._force):
+                check_same(self.plan, stored, self._folder)
+                self._recover(stored)
+            else:
+                for name in (TABLE, JOURNAL, *OUTPUTS):
+                    (self._folder / name).unlink(missing_ok=True)
+            _replace(self._folder / PLAN, self.plan.to_toml().encode())
+            self._journal = stack.enter_context((self._folder / JOURNAL).open("ab", buffering=0))
+            self.write()
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Let go of the folder; what has been added so far is in its table."""
+        with self._stack:
+            if error is not None:
+                with contextlib.suppress(OSError):  # what is in the journal is not lost
+                    self.write()
+
+    def add(self, run: str, row: bytes) -> None:
+        """Keep a run's row, on disk at once."""
+        super().add(run, row)
+        self._journal.write(msgspec.json.encode(Line(run, msgspec.Raw(row))) + b"\n")
+        if time.monotonic() >= self._next:
+            self.write()
+
+    def write(self) -> pa.Table:
+        """Write the table of all rows so far."""
+        begin = time.monotonic()
+        table = rows.table_of(self.plan, self.rows)
+        path = self._folder / f"{TABLE}.tmp"
+        write_table(table, path)
+        path.replace(self._folder / TABLE)
+        self._journal.truncate(0)
+        end = time.monotonic()
+        self._next = end + (end - begin) / SHARE
+        return table
+
+    def finish(self) -> pa.Table:
+        """Write the table of all runs; the journal goes."""
+        table = self.write()
+        (self._folder / JOURNAL).unlink()
+        return table
+
+    def _recover(self, stored: Plan) -> None:
+        """Take the rows that are there: of the table, and of whole lines of the journal."""
+        wanted = {run.key for run in self.plan.runs}
+        try:
+            if (self._folder / TABLE).exists():
+                self.rows |= rows.answers_of(pq.read_table(self._folder / TABLE), list(stored.vary))
+            text = (self._folder / JOURNAL).read_bytes() if (self._folder / JOURNAL).exists() else b""
+            for line in text.splitlines(keepends=True):
+                if line.endswith(b"\n"):  # else it was being written when the study ended
+                    told = msgspec.json.decode(line, type=Line)
+                    if rows.decode(told.row).error is None:  # failed runs are run again
+                        self.rows[told.run] = bytes(told.row)
+        except (OSError, ValueError, KeyError) as error:
+            problem = " ".join(str(error).split())
+            raise UsageError(f"--resume {self._folder}: its rows cannot be read: {problem}") from error
+        self.rows = {run: row for run, row in self.rows.items() if run in wanted}
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file so that it is there either as it was or as it is to be."""
+    beside = path.with_name(f"{path.name}.tmp")
+    beside.write_bytes(content)
+    beside.replace(path)
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a folder; the system lets go of it for a process that dies."""
+    while True:
+        file = path.open("a+b")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read().decode("utf-8", "replace").strip()
+            file.close()
+            raise UsageError(f"--out {path.parent}: another study is writing there ({holder})") from None
+        if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            break
+        file.close()  # its holder has just removed it
+    try:
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {platform.node()}".encode())
+        file.flush()
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        file.close()
