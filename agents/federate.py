@@ -243,7 +243,8 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
     taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
     params = {**{name: spec.defaults[name] for name in taken}, **spec.params}
     try:
-        agent: Agent = table.call(kind, params, key=key, origin=origin, also=table.parameters(AgentTable))
+        with registry.looking_in(Path(spec.folder)):
+            agent: Agent = table.call(kind, params, key=key, origin=origin, also=table.parameters(AgentTable))
     except ScenarioError as error:
         name = error.key.removeprefix(f"{key}.")
         shared = name.partition(".")[0] in taken  # the first chunk: what is wrong may be inside a table

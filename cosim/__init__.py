@@ -34,6 +34,7 @@ _HOMES = {
     "cosim.api": ("Result", "run"),
     "cosim.errors": ("AgentError", "FederateError", "Interrupted", "ScenarioError", "UsageError", "VcmvspError"),
     "cosim.frames": ("arc", "quaternion_from_yaw", "rotate2", "wrap", "yaw_of"),
+    "cosim.studies.engine": ("study",),
     "cosim.types": (
         "Fix",
         "Follows",
@@ -57,6 +58,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [  # noqa: RUF022  by topic
     "run",
     "Result",
+    "study",
     "Agent",
     "Observation",
     "Radio",

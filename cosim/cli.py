@@ -10,9 +10,11 @@ import typer
 
 from cosim.cli_calibrate import calibrate_command
 from cosim.cli_explain import radio_command
+from cosim.cli_figure import figure_command
 from cosim.cli_kinds import list_command, show_command, world_command
 from cosim.cli_options import AsJson
 from cosim.cli_radio import register
+from cosim.cli_study import study_command
 from cosim.errors import Interrupted, UsageError, VcmvspError
 from cosim.streams import stdout_to_stderr
 
@@ -176,6 +178,8 @@ def drive_command(
     sys.stdout.write(api.to_json(about) if json else drive.summary(about))
 
 
+app.command("study")(study_command)
+app.command("figure")(figure_command)
 app.command("list")(list_command)
 app.command("show")(show_command)
 app.command("world")(world_command)

@@ -130,9 +130,13 @@ def vehicle_radio() -> str:
 
 
 def agents(*names: str) -> str:
-    """The parameters of kinds of agents, and the tables that they hold."""
-    classes = {name: registry.find("agent", name) for name in names}
-    return "\n\n".join([kinds(classes), *lists(classes.values())])
+    """The parameters of kinds of agents."""
+    return kinds({name: registry.find("agent", name) for name in names})
+
+
+def team() -> str:
+    """The tables that agents of a team hold."""
+    return "\n\n".join(lists([registry.find("agent", "leader_follower")]))
 
 
 BLOCKS: Mapping[str, Callable[[], str]] = {
@@ -145,6 +149,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "leaders": lambda: agents("trajectory", "route", "teleop"),
     "followers": lambda: agents("leader_follower"),
     "consensus": lambda: agents("consensus"),
+    "team": team,
     "patrol": lambda: agents("patrol"),
 }
 

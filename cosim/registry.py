@@ -4,13 +4,15 @@ Parts are reached only through here, as strings, so that ``import cosim`` stays 
 through the entry-point groups ``cosim.<group>``, e.g. ``cosim.agent``.
 """
 
+import contextlib
+import contextvars
 import hashlib
 import importlib
 import importlib.machinery
 import importlib.metadata
 import importlib.util
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -168,13 +170,26 @@ KINDS: Mapping[str, Mapping[str, str]] = {
 }
 
 
+_folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
+
+
+@contextlib.contextmanager
+def looking_in(folder: Path) -> Iterator[None]:
+    """While something is built: where the files are that it names itself, in its parameters."""
+    token = _folder.set(folder)
+    try:
+        yield
+    finally:
+        _folder.reset(token)
+
+
 def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Origin | None = None) -> Any:
     """The class that ``kind`` names.
 
     Args:
         group: what it is looked up as, e.g. ``"agent"``.
         kind: short name, ``module:Class`` or ``file.py:Class``.
-        folder: where a relative file is looked for (the scenario's folder); default: the current one.
+        folder: where a relative file is looked for (the scenario's folder); default: that of `looking_in`, or the current one.
         key: path of the kind in the scenario, for messages.
         origin: where the scenario came from, for messages.
 
@@ -184,7 +199,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
     origin = origin or Named()
     aim = target(group, kind, key=key, origin=origin)
     where, _, name = aim.rpartition(":")
-    path = file_of(kind, folder).resolve() if is_file_kind(kind) else None
+    path = file_of(kind, folder or _folder.get()).resolve() if is_file_kind(kind) else None
     if path and not path.is_file():
         raise ScenarioError(f"there is no file {path}", key=key, source=origin.of(key))
     try:

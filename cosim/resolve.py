@@ -75,8 +75,7 @@ class Resolution:
         }
 
     def _shared_by_agents(self) -> dict[str, Any]:
-        shared = {name: table.plain(value) for name, value in self._scenario.agents.defaults.items()}
-        return {**shared, "kind": self.portable(shared["kind"])} if "kind" in shared else shared
+        return {name: self._kept(table.plain(value)) for name, value in self._scenario.agents.defaults.items()}
 
     def _shared_by_vehicles(self) -> dict[str, Any]:
         shared = {name: table.plain(value) for name, value in self._scenario.vehicles.items()}
@@ -117,7 +116,13 @@ class Resolution:
             fails_s=own.fails_s if own else None,
         )
         taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
-        return {"agent": {**full, **{name: value for name, value in info.params.items() if name not in taken}}}
+        return {"agent": {**full, **{name: self._kept(value) for name, value in info.params.items() if name not in taken}}}
+
+    def _kept(self, value: Any) -> Any:
+        """A parameter of an agent; a Python file that it names (``file.py:Class``), alone or in a table, is kept."""
+        if isinstance(value, dict):
+            return {name: self._kept(each) for name, each in value.items()}
+        return self.portable(value) if isinstance(value, str) else value
 
 
 def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:

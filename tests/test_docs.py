@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from agents.formation.formation import Formation
+from agents.formation.sending import Sending
 from cosim import reference, registry, repeat, scenario, table
 from netsim.jammer import Source
 from netsim.materials import ITU_MATERIALS
@@ -48,7 +50,7 @@ HEADINGS = {
     "world": ("`[world]`",),
     "vehicle": tuple(reference.VEHICLES),
     "sensor": ("`sensors = { NAME = { kind = ... }, ... }`",),
-    "agent": ("Leaders", "Followers", "Patrols"),
+    "agent": ("Leaders", "Followers", "Consensus", "Patrols"),
     **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
 }
 FROM_ELSEWHERE = {*reference.OFFERED}  # parameters that come from the rest of the scenario
@@ -94,6 +96,7 @@ def assert_documents(documented: dict[str, str], target: Any, without: set[str])
         ("`agent = { ... }` of a vehicle", scenario.AgentTable, "params"),
         ("`[record]`", scenario.RecordTable, ""),
         ("`[metrics]`", scenario.MetricsTable, ""),
+        ("`[study]`", scenario.StudyTable, ""),
     ],
 )
 def test_every_key_of_a_table_is_documented(heading: str, target: Any, rest: str) -> None:
@@ -119,6 +122,8 @@ def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str)
         (*HEADINGS["sensor"], "noise", Noise),
         ("`positioning = { ... }`", "positioning", registry.piece("positioning")),
         ("`radio = { ... }`", "default", registry.piece("vehicle radio")),
+        ("Formations, and when their members report", "formation", Formation),
+        ("Formations, and when their members report", "sending", Sending),
         ("`[radio.script]`", "change", Change),
         ("`[radio.jammer]`", "source", Source),
     ],

@@ -44,7 +44,8 @@ class LeaderFollower(Agent):
         formation: the team's shape, and who follows whom in it.
         k1: gain along the follower's heading, 1/s.
         k2: gain across it, 1/s; stable only below 2/T - v_l/ell at period T.
-        estimator: ``hold``, ``dr``, ``acc``, ``plan``, ``module:Class`` or an object with ``predict(report, age_s)``.
+        estimator: ``hold``, ``dr``, ``acc``, ``plan``, ``module:Class``, ``file.py:Class`` or an object with
+            ``predict(report, age_s)``.
         feed: whose speed is fed forward: the parent's; that of the team's leader, as relayed, with the parent's yaw rate; none.
         feed_forward_s: how many seconds of the parent's acceleration are added to the speed: the own servo's lag.
         max_speed: limit of the commanded speed, m/s; default: none but the vehicle's own.

@@ -10,15 +10,17 @@ key       type   meaning
 ``v w``   float  speeds from then on, m/s and rad/s: the command of this tick (a leader) or measured (a follower)
 --------- ------ -----------------------------------------------------------------------------------
 ``a al``  float  how fast they change, m/s2 and rad/s2 (where the estimator ``acc`` or a feed-forward needs them)
-``plan``  list   the speeds of the ticks to come, v0, w0, v1, w1, ...; the first are those of now (for ``plan``)
+``plan``  list   the speeds after that, ``dt`` s from now, 2 ``dt``, ...: v1, w1, v2, w2, ... (for the estimator ``plan``)
 ``dt``    float  s between them
 ``lead``  list   ``t_ns x y th v w`` of the newest report of the team's leader, relayed
 ``shape`` str    which shape the team has now (where a team has one)
 ``sn``    int    how often it has changed: the newest counts, whoever passes it on
 ``order`` list   which member has which place: the numbers of the members, by place; absent: as they are numbered
+``ak``    int    1: those who follow the sender answer with the message ``ack`` (`agents.formation.sending`)
 ========= ====== ===================================================================================
 
-The keys are short because every byte costs air time.
+The keys are short because every byte costs air time. The answer is a message of its own, to the sender alone, with the one key
+``ack``: the ``seq`` that it heard.
 """
 
 import math
@@ -30,6 +32,8 @@ from cosim.frames import yaw_of
 
 # No pose on Earth and no speed of a vehicle is larger; greater values, infinities and NaN are all refused by one comparison.
 PLAUSIBLE = 1e9
+SHORTEST_PERIOD_S = 1e-6  # of agents, as a scenario allows it
+STATE_KEYS = ("t_ns", "x", "y", "th", "v", "w")
 
 
 class LeaderState(NamedTuple):
@@ -60,6 +64,34 @@ def measured_speeds(obs: Observation) -> tuple[float, float]:
     """The vehicle's own forward speed, m/s, and yaw rate, rad/s, as its pose source tells them."""
     (vx, vy, _), yaw = obs.state.velocity, yaw_of(obs.state.attitude)
     return vx * math.cos(yaw) + vy * math.sin(yaw), obs.state.angular_velocity[2]
+
+
+def accelerations(report: Report) -> tuple[float, float]:
+    """How fast the speeds change, m/s2 and rad/s2; zero where the report does not say, or says nonsense."""
+    a, al = report.body.get("a", 0.0), report.body.get("al", 0.0)
+    try:
+        return (a, al) if abs(a) + abs(al) < PLAUSIBLE else (0.0, 0.0)
+    except TypeError:
+        return 0.0, 0.0
+
+
+def plan_of(report: Report) -> tuple[float, list[tuple[float, float]]] | None:
+    """The seconds between the speeds of a plan, and the speeds (v, w) themselves, first those of now; None: it has no plan."""
+    dt, flat = report.body.get("dt"), report.body.get("plan")
+    if not isinstance(dt, float) or not isinstance(flat, list) or not flat or len(flat) % 2:
+        return None
+    try:
+        if not SHORTEST_PERIOD_S <= dt < PLAUSIBLE or not sum(map(abs, flat)) < PLAUSIBLE:
+            return None
+    except TypeError:
+        return None
+    return dt, [report.state[3:], *zip(flat[::2], flat[1::2], strict=True)]
+
+
+def lead_of(report: Report, latest_ns: int) -> Report | None:
+    """The report of the team's leader that this one relays; None where there is none that `parse` would believe."""
+    lead = report.body.get("lead")
+    return parse(dict(zip(STATE_KEYS, lead, strict=False)), latest_ns) if isinstance(lead, list) else None
 
 
 def parse(body: Mapping[str, Any] | bytes, latest_ns: int) -> Report | None:

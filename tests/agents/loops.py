@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.formation import LeaderFollower
-from cosim.agent import Agent, Observation, Radio
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.frames import arc, quaternion_from_yaw
 from cosim.types import Follows, Message, Reception, VehicleState, Velocity
 
@@ -78,6 +78,7 @@ class Drive:
     followers: Floats  # (ticks, n, 3)
     commands: Floats  # (ticks, n, 2), v and w
     z: Floats  # (ticks, n, 2)
+    reports: list[int]  # how many the leader sent, by tick
 
     @property
     def error(self) -> Floats:
@@ -94,32 +95,46 @@ def drive(
     period_s: float = 0.1,
     delay_ticks: int = 0,
     lost: Lost = lambda tick, follower: False,
+    lost_back: Lost = lambda tick, follower: False,
     tau: tuple[float, float] = (0.0, 0.0),
     rolling: float = 0.0,
 ) -> Drive:
     """Close the loop: the leader starts at the origin, each follower in its slot behind it unless ``poses`` say otherwise.
 
     The leader is called ``leader``, the followers ``f0``, ``f1``, ...; one that follows another comes after it.
-    Reports arrive ``delay_ticks`` after they were sent; with 0, in the very tick. ``rolling`` is the followers' first speed.
+    Reports arrive ``delay_ticks`` after they were sent; with 0, in the very tick. What followers send to the leader arrives a
+    tick later than that, unless it is ``lost_back``. ``rolling`` is the followers' first speed.
     """
     starts = [(*each.follows.slot, 0.0) for each in followers if each.follows] if poses is None else poses
     names = [f"f{i}" for i in range(len(followers))]
+    everybody = ("leader", *names)
+    for name, agent in zip(everybody, (leader, *followers), strict=True):
+        agent.start(VehicleInfo(name=name, vehicles=everybody, period_s=period_s, latency_s=0.0, seed=1))
     front = Vehicle((0.0, 0.0, 0.0))
     cars = [Vehicle(pose, rolling, 0.0, *tau) for pose in starts]
-    lead_radio, radios = Radio("leader", ("leader", *names)), [Radio(name, ("leader", *names)) for name in names]
+    lead_radio, radios = Radio("leader", everybody), [Radio(name, everybody) for name in names]
     on_air: list[list[Reception]] = []  # by the tick of sending
+    back: list[list[Reception]] = []  # to the leader alone
+    reports: list[int] = []
     log: list[tuple[Pose, list[Pose], list[tuple[float, float]]]] = []
     for tick in range(round(duration_s / period_s) + 1):
         now_ns = round(tick * period_s * 1e9)
-        lead_command = leader.act(observe(front.pose, now_ns), lead_radio)
+        answers = back[tick - 1 - delay_ticks] if tick > delay_ticks else ()
+        lead_command = leader.act(observe(front.pose, now_ns, answers), lead_radio)
         assert isinstance(lead_command, Velocity)
         on_air.append([received(message) for message in lead_radio.drain()])
+        back.append([])
+        reports.append(len(on_air[tick]))
         sent = tick - delay_ticks
         orders = []
         for i, (agent, car, radio) in enumerate(zip(followers, cars, radios, strict=True)):
             heard = () if sent < 0 or lost(sent, i) else on_air[sent]
             orders.append(agent.act(observe(car.pose, now_ns, heard, v=car.v, w=car.w), radio))
-            on_air[tick].extend(received(message) for message in radio.drain())
+            for message in radio.drain():
+                if message.to is None:
+                    on_air[tick].append(received(message))
+                elif message.to == "leader" and not lost_back(tick, i):
+                    back[tick].append(received(message))
         log.append((front.pose, [car.pose for car in cars], [(each.linear[0], each.yaw_rate) for each in orders]))
         front.move(lead_command, period_s)
         for car, order in zip(cars, orders, strict=True):
@@ -127,8 +142,8 @@ def drive(
     lead, own, commands = (np.array(column) for column in zip(*log, strict=True))
     paths = {"leader": lead, **{name: own[:, i] for i, name in enumerate(names)}}
     z = [
-        formation_error(paths[each.leader], paths[name], each.follows)
+        formation_error(paths[str(each.leader)], paths[name], each.follows)
         for name, each in zip(names, followers, strict=True)
         if each.follows
     ]
-    return Drive(lead, own, commands, np.stack(z, axis=1))
+    return Drive(lead, own, commands, np.stack(z, axis=1), reports)

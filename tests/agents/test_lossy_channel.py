@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from agents.formation import LeaderFollower, Trajectory
+from agents.formation.trajectory import Path
 from cosim.rng import stream
 from tests.agents.loops import Drive, Lost, drive
 
@@ -71,14 +72,40 @@ REFERENCE = {
     ("slalom", "dr", "delay", 0.5): 0.041,
     ("random", "hold", "delay", 1.0): 0.297,
     ("random", "dr", "delay", 1.0): 0.120,
+    ("slalom", "acc", "loss", 0.5): 0.0060,
+    ("slalom", "plan", "loss", 0.5): 0.0061,
+    ("random", "acc", "loss", 0.3): 0.0058,
+    ("random", "plan", "loss", 0.5): 0.0033,
+    ("slalom", "acc", "delay", 0.5): 0.0098,
+    ("slalom", "acc", "delay", 1.0): 0.037,
+    ("slalom", "acc", "delay", 2.0): 0.154,
+    ("random", "acc", "delay", 0.5): 0.024,
+    ("random", "acc", "delay", 1.0): 0.079,
+    ("random", "acc", "delay", 2.0): 0.244,
+    ("slalom", "plan", "delay", 2.0): 0.0061,
+    ("random", "plan", "delay", 2.0): 0.0033,
 }
 
 
 @pytest.mark.parametrize(("case", "expected"), REFERENCE.items(), ids=["-".join(map(str, case)) for case in REFERENCE])
 def test_the_reference_curves(case: tuple[str, str, str, float], expected: float) -> None:
     path, estimator, kind, value = case
-    n = 8 if kind == "loss" else 2
+    n = 20 if kind == "loss" else 2
     lost = bernoulli(value if kind == "loss" else 0.0, 1200, n, "curve")
     delay = round(value / T) if kind == "delay" else 0
-    run = drive(Trajectory(path), many(n, estimator), duration_s=120, delay_ticks=delay, lost=lost)  # type: ignore[arg-type]
+    leader = Trajectory(path, estimator=estimator)  # type: ignore[arg-type]
+    run = drive(leader, many(n, estimator), duration_s=120, delay_ticks=delay, lost=lost)
     assert rms(run) == pytest.approx(expected, rel=0.10)
+
+
+def test_accelerations_help_where_motion_is_smooth_and_harm_where_it_is_not() -> None:
+    """Four frames of five lost, the same for both: on a random path an acceleration of half a second ago is worth nothing."""
+    found = {}
+    paths: tuple[Path, ...] = ("slalom", "random")
+    for path in paths:
+        for estimator in ("dr", "acc"):
+            lost = bernoulli(0.8, 1200, 24, "smooth")
+            leader = Trajectory(path, estimator=estimator)
+            found[path, estimator] = rms(drive(leader, many(24, estimator), duration_s=120, lost=lost))
+    assert found["slalom", "acc"] < 0.8 * found["slalom", "dr"]
+    assert found["random", "acc"] > found["random", "dr"]

@@ -10,6 +10,7 @@ import cosim
 PUBLIC = {
     "run": "api",
     "Result": "api",
+    "study": "studies.engine",
     "Agent": "agent",
     "Observation": "agent",
     "Radio": "agent",
