@@ -1,0 +1,47 @@
+"""Figures of Toh 2012 and further studies, redrawn from runs of the whole platform and compared with what must come out.
+
+``vcmvsp figure NAME`` makes one. Start reading in `cosim.figures.kit`.
+"""
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from cosim.errors import UsageError
+from cosim.table import unknown
+
+if TYPE_CHECKING:
+    from cosim.figures.kit import Figure, Runner
+
+NAMES: Mapping[str, tuple[str, str]] = {
+    "24": ("cosim.figures.circle:fig_24", "Leader-follower triangle on a circle; proof of convergence."),
+    "25": ("cosim.figures.circle:fig_25", "The triangle on a circle, inertial vehicles."),
+    "26": ("cosim.figures.circle:fig_26", "The triangle on a circle, noise of positioning."),
+    "30": ("cosim.figures.gains:fig_30", "Step along the heading, for five gains k1."),
+    "31": ("cosim.figures.gains:fig_31", "Step across the heading, for five gains k2."),
+    "32": ("cosim.figures.start:fig_32", "A leader that starts at once: inertia delays its followers."),
+    "33": ("cosim.figures.rates:fig_33", "Rates of control from 10 to 0.5 Hz, and the bound on k2."),
+    "loss": ("cosim.figures.loss:loss", "Formation error by loss of messages: hold, dr, acc, plan."),
+    "delay": ("cosim.figures.delay:delay", "Formation error by delay of messages: closed forms, hold and dr."),
+    "loss-delay": ("cosim.figures.delay:loss_delay", "Loss and delay together: maps of hold and dr."),
+    "estimators": ("cosim.figures.delay:estimators", "Formation error by delay: hold, dr, acc, plan."),
+    "chain": ("cosim.figures.chain:chain", "A column of seven: gain from hop to hop, and what cures it."),
+    "consensus-delay": (
+        "cosim.figures.consensus:consensus_delay",
+        "Consensus with delay: the last that is stable, four graphs.",
+    ),
+}
+"""Name -> module:function, and what it shows."""
+
+
+def find(name: str) -> "Callable[[Runner], Figure]":
+    """The function that makes a figure.
+
+    Raises:
+        UsageError: there is none of that name.
+    """
+    if name not in NAMES:
+        raise UsageError(f"vcmvsp figure {name}: {unknown('figure', name, NAMES)}")
+    module, _, function = NAMES[name][0].partition(":")
+    made: Callable[[Runner], Figure] = getattr(importlib.import_module(module), function)
+    return made

@@ -1,0 +1,182 @@
+"""What a figure is made of: runs of the platform, what is drawn of them, and rows that compare them with what must come out.
+
+A figure is a function ``make(runner: Runner) -> Figure`` in a module of its own, which `cosim.figures.NAMES` names. It builds
+scenarios as mappings, hands them to the runner as jobs, and says what to draw; it never draws, and knows no part but ``cosim``.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from cosim.api import Result, run
+from cosim.errors import VcmvspError
+from cosim.types import Array
+
+Read = Callable[[Result], Any]
+Style = Literal["line", "dashed", "dotted", "thin", "markers", "hollow", "pose", "both"]  # "pose": a track with its two ends
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number that must come out, and what did. Tolerances are absolute; where one means a share, the case says so."""
+
+    case: str
+    expected: float
+    measured: float
+    tolerance: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether it came out; never if it is no number."""
+        return bool(abs(self.measured - self.expected) <= self.tolerance)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points (n,) that belong together; of curves of equal ``label`` in a panel the legend shows one."""
+
+    x: Array
+    y: Array
+    label: str = ""
+    color: int = 0  # of the palette: 0 black, 1 blue, 2 vermilion, 3 green, 4 purple, 5 orange, 6 sky blue
+    style: Literal["line", "dashed", "dotted", "thin", "markers", "hollow", "pose", "both"] = (
+        "line"  # "pose": a dot at its start
+    )
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Values over a grid: ``values[i, j]`` belongs to ``y[i]``, ``x[j]``; every cell is drawn with its number."""
+
+    x: Array
+    y: Array
+    values: Array  # (len(y), len(x))
+    label: str = ""
+    style: Literal["growing", "about one"] = "growing"  # "about one": which side of 1 is shown by colour
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A pair of axes; it shows curves, or a `Heat`."""
+
+    title: str
+    x_label: str
+    y_label: str
+    curves: Sequence[Curve] = ()
+    _: KW_ONLY
+    heat: Heat | None = None
+    levels: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)  # horizontal lines, by their labels
+    log_x: bool = False
+    log_y: bool = False
+    equal: bool = False  # the same scale on both axes: a map
+    x_limits: tuple[float, float] | None = None
+    y_limits: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What a figure consists of; ``columns`` of panels stand side by side."""
+
+    title: str
+    panels: Sequence[Panel]
+    rows: Sequence[Row]
+    columns: int = 2
+
+    @property
+    def ok(self) -> bool:
+        """Whether every row came out."""
+        return all(row.ok for row in self.rows)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run, and what is wanted of it: ``read`` is a function of a module, since it may be called in another process."""
+
+    scenario: Mapping[str, Any]
+    read: Read
+    set: Mapping[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+
+
+class Runner:
+    """Runs jobs, several at a time where there are several.
+
+    Args:
+        jobs: how many processes; 1: this one.
+        progress: told after every run how many are done, and of how many.
+    """
+
+    def __init__(self, jobs: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
+        self._jobs, self._progress = jobs, progress or (lambda *_: None)
+
+    def __call__(self, jobs: Sequence[Job]) -> list[Any]:
+        """What each job's ``read`` gave, in the order of the jobs."""
+        workers = min(self._jobs, len(jobs))
+        if workers <= 1:
+            return [self._tell(done, len(jobs), _do(job)) for done, job in enumerate(jobs, 1)]
+        others = multiprocessing.active_children()
+        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
+        try:
+            tasks = [pool.submit(_do, job) for job in jobs]
+            for done, task in enumerate(as_completed(tasks), 1):
+                task.result()  # the first that fails ends it
+                self._progress(done, len(jobs))
+            return [task.result() for task in tasks]
+        except BrokenProcessPool as error:
+            raise VcmvspError("a process that ran a part of the figure died; --jobs 1 runs all in this one") from error
+        except BaseException:  # nobody waits for the rest
+            for worker in multiprocessing.active_children():
+                if worker not in others:
+                    worker.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+    def _tell(self, done: int, of: int, answer: Any) -> Any:
+        self._progress(done, of)
+        return answer
+
+
+def _do(job: Job) -> Any:
+    return job.read(run(job.scenario, seed=job.seed, set=job.set, mcap=False))
+
+
+def _begin_worker() -> None:
+    """Ctrl-C reaches all processes of a terminal: the first one decides. Whatever ends that one ends this one too."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def relative(case: str, expected: float, measured: float, share: float) -> Row:
+    """A row whose tolerance is a share of what is expected; the case says so."""
+    return Row(f"{case} (within {100 * share:g} %)", float(expected), float(measured), float(abs(expected) * share))
+
+
+def absolute(case: str, expected: float, measured: float, tolerance: float) -> Row:
+    """A row with a tolerance of its own."""
+    return Row(case, float(expected), float(measured), float(tolerance))
+
+
+def at_most(case: str, limit: float, measured: float) -> Row:
+    """A row for what may not exceed a limit: what is compared with zero is by how much it does."""
+    return Row(f"{case}, at most {limit:g}: excess", 0.0, float(np.maximum(measured - limit, 0.0)), 0.0)
+
+
+def at_least(case: str, limit: float, measured: float) -> Row:
+    """A row for what must reach a limit: what is compared with zero is by how much it does not."""
+    return Row(f"{case}, at least {limit:g}: shortfall", 0.0, float(np.maximum(limit - measured, 0.0)), 0.0)
