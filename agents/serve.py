@@ -8,15 +8,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from agents.federate import AgentHost
 from cosim.errors import UsageError, VcmvspError
+from cosim.transport.dialling import serve
 from cosim.transport.remote import Desk
+from cosim.transport.security import endpoint_rules
 from cosim.transport.wire import PROTOCOL, Hello
-from cosim.transport.zenoh import serve
 
 GRACE_S = 0.2
 
@@ -29,6 +31,8 @@ def host(
     folder: str = "",
     params: dict[str, Any] | None = None,
     token: str = "",
+    keys: Path | None = None,
+    insecure: bool = False,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Serve the agents of these vehicles to the run at ``endpoint`` until it ends; the answer is why it ended.
@@ -40,14 +44,25 @@ def host(
         folder: where a relative file of ``kind`` is.
         params: parameters that win over the scenario's.
         token: proves that this host was started by the run itself.
+        keys: file with the certificate of this machine.
+        insecure: do without one, although the run is on another machine.
         on_state: told what is being waited for.
     """
+    bundle = None
+    if keys is not None:
+        from cosim import certificates
+
+        bundle = certificates.load_bundle(keys)
+        if warning := bundle.check():
+            on_state(warning)
+        bundle.speaks_for(vehicles)
+    endpoint_rules(endpoint, bundle, insecure=insecure, side="host")
 
     def hello(host_id: str) -> Hello:
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=folder, params=params or {}, token=token)
 
     with threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
-        return serve(hello, Desk(AgentHost), endpoint, on_state=on_state)
+        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, on_state=on_state)
 
 
 def _end_with_parent(pipe: io.FileIO) -> None:

@@ -140,6 +140,8 @@ def run(
     set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
     agents: Mapping[str, Agent] | Runs | None = None,
     listen: str | None = None,
+    keys: str | Path | None = None,
+    insecure: bool = False,
     realtime: float | None = None,
     out: str | Path | None = None,
     numbered: bool = False,
@@ -156,6 +158,8 @@ def run(
         set: key path -> value, e.g. ``{"radio.loss.probability": 0.3}``.
         agents: agents as objects, by vehicle; or where all agents run: ``"inprocess"``, ``"process"`` or ``"zenoh"``.
         listen: endpoint for hosts that are started by hand, instead of ``agents.listen``.
+        keys: folder of certificates (``vcmvsp keys init``), for hosts on other machines.
+        insecure: let hosts on other machines come without certificates.
         realtime: simulated seconds per wall-clock second; None: as fast as possible.
         out: folder to write into; the recording then grows on disk while the run goes on.
         numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...: ``result.folder`` says which it was.
@@ -176,7 +180,10 @@ def run(
     parsed, source = scenarios.load(scenario, settings=set, seed=seed)
     started, cpu = datetime.now(UTC), time.process_time()
     try:
-        with Assembly(parsed, source, objects=objects, runs=runs, listen=listen, tell=tell) as assembly:
+        folder_of_keys = None if keys is None else Path(keys)
+        with Assembly(
+            parsed, source, objects=objects, runs=runs, listen=listen, keys=folder_of_keys, insecure=insecure, tell=tell
+        ) as assembly:
             clock = SimClock() if realtime is None else WallClock(realtime)
             simulation = _Simulation(assembly, clock, folder, progress, mcap=mcap)
             with _writing(folder.path if folder else None), simulation.calm():

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Self
 
 import msgspec
@@ -33,6 +34,7 @@ class Assembly:
         runs: where all agents run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes,
             ``"here"`` in this process as far as the scenario names their classes.
         listen: where hosts started by hand dial in, instead of the scenario's ``agents.listen``.
+        keys, insecure: who may dial in there from other machines (`cosim.hosts.Hosts`).
         tell: takes lines for the user.
     """
 
@@ -44,6 +46,8 @@ class Assembly:
         objects: Mapping[str, Agent] | None = None,
         runs: str | None = None,
         listen: str | None = None,
+        keys: Path | None = None,
+        insecure: bool = False,
         tell: Tell = lambda _: None,
     ) -> None:
         registry.guard()
@@ -60,7 +64,7 @@ class Assembly:
         world = self.world = self._build_world()
         air, physics = self._build_radio(world), self._build_physics(world)
         self.radius_m: Mapping[str, float] = physics.radius_m
-        self._hosts = Hosts(agents, tell)
+        self._hosts = Hosts(agents, tell, keys=keys, insecure=insecure)
         try:
             self._place_agents(runs)
             self.infos = tuple(sorted(self._hosts.infos, key=lambda info: info.vehicle))

@@ -11,6 +11,7 @@ import typer
 from cosim.cli_calibrate import calibrate_command
 from cosim.cli_explain import radio_command
 from cosim.cli_figure import figure_command
+from cosim.cli_keys import keys_app
 from cosim.cli_kinds import list_command, show_command, world_command
 from cosim.cli_options import AsJson
 from cosim.cli_radio import register
@@ -45,8 +46,12 @@ def run_command(
         typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand)."),
     ] = None,
     listen: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="For hosts started by hand, e.g. tcp/0.0.0.0:7447.")
+        str | None, typer.Option(metavar="ENDPOINT", help="For hosts started by hand, e.g. tls/0.0.0.0:7447.")
     ] = None,
+    keys: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Certificates for hosts on other machines ('vcmvsp keys init').")
+    ] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="Let anybody who can reach this machine host agents.")] = False,
     realtime: Annotated[
         float | None, typer.Option(metavar="[SPEED]", help="Keep to the wall clock: SPEED simulated seconds per second (1).")
     ] = None,
@@ -77,6 +82,8 @@ def run_command(
             set=settings,
             agents=agents,  # type: ignore[arg-type]  # checked above
             listen=listen,
+            keys=keys,
+            insecure=insecure,
             realtime=realtime,
             out=out if out is not None else _default_folder(scenario, settings, seed),
             numbered=out is None,
@@ -93,7 +100,7 @@ def run_command(
 @app.command("agent")
 def agent_command(
     vehicle: Annotated[list[str], typer.Option(metavar="NAME", help="Whose agent to run; repeat for several.")],
-    connect: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the run listens, e.g. tcp/192.168.1.10:7447.")],
+    connect: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the run listens, e.g. tls/192.168.1.10:7447.")],
     kind: Annotated[
         str | None, typer.Argument(metavar="[MODULE_OR_FILE:Class]", help="The agent's class; without it: the scenario's.")
     ] = None,
@@ -101,10 +108,14 @@ def agent_command(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the agent, instead of the scenario's."),
     ] = None,
+    keys: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="This machine's certificate ('vcmvsp keys vehicle NAME').")
+    ] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")] = False,
 ) -> None:
     """Host agents for a run that is started with --agents zenoh.
 
-    Example: vcmvsp agent my_agent.py:KeepGap --vehicle car2 --connect tcp/192.168.1.10:7447
+    Example: vcmvsp agent my_agent.py:KeepGap --vehicle car2 --connect tls/192.168.1.10:7447 --keys car2.keys
     """
     from cosim import registry
     from cosim import scenario as scenarios
@@ -112,7 +123,14 @@ def agent_command(
     registry.guard()
     host = registry.piece("host process")
     why = host(
-        connect, tuple(vehicle), kind=kind, folder=str(Path.cwd()), params=scenarios.settings_of(set_ or []), on_state=_say
+        connect,
+        tuple(vehicle),
+        kind=kind,
+        folder=str(Path.cwd()),
+        params=scenarios.settings_of(set_ or []),
+        keys=keys,
+        insecure=insecure,
+        on_state=_say,
     )
     _say(why)
 
@@ -186,6 +204,7 @@ app.command("world")(world_command)
 app.command("radio")(radio_command)
 app.command("calibrate")(calibrate_command)
 register(app)
+app.add_typer(keys_app)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -6,19 +6,22 @@ import secrets
 import shlex
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
 from cosim import registry, table
 from cosim.agent import Agent, AgentInfo, AgentSpec
-from cosim.errors import AgentError, VcmvspError
+from cosim.errors import AgentError, UsageError, VcmvspError
 from cosim.federate import Federate
 from cosim.scenario import AgentsTable
 from cosim.transport.remote import Desk, HostFederate, Link, MemoryLink, RemoteHost
+from cosim.transport.security import endpoint_rules
 from cosim.transport.wire import Hello
 
 if TYPE_CHECKING:
+    from cosim.certificates import Keys
     from cosim.transport.zenoh import Hub, Knock, ZenohLink
 
 HOST_PROCESS = "agents.serve"
@@ -38,10 +41,12 @@ class Hosts:
     Args:
         agents: the scenario's ``[agents]``.
         tell: takes lines for the user, such as how to start a host by hand.
+        keys: folder with the certificates of those who may come from elsewhere.
+        insecure: let anybody come from elsewhere.
     """
 
-    def __init__(self, agents: AgentsTable, tell: Tell) -> None:
-        self._agents, self._tell = agents, tell
+    def __init__(self, agents: AgentsTable, tell: Tell, *, keys: Path | None = None, insecure: bool = False) -> None:
+        self._agents, self._tell, self._keys, self._insecure = agents, tell, keys, insecure
         self._stack = contextlib.ExitStack()
         self.federates: list[Federate] = []
         self.infos: list[AgentInfo] = []
@@ -69,7 +74,7 @@ class Hosts:
         from cosim.transport.process import HostProcess
         from cosim.transport.zenoh import Hub
 
-        hub = Hub()
+        hub = Hub(deadline_s=self._agents.deadline_s)
         self._stack.callback(hub.close)
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
@@ -78,26 +83,28 @@ class Hosts:
             children[token] = HostProcess(HOST_PROCESS, hub.endpoint, [spec.vehicle for spec in group], token)
             self._stack.callback(children[token].close)
         links: dict[str, ZenohLink] = {}
-        for hello, answer in self._knocking(hub, lambda: self._missing(groups, links, children)):
-            refused = None if hello.token in groups and hello.token not in links else "this run starts its own hosts"
-            if link := answer(refused):
-                link.why_lost = children[hello.token].why_ended
-                link.released = children[hello.token].close
-                links[hello.token] = link
+        for knock in self._knocking(hub, lambda: self._missing(groups, links, children)):
+            token = knock.hello.token
+            if link := knock.answer(None if token in groups and token not in links else "this run starts its own hosts"):
+                link.why_lost = children[token].why_ended
+                link.released = children[token].close
+                links[token] = link
         self._add_remote((links[token], group) for token, group in groups.items())
 
     def await_by_hand(self, specs: Sequence[AgentSpec]) -> None:
         """Wait until hosts that somebody starts have joined for all these agents."""
         from cosim.transport.zenoh import Hub
 
-        hub = Hub(self._agents.listen)
+        keys = self._certificates(specs)
+        hub = Hub(self._agents.listen, keys, deadline_s=self._agents.deadline_s)
         self._stack.callback(hub.close)
         wanted = {spec.vehicle: spec for spec in specs}
         waiting = dict(wanted)
         self._tell(f"waiting for {len(waiting)} agents at {hub.endpoint}; start each with")
         for spec in specs:
-            kind = spec.kind or "MODULE_OR_FILE:Class"
-            self._tell(shlex.join(["vcmvsp", "agent", kind, "--vehicle", spec.vehicle, "--connect", hub.endpoint]))
+            how = ["--vehicle", spec.vehicle, "--connect", hub.endpoint]
+            how += ["--keys", f"{spec.vehicle}.keys"] if keys else ["--insecure"] if self._insecure else []
+            self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
         joined: dict[str, tuple[ZenohLink, list[AgentSpec]]] = {}
 
         def missing() -> list[str]:
@@ -108,11 +115,30 @@ class Hosts:
                     self._tell(f"the host of {left.vehicle} has left; waiting for another")
             return list(waiting)
 
-        for hello, answer in self._knocking(hub, missing):
-            if link := answer(_refusal(hello, waiting, wanted)):
+        for knock in self._knocking(hub, missing):
+            hello = knock.hello
+            refusal = knock.denied or _refusal(hello, waiting, wanted)
+            if refusal:
+                self._tell(f"refused a host{f' with the certificate of {knock.name}' if keys else ''}: {refusal}")
+            if link := knock.answer(refusal):
                 joined[hello.host] = link, [self._as_host_says(waiting.pop(vehicle), hello) for vehicle in hello.vehicles]
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
         self._add_remote(joined.values())
+
+    def _certificates(self, specs: Sequence[AgentSpec]) -> "Keys | None":
+        """What the user says of who may come from elsewhere, checked."""
+        keys = None
+        if self._keys is not None:
+            from cosim import certificates
+
+            keys = certificates.load(self._keys)
+            if warning := keys.check():
+                self._tell(warning)
+        endpoint_rules(self._agents.listen, keys, insecure=self._insecure)
+        if keys and (lacking := keys.lacking([spec.vehicle for spec in specs])):
+            command = f"vcmvsp keys vehicle {lacking[0]} --keys {self._keys}"
+            raise UsageError(f"no machine has a certificate for {', '.join(lacking)}: {command}")
+        return keys
 
     def _add_remote(self, joined: Iterable[tuple[Link, Sequence[AgentSpec]]]) -> None:
         hosts = []

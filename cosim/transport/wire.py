@@ -19,7 +19,7 @@ from cosim.codec import Decoder, encode
 from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from cosim.federate import Event, RunInfo
 
-PROTOCOL = 2
+PROTOCOL = 3
 """Version of this table; a host of another version is refused."""
 
 
@@ -39,6 +39,7 @@ class Welcome(msgspec.Struct, frozen=True, tag=True):
     """The hub's answer to a `Hello`: refused with a reason, or accepted (None)."""
 
     refused: str | None = None
+    deadline_s: float = 2.0  # how long the run waits for an answer, and a host for a run that it is cut off from
 
 
 class Build(msgspec.Struct, frozen=True, tag=True):

@@ -1,13 +1,8 @@
-"""Hosts over Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients. The one home of Zenoh.
+"""The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients.
 
-Keys, all under ``vcmvsp/``::
-
-    hub/join            queryable of the hub: a host's `Hello`, answered by a `Welcome`
-    hub/alive           liveliness token of the hub
-    host/<zid>/ask      queryable of a host: one question, one answer
-    host/<zid>/alive    liveliness token of a host
-
-A query, rather than a pair of publications, carries each question: Zenoh then tells at once when nobody is there to answer.
+The host's end is `cosim.transport.dialling`; the keys, and who may use which, are in `cosim.transport.security`. A query, not
+a pair of publications, carries each question: Zenoh then tells at once when nobody is there to answer. Questions are
+numbered, and a host keeps its last answers: one that was cut off is asked again as soon as it is back, and does nothing twice.
 Callbacks are always direct (no thread per callback) and only hand over to a queue.
 """
 
@@ -16,52 +11,56 @@ import json
 import queue
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import zenoh
 from zenoh.handlers import Callback
 
-from cosim.errors import FederateError, UsageError
-from cosim.transport import wire
-from cosim.transport.remote import Desk, LateError, LinkError
+from cosim.errors import UsageError
+from cosim.transport import security, wire
+from cosim.transport.remote import LateError, LinkError
 
-JOIN, HUB_ALIVE = "vcmvsp/hub/join", "vcmvsp/hub/alive"
+if TYPE_CHECKING:
+    from cosim.certificates import Keys
+
 LOOPBACK = "tcp/127.0.0.1:0"
 """A free port of this machine."""
 
-_COMMON: dict[str, Any] = {
+COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
-    "transport": {"shared_memory": {"enabled": False}},
+    "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": security.LEASE_MS}}},
 }
-_NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
+_RETRY_S = 0.02
 
 
 class Hub:
     """The kernel's end: listens, admits hosts, and gives a link to each.
 
     Args:
-        endpoint: Zenoh endpoint to listen on, e.g. ``tcp/0.0.0.0:7447``; port 0 takes a free one.
+        endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one.
+        keys: the certificates of those who may come; None: anybody may.
+        deadline_s: wall-clock seconds within which hosts must answer; they wait as long for a run that they are cut off from.
 
     Raises:
         UsageError: nothing can listen there.
     """
 
-    def __init__(self, endpoint: str = LOOPBACK) -> None:
-        config = {**_COMMON, "mode": "router", "listen": {"endpoints": [endpoint]}}
+    def __init__(self, endpoint: str = LOOPBACK, keys: "Keys | None" = None, *, deadline_s: float = 2.0) -> None:
+        config = {"mode": "router", "listen": {"endpoints": [endpoint]}}
         config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
-        try:
-            self._session = zenoh.open(_config(config))
-        except zenoh.ZError as error:
-            raise UsageError(f"cannot listen on '{endpoint}': {_first_line(error)}") from error
+        if keys is not None:
+            zenoh.init_log_from_env_or(security.LOG)
+        self._session = opened(config, {} if keys is None else security.hub_security(keys), f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
+        self._keys, self._deadline_s = keys, deadline_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
-        self._token = self._session.liveliness().declare_token(HUB_ALIVE)
-        self._door = self._session.declare_queryable(JOIN, Callback(self._on_join, indirect=False))
         self._shut = False
-        self.gone: set[str] = set()  # hosts that have left
-        watch = Callback(self._on_token, indirect=False)
-        self._watch = self._session.liveliness().declare_subscriber("vcmvsp/host/*/alive", watch)
+        self.gone: set[str] = set()  # sessions of hosts that have left
+        session = self._session
+        self._watch = session.liveliness().declare_subscriber(security.ALIVE, Callback(self._on_token, indirect=False))
+        self._door = session.declare_queryable(security.JOIN, Callback(self._on_join, indirect=False))
+        self._token = session.liveliness().declare_token(security.HUB_ALIVE)
 
     def next_hello(self, timeout_s: float) -> "Knock | None":
         """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
@@ -69,19 +68,27 @@ class Hub:
             query = self._joins.get(timeout=timeout_s)
         except queue.Empty:
             return None
+        speaker = security.speaker(str(query.key_expr))
         try:
             hello = wire.hellos.decode(query.payload.to_bytes() if query.payload else b"")
+            key = security.host_key(speaker[0] if speaker else "", hello.host, "ask")
         except ValueError:
-            self._reply(query, wire.Welcome(refused="that was no greeting of a vcmvsp host"))
+            self._reply(query, "that was no greeting of a vcmvsp host")
             return None
 
         def answer(refused: str | None) -> ZenohLink | None:
             if refused is None and hello.protocol != wire.PROTOCOL:
                 refused = f"this run speaks protocol {wire.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
-            self._reply(query, wire.Welcome(refused=refused))
-            return None if refused else ZenohLink(self._session, hello.host)
+            self._reply(query, refused)
+            return None if refused else ZenohLink(self._session, key)
 
-        return hello, answer
+        denied = None
+        if self._keys is not None and speaker is not None:
+            from cosim import certificates
+
+            current = certificates.load(self._keys.folder)  # somebody may have been shut out since the run began to listen
+            denied = security.admission(current, speaker[0], hello.vehicles)
+        return Knock(hello, speaker[0] if speaker else "", denied, answer)
 
     def shut(self) -> None:
         """Nobody is missing any more: refuse whoever still comes."""
@@ -95,8 +102,9 @@ class Hub:
         self._session.close()  # type: ignore[no-untyped-call]
 
     def _on_token(self, sample: zenoh.Sample) -> None:
-        if sample.kind == zenoh.SampleKind.DELETE:
-            self.gone.add(str(sample.key_expr).split("/")[2])
+        speaker = security.speaker(str(sample.key_expr))
+        if speaker is not None and sample.kind == zenoh.SampleKind.DELETE:
+            self.gone.add(speaker[1])
 
     def _on_join(self, query: zenoh.Query) -> None:
         if self._shut:
@@ -105,11 +113,11 @@ class Hub:
             self._joins.put(query)
 
     def _refuse(self, query: zenoh.Query) -> None:
-        self._reply(query, wire.Welcome(refused="it has begun, and nobody is missing"))
+        self._reply(query, "it has begun, and nobody is missing")
 
-    def _reply(self, query: zenoh.Query, welcome: wire.Welcome) -> None:
+    def _reply(self, query: zenoh.Query, refused: str | None) -> None:
         with query:
-            query.reply(JOIN, wire.encode(welcome))
+            query.reply(query.key_expr, wire.encode(wire.Welcome(refused=refused, deadline_s=self._deadline_s)))
 
     def _locator(self) -> str:
         """Where the session really listens (the admin space knows the port that 0 became)."""
@@ -121,126 +129,104 @@ class Hub:
         raise UsageError("the Zenoh session does not say where it listens")
 
 
-Knock = tuple[wire.Hello, Callable[[str | None], "ZenohLink | None"]]
-"""A host that wants to join, and how to answer it."""
+class Knock(NamedTuple):
+    """A host that wants to join."""
+
+    hello: wire.Hello
+    name: str  # of its certificate
+    denied: str | None  # why its certificate does not let it; None: it does
+    answer: "Callable[[str | None], ZenohLink | None]"  # with why it is refused, or None to let it in
 
 
 class ZenohLink:
-    """A `cosim.transport.remote.Link` to one host."""
+    """A `cosim.transport.remote.Link` to one host.
 
-    def __init__(self, session: zenoh.Session, host: str) -> None:
-        self._session, self._key = session, f"vcmvsp/host/{host}/ask"
-        self._open: deque[tuple[zenoh.Handler[zenoh.Reply], float]] = deque()
-        self.why_lost: Callable[[], str] = lambda: "left the run: its process ended or the connection broke"
+    Args:
+        session: the hub's.
+        key: of the host's queryable.
+
+    Attributes:
+        why_lost: says how the host has ended; an empty answer: that is not known, and it may come back.
+        released: lets go of whatever runs the host; told whether it has answered to the last.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._session, self._key = session, key
+        self._open: deque[_Question] = deque()
+        self._asked = 0
+        self.why_lost: Callable[[], str] = lambda: ""
         self.released: Callable[[bool], None] = lambda _: None
         self._failed = False
 
     def ask(self, question: bytes, deadline_s: float) -> None:
         """Send a question; Zenoh ends it without a reply as soon as nobody is there who could answer."""
-        self._open.append((self._session.get(self._key, payload=question, timeout=deadline_s), deadline_s))
+        self._asked += 1
+        asked = _Question(self._asked, question, deadline_s, time.monotonic() + deadline_s)
+        asked.replies = self._get(asked)
+        self._open.append(asked)
 
     def answer(self) -> bytes:
         """Wait for the answer to the oldest open question."""
-        replies, deadline_s = self._open[0]  # it stays open if Ctrl-C ends the waiting
-        try:
-            reply = replies.recv()
-        except zenoh.ZError:
-            self._failed = True
-            raise LinkError(self.why_lost()) from None
+        oldest = self._open[0]  # it stays open if Ctrl-C ends the waiting
+        while True:
+            try:
+                reply = oldest.replies.recv()
+                break
+            except zenoh.ZError:
+                self._ask_again(oldest)
         self._open.popleft()
         if reply.ok is None:
             self._failed = True
-            raise LateError(f"did not answer within the deadline of {deadline_s:g} s")
+            raise LateError(f"did not answer within the deadline of {oldest.deadline_s:g} s")
         return reply.ok.payload.to_bytes()
 
     def close(self) -> None:
         """Let go of whatever runs the host."""
         self.released(not self._failed)
 
+    def _ask_again(self, oldest: "_Question") -> None:
+        """Ask all that is open once more, for as long as the host may still come back."""
+        ended = self.why_lost()
+        if not ended and time.monotonic() + _RETRY_S >= oldest.last:
+            ended = f"left the run, and did not come back within the deadline of {oldest.deadline_s:g} s"
+        if ended:
+            self._failed = True
+            raise LinkError(ended)
+        time.sleep(_RETRY_S)
+        for each in self._open:
+            each.replies = self._get(each)
 
-def serve(
-    hello: Callable[[str], wire.Hello],
-    desk: Desk,
-    endpoint: str,
-    *,
-    on_state: Callable[[str], None] = lambda _: None,
-) -> str:
-    """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
+    def _get(self, asked: "_Question") -> "zenoh.Handler[zenoh.Reply]":
+        left_s = max(_RETRY_S, asked.last - time.monotonic())
+        return self._session.get(self._key, payload=asked.content, attachment=str(asked.number), timeout=left_s)
 
-    Args:
-        hello: makes the greeting, given the host's own id.
-        desk: answers the questions.
-        endpoint: of the hub, e.g. ``tcp/192.168.1.10:7447``; it need not be there yet.
-        on_state: told what is being waited for.
+
+class _Question:
+    """One that has not been answered."""
+
+    replies: "zenoh.Handler[zenoh.Reply]"
+
+    def __init__(self, number: int, content: bytes, deadline_s: float, last: float) -> None:
+        self.number, self.content, self.deadline_s, self.last = number, content, deadline_s, last
+
+
+def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.Session:
+    """A session of this configuration.
 
     Raises:
-        UsageError: the endpoint is none, or the hub refuses this host.
-        FederateError: an agent of this host failed, or the run is gone.
+        UsageError: there can be none; the message begins with ``failure``.
     """
-    with _dial(endpoint, on_state) as session:
-        host = str(session.zid())
-        inbox: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
-        key = f"vcmvsp/host/{host}/ask"
-        queryable = session.declare_queryable(key, Callback(inbox.put, indirect=False))
-        token = session.liveliness().declare_token(f"vcmvsp/host/{host}/alive")
-
-        def on_hub(sample: zenoh.Sample) -> None:
-            if sample.kind == zenoh.SampleKind.DELETE:
-                inbox.put(None)
-
-        watch = session.liveliness().declare_subscriber(HUB_ALIVE, Callback(on_hub, indirect=False), history=True)
-        _join(session, hello(host))
-        on_state("joined; waiting for the run to begin")
-        try:
-            while desk.ended is None:
-                query = inbox.get()
-                if query is None:
-                    raise FederateError("the run", "is gone: its process ended or the connection broke")
-                with query:
-                    query.reply(key, desk.handle(query.payload.to_bytes() if query.payload else b""))
-            if desk.failure is not None:
-                raise desk.failure
-            return desk.ended
-        finally:
-            desk.close()
-            for handle in (watch, token, queryable):
-                handle.undeclare()  # type: ignore[no-untyped-call]
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(security.merge(COMMON, own, secure))))
+    except zenoh.ZError as error:
+        raise UsageError(f"{failure}: {first_line(error)}") from error
 
 
-@contextlib.contextmanager
-def _dial(endpoint: str, on_state: Callable[[str], None]) -> Iterator[zenoh.Session]:
-    """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
-    config = {**_COMMON, "mode": "client", "listen": {"endpoints": []}}
-    config["connect"] = {"endpoints": [endpoint], "timeout_ms": 0}
-    told = False
-    while True:
-        try:
-            session = zenoh.open(_config(config))
-            break
-        except zenoh.ZError as error:
-            if "Unable to connect" not in str(error):
-                raise UsageError(f"cannot connect to '{endpoint}': {_first_line(error)}") from error
-            if not told:
-                on_state(f"waiting for a run at {endpoint}")
-                told = True
-            time.sleep(0.1)
-    with session:
-        yield session
+def first_line(error: Exception) -> str:
+    """What Zenoh says, without where in its sources."""
+    return str(error).splitlines()[0].partition(" at /")[0]
 
 
-def _join(session: zenoh.Session, hello: wire.Hello) -> None:
-    for reply in session.get(JOIN, payload=wire.encode(hello), timeout=_NO_TIMEOUT_S):
-        if reply.ok is not None:
-            refused = wire.welcomes.decode(reply.ok.payload.to_bytes()).refused
-            if refused:
-                raise UsageError(f"the run refuses this host: {refused}")
-            return
-    raise UsageError("the run ended before it let this host in")
-
-
-def _config(values: dict[str, Any]) -> zenoh.Config:
-    return zenoh.Config.from_json5(json.dumps(values))
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0].partition(" at /")[0]  # the rest is where in Zenoh's sources
+def common_names(session: zenoh.Session) -> Iterable[str | None]:
+    """The names on the certificates at the other ends of a session's links."""
+    return [link.auth_identifier for link in session.info.links()]

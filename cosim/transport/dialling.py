@@ -1,0 +1,151 @@
+"""The host's end of Eclipse Zenoh: dial in, join a run, answer its questions until it ends."""
+
+import queue
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import zenoh
+from zenoh.handlers import Callback
+
+from cosim.errors import FederateError, UsageError
+from cosim.transport import security, wire
+from cosim.transport.remote import Desk
+from cosim.transport.zenoh import common_names, opened
+
+if TYPE_CHECKING:
+    from cosim.certificates import Bundle
+
+KEPT = 64  # answers; more questions than that are never open at once: a latency is a few ticks
+JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door yet
+_NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
+_DIAL_S = 0.1
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
+
+
+def serve(
+    hello: Callable[[str], wire.Hello],
+    desk: Desk,
+    endpoint: str,
+    *,
+    bundle: "Bundle | None" = None,
+    on_state: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
+
+    Args:
+        hello: makes the greeting, given the host's own id.
+        desk: answers the questions.
+        endpoint: of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet.
+        bundle: certificate of this host; None: plain TCP.
+        on_state: told what is being waited for.
+
+    Raises:
+        UsageError: the endpoint is none, or the hub refuses this host.
+        FederateError: an agent of this host failed, or the run is gone.
+    """
+    name = security.OPEN if bundle is None else bundle.name
+    with _dial(endpoint, bundle, on_state) as session:
+        host = str(session.zid())
+        questions: queue.SimpleQueue[zenoh.Query | bool] = queue.SimpleQueue()
+        key = security.host_key(name, host, "ask")
+        queryable = session.declare_queryable(key, Callback(questions.put, indirect=False))
+        token = session.liveliness().declare_token(security.host_key(name, host, "alive"))
+
+        def on_hub(sample: zenoh.Sample) -> None:
+            questions.put(sample.kind == zenoh.SampleKind.PUT)
+
+        listens = Callback(on_hub, indirect=False)
+        watch = session.liveliness().declare_subscriber(security.HUB_ALIVE, listens, history=True)
+        welcome = _join(session, name, hello(host))
+        on_state("joined; waiting for the run to begin")
+        try:
+            _answer(questions, desk, key, session, welcome.deadline_s)
+            if desk.failure is not None:
+                raise desk.failure
+            return desk.ended or ""
+        finally:
+            desk.close()
+            for handle in (watch, token, queryable):
+                handle.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _answer(
+    questions: "queue.SimpleQueue[zenoh.Query | bool]", desk: Desk, key: str, session: zenoh.Session, patience_s: float
+) -> None:
+    """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again."""
+    answers: OrderedDict[bytes, bytes] = OrderedDict()
+    hub = _hub(session)
+    there = True
+    while desk.ended is None:
+        try:
+            question = questions.get(timeout=None if there else patience_s)
+        except queue.Empty:
+            raise FederateError("the run", "is gone: its process ended or the connection broke") from None
+        if isinstance(question, bool):  # whether the hub is there
+            there = question
+            if there and _hub(session) not in (hub, ""):
+                raise FederateError("the run", "is gone: another one listens there now; start this host again")
+            continue
+        with question:
+            number = question.attachment.to_bytes() if question.attachment else b""
+            if number not in answers:
+                answers[number] = desk.handle(question.payload.to_bytes() if question.payload else b"")
+                if len(answers) > KEPT:
+                    answers.popitem(last=False)
+            question.reply(key, answers[number])
+
+
+def _hub(session: zenoh.Session) -> str:
+    """The id of the hub's session; empty: it is out of reach."""
+    return "".join(str(each) for each in session.info.routers_zid()[:1])
+
+
+def _dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]) -> zenoh.Session:
+    """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
+    connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
+    own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
+    secure = {} if bundle is None else security.machine_security(bundle)
+    told = ""
+    while True:
+        try:
+            session = opened(own, secure, f"cannot connect to '{endpoint}'")
+            break
+        except UsageError as error:
+            if "Unable to connect" not in str(error):
+                raise
+        refusal = security.diagnose(endpoint, bundle)
+        if refusal is not None and refusal.final:
+            raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
+        waits = f"waiting for a run at {endpoint}" + (f": {refusal.why}" if refusal else "")
+        if waits != told:
+            on_state(waits)
+            told = waits
+        time.sleep(_DIAL_S)
+    if bundle is not None:
+        try:
+            security.check_hub(common_names(session))
+        except UsageError:
+            session.close()  # type: ignore[no-untyped-call]
+            raise
+    return session
+
+
+def _join(session: zenoh.Session, name: str, hello: wire.Hello) -> wire.Welcome:
+    """Greet the hub until it answers."""
+    greeting = wire.encode(hello)
+    if len(greeting) > security.MAX_JOIN:
+        raise UsageError(f"the greeting is too long ({len(greeting)} bytes; at most {security.MAX_JOIN}): fewer --set")
+    last = time.monotonic() + JOIN_S
+    while True:
+        for reply in session.get(security.join_key(name), payload=greeting, timeout=_NO_TIMEOUT_S):
+            if reply.ok is not None:
+                welcome = wire.welcomes.decode(reply.ok.payload.to_bytes())
+                if welcome.refused:
+                    raise UsageError(f"the run refuses this host: {welcome.refused}")
+                return welcome
+        if time.monotonic() > last:
+            break
+        time.sleep(_DIAL_S)
+    raise UsageError("the run ended before it let this host in" if name == security.OPEN else security.silence(name))

@@ -1,0 +1,304 @@
+"""Who may say what over the network: Zenoh configurations with certificates on both ends and rules of access.
+
+Keys of the protocol, with a machine's name NAME from its certificate and ZID, the id of its Zenoh session::
+
+    vcmvsp/join/NAME             queryable of the hub: a host that wants to take part
+    vcmvsp/host/NAME/ZID/ask     queryable of a host: one question, one answer
+    vcmvsp/host/NAME/ZID/alive   liveliness token of a host
+    vcmvsp/hub/alive             liveliness token of the hub
+    vcmvsp/topic/...             what the run shows to observers
+
+A machine's name stands in each key that it may use, and the hub lets it use no other (Zenoh compares with the certificate). So
+the key says for certain who speaks, and what a payload says of it is worth nothing. All else is denied, both ways. Zenoh denies
+in silence: a query on a denied key ends at once without a reply, and a put goes nowhere.
+"""
+
+import base64
+import ipaddress
+import re
+import socket
+import ssl
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from cosim.errors import UsageError
+
+if TYPE_CHECKING:
+    from cosim.certificates import Bundle, Keys
+
+OPEN = "anyone"
+"""The name that stands in the keys of a host without a certificate (on this machine, or where the user wants none)."""
+
+JOIN, HUB_ALIVE, TOPICS = "vcmvsp/join/*", "vcmvsp/hub/alive", "vcmvsp/topic/**"
+ALIVE = "vcmvsp/host/*/*/alive"
+
+MAX_MESSAGE = 16 * 2**20  # bytes of an answer
+MAX_JOIN = 64 * 2**10  # bytes of a greeting, which anybody may send who is let in at all
+LEASE_MS = 1000  # who says nothing for so long is gone; the lease of the silent one counts
+ACCEPT_MS = 3000  # who dials and then says nothing holds a place for so long
+OPEN_MS = 2000  # who dials something that does not answer tries for so long
+PROBE_S = 1.0
+
+LOG = "error,zenoh_link_tls=warn"
+"""What Zenoh is to log in a hub with certificates: why it turned somebody away at the door is said nowhere else."""
+
+_KEY = re.compile(r"vcmvsp/(?:join/([A-Za-z0-9_-]+)|host/([A-Za-z0-9_-]+)/([0-9a-f]{1,32})/(?:ask|alive))")
+_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#\s]+):(\d{1,5})")
+
+Side = Literal["run", "host", "observer"]
+Config = dict[str, Any]
+
+
+class Refusal(NamedTuple):
+    """Why a connection did not come about; ``final``: trying again will not help."""
+
+    why: str
+    final: bool
+
+
+def join_key(name: str) -> str:
+    """Where a host greets the hub."""
+    return f"vcmvsp/join/{name}"
+
+
+def host_key(name: str, zid: str, what: Literal["ask", "alive"]) -> str:
+    """A key of a host.
+
+    Raises:
+        ValueError: the name or the id has characters that could make it another host's key.
+    """
+    key = f"vcmvsp/host/{name}/{zid}/{what}"
+    if speaker(key) is None:
+        raise ValueError(f"no key of a host: {key!r}")
+    return key
+
+
+def speaker(key: str) -> tuple[str, str] | None:
+    """Name and session id (empty in a greeting) of the machine that a key belongs to; None: the key is none, or is for many."""
+    found = _KEY.fullmatch(key)
+    return (found[1] or found[2], found[3] or "") if found else None
+
+
+def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
+    """Why a machine of this name may not run the agents of these vehicles; None: it may."""
+    entry = keys.index.find(name)
+    if entry is None:
+        return f"no certificate was given to '{name}'"
+    if entry.revoked:
+        return f"the certificate of '{name}' has been revoked"
+    if entry.role != "host":
+        return f"the certificate of '{name}' is for watching only"
+    if foreign := [vehicle for vehicle in vehicles if vehicle not in entry.vehicles]:
+        return f"the certificate of '{name}' is for {', '.join(entry.vehicles)}, not for {', '.join(foreign)}"
+    return None
+
+
+def silence(name: str) -> str:
+    """What to say when the hub ends a greeting without a reply, though the connection stands."""
+    return f"the run's rules do not know '{name}': its certificate was revoked, or made after the run had begun to listen"
+
+
+def hub_security(keys: "Keys") -> Config:
+    """What the hub's configuration needs: certificates on both ends, limits, and an access rule for each machine."""
+    tls = {"listen_private_key_base64": _base64(keys.key_pem), "listen_certificate_base64": _base64(keys.certificate_pem)}
+    config = _transport(keys.ca_pem, tls)
+    config["transport"]["unicast"] = {"accept_timeout": ACCEPT_MS}
+    config["transport"]["link"]["rx"] = {"max_message_size": MAX_MESSAGE}
+    greeting = {"id": "greeting", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN], "size_limit": MAX_JOIN}
+    config["low_pass_filter"] = [greeting]
+    hosts = [entry.name for entry in keys.members if entry.role == "host"]
+    observers = [entry.name for entry in keys.members if entry.role == "observer"]
+    config["access_control"] = _access(hosts, observers)
+    return config
+
+
+def machine_security(bundle: "Bundle") -> Config:
+    """What the configuration of a host or an observer needs."""
+    tls = {
+        "connect_private_key_base64": _base64(bundle.key_pem),
+        "connect_certificate_base64": _base64(bundle.certificate_pem),
+    }
+    config = _transport(bundle.ca_pem, tls)
+    config["transport"]["unicast"] = {"open_timeout": OPEN_MS}
+    return config
+
+
+def merge(*configs: Mapping[str, Any]) -> Config:
+    """One configuration of several; of tables the keys of both, of all else the later."""
+    merged: Config = {}
+    for config in configs:
+        for key, value in config.items():
+            both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+            merged[key] = merge(merged[key], value) if both else value
+    return merged
+
+
+def check_hub(identifiers: Iterable[str | None]) -> None:
+    """Raise `UsageError` unless all links of a session lead to a hub, by the names of the certificates at their other ends.
+
+    Beside the authority that it is given, Zenoh's client trusts all public ones, and anybody may ask those for a certificate of
+    a host name of his own; but none of them gives one with the bare common name ``hub``.
+    """
+    from cosim.certificates import HUB  # here, because loading the library of certificates takes a quarter of a second
+
+    for name in identifiers:
+        if name != HUB:
+            raise UsageError(f"what answers there is '{name}', not a run")
+
+
+def endpoint_rules(endpoint: str, keys: "Keys | Bundle | None" = None, *, insecure: bool = False, side: Side = "run") -> None:
+    """Raise `UsageError` if this endpoint may not be used so: beyond this machine certificates are a must.
+
+    Args:
+        endpoint: ``tcp/HOST:PORT`` or ``tls/HOST:PORT``.
+        keys: certificates that the user has named.
+        insecure: the user wants to do without them.
+        side: who asks, for the message.
+    """
+    protocol, host, _ = _parts(endpoint)
+    how, command = {
+        "run": ("--keys DIR", "make it with: vcmvsp keys init DIR"),
+        "host": ("--keys FILE", "made on the run's machine with: vcmvsp keys vehicle NAME --keys DIR"),
+        "observer": ("--keys FILE", "made on the run's machine with: vcmvsp keys observer NAME --keys DIR"),
+    }[side]
+    tls = endpoint.replace("tcp/", "tls/", 1)
+    if protocol == "tls" and keys is None:
+        raise UsageError(f"{endpoint}: TLS needs certificates: add {how} ({command})")
+    if protocol == "tls" and side != "run" and ":" in host:
+        raise UsageError(f"{endpoint}: Zenoh dials no IPv6 address with TLS: use a host name (vcmvsp keys hub --name adds it)")
+    if protocol == "tcp" and keys is not None:
+        raise UsageError(f"{endpoint}: plain TCP uses no certificates: write {tls}, or leave out --keys")
+    if protocol == "tcp" and not insecure and not is_loopback(host):
+        problem = "plain TCP lets in everybody who can reach that address"
+        raise UsageError(f"{endpoint}: {problem}: use {tls} {how} ({command}), or add --insecure where you trust everybody")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host name or address can be reached from this machine only."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def diagnose(endpoint: str, bundle: "Bundle | None") -> Refusal | None:
+    """Find out, by a handshake of our own, why Zenoh could not connect, which it does not say.
+
+    Args:
+        endpoint: where it could not.
+        bundle: the certificate it tried with; None: plain TCP.
+
+    Returns:
+        the reason; None: the handshake went well this time.
+    """
+    _, host, port = _parts(endpoint)
+    try:
+        with socket.create_connection((host, port), timeout=PROBE_S) as connection:
+            return _probe(connection, host) if bundle is None else _probe_tls(connection, host, bundle)
+    except socket.gaierror:
+        return Refusal(f"no machine is known by the name '{host}'", final=False)
+    except OSError as error:
+        return Refusal(f"nobody listens there ({error.strerror or 'timed out'})", final=False)
+
+
+def _probe(connection: socket.socket, host: str) -> Refusal | None:
+    """Whether what listens there wants TLS, whoever it is."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    try:
+        context.wrap_socket(connection, server_hostname=host).close()
+    except OSError:  # which a failed or timed out handshake is, too
+        return None
+    return Refusal("that run wants certificates: dial tls/... and add --keys FILE", final=True)
+
+
+def _probe_tls(connection: socket.socket, host: str, bundle: "Bundle") -> Refusal | None:
+    context = ssl.create_default_context(ssl.Purpose.SERVER_AUTH, cadata=bundle.ca_pem)
+    context.load_cert_chain(bundle.path)
+    try:
+        tls = context.wrap_socket(connection, server_hostname=host)
+    except ssl.SSLCertVerificationError as error:
+        return Refusal(_fault_of_hub(error, host, bundle), final=True)
+    except TimeoutError:  # as a plain listener of Zenoh does, but so does a run that is being flooded
+        return Refusal("what listens there does not answer in TLS; is it a run with --listen tcp/...?", final=False)
+    except OSError as error:
+        return Refusal(f"what listens there broke off the handshake ({getattr(error, 'reason', None) or error})", final=False)
+    with tls:
+        try:
+            tls.recv(1)  # in TLS 1.3 the other end checks our certificate after the handshake, and speaks only if it is bad
+        except ssl.SSLError as error:
+            return Refusal(_fault_of_ours(error.reason or str(error), bundle), final=True)
+        except OSError:
+            return None
+    return None
+
+
+def _fault_of_hub(error: ssl.SSLCertVerificationError, host: str, bundle: "Bundle") -> str:
+    """What is wrong with the certificate that the hub has shown (codes: OpenSSL, x509_vfy.h)."""
+    match error.verify_code:
+        case 9:
+            return "the run's certificate is not valid yet: is the clock of this machine right?"
+        case 10:
+            return "the run's certificate has expired; on its machine: vcmvsp keys hub --keys DIR"
+        case 18 | 19 | 20 | 21:
+            return f"the run's certificate is of another authority than {bundle.path}: use a file made with the run's own keys"
+        case 26:
+            return "what listens there is no run: its certificate is that of a host"
+        case 62 | 64:
+            return f"the run's certificate is not for '{host}'; on its machine: vcmvsp keys hub --name {host} --keys DIR"
+    return f"the run's certificate is bad: {error.verify_message}"
+
+
+def _fault_of_ours(alert: str, bundle: "Bundle") -> str:
+    """What the hub found wrong with our certificate (alerts: RFC 8446, 6.2)."""
+    if "EXPIRED" in alert:
+        return f"by the clock of the run's machine, {bundle.path} has expired or is not valid yet"
+    if "UNKNOWN_CA" in alert:
+        return f"the run does not know the authority of {bundle.path}: use a file made with the run's own keys"
+    return f"the run does not accept {bundle.path} ({alert.lower().replace('_', ' ')})"
+
+
+def _transport(ca_pem: str, own: Mapping[str, str]) -> Config:
+    """TLS and nothing else, with certificates on both ends."""
+    tls: Config = {"root_ca_certificate_base64": _base64(ca_pem), **own}
+    tls |= {"enable_mtls": True, "verify_name_on_connect": True, "close_link_on_expiration": True}
+    return {"transport": {"link": {"protocols": ["tls"], "tls": tls, "tx": {"lease": LEASE_MS}}}}
+
+
+def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
+    """Deny all but this; "ingress" is what a machine says, "egress" what it hears. The hub's own session is not asked."""
+    rules: list[Config] = []
+    policies: list[Config] = []
+
+    def allow(name: str, rule: str, flow: str, messages: list[str], key: str) -> None:
+        rule = f"{name}/{rule}"  # no name has a slash
+        rules.append({"id": rule, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
+        policies[-1]["rules"].append(rule)
+
+    for name in hosts:
+        policies.append({"subjects": [name], "rules": []})
+        allow(name, "greets", "ingress", ["query"], join_key(name))
+        allow(name, "is answered", "egress", ["reply"], join_key(name))
+        allow(name, "answers", "ingress", ["declare_queryable", "reply"], f"vcmvsp/host/{name}/*/ask")
+        allow(name, "is asked", "egress", ["query"], f"vcmvsp/host/{name}/*/ask")
+        allow(name, "is alive", "ingress", ["liveliness_token"], f"vcmvsp/host/{name}/*/alive")
+        allow(name, "watches", "ingress", ["declare_liveliness_subscriber"], HUB_ALIVE)
+        allow(name, "sees", "egress", ["liveliness_token"], HUB_ALIVE)
+    for name in observers:
+        policies.append({"subjects": [name], "rules": []})
+        allow(name, "listens", "ingress", ["declare_subscriber"], TOPICS)
+        allow(name, "hears", "egress", ["put"], TOPICS)
+    subjects = [{"id": name, "cert_common_names": [name]} for policy in policies for name in policy["subjects"]]
+    default = {"enabled": True, "default_permission": "deny"}
+    return {**default, "rules": rules, "subjects": subjects, "policies": policies}
+
+
+def _parts(endpoint: str) -> tuple[str, str, int]:
+    found = _ENDPOINT.fullmatch(endpoint)
+    if not found or int(found[3]) > 65535:
+        raise UsageError(f"'{endpoint}': must be tcp/HOST:PORT or tls/HOST:PORT, e.g. tls/192.168.1.10:7447")
+    return found[1], found[2].strip("[]"), int(found[3])
+
+
+def _base64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()

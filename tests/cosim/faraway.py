@@ -1,0 +1,67 @@
+"""A network between a run and its hosts that can be cut: a TCP forwarder of this machine."""
+
+import contextlib
+import socket
+import threading
+import time
+
+
+class Wire:
+    """Forwards connections to ``port``; cut, it carries nothing, or breaks what there is and lets nobody in."""
+
+    def __init__(self, port: int) -> None:
+        self._target = port
+        self._door = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._door.getsockname()[1]
+        self._whole = threading.Event()
+        self._whole.set()
+        self._refuses = False
+        self._ends: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def freeze(self, seconds: float) -> None:
+        """Carry nothing for so long, and then what has been waiting: a cable that is pulled and put back."""
+        self._whole.clear()
+        time.sleep(seconds)
+        self._whole.set()
+
+    def reset(self, seconds: float) -> None:
+        """Break all connections, and let nobody in for so long."""
+        self._refuses = True
+        for end in self._ends:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+        time.sleep(seconds)
+        self._refuses = False
+
+    def close(self) -> None:
+        self._door.close()
+        for end in self._ends:
+            end.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._door.accept()
+                far = None if self._refuses else self._dial()
+                if far is None:
+                    near.close()
+                    continue
+                self._ends += [near, far]
+                for one, other in ((near, far), (far, near)):
+                    threading.Thread(target=self._carry, args=(one, other), daemon=True).start()
+
+    def _dial(self) -> socket.socket | None:
+        try:
+            return socket.create_connection(("127.0.0.1", self._target))
+        except OSError:  # nobody listens yet
+            return None
+
+    def _carry(self, one: socket.socket, other: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := one.recv(65536):
+                self._whole.wait()
+                other.sendall(data)
+        for end in (one, other):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
