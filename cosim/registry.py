@@ -156,6 +156,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "loss": {
         "bernoulli": "netsim.loss:Bernoulli",
         "gilbert_elliott": "netsim.burst:GilbertElliott",
+        "bursts": "netsim.bursts:Bursts",
         "none": "netsim.loss:NoLoss",
     },
     "delivery": {"delivery": "netsim.delivery:Delivery", "none": NOTHING},

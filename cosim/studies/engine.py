@@ -113,8 +113,7 @@ def conduct(
         if out is not None:
             from cosim.studies import outputs
 
-            spec: Any = plan
-            outputs.write(out, table, spec)
+            outputs.write(out, table, plan)
             about = _about(plan, started, time.monotonic() - begin, plan.size - before, cluster=cluster, jobs=jobs)
             (out / "about.json").write_text(to_json(about), "utf-8")
     return Studied(table, plan, out)

@@ -1,0 +1,129 @@
+"""A self-contained page: a title, a few words, and sections of figures, tables and text. It asks nothing of a network.
+
+What goes in is escaped by the template; only figures are taken as they are, and they must be SVG that we drew ourselves.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+HERE = Path(__file__).resolve().parent
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing, as the text of an SVG file."""
+
+    svg: str
+    words: str  # what it shows, for those who do not see it
+    kind: str = "figure"
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table; numbers in it are shown to four digits, None as a dash."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    kind: str = "rows"
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and what they are."""
+
+    facts: Sequence[tuple[str, Any]]
+    kind: str = "facts"
+
+
+@dataclass(frozen=True)
+class Code:
+    """Text as it is: a command, a file. ``folded`` words stand in its place until a reader opens it."""
+
+    text: str
+    folded: str = ""
+    kind: str = "code"
+
+
+@dataclass(frozen=True)
+class Words:
+    """A paragraph."""
+
+    text: str
+    kind: str = "words"
+
+
+Part = Figure | Rows | Facts | Code | Words
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands below it."""
+
+    title: str
+    parts: Sequence[Part]
+
+
+def page(title: str, lead: str, sections: Sequence[Section]) -> str:
+    """The page as HTML."""
+    figures = [part for section in sections for part in section.parts if isinstance(part, Figure)]
+    return _template().render(
+        title=title,
+        lead=lead,
+        sections=sections,
+        style=Markup((HERE / "style.css").read_text("utf-8")),  # noqa: S704  our own file
+        inline=lambda figure: _inline(figure, figures.index(figure)),
+    )
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["cell"] = cell
+    environment.tests["number"] = lambda value: isinstance(value, int | float) and not isinstance(value, bool)
+    return environment.get_template("page.html.jinja")
+
+
+def cell(value: Any) -> str:
+    """A value as it stands in a table."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return _digits(value)
+    return str(value)
+
+
+def _digits(value: float) -> str:
+    """Four significant digits, and no exponent where it can be read without one."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    if 1e-4 <= abs(value) < 1e6:
+        places = max(0, 3 - math.floor(math.log10(abs(value))))
+        text = f"{value:.{places}f}"
+        return text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{value:.3e}"
+
+
+def _inline(figure: Figure, number: int) -> Markup:
+    """An SVG file as an element of a page, whose names do not collide with those of another."""
+    svg = figure.svg[figure.svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"""(\bid="|url\(#|href="#)""", rf"\g<1>f{number}-", svg)
+    svg = re.sub(r'(<svg[^>]*?) width="[^"]*" height="([^"]*)"', r"\1", svg, count=1)
+    words = Markup.escape(figure.words)
+    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{words}"', 1))  # noqa: S704  drawn by us
