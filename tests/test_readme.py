@@ -56,7 +56,7 @@ def test_the_agent_as_an_object_and_as_a_file_give_the_same(gap: Path) -> None:
 def test_the_lines_for_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {}
-    exec(block("python", "import cosim\n"), space)
+    exec(block("python", "import cosim\n\nr = "), space)
     assert len(capsys.readouterr().out.split()) == 2
     names = {"scenario.toml", "run.mcap", "radio.parquet", "states.parquet", "metrics.json", "about.json"}
     assert {path.name for path in (tmp_path / "lossy").iterdir()} == names | {"trajectory.png", "formation_error.png"}
