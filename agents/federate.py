@@ -170,6 +170,7 @@ class _Seat:
 
     def die(self, now_ns: int, events: list[Event]) -> None:
         """From now on the vehicle stands still and says nothing."""
+        self._heard.clear()
         if not self._dead:
             self._dead, when = True, now_ns + self.info.latency_ns
             note = Note(values={"status": "failed"})

@@ -51,7 +51,7 @@ class LeaderFollower(Agent):
         max_speed: limit of the commanded speed, m/s; default: none but the vehicle's own.
         max_reverse: fastest commanded reverse, m/s.
         max_yaw_rate: limit of the commanded yaw rate, rad/s; default: none but the vehicle's own.
-        horizon_s: how long ``dr`` trusts the last reported speeds, s.
+        horizon_s: how long ``dr`` trusts the last reported speeds, and the feed-forward the acceleration, s.
         fade_s: time in which it lets them fade after that, and in which this vehicle stops when the leader is lost, s.
         timeout_s: age of the newest report at which the leader counts as lost, s.
         heartbeat_s: in a formation: silence after which a parent is left for its own parent, s (`heartbeat_for`).
@@ -92,7 +92,7 @@ class LeaderFollower(Agent):
         self.max_speed = math.inf if max_speed is None else max_speed
         self.max_reverse = max_reverse
         self.max_yaw_rate = math.inf if max_yaw_rate is None else max_yaw_rate
-        self.fade_s, self.timeout_s = fade_s, timeout_s
+        self.horizon_s, self.fade_s, self.timeout_s = horizon_s, fade_s, timeout_s
         self.broadcast = bool(broadcast)
         self._clock_bound_s, self._broadcast_always = clock_bound_s, broadcast
         self._heartbeat_ns = None if heartbeat_s is None else seconds_to_ns(heartbeat_s)
@@ -176,7 +176,8 @@ class LeaderFollower(Agent):
             leader = self._fed(leader, obs.time_ns)
         v, w, z1, z2 = formation_law((x, y, yaw_of(obs.state.attitude)), leader, self.place, self.k1, self.k2)
         if self.feed_forward_s:
-            v += self.feed_forward_s * accelerations(newest)[0]
+            trust = max(0.0, min(1.0, 1.0 - (age_s - self.horizon_s) / self.fade_s))
+            v += trust * self.feed_forward_s * accelerations(newest)[0]
         self._v = max(-self.max_reverse, min(v, self.max_speed))
         self._w = max(-self.max_yaw_rate, min(w, self.max_yaw_rate))
         self._fading_ns = None

@@ -18,7 +18,10 @@ from cosim.types import Positive
 
 
 class Estimator(Protocol):
-    """From the newest report and its age to the leader's present state."""
+    """From the newest report and its age to the leader's present state.
+
+    A pure function: a vehicle asks one estimator about what it hears, and about what it sends.
+    """
 
     def predict(self, report: Report, age_s: float) -> LeaderState:
         """State of the leader ``age_s`` seconds (>= 0) after ``report`` was valid."""

@@ -20,7 +20,7 @@ from cosim.frames import wrap, yaw_of
 from cosim.types import NonNegative, Positive
 
 METRES_PER_RADIAN = 0.5  # what an error of the heading counts
-GIVEN_UP = 5.0  # times silence_s: so long is an answer awaited of one who has answered before and was not announced
+GIVEN_UP = 5.0  # times silence_s: so long is an answer awaited of one who gives none
 REMEMBERED = 64  # reports, besides those that followers have confirmed: an answer to an older one is not understood any more
 
 
@@ -55,12 +55,13 @@ class Reporter:
         self._always = self.sending.when == "always"
         self._sent: dict[int, Report] = {}  # by number: what a follower may have as its newest, the last one last
         self._has: dict[str, int] = {}  # the number that each follower has confirmed last; -1: none
-        self._answered_ns: dict[str, float] = {}  # when; inf: it is awaited whenever that was
+        self._answered_ns: dict[str, float] = {}  # when; inf: it has only just been announced
 
     def start(self, listeners: Iterable[str]) -> None:
         """Before the first tick, and whenever it changes: who follows this vehicle, so that their answers are awaited.
 
-        Anybody else who answers is awaited too, until it has given no answer for ``GIVEN_UP`` times ``silence_s``.
+        Anybody else who answers is awaited too. Who has given no answer for ``GIVEN_UP`` times ``silence_s`` is taken to be
+        gone, and reports are not repeated for its sake, until it answers again.
         """
         names = tuple(listeners)
         self._has = {name: self._has.get(name, -1) for name in names}
@@ -92,8 +93,8 @@ class Reporter:
             number = None if isinstance(body, bytes) else body.get("ack")
             if type(number) is int and number in self._sent:
                 self._has[name] = max(number, self._has.get(name, -1))
-                if self._answered_ns.get(name) != math.inf:
-                    self._answered_ns[name] = obs.time_ns
+                self._answered_ns[name] = obs.time_ns
+        self._answered_ns = {name: min(when, obs.time_ns) for name, when in self._answered_ns.items()}
         patience_ns = GIVEN_UP * self.sending.silence_s * 1e9
         for name in [each for each, when in self._answered_ns.items() if obs.time_ns - when > patience_ns]:
             del self._has[name], self._answered_ns[name]

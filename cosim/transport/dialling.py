@@ -2,7 +2,6 @@
 
 import queue
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,6 @@ from cosim.transport.zenoh import common_names, opened
 if TYPE_CHECKING:
     from cosim.certificates import Bundle
 
-KEPT = 64  # answers; more questions than that are never open at once: a latency is a few ticks
 JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door yet
 _NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 _DIAL_S = 0.1
@@ -74,8 +72,13 @@ def serve(
 def _answer(
     questions: "queue.SimpleQueue[zenoh.Query | bool]", desk: Desk, key: str, session: zenoh.Session, patience_s: float
 ) -> None:
-    """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again."""
-    answers: OrderedDict[bytes, bytes] = OrderedDict()
+    """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again.
+
+    A question that was cut off may come after the one that followed it. That one then gets no answer, and the run asks both
+    again, in order.
+    """
+    answers: dict[int, bytes] = {}  # to questions that the run may ask again
+    last = 0
     hub = _hub(session)
     there = True
     while desk.ended is None:
@@ -89,12 +92,13 @@ def _answer(
                 raise FederateError("the run", "is gone: another one listens there now; start this host again")
             continue
         with question:
-            number = question.attachment.to_bytes() if question.attachment else b""
-            if number not in answers:
+            number, oldest = wire.numbers.unpack(question.attachment.to_bytes() if question.attachment else b"")
+            answers = {each: answer for each, answer in answers.items() if each >= oldest}
+            if number == last + 1:
                 answers[number] = desk.handle(question.payload.to_bytes() if question.payload else b"")
-                if len(answers) > KEPT:
-                    answers.popitem(last=False)
-            question.reply(key, answers[number])
+                last = number
+            if number in answers:
+                question.reply(key, answers[number])
 
 
 def _hub(session: zenoh.Session) -> str:

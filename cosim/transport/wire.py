@@ -10,6 +10,7 @@ question   meaning                                         answer
 =========  ==============================================  =========================
 """
 
+import struct
 from typing import Any
 
 import msgspec
@@ -117,6 +118,9 @@ class Failed(msgspec.Struct, frozen=True, tag=True):
 Question = Build | Begin | Act | End
 Answer = Built | Stepped | Ended | Failed
 
+numbers = struct.Struct("<QQ")
+"""Beside each question: its number, from 1 on, and that of the oldest one which has not been answered."""
+
 questions: Decoder[Question] = Decoder(Question)
 answers: Decoder[Answer] = Decoder(Answer)
 hellos: Decoder[Hello] = Decoder(Hello)
@@ -139,6 +143,7 @@ __all__ = [
     "answers",
     "encode",
     "hellos",
+    "numbers",
     "questions",
     "welcomes",
 ]

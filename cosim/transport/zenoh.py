@@ -198,7 +198,8 @@ class ZenohLink:
 
     def _get(self, asked: "_Question") -> "zenoh.Handler[zenoh.Reply]":
         left_s = max(_RETRY_S, asked.last - time.monotonic())
-        return self._session.get(self._key, payload=asked.content, attachment=str(asked.number), timeout=left_s)
+        attachment = wire.numbers.pack(asked.number, self._open[0].number if self._open else asked.number)
+        return self._session.get(self._key, payload=asked.content, attachment=attachment, timeout=left_s)
 
 
 class _Question:

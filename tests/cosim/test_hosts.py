@@ -1,18 +1,25 @@
 """Hosts that somebody starts by hand: who is let in, what the resolved scenario says of them, and how they and the run end."""
 
 import os
+import queue
 import signal
 import socket
 import subprocess
 import sys
 import time
 import tomllib
+import types
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import cosim
+from cosim.errors import FederateError
+from cosim.transport import dialling, wire
 
 VCMVSP = [sys.executable, "-m", "cosim.cli"]
 SCENARIO = """
@@ -197,3 +204,57 @@ def wait_for(path: Path) -> None:
     while not path.exists():
         assert time.monotonic() < last
         time.sleep(0.02)
+
+
+class Asked:
+    """A question as it comes in: its number, that of the oldest open one, and the answer that it is given."""
+
+    def __init__(self, number: int, oldest: int) -> None:
+        self.attachment, self.payload, self.answer = Bytes(wire.numbers.pack(number, oldest)), Bytes(b"%d" % number), b""
+
+    def __enter__(self) -> None:
+        """As a query of Zenoh."""
+
+    def __exit__(self, *error: object) -> None:
+        """As a query of Zenoh."""
+
+    def reply(self, key: str, answer: bytes) -> None:
+        self.answer = answer
+
+
+class Bytes(bytes):
+    def to_bytes(self) -> bytes:
+        return bytes(self)
+
+
+@given(st.lists(st.tuples(st.integers(1, 12), st.integers(0, 3)), max_size=60))
+def test_whatever_is_asked_again_and_in_whatever_order_each_question_is_worked_on_once_and_in_turn(
+    script: list[tuple[int, int]],
+) -> None:
+    """Each answer is that of its own question, or none is given, upon which the run asks again."""
+    worked: list[bytes] = []
+
+    class Desk:
+        ended: str | None = None
+
+        def handle(self, question: bytes) -> bytes:
+            worked.append(question)
+            return b"to " + question
+
+    desk, inbox = Desk(), queue.SimpleQueue[Any]()
+    asked = [Asked(number, max(1, number - back)) for number, back in script]
+    for each in asked:
+        inbox.put(each)
+    inbox.put(False)  # the hub is gone
+    session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: ["hub"]))
+    with pytest.raises(FederateError, match="is gone"):
+        dialling._answer(inbox, desk, "key", session, 0.001)  # type: ignore[arg-type]
+    assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
+    assert all(each.answer in (b"", b"to " + each.payload) for each in asked)
+    done = 0
+    for each, (number, _) in zip(asked, script, strict=True):
+        if number == done + 1:  # the next in turn is always answered
+            done += 1
+            assert each.answer
+        elif number > done:
+            assert not each.answer

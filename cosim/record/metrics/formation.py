@@ -107,9 +107,12 @@ def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
 
 
 def _settling_s(time_ns: Array, errors: Array) -> float | None:
-    """The earliest recorded instant from which no error exceeds `SETTLED_M` any more."""
+    """The earliest recorded instant from which no error exceeds `SETTLED_M` any more; one that is not measured any more stays."""
     measured = np.any(np.isfinite(errors), axis=0)
-    unsettled = np.flatnonzero(np.any(errors[:, measured] > SETTLED_M, axis=0))
+    instants = np.arange(errors.shape[1])
+    last = np.maximum.accumulate(np.where(np.isfinite(errors), instants, 0), axis=1)  # the newest that was measured
+    held = np.take_along_axis(errors, last, axis=1)
+    unsettled = np.flatnonzero(np.any(held[:, measured] > SETTLED_M, axis=0))
     times = time_ns[measured]
     since = unsettled[-1] + 1 if unsettled.size else 0
     return float(times[since] / SECOND_NS) if since < len(times) else None
