@@ -21,6 +21,7 @@ from cosim.scenario import AgentTable
 from cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
 
 NEVER_NS = 2**63
+COMMANDS = (Velocity, Waypoint)
 ALWAYS = ("odometry", "fix")  # what every vehicle may have besides the sensors that the scenario names
 
 
@@ -181,7 +182,7 @@ class _Seat:
 
     def _checked(self, command: Any) -> Velocity | Waypoint:
         """The command in plain floats, as it would come over a wire."""
-        if not isinstance(command, Velocity | Waypoint):
+        if not isinstance(command, COMMANDS):
             raise self._error(f"returned {table.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
             plain, total = _plain(command)

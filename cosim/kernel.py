@@ -31,6 +31,8 @@ T = TypeVar("T")
 Observer = Callable[[Event], None]
 Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """Of a key: who reads every event, whom it wakes, who keeps only the newest."""
+Due = tuple[int, Slot, str, int, Event, Route]
+"""An event and its place in the order of publication: time, slot, key, number."""
 _time = attrgetter("time_ns")
 
 
@@ -49,6 +51,7 @@ class Kernel:
         self.run_info, self.now_ns = run, 0
         self.late_ns: list[int] = []  # how late each instant began, in the order of the instants
         self._federates = sorted(federates, key=lambda each: each.name)
+        self._blames = [_blame(each) for each in self._federates]
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
         self._clock = clock or SimClock()
         self._observe: Observer = lambda _: None
@@ -59,7 +62,8 @@ class Kernel:
         self._next: list[int | None] = [None] * len(self._federates)
         self._inbox: list[list[Event]] = [[] for _ in self._federates]
         self._newest: list[dict[str, Event]] = [{} for _ in self._federates]
-        self._future: list[tuple[int, Slot, str, int, Event]] = []  # heap of events not yet published
+        self._future: list[Due] = []  # heap of events not yet published
+        self._present: list[Due] = []  # those that belong to the slot that is being worked off
         self._given = 0  # events given so far; keeps the order of giving among equal keys
         self._routes: dict[str, Route] = {}
         self._open: defaultdict[int, deque[int]] = defaultdict(deque)  # federate -> due times of its open questions
@@ -67,7 +71,7 @@ class Kernel:
     def start(self) -> None:
         """Start all federates: everything that can be wrong with how they are set up comes out here."""
         for index, federate in enumerate(self._federates):
-            with _blame(federate):
+            with self._blames[index]:
                 self._schedule(index, federate.start(self.run_info))
 
     def run(self, observe: Observer, *, on_instant: Callable[[int], None] | None = None) -> None:
@@ -160,15 +164,14 @@ class Kernel:
     # --- stepping -----------------------------------------------------------------------------------------------------------
 
     def _step(self, index: int, now: int, slot: Slot) -> None:
-        federate = self._federates[index]
-        with _blame(federate):
-            step = federate.step(now, self._take_inbox(index))
+        with self._blames[index]:
+            step = self._federates[index].step(now, self._take_inbox(index))
         self._give(index, step.events, now, slot)
         self._schedule_next(index, step.next_ns, now)
 
     def _ask(self, index: int, now: int) -> None:
         federate = self._remote[index]
-        with _blame(federate):
+        with self._blames[index]:
             next_ns = federate.ask(now, self._take_inbox(index))
         self._open[index].append(now + federate.lookahead_ns)
         if federate.lookahead_ns:
@@ -185,7 +188,7 @@ class Kernel:
         for index, due in sorted(self._open.items()):
             while due and due[0] == now and slot == self._remote[index].slot:
                 due.popleft()
-                with _blame(self._remote[index]):
+                with self._blames[index]:
                     events = self._await(self._remote[index].answer)
                 self._give(index, events, now, slot)
 
@@ -207,8 +210,13 @@ class Kernel:
                 raise FederateError(self._federates[index].name, f"gave {event.key} of {when} ns at {now} ns")
             at = slot if when == now else home
             self._given += 1
-            heapq.heappush(self._future, (when, at, event.key, self._given, event))
-            for woken in self._route(event.key)[1]:
+            route = self._route(event.key)
+            due = when, at, event.key, self._given, event, route
+            if when == now:
+                self._present.append(due)
+            else:
+                heapq.heappush(self._future, due)
+            for woken in route[1]:
                 self._wake(woken, event, at)
 
     def _wake(self, index: int, event: Event, at: Slot) -> None:
@@ -222,17 +230,19 @@ class Kernel:
     def _publish(self, now: int, slot: Slot) -> None:
         """Record and route all events up to this slot of this instant."""
         future, limit = self._future, (now, slot + 1)
-        while future and future[0][:2] < limit:
-            event = heapq.heappop(future)[4]
+        due, self._present = self._present, []
+        while future and future[0] < limit:
+            due.append(heapq.heappop(future))
+        due.sort()  # by what is before the event: numbers differ
+        for _, _, key, _, event, (readers, _, keepers) in due:
             try:
                 self._observe(event)
             except (Exception, SystemExit) as error:
                 raise FederateError("recording", f"{type(error).__name__}: {error}") from error
-            readers, _, keepers = self._route(event.key)
             for index in readers:
                 self._inbox[index].append(event)
             for index in keepers:
-                self._newest[index][event.key] = event
+                self._newest[index][key] = event
 
     def _route(self, key: str) -> Route:
         route = self._routes.get(key)

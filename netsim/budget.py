@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim.types import frozen
 from netsim.bodies import Bodies, through
 from netsim.error_rate import ErrorRate
-from netsim.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy
+from netsim.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy, sealed
 from netsim.medium import Codes, Fate
 from netsim.noise import ThermalNoise
 from netsim.radios import AT_POSITION, Radio
@@ -49,21 +49,19 @@ class Mean(msgspec.Struct, dict=True):
     @cached_property
     def power_mw(self) -> Floats:
         """The level at all radios, (n + 1,) mW; 0 at itself."""
-        return frozen(at_all(10.0 ** (self.level_dbm / 10.0), self.row))
+        return sealed(at_all(10.0 ** (self.level_dbm / 10.0), self.row))
 
 
 class Heard(msgspec.Struct, frozen=True, dict=True):
-    """How a frame reaches n receivers, (n,) each."""
+    """How a frame that nobody else disturbs reaches n receivers, (n,) each."""
 
     snr_db: Floats
-    sinr_db: Floats
     detected: Bools
-    hazard: Floats | None  # -log(chance that it survives noise and interference); None: it always does
-    weakness: Codes  # where it is not detected: why
+    hazard: Floats | None  # -log(chance that it survives the noise); None: it always does
 
     @cached_property
     def fate(self) -> Codes:
-        """Its fate where no other disturbs it, but for the packet errors of those who are in doubt."""
+        """Its fate, but for the packet errors of those who are in doubt."""
         return frozen(np.where(self.detected, np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)))
 
     @cached_property
@@ -158,7 +156,7 @@ class Budgets:
             materials,
             None if wall_loss_db is None else frozen(wall_loss_db),
             None if shadowing_db is None else frozen(shadowing_db),
-            frozen(level_dbm),
+            sealed(level_dbm),
             {},
         )
 
@@ -234,18 +232,16 @@ class Hearing:
         fixed = level_dbm is mean.level_dbm
         if fixed and size_bytes in mean.heard:
             return mean.heard[size_bytes]
-        heard = self.over_noise(mean, level_dbm)
-        if self.errors is not None:
-            heard = msgspec.structs.replace(heard, hazard=self.errors.frame_hazard(heard.snr_db, size_bytes))
+        snr_db = self.over_noise(level_dbm)
+        detected = (level_dbm >= mean.sensitivity_dbm) & self.noticed(snr_db)
+        heard = Heard(snr_db, detected, None if self.errors is None else self.errors.frame_hazard(snr_db, size_bytes))
         if fixed:
             mean.heard[size_bytes] = heard
         return heard
 
-    def over_noise(self, mean: Mean, level_dbm: Floats) -> Heard:
-        """The same without packet errors."""
-        snr_db = frozen(level_dbm - self.noise_dbm)
-        detected = (level_dbm >= mean.sensitivity_dbm) & self.noticed(snr_db)
-        return Heard(snr_db, snr_db, detected, None, self.weakness(mean))
+    def over_noise(self, level_dbm: Floats) -> Floats:
+        """Signal to noise ratio at some levels, (n,) dB."""
+        return sealed(level_dbm - self.noise_dbm)
 
     def noticed(self, sinr_db: Floats) -> Bools:
         """Where a preamble stands out enough."""

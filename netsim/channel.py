@@ -11,11 +11,8 @@ frame ends, after whatever else was sent meanwhile: `Channel.next_ns` says when 
 
 from collections.abc import Mapping
 from heapq import heappop, heappush
-from typing import TypeVar
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.errors import ScenarioError
 from cosim.types import FrameReport, Message
@@ -24,7 +21,7 @@ from netsim.bulk import Bulk, BulkMedium
 from netsim.delivery import Delivery
 from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
-from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
+from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, sealed, unless_nothing
 from netsim.mac import Ideal, Mac, needs
 from netsim.medium import Codes, Decided, Fate, Levelled, Medium, Offered, Powered
 from netsim.outcome import OnAir, Outcomes
@@ -32,8 +29,6 @@ from netsim.radios import Radio
 from netsim.script import Script
 from netsim.sending import Sender, Sent
 from netsim.trace import Trace
-
-T = TypeVar("T", bound=np.generic)
 
 
 class Channel:
@@ -133,7 +128,7 @@ class Channel:
         self._set_level(sent, start_ns)
         heard = self.hearing.hear(mean, sent.level_dbm, message.size_bytes)
         end_ns = start_ns + air_ns
-        return [self._report(sent, heard, OnAir(self._endure(sent, heard), start_ns, end_ns))]
+        return [self._report(sent, OnAir(self._endure(sent, heard), start_ns, end_ns, heard.snr_db, heard.snr_db))]
 
     def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
         """For many broadcasts of vehicles that stand still; None if layers have a say in single frames."""
@@ -173,7 +168,7 @@ class Channel:
         """Report the frames that were handed over and are not decided yet, as under way."""
         waiting, self._waiting, self._coming, self._answers = list(self._waiting.values()), {}, [], {}
         self._medium, self._names = None, ()
-        return [self._outcomes.unfinished(sent, self.hearing.over_noise(sent.mean, sent.level_dbm)) for sent in waiting]
+        return [self._outcomes.unfinished(sent) for sent in waiting]
 
     def _meet(self, names: tuple[str, ...]) -> None:
         if self._waiting:
@@ -257,15 +252,15 @@ class Channel:
         sent = self._waiting.pop(decided.number)
         if decided.attempts and sent.tries:  # there may have been another one since, because the acknowledgement was lost
             sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
-        heard = self.hearing.over_noise(sent.mean, sent.level_dbm)
+        others = sent.sender.others
+        snr_db = sinr_db = self.hearing.over_noise(sent.level_dbm)
         if decided.attempts:
-            least_sinr = _at_others(decided.least_sinr, sent.sender.row)
+            least_sinr = decided.least_sinr[others]
             least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
-            heard = msgspec.structs.replace(heard, sinr_db=10.0 * np.log10(least_sinr))
-        fate = _at_others(decided.fate, sent.sender.row)
-        return self._report(sent, heard, OnAir(fate, decided.start_ns, decided.end_ns))
+            sinr_db = sealed(10.0 * np.log10(least_sinr))
+        return self._report(sent, OnAir(decided.fate[others], decided.start_ns, decided.end_ns, snr_db, sinr_db))
 
-    def _report(self, sent: Sent, heard: Heard, air: OnAir) -> FrameReport:
+    def _report(self, sent: Sent, air: OnAir) -> FrameReport:
         interference_mw = None
         if self._jammer is not None and air.start_ns >= 0:
             mean, gain_dbi = sent.mean, self.budgets.gain_dbi(sent.sender.links.receivers)
@@ -276,9 +271,4 @@ class Channel:
                 lambda tx, rx: self.budgets.loss_db(tx, rx) - gain_dbi,
                 lambda name: mean.antennas[self._names.index(name)],
             )
-        return self._outcomes.report(sent, heard, air, interference_mw)
-
-
-def _at_others(values: NDArray[T], row: int) -> NDArray[T]:
-    """Values of all but one."""
-    return np.concatenate((values[:row], values[row + 1 :]))
+        return self._outcomes.report(sent, air, interference_mw)

@@ -49,22 +49,32 @@ class Compiled:
 @cache
 def _compiled(names: tuple[str, ...], entry: str) -> Callable[..., int]:
     numba: Any = importlib.import_module("numba")
-    modules = [_load(name) for name in names]
+    modules = [_load(name, "compiled") for name in names]
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vcmvsp" / _digest(modules)
     options = {"cache": _writable(folder), "no_cfunc_wrapper": True, "error_model": "numpy"}
-    done: dict[str, object] = {}
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(folder)
     try:
-        for module in modules:
-            for name, value in list(vars(module).items()):
-                if isinstance(value, FunctionType) and value.__module__ == module.__name__:
-                    source = vars(module).get(f"{name}_loop", value)
-                    done[name] = numba.njit(no_cpython_wrapper=name != entry, **options)(source)
-                if name in done:
-                    setattr(module, name, done[name])
+        return _linked(modules, entry, lambda name, source: numba.njit(no_cpython_wrapper=name != entry, **options)(source))
     finally:
         numba.config.CACHE_DIR = before
+
+
+@cache
+def looped(names: tuple[str, ...], entry: str) -> Callable[..., int]:
+    """The function of the same loops that `Compiled` compiles, as they are: for arrays of a few numbers quicker than NumPy."""
+    return _linked([_load(name, "looped") for name in names], entry, lambda _, source: source)
+
+
+def _linked(modules: list[ModuleType], entry: str, make: Callable[[str, FunctionType], Any]) -> Callable[..., int]:
+    """The function, where all functions of the modules call what is made of their loops."""
+    done: dict[str, object] = {}
+    for module in modules:
+        for name, value in list(vars(module).items()):
+            if isinstance(value, FunctionType) and value.__module__ == module.__name__:
+                done[name] = make(name, vars(module).get(f"{name}_loop", value))
+            if name in done:
+                setattr(module, name, done[name])
     function: Callable[..., int] = getattr(modules[-1], entry)
     return function
 
@@ -78,10 +88,10 @@ def _digest(modules: list[ModuleType]) -> str:
     return digest.hexdigest()
 
 
-def _load(name: str) -> ModuleType:
-    """A second copy of a module, under a name of its own."""
+def _load(name: str, purpose: str) -> ModuleType:
+    """Another copy of a module, under a name of its own."""
     original = importlib.import_module(name)
-    spec = importlib.util.spec_from_file_location(f"{name}__compiled", str(original.__file__))
+    spec = importlib.util.spec_from_file_location(f"{name}__{purpose}", str(original.__file__))
     if spec is None or spec.loader is None:
         raise ImportError(f"{name} has no source file", name=name)
     module = importlib.util.module_from_spec(spec)

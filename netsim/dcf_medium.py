@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.rng import link_uniform
 from netsim import dcf_core
-from netsim.compiled import Compiled, available
+from netsim.compiled import Compiled, available, looped
 from netsim.dcf_batch import Batch
 from netsim.dcf_core import DRAWS, LEVELS, OUTPUT
 from netsim.dcf_levels import Levels, free_numbers, take
@@ -19,6 +19,7 @@ from netsim.dcf_state import (
     ARRIVED,
     DECIDED,
     EXPIRED,
+    FEW,
     NEVER,
     NOBODY,
     OFFERED,
@@ -72,7 +73,7 @@ class DcfMedium:
         compile_core: bool | None = None,
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
-        self._run: Callable[[State, Rules, int], int] = dcf_core.run
+        self._run: Callable[[State, Rules, int], int] = looped(CORE, "run") if count <= FEW else dcf_core.run
         self._compile_after = COMPILE_AFTER if compile_core is None and available() else None  # so many frames
         if compile_core and count:
             self._compile()

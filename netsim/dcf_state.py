@@ -11,6 +11,7 @@ import numpy as np
 from netsim.layers import Bools, Floats, Ints
 from netsim.medium import Codes, Fate
 
+FEW = 5  # radios: for up to so many, plain numbers and loops are quicker than NumPy
 NEVER = 1 << 62
 NOBODY = -1
 
@@ -236,7 +237,12 @@ def next_decision(s: State, rules: Rules) -> int:
     """When a frame may be decided next, if nothing else comes; something waits or is on the air."""
     n = len(s.lock)
     soonest = [int(s.end_ns[i]) for i in s.air[: s.counts[ON_AIR]].tolist()]
-    soonest.append(int(s.due[n:].min()))
+    soonest.append(int(s.due[n + s.due[n:].argmin()]))
+    if n <= FEW:
+        for begin, f in zip(s.due[:n].tolist(), s.head.tolist(), strict=True):
+            late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
+            soonest.append(begin if late else begin + int(s.air_ns[f]))
+        return min(soonest)
     wanting = np.flatnonzero(s.due[:n] < NEVER)
     if len(wanting):
         heads, due = s.head[wanting], s.due[wanting]

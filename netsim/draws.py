@@ -26,7 +26,7 @@ BURST_SLOT = 17  # bursts: what changes a link, and when
 BACKOFF_SLOT = 18  # of a radio: its backoffs
 
 _BLOCK_LINKS = 4096  # links x frames in a block: 64 KiB, where the cost per number has become flat
-_BLOCK_FRAMES = 64  # at most, so that short runs do not pay for what they never use
+_BLOCK_FRAMES = 256  # at most, so that short runs do not pay for what they never use
 
 
 class LinkDraws:

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 
 from cosim.types import FrameReport, frozen
-from netsim.budget import Heard, Hearing
+from netsim.budget import Hearing
 from netsim.delivery import Delivery
 from netsim.draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT
-from netsim.layers import Bools, Delay, Floats, Frame, Ints, Loss
+from netsim.layers import Bools, Delay, Floats, Frame, Ints, Loss, sealed
 from netsim.medium import Codes, Fate
 from netsim.script import Script
 from netsim.sending import Sent
@@ -42,6 +42,8 @@ class OnAir(msgspec.Struct, frozen=True):
     fate: Codes  # (n,) `Fate` at all receivers
     start_ns: int  # of the last attempt; -1: it was never sent
     end_ns: int  # of that attempt, or when it was given up
+    snr_db: Floats  # (n,) there
+    sinr_db: Floats  # (n,) the least while it was on the air
 
 
 class Outcomes:
@@ -73,27 +75,25 @@ class Outcomes:
         """Whether everything arrives that a radio receives, when the frame ends."""
         return not self._losses and self._delay is None and self._trace is None and self._delivery is None
 
-    def report(self, sent: Sent, heard: Heard, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
+    def report(self, sent: Sent, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
         """What becomes of a frame at every receiver that it is meant for.
 
         Args:
             sent: the frame.
-            heard: how it reached all receivers.
-            air: what became of it there.
+            air: what became of it at all receivers.
             interference_mw: of jammers, (n,); None: there are none, or it was never sent.
         """
         sender, mean, to, on_air = sent.sender, sent.mean, sent.meant, air.start_ns >= 0
         frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
-        code, too_weak = air.fate.copy(), air.fate == _UNDETECTED
-        if too_weak.any():
-            code[too_weak] = TOO_WEAK + heard.weakness[too_weak]
+        code, too_weak, sinr_db = air.fate, air.fate == _UNDETECTED, air.sinr_db
+        if np.count_nonzero(too_weak):
+            code = np.where(too_weak, TOO_WEAK + self._hearing.weakness(mean), code)
         if interference_mw is not None:
-            heard, code = self._jam(sent, heard, code, interference_mw)
+            sinr_db, code = self._jam(sent, air, code, interference_mw)
         if self._losses:
             code = self._lose(sent, frame, code)
         code = code[to]
-        arrival = np.where(code == 0, self._arrival(sent, frame, air, to), -1)
-        arrival.flags.writeable = False
+        arrival = sealed(np.where(code == 0, self._arrival(sent, frame, air, to), -1))
         copy_ns = None
         if self._delivery is not None:
             draw, rows = sent.draw(DELIVERY_SLOT), sender.others[to]
@@ -116,8 +116,8 @@ class Outcomes:
             air_time_ns=sent.air_ns if on_air else 0,
             queue_ns=max(0, (head_ns if on_air else air.end_ns) - sent.sent_ns),
             access_ns=max(0, air.start_ns - head_ns) if on_air else 0,
-            snr_db=frozen(heard.snr_db[to]),
-            sinr_db=frozen(heard.sinr_db[to]),
+            snr_db=frozen(air.snr_db[to]),
+            sinr_db=frozen(sinr_db[to]),
             path_loss_db=frozen(mean.path_loss_db[to]),
             walls=_part(mean.walls, to),
             wall_materials=None if mean.materials is None else mean.materials[to],
@@ -126,14 +126,15 @@ class Outcomes:
             fading_db=_part(sent.fading_db, to),
         )
 
-    def unfinished(self, sent: Sent, heard: Heard) -> FrameReport:
+    def unfinished(self, sent: Sent) -> FrameReport:
         """The report of a frame that was not decided when the run ended."""
-        never = OnAir(np.full(len(sent.level_dbm), Fate.EXPIRED, np.uint8), -1, sent.sent_ns)
-        report = self.report(sent, heard, never)
+        snr_db = self._hearing.over_noise(sent.level_dbm)
+        never = OnAir(np.full(len(snr_db), Fate.EXPIRED, np.uint8), -1, sent.sent_ns, snr_db, snr_db)
+        report = self.report(sent, never)
         return msgspec.structs.replace(report, outcome=(UNDER_WAY,) * len(report.outcome))
 
-    def _jam(self, sent: Sent, heard: Heard, code: Codes, interference_mw: Floats) -> tuple[Heard, Codes]:
-        """What jammers spoil of a frame that would have been received.
+    def _jam(self, sent: Sent, air: OnAir, code: Codes, interference_mw: Floats) -> tuple[Floats, Codes]:
+        """What jammers leave of the SINR, and spoil of a frame that would have been received.
 
         What they add to the hazard of noise alone meets what is left of the receiver's patience: an exponential variate has
         no memory, so that this is another one.
@@ -142,12 +143,12 @@ class Outcomes:
         spoilt = ~self._hearing.noticed(sinr_db)
         if self._hearing.errors is not None:
             size = sent.message.size_bytes
-            more = self._hearing.errors.frame_hazard(sinr_db, size) - self._hearing.errors.frame_hazard(heard.snr_db, size)
+            more = self._hearing.errors.frame_hazard(sinr_db, size) - self._hearing.errors.frame_hazard(air.snr_db, size)
             spoilt |= sent.sender.draws.patience(sent.number, JAMMER_SLOT) <= more
         spoilt &= (interference_mw > 0.0) & (code == 0)
         share = interference_mw / np.maximum(10.0 ** (sent.level_dbm / 10.0), 1e-300)
-        both_db = -10.0 * np.log10(10.0 ** (-heard.sinr_db / 10.0) + share)
-        return msgspec.structs.replace(heard, sinr_db=both_db), np.where(spoilt, np.uint8(_JAMMED), code)
+        both_db = -10.0 * np.log10(10.0 ** (-air.sinr_db / 10.0) + share)
+        return both_db, np.where(spoilt, np.uint8(_JAMMED), code)
 
     def _lose(self, sent: Sent, frame: Frame, code: Codes) -> Codes:
         decided = self._told(frame, "loss") if frame.start_ns >= 0 else None  # by a trace, whatever the models say
@@ -157,7 +158,7 @@ class Outcomes:
             lost = layer.lost(frame, sent.draw(slot))
             if decided is not None and slot == LOSS_SLOT:
                 lost = lost & ~decided
-            if lost.any():
+            if np.count_nonzero(lost):
                 code = np.where((code == 0) & lost, np.uint8(_JAMMED + 1 + index), code)
         return code
 

@@ -29,6 +29,10 @@ class Motion(NamedTuple):
     odometry: Array  # (n, 5) x m, y m, yaw rad, v m/s, w rad/s, as the wheels say; NaN for what does not drive
 
 
+WIDTHS = (3, 3, 4, 3, 3, 2, 5)
+"""Of the arrays of a `Motion`."""
+
+
 class Touch(NamedTuple):
     """Two bodies that press against each other, or one against the world. Touching the floor does not count."""
 
@@ -110,7 +114,7 @@ def gathered(parts: "list[tuple[Motion, Array]]", count: int) -> Motion:
     if len(parts) == 1 and len(parts[0][1]) == count:
         whole = parts[0][0]  # one engine has all, in order
     else:
-        whole = Motion(*(np.full((count, width), np.nan) for width in (3, 3, 4, 3, 3, 2, 5)))
+        whole = Motion(*(np.full((count, width), np.nan) for width in WIDTHS))
         for motion, rows in parts:
             for target, source in zip(whole, motion, strict=True):
                 target[rows] = source

@@ -39,6 +39,8 @@ from physics.urdf import UrdfDrive
 from physics.vehicles import DifferentialDrive, GroundVehicle, Point, VehicleSpec, flies
 from physics.world import World
 
+Command = Velocity | Waypoint
+
 
 class Physics:
     """What all physics federates do; a subclass says which engine moves which vehicles.
@@ -114,7 +116,7 @@ class Physics:
         """Obey every command from its own time on, up to now; then publish."""
         for event in inbox:
             vehicle = event.key.partition("/")[0]
-            if vehicle in self._mover and isinstance(event.value, Velocity | Waypoint):  # others are moved by another federate
+            if vehicle in self._mover and isinstance(event.value, Command):  # others are moved by another federate
                 self._command(vehicle, event.time_ns, event.value)
         self._advance(now_ns)
         return Step(self._publish(now_ns), self._next(now_ns))
@@ -124,7 +126,7 @@ class Physics:
         for engine, _ in self._engines:
             engine.close()
 
-    def _command(self, vehicle: str, time_ns: int, command: Velocity | Waypoint) -> None:
+    def _command(self, vehicle: str, time_ns: int, command: Command) -> None:
         """Advance to the command's time and obey it from there on; ground vehicles take its forward speed and yaw rate."""
         engine, row, flying = self._mover[vehicle]
         if isinstance(command, Waypoint) and not flying:
@@ -218,7 +220,7 @@ class Physics:
         return [Event("world/contact", now_ns, each) for each in named]
 
 
-def _numbers(command: Velocity | Waypoint, flying: bool) -> list[float]:
+def _numbers(command: Command, flying: bool) -> list[float]:
     """The numbers of a command that count."""
     if isinstance(command, Velocity):
         return [*(command.linear if flying else command.linear[:1]), command.yaw_rate]

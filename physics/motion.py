@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.clock import SECOND_NS
 from cosim.types import Vec3
-from physics.engine import Bodiless, Motion, side_by_side
+from physics.engine import WIDTHS, Bodiless, Motion
 from physics.vehicles import GroundVehicle
 
 Floats = NDArray[np.float64]
@@ -38,7 +38,7 @@ class MotionEngine(Bodiless):
         # All of these are (2, 1, n): v and w; times; vehicles.
         self._tau = np.maximum([[tau_v], [tau_w]], _AT_ONCE_S)
         self._rise, self._fall = np.array([[accel], [yaw_accel]]), np.array([[decel], [yaw_accel]])
-        self._greatest = np.array([[max_speed], [max_yaw_rate]])
+        self._greatest: list[tuple[float, float]] = [*zip(max_speed.tolist(), max_yaw_rate.tolist(), strict=True)]
         self._speed, self._command = np.zeros((2, 1, n)), np.zeros((2, 1, n))
         self._ideal = bool((self._tau == _AT_ONCE_S).all() and np.isinf([self._rise, self._fall]).all())
         at = np.array(positions, float).reshape(n, 3)
@@ -51,8 +51,9 @@ class MotionEngine(Bodiless):
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """From now on move at ``linear[0]`` m/s forward and ``yaw_rate`` rad/s."""
-        max_v, max_w = self._greatest[:, 0, row].tolist()
-        self._command[:, 0, row] = max(-max_v, min(linear[0], max_v)), max(-max_w, min(yaw_rate, max_w))
+        max_v, max_w = self._greatest[row]
+        self._command[0, 0, row] = max(-max_v, min(linear[0], max_v))
+        self._command[1, 0, row] = max(-max_w, min(yaw_rate, max_w))
 
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
         """Nothing here flies."""
@@ -94,31 +95,36 @@ class MotionEngine(Bodiless):
     def _follow(self, ways: Floats) -> None:
         """Append arcs to every pose: ways (2, arcs, n), m and rad."""
         way, turn = ways
-        self._driven += ways.sum(axis=1)
+        one = len(turn) == 1  # most often: sums cost more than they add up
+        self._driven += ways[:, 0] if one else ways.sum(axis=1)
         half = 0.5 * turn
-        yaw = self._pose[2] + turn.cumsum(axis=0)
-        divisor = np.where(np.abs(half) < 1e-8, 1e-8, half)  # sin(h) / h is 1 there to the last bit
+        yaw = self._pose[2] + (turn if one else turn.cumsum(axis=0))
+        divisor = half.copy()
+        divisor[np.abs(half) < 1e-8] = 1e-8  # sin(h) / h is 1 there to the last bit
         chord, direction = way * np.sin(divisor) / divisor, yaw - half
-        self._pose[0] += (chord * np.cos(direction)).sum(axis=0)
-        self._pose[1] += (chord * np.sin(direction)).sum(axis=0)
+        east, north = chord * np.cos(direction), chord * np.sin(direction)
+        self._pose[0] += east[0] + 0.0 if one else east.sum(axis=0)  # of -0.0 and 0.0 makes the latter, as a sum does
+        self._pose[1] += north[0] + 0.0 if one else north.sum(axis=0)
         self._pose[2] = yaw[-1]
 
     def read(self) -> Motion:
         """The state of every vehicle; its wheels are never wrong."""
-        (x, y, yaw), (v, w), zero = self._pose, self._speed[:, 0], np.zeros(len(self._radius))
-        half_cos, half_sin = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+        yaw, (v, w), n = self._pose[2], self._speed[:, 0], len(self._radius)
+        half = 0.5 * yaw
+        half_cos, half_sin = np.cos(half), np.sin(half)
         cos, sin = half_cos * half_cos - half_sin * half_sin, 2.0 * half_cos * half_sin
-        gain, spin = zero if self._ideal else self._gain(), v * w
+        gain, spin = np.zeros(n) if self._ideal else self._gain(), v * w
         across = self._half_track * self._driven[1]
-        return Motion(
-            position=side_by_side(x, y, zero),
-            velocity=side_by_side(v * cos, v * sin, zero),
-            attitude=side_by_side(half_cos, zero, zero, half_sin),
-            angular_velocity=side_by_side(zero, zero, w),
-            acceleration=side_by_side(gain * cos - spin * sin, gain * sin + spin * cos, zero),
-            wheels=side_by_side(self._driven[0] - across, self._driven[0] + across) / self._radius[:, None],
-            odometry=side_by_side(x, y, wrapped(yaw), v, w),
-        )
+        motion = Motion(*(np.zeros((n, width)) for width in WIDTHS))
+        motion.position[:, :2] = motion.odometry[:, :2] = self._pose[:2].T
+        motion.velocity[:, 0], motion.velocity[:, 1] = v * cos, v * sin
+        motion.attitude[:, 0], motion.attitude[:, 3] = half_cos, half_sin
+        motion.angular_velocity[:, 2] = w
+        motion.acceleration[:, 0], motion.acceleration[:, 1] = gain * cos - spin * sin, gain * sin + spin * cos
+        motion.wheels[:, 0], motion.wheels[:, 1] = self._driven[0] - across, self._driven[0] + across
+        np.divide(motion.wheels, self._radius[:, None], out=motion.wheels)
+        motion.odometry[:, 2], motion.odometry[:, 3], motion.odometry[:, 4] = wrapped(yaw), v, w
+        return motion
 
     def _gain(self) -> Floats:
         """What the forward speed grows by at this moment, m/s2."""
