@@ -3,8 +3,14 @@
 Run with ``python -m bench.studies``. The workload is that of a formation under loss: three points without bodies, 10 Hz.
 """
 
+import random
+import resource
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import tomli_w
@@ -13,7 +19,10 @@ from bench.measure import Row, cpu, in_turn, measured, table
 from bench.workloads import star
 from cosim import api
 from cosim.studies.engine import study
-from cosim.studies.rows import decode
+from cosim.studies.plan import Plan
+from cosim.studies.rows import Row as Values
+from cosim.studies.rows import decode, encode, flat
+from cosim.studies.store import Store
 from cosim.studies.worker import Job, Work, run_one, version
 
 ROUNDS = 5
@@ -95,7 +104,33 @@ def efficiency() -> Row:
     return Row(name, f"{two:.0f} s", f"{one:.0f} s", share, ">= 0.85", share >= 0.85)
 
 
-ALL: Sequence[Callable[[], Row]] = (speed, speed_contended, overhead, efficiency)
+def memory() -> Row:
+    """Keep and write the rows of a large study, in a process of its own."""
+    peak_mib, columns, megabytes = map(float, _fresh("bench.studies", "fill").split())
+    name = f"study: peak memory, 10 000 rows of 50 vehicles ({columns:.0f} numbers each); beside it their JSON"
+    return Row(name, f"{peak_mib:.0f} MiB", f"{megabytes:.0f} MB", peak_mib / megabytes, "< 500 MiB", peak_mib < 500.0)
+
+
+def _fresh(module: str, function: str) -> str:
+    command = [sys.executable, "-c", f"from {module} import {function}; {function}()"]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def fill() -> None:
+    """Print the peak memory in MiB, numbers in a row, and MB of all rows; no two rows have the same numbers."""
+    values = flat(api.run(star(50, physics="kinematic", duration_s=0.2) | {"radio": IDEAL}, mcap=False).metrics)
+    plan, written = Plan(scenario="", scenario_toml="", vary={"a": list(range(500))}, seeds=list(range(20))), 0
+    draw = random.Random(0)
+    with tempfile.TemporaryDirectory() as folder, Store(Path(folder), plan, resume=False, force=False) as store:
+        for run in plan.runs:
+            row = encode(Values({name: value if isinstance(value, str) else draw.random() for name, value in values.items()}))
+            written += len(row)
+            store.add(run.key, row)
+        store.finish()
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, len(values), written / 1e6)
+
+
+ALL: Sequence[Callable[[], Row]] = (speed, speed_contended, overhead, efficiency, memory)
 
 
 def rows() -> list[Row]:

@@ -96,7 +96,7 @@ class Result:
         """Write everything that a run leaves into a folder."""
         if self._mcap is None and self.folder is None:
             raise UsageError("a run with mcap = False cannot be saved: it has no recording")
-        with _writing(Path(folder)):
+        with writing(Path(folder)):
             path = Folder(Path(folder), force=force).claim()
             if self._mcap is not None:
                 (path / "run.mcap").write_bytes(self._mcap.getvalue())
@@ -186,7 +186,7 @@ def run(
         ) as assembly:
             clock = SimClock() if realtime is None else WallClock(realtime)
             simulation = _Simulation(assembly, clock, folder, progress, mcap=mcap)
-            with _writing(folder.path if folder else None), simulation.calm():
+            with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
                 result = simulation.result(failure, started, time.process_time() - cpu)
     except KeyboardInterrupt:
@@ -229,7 +229,7 @@ def plot(run_dir: Path, out: Path) -> list[Path]:
     within = window.get("from_s", 0.0), window.get("to_s")
     figures = _figures(recording.states, recording.radio, recording.follows, within, seen)
     paths = {out / f"{name}.png": figure for name, figure in figures.items()}
-    with _writing(out):
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         for path, figure in paths.items():
             plots.save_png(figure, path)
@@ -417,7 +417,7 @@ def _make(path: Path) -> bool:
 
 
 @contextlib.contextmanager
-def _writing(folder: Path | None) -> Iterator[None]:
+def writing(folder: Path | None) -> Iterator[None]:
     """A full disk and the like is said in one line."""
     try:
         yield

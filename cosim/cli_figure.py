@@ -1,19 +1,14 @@
 """``vcmvsp figure``: a figure of the thesis or of a further study, made again and compared with what must come out."""
 
-import os
 import sys
-import time
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Any, Self
+from typing import Annotated
 
 import typer
 
 from cosim.cli_options import AsJson
 from cosim.errors import Interrupted, UsageError
 from cosim.streams import stdout_to_stderr
-
-LOG_EVERY_S = 5.0
 
 
 def figure_command(
@@ -46,10 +41,12 @@ def figure_command(
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     from cosim.figures import files
     from cosim.figures.kit import Runner
+    from cosim.studies.pool import cores
+    from cosim.studies.progress import StudyProgress
 
     try:
-        with _Progress(name, quiet=quiet) as progress, stdout_to_stderr():
-            figure = make(Runner(jobs or _processors(), progress.on_run))
+        with StudyProgress(quiet=quiet) as progress, stdout_to_stderr():
+            figure = make(Runner(jobs or cores(), lambda done, of: progress.on_run(done, 0, of)))
             written = files.write(name, figure, out)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
@@ -64,10 +61,6 @@ def figure_command(
         raise SystemExit(1)
 
 
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _list(*, json: bool) -> None:
     from cosim import figures
 
@@ -79,37 +72,3 @@ def _list(*, json: bool) -> None:
         return
     width = max(map(len, about))
     sys.stdout.writelines(f"{name:<{width}}  {words}\n" for name, words in about.items())
-
-
-class _Progress:
-    """How many runs are done, on stderr: a bar on a terminal, else a line every few seconds."""
-
-    def __init__(self, name: str, *, quiet: bool) -> None:
-        self._name, self._quiet = name, quiet
-        self._bar: Any = None
-        self._task: Any = None
-        self._last = time.monotonic()
-
-    def __enter__(self) -> Self:
-        if sys.stderr.isatty() and not self._quiet:
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-            columns = (TextColumn(f"figure {self._name}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=None)
-            self._bar.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def on_run(self, done: int, of: int) -> None:
-        """Told after every run."""
-        if self._bar is not None:
-            self._bar.update(self._task, completed=done, total=of)
-        elif not self._quiet and time.monotonic() - self._last > LOG_EVERY_S:
-            self._last = time.monotonic()
-            sys.stderr.write(f"figure {self._name}: {done} of {of} runs\n")
-            sys.stderr.flush()

@@ -1,6 +1,5 @@
 """``vcmvsp study``: a scenario at every point of a grid."""
 
-import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -66,10 +65,12 @@ def study_command(
             metrics=metric,
             jobs=jobs,
             cluster=cluster,
-            out=out or (None if resume else _default_folder(scenario)),
+            out=out or (None if resume else Path("runs") / f"{Path(scenario).stem}-study"),
+            numbered=out is None,
             resume=resume,
             force=force,
             progress=progress.on_run,
+            checking=progress.on_check,
         )
     plan, table = studied.plan, studied.table
     summary = summarise(table, list(plan.vary), plan.metrics)
@@ -86,13 +87,6 @@ def study_command(
         sys.stdout.write(f"results: {studied.folder}\n")
     if len(failed) == plan.size:
         raise VcmvspError(f"every run failed, the first with: {failed[0]}")
-
-
-def _default_folder(scenario: str) -> Path:
-    """``runs/NAME-study``, or the first of ``runs/NAME-study-2``, ... that does not exist."""
-    first = Path("runs") / f"{Path(scenario).stem}-study"
-    others = (first.with_name(f"{first.name}-{number}") for number in itertools.count(2))
-    return next(path for path in itertools.chain([first], others) if not path.exists())
 
 
 def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Sequence[str]) -> str:

@@ -58,24 +58,33 @@ class Resolution:
         """
         scenario, agents = self._scenario, self._scenario.agents
         told = {info.vehicle: info for info in infos}
-        shared = self._shared_by_vehicles()
+        shared, of_agents = self._shared_by_vehicles(), self._shared_by_agents(infos)
         return {
             "name": scenario.name,
             "duration_s": scenario.duration_s,
             "seed": scenario.seed,
             **self.tables,
-            "agents": {**_present(period_s=agents.period_s, latency_s=agents.latency_s), **self._shared_by_agents()},
+            "agents": {
+                **_present(period_s=agents.period_s, latency_s=agents.latency_s),
+                **{name: self._kept(value) for name, value in of_agents.items()},
+            },
             "vehicles": shared,
             "record": table.plain(scenario.record),
             "metrics": table.plain(scenario.metrics),
             **({"study": table.plain(scenario.study)} if scenario.study.vary else {}),
             "vehicle": [
-                {**self._vehicle(each, shared), **self._agent(each, told.get(each.name), brought)} for each in scenario.vehicle
+                {**self._vehicle(each, shared), **self._agent(each, told.get(each.name), of_agents, brought)}
+                for each in scenario.vehicle
             ],
         }
 
-    def _shared_by_agents(self) -> dict[str, Any]:
-        return {name: self._kept(table.plain(value)) for name, value in self._scenario.agents.defaults.items()}
+    def _shared_by_agents(self, infos: Sequence[AgentInfo]) -> dict[str, Any]:
+        """Defaults for all agents; a table among them as complete as the first agent has it that takes it."""
+        shared = {}
+        for name, value in self._scenario.agents.defaults.items():
+            taken = [info.params[name] for info in infos if name in info.taken and isinstance(info.params.get(name), dict)]
+            shared[name] = taken[0] if taken else table.plain(value)
+        return shared
 
     def _shared_by_vehicles(self) -> dict[str, Any]:
         shared = {name: table.plain(value) for name, value in self._scenario.vehicles.items()}
@@ -102,12 +111,13 @@ class Resolution:
         full |= self.vehicles[vehicle.name]
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
 
-    def _agent(self, vehicle: VehicleTable, info: AgentInfo | None, brought: Mapping[str, str]) -> dict[str, Any]:
+    def _agent(
+        self, vehicle: VehicleTable, info: AgentInfo | None, shared: Mapping[str, Any], brought: Mapping[str, str]
+    ) -> dict[str, Any]:
         """``agent = {...}``: what is not a default for all, under the kind that really ran."""
         if info is None:
             return {}
         agents, own = self._scenario.agents, vehicle.agent
-        shared = agents.defaults
         kind = brought.get(vehicle.name) or (own and own.kind) or shared.get("kind") or info.agent
         full = _present(
             kind=None if kind == shared.get("kind") else self.portable(kind),

@@ -5,8 +5,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from cosim.api import to_json
-from cosim.errors import UsageError
+from cosim.api import to_json, writing
 from cosim.figures.kit import Figure, Row
 
 
@@ -20,14 +19,12 @@ def write(name: str, figure: Figure, folder: Path) -> list[Path]:
     from cosim.record import figure_plot
 
     points, expected, rows = (folder / f"{name}{end}" for end in (".csv", "-expected.csv", ".json"))
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         _write_points(points, figure)
         _write_rows(expected, figure)
         rows.write_text(as_json(name, figure), "utf-8")
         return [points, expected, rows, *figure_plot.save(figure, folder / name)]
-    except OSError as error:
-        raise UsageError(f"cannot write into {folder}: {error.strerror or error}") from error
 
 
 def table(figure: Figure) -> str:

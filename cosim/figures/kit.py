@@ -4,13 +4,7 @@ A figure is a function ``make(runner: Runner) -> Figure`` in a module of its own
 scenarios as mappings, hands them to the runner as jobs, and says what to draw; it never draws, and knows no part but ``cosim``.
 """
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
@@ -18,6 +12,7 @@ import numpy as np
 
 from cosim.api import Result, run
 from cosim.errors import VcmvspError
+from cosim.studies.pool import Pool
 from cosim.types import Array
 
 Read = Callable[[Result], Any]
@@ -47,9 +42,7 @@ class Curve:
     y: Array
     label: str = ""
     color: int = 0  # of the palette: 0 black, 1 blue, 2 vermilion, 3 green, 4 purple, 5 orange, 6 sky blue
-    style: Literal["line", "dashed", "dotted", "thin", "markers", "hollow", "pose", "both"] = (
-        "line"  # "pose": a dot at its start
-    )
+    style: Style = "line"
 
 
 @dataclass(frozen=True)
@@ -122,23 +115,11 @@ class Runner:
         workers = min(self._jobs, len(jobs))
         if workers <= 1:
             return [self._tell(done, len(jobs), _do(job)) for done, job in enumerate(jobs, 1)]
-        others = multiprocessing.active_children()
-        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
-        try:
-            tasks = [pool.submit(_do, job) for job in jobs]
-            for done, task in enumerate(as_completed(tasks), 1):
-                task.result()  # the first that fails ends it
-                self._progress(done, len(jobs))
-            return [task.result() for task in tasks]
-        except BrokenProcessPool as error:
-            raise VcmvspError("a process that ran a part of the figure died; --jobs 1 runs all in this one") from error
-        except BaseException:  # nobody waits for the rest
-            for worker in multiprocessing.active_children():
-                if worker not in others:
-                    worker.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        died = VcmvspError("a process that ran a part of the figure died twice; --jobs 1 runs all in this one")
+        with Pool(_do, workers, died=died) as pool:
+            given = pool.answers(enumerate(jobs), len(jobs))
+            answers = dict(self._tell(done, len(jobs), answer) for done, answer in enumerate(given, 1))
+        return [answers[place] for place in range(len(jobs))]
 
     def _tell(self, done: int, of: int, answer: Any) -> Any:
         self._progress(done, of)
@@ -147,19 +128,6 @@ class Runner:
 
 def _do(job: Job) -> Any:
     return job.read(run(job.scenario, seed=job.seed, set=job.set, mcap=False))
-
-
-def _begin_worker() -> None:
-    """Ctrl-C reaches all processes of a terminal: the first one decides. Whatever ends that one ends this one too."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-
-
-def _leave_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def relative(case: str, expected: float, measured: float, share: float) -> Row:

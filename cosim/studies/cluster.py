@@ -5,18 +5,19 @@ Which workers there are, and what becomes of the runs of one that is lost, is th
 
 import importlib
 import re
+import threading
 import time
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any
 
 from cosim.errors import UsageError, VcmvspError
 from cosim.studies.plan import Run
-from cosim.studies.pool import DIED, Answered, Asked
-from cosim.studies.worker import Work, failed, run_one, version
+from cosim.studies.pool import Answered, Asked
+from cosim.studies.worker import DIED, Work, failed, run_one, version
 
-TIMEOUT_S = 10
+TIMEOUT_S = 10  # for the scheduler, and then for what its workers say of their version
 PER_THREAD = 4  # runs that are handed over at once: enough that no worker waits for us
 LEAST = 8  # also to a cluster that has no workers yet, so that it knows that it needs some
 LOOK_EVERY_S = 5.0
@@ -43,7 +44,7 @@ class Cluster:
         if isinstance(address, str) and not _ADDRESS.fullmatch(address):
             raise UsageError(f"--cluster {address}: must be the address of a Dask scheduler, e.g. tcp://10.0.0.1:8786")
         try:
-            self._client: Any = distributed.Client(address, timeout=f"{TIMEOUT_S}s", set_as_default=False)
+            self._client: Any = _in_time(lambda: distributed.Client(address, timeout=f"{TIMEOUT_S}s", set_as_default=False))
         except (OSError, ValueError, TypeError) as error:
             problem = f"no Dask scheduler answers there within {TIMEOUT_S} s"
             raise UsageError(f"--cluster {self._name}: {problem} ({' '.join(str(error).split())})") from error
@@ -94,7 +95,7 @@ class Cluster:
 
     def _check_versions(self) -> None:
         try:
-            found: dict[str, str] = self._client.run(version)
+            found: dict[str, str] = _in_time(lambda: self._client.run(version))
         except Exception as error:  # whatever its workers make of it
             raise UsageError(
                 f"--cluster {self._name}: a worker cannot run vcmvsp ({type(error).__name__}: {' '.join(str(error).split())})"
@@ -102,3 +103,28 @@ class Cluster:
         others = {worker: theirs for worker, theirs in found.items() if theirs != self._work.version}
         for worker, theirs in others.items():
             raise UsageError(f"--cluster {self._name}: {worker} has vcmvsp {theirs}, this is {self._work.version}")
+
+
+def _in_time(call: Callable[[], Any]) -> Any:
+    """What the call gives within `TIMEOUT_S`. Dask waits without end for a peer that accepts a connection and says nothing.
+
+    Raises:
+        TimeoutError: it has given nothing by then; its thread is left behind.
+    """
+    given: list[Any] = []
+    raised: list[Exception] = []
+
+    def make() -> None:
+        try:
+            given.append(call())
+        except Exception as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=make, daemon=True)
+    thread.start()
+    thread.join(TIMEOUT_S)
+    if raised:
+        raise raised[0]
+    if not given:
+        raise TimeoutError("it says nothing")
+    return given[0]

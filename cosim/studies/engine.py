@@ -1,6 +1,7 @@
 """``cosim.study``: what ``vcmvsp study`` does. From the arguments to the table, in the order in which things happen."""
 
 import contextlib
+import functools
 import platform
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -8,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cosim.api import to_json
+from cosim.api import Folder, to_json, writing
 from cosim.errors import Interrupted, UsageError
 from cosim.studies import plan as plans
 from cosim.studies import rows
@@ -16,12 +17,13 @@ from cosim.studies.examine import examined, where
 from cosim.studies.plan import Plan
 from cosim.studies.pool import Answered, Pool, cores
 from cosim.studies.store import Answers, Store, begun
-from cosim.studies.worker import Job, Work, version
+from cosim.studies.worker import DIED, Job, Work, run_one, version
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Progress = Callable[[int, int, int], None]
+Checking = Callable[[int, int], None]
 ABOUT_SCHEMA = "vcmvsp.study-about/1"
 
 
@@ -93,29 +95,41 @@ def conduct(
     resume: bool,
     force: bool,
     progress: Progress,
+    checking: Checking = lambda *_: None,
+    numbered: bool = False,
 ) -> Studied:
-    """`study`, with what it was."""
+    """`study`, with what it was.
+
+    Args:
+        scenario, vary, seeds, seed, settings, metrics, jobs, cluster, out, resume, force, progress: as there.
+        checking: called with (checked, total) points before the first run.
+        numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...
+    """
     started, begin = datetime.now(UTC), time.monotonic()
     _check_arguments(jobs, cluster, out, resume=resume, force=force)
-    stored = None if out is None else begun(out, resume=resume, force=force)
+    stored = None
+    if out is not None and not numbered:
+        with writing(out):
+            stored = begun(out, resume=resume, force=force)
     base = plans.base_of(scenario)
     plan = plans.make(base, vary=vary, seeds=seeds, seed=seed, settings=settings, metrics=metrics, stored=stored)
-    plan = examined(plan, base)
+    plan = examined(plan, base, checking)
     work = Work(plan.scenario_toml, str(base.folder), version(), where(plan, base))
-    with _writing(out), _workers(work, jobs, cluster) as ask, _answers(plan, out, resume=resume, force=force) as answers:
-        before = len(answers.rows)
-        try:
-            _run(plan, answers, ask, progress)
-        except KeyboardInterrupt:
-            again = "; the same command with --resume goes on" if out else ""
-            raise Interrupted(f"interrupted: {len(answers.rows)} of {plan.size} runs are done{again}") from None
-        table = answers.finish()
-        if out is not None:
-            from cosim.studies import outputs
-
-            outputs.write(out, table, plan)
-            about = _about(plan, started, time.monotonic() - begin, plan.size - before, cluster=cluster, jobs=jobs)
-            (out / "about.json").write_text(to_json(about), "utf-8")
+    with _workers(work, jobs, cluster) as ask:
+        if out is not None and numbered:
+            with writing(out):
+                out = Folder(out, numbered=True).claim()
+        with _answers(plan, out, resume=resume, force=force) as answers:
+            before = len(answers.rows)
+            try:
+                _run(plan, answers, ask, progress)
+            except KeyboardInterrupt:
+                again = "; the same command with --resume goes on" if out else ""
+                raise Interrupted(f"interrupted: {len(answers.rows)} of {plan.size} runs are done{again}") from None
+            table = answers.finish()
+            if out is not None:
+                about = _about(plan, started, time.monotonic() - begin, plan.size - before, cluster=cluster, jobs=jobs)
+                _write(out, table, plan, about, repeatable=not isinstance(scenario, Mapping))
     return Studied(table, plan, out)
 
 
@@ -138,7 +152,7 @@ def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress) -> None:
 def _workers(work: Work, jobs: int | None, cluster: Any) -> Iterator[Ask]:
     """Where runs are made."""
     if cluster is None:
-        with Pool(work, jobs or cores()) as pool:
+        with Pool(functools.partial(run_one, work), jobs or cores(), died=DIED) as pool:
             yield pool.answers
     else:
         from cosim.studies.cluster import Cluster
@@ -147,17 +161,16 @@ def _workers(work: Work, jobs: int | None, cluster: Any) -> Iterator[Ask]:
             yield connected.answers
 
 
-@contextlib.contextmanager
-def _writing(out: Path | None) -> Iterator[None]:
-    """A full disk and the like is said in one line."""
-    try:
-        yield
-    except OSError as error:
-        raise UsageError(f"cannot write into {out}: {error.strerror or error}") from error
-
-
 def _answers(plan: Plan, out: Path | None, *, resume: bool, force: bool) -> Answers:
     return Answers(plan) if out is None else Store(out, plan, resume=resume, force=force)
+
+
+def _write(out: Path, table: "pa.Table", plan: Plan, about: Mapping[str, Any], *, repeatable: bool) -> None:
+    from cosim.studies import outputs
+
+    with writing(out):
+        outputs.write(out, table, plan, repeatable=repeatable)
+        (out / "about.json").write_text(to_json(about), "utf-8")
 
 
 def _check_arguments(jobs: int | None, cluster: Any, out: Path | None, *, resume: bool, force: bool) -> None:

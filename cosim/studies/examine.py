@@ -3,7 +3,7 @@
 import difflib
 import hashlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import metadata
 from typing import Any, Literal
 
@@ -12,27 +12,36 @@ import msgspec
 from cosim import api
 from cosim import scenario as scenarios
 from cosim.assemble import Assembly
-from cosim.errors import ScenarioError, UsageError, VcmvspError
+from cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from cosim.kernel import Kernel
 from cosim.studies.plan import Base, Plan
 from cosim.studies.rows import flat
 
 PACKAGES = ("vcmvsp", "numpy", "scipy", "pybullet", "simpy", "pyarrow")
-ALL_CHECKED = 500  # points; of more, every value of every key is checked once
+ALL_CHECKED = 50  # points; of more, every value of every key is checked once: each takes a tenth of a second
 FORMATION = ("formation.rms_m", "radio.delivery_ratio")
 NO_FORMATION = ("radio.delivery_ratio", "radio.age_s.mean")
 
 
-def examined(plan: Plan, base: Base) -> Plan:
+def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lambda *_: None) -> Plan:
     """The plan with its metrics, files and versions, if every run can begin.
+
+    Args:
+        plan: what is asked for.
+        base: the scenario.
+        checking: told before each point how many are checked, and of how many.
 
     Raises:
         ScenarioError: a point cannot be run as it is.
         UsageError: a metric is unknown.
     """
-    files: dict[str, str] = {}
-    for point in _chosen(plan):
-        files |= _check(plan, base, point)
+    hashes: dict[str, set[str]] = {}
+    chosen = list(_chosen(plan))
+    for number, point in enumerate(chosen):
+        checking(number, len(chosen))
+        for name, content in _check(plan, base, point).items():
+            hashes.setdefault(name, set()).add(hashlib.sha256(content).hexdigest())
+    files = {name: " ".join(sorted(found)) for name, found in hashes.items()}
     versions = {name: metadata.version(name) for name in PACKAGES}
     return msgspec.structs.replace(plan, metrics=_metrics(plan, base), files=files, versions=versions)
 
@@ -59,23 +68,26 @@ def _chosen(plan: Plan) -> Iterator[tuple[Any, ...]]:
         yield from ((*first[:place], value, *first[place + 1 :]) for value in each[1:])
 
 
-def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> dict[str, str]:
+def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes]:
     """Build and start a point's federates once; the files that it uses."""
     settings = plan.settings(point)
+    files: Mapping[str, bytes] = {}
     try:
         parsed, source = scenarios.load(base.asked, settings=settings, seed=plan.seeds[0])
         with Assembly(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembly:
+            assembly.resolved()  # only then are all files known
+            files = assembly.files
             kernel = Kernel(assembly.run_info, assembly.federates)
             assembly.start(kernel)
             kernel.close()
-            return {name: hashlib.sha256(content).hexdigest() for name, content in assembly.files.items()}
     except ScenarioError as error:
         asked = re.match(r"--set (\S+)=", error.source)
         if asked and asked[1] in plan.vary:  # the user said --vary
             raise ScenarioError(error.problem, key=error.key, source=error.source.replace("--set", "--vary", 1)) from error
         raise
-    except VcmvspError:  # an agent that fails: that is for the runs to show
-        return {}
+    except AgentError:  # that is for the runs to show
+        pass
+    return files
 
 
 def _metrics(plan: Plan, base: Base) -> list[str]:

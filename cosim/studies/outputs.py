@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import pyarrow as pa
 import tomli_w
 
+from cosim import scenario as scenarios
 from cosim.report.page import Code, Facts, Figure, Rows, Section, Words, page
 from cosim.studies.summary import summarise, to_csv
 
@@ -47,13 +48,14 @@ class Spec(Protocol):
         """Of the packages that matter."""
 
 
-def write(folder: Path, table: pa.Table, spec: Spec) -> list[Path]:
+def write(folder: Path, table: pa.Table, spec: Spec, *, repeatable: bool = True) -> list[Path]:
     """Write ``summary.csv``, ``study.png``, ``study-map.png``, both as ``.svg`` too, and ``report.html``.
 
     Args:
         folder: which must exist.
         table: a row for each run: the varied keys, ``seed``, metrics, ``error`` and ``digest``.
         spec: what was studied. The map is drawn where two keys with numbers were varied.
+        repeatable: whether the scenario has a name or a file, so that there is a command for it.
 
     Returns:
         What was written.
@@ -75,7 +77,8 @@ def write(folder: Path, table: pa.Table, spec: Spec) -> list[Path]:
         if (over_two := study_plot.heat_map(summary, keys, metrics[0], means)) is not None:
             drawn += study_plot.save(over_two, folder / "study-map")
     report = folder / "report.html"
-    report.write_text(_page(table, summary, spec, [path for path in drawn if path.suffix == ".svg"]), "utf-8")
+    drawings = [path for path in drawn if path.suffix == ".svg"]
+    report.write_text(_page(table, summary, spec, drawings, repeatable=repeatable), "utf-8")
     return [*written, *drawn, report]
 
 
@@ -95,8 +98,8 @@ def command_of(spec: Spec) -> str:
 def toml_of(value: Any) -> str:
     """A value as ``--set`` and ``--vary`` read it."""
     if isinstance(value, str):
-        plain = value.replace("_", "").replace("-", "").isalnum() and not value[0].isdigit()
-        return value if plain and value not in ("true", "false", "inf", "nan") else _quoted(value)
+        plain = value.replace("_", "").replace("-", "").isalnum() and scenarios.value_of(value) == value
+        return value if plain else _quoted(value)
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_quoted(str(key))} = {_inside(each)}" for key, each in value.items()) + " }"
     if isinstance(value, list | tuple):
@@ -114,7 +117,7 @@ def _quoted(text: str) -> str:
     return tomli_w.dumps({"value": text}).removeprefix("value = ").strip()
 
 
-def _page(table: pa.Table, summary: pa.Table, spec: Spec, drawings: Sequence[Path]) -> str:
+def _page(table: pa.Table, summary: pa.Table, spec: Spec, drawings: Sequence[Path], *, repeatable: bool) -> str:
     failures = _failures(table, list(spec.vary))
     points, seeds = summary.num_rows, len(spec.seeds)
     lead = f"{_count(table.num_rows, 'run')}: {_count(points, 'point')} with {_count(seeds, 'seed')} each"
@@ -123,7 +126,7 @@ def _page(table: pa.Table, summary: pa.Table, spec: Spec, drawings: Sequence[Pat
         Section("Figures", [Figure(path.read_text("utf-8"), f"{path.stem} of {spec.scenario}") for path in drawings]),
         Section("Summary", [Words(_EXPLAINED), _table(summary, spec)]),
         _failed(failures, list(spec.vary)) if failures else None,
-        Section("Again", [Code(command_of(spec))]),
+        Section("Again", [Code(command_of(spec))]) if repeatable else None,
         Section("Scenario", [Code(spec.scenario_toml, folded="its file, without what was varied or set")]),
         Section("Versions", [Facts(list(spec.versions.items()))]),
     ]

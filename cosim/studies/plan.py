@@ -42,7 +42,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     metrics: list[str] = []  # what is drawn and summarised
     set: dict[str, Any] = {}  # key path -> value, for all runs
     versions: dict[str, str] = {}
-    files: dict[str, str] = {}  # SHA-256 of each file that the scenario names
+    files: dict[str, str] = {}  # SHA-256 of each file that a point names, by its name; several where points differ in it
     schema: str = SCHEMA
 
     @property
@@ -157,7 +157,7 @@ def check_same(plan: Plan, stored: Plan, out: Path) -> None:
     for what, now, then in (
         ("the scenario", content(plan.scenario_toml), content(stored.scenario_toml)),
         ("--set", plan.set, stored.set),
-        ("its file", plan.files, stored.files),
+        ("its file", *_in_both(plan.files, stored.files)),
         ("the version of", _ours(plan.versions), _ours(stored.versions)),
     ):
         if (difference := _difference(now, then)) is not None:
@@ -201,6 +201,8 @@ def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) 
         raise UsageError(f"{key} is varied over no values")
     seen: set[str] = set()
     for value in values:
+        if (bad := table.non_finite(value)) is not None:
+            raise UsageError(f"--vary {key}={value}: must be finite, not {bad}")
         if label(value) in seen:
             raise UsageError(f"{key} is varied over {label(value)} twice")
         seen.add(label(value))
@@ -208,6 +210,13 @@ def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) 
 
 def _ours(versions: Mapping[str, str]) -> dict[str, str]:
     return {name: version for name, version in versions.items() if name == "vcmvsp"}
+
+
+def _in_both(now: Mapping[str, str], then: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+    """The files that both studies name, now and then. Further files, of values that were added, make no difference."""
+    names = [name for name in then if name in now]
+    kept = {name: then[name] if {*then[name].split()} <= {*now[name].split()} else now[name] for name in names}
+    return kept, {name: then[name] for name in names}
 
 
 def _difference(now: Any, then: Any, key: str = "") -> str | None:

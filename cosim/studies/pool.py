@@ -1,97 +1,103 @@
-"""Runs on this machine: worker processes that are started afresh, each by itself, so that one that dies costs one run.
+"""A function called many times on this machine, in processes: one that dies costs one call.
 
-A thread waits for each worker. Workers are interpreters of their own rather than children of `multiprocessing`, which would
-import the caller's script once more in each of them.
+Workers are started afresh, each by itself, and a thread waits for each. They are interpreters of their own rather than children
+of `multiprocessing`, which would import the caller's script once more in each of them. Functions, what they are given and what
+they give travel as pickles.
 """
 
 import contextlib
 import json
 import os
+import pickle
 import queue
+import signal
+import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Iterator
-
-import msgspec
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing.connection import Connection
+from typing import Any
 
 from cosim.errors import VcmvspError
-from cosim.studies.plan import Run
-from cosim.studies.worker import READY, Job, Work, failed
 from cosim.transport.process import BOOT
 
 ATTEMPTS = 2
-DIED = failed("its worker died")
-Asked = tuple[Run, Job]
-Answered = tuple[Run, bytes]
+READY = "ready"
+Asked = tuple[Any, Any]  # the caller's name for a call, and what the function is given
+Answered = tuple[Any, Any]  # the same name, and what the function gave
 
 
 class WorkerDiedError(Exception):
-    """The process ended in the middle of a run."""
+    """The process ended in the middle of a call."""
 
 
 class Worker:
-    """A process that makes one run after the other.
+    """A process that makes one call after the other.
 
     Args:
-        work: what all runs share.
+        call: a function of a module, or a `functools.partial` of one.
     """
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, call: Callable[[Any], Any]) -> None:
         # The worker looks for modules where this process does. A group of its own keeps Ctrl-C away from it.
-        command = [sys.executable, "-P", "-c", BOOT.format(module="cosim.studies.worker")]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
+        command = [sys.executable, "-P", "-c", BOOT.format(module="cosim.studies.pool")]
         try:
-            ready = self._ask(json.dumps(sys.path).encode() + b"\n" + msgspec.json.encode(work))
+            ours, theirs = socket.socketpair()
+            self._pipe: Connection[Any, Any] = Connection(ours.detach())
+            with theirs:
+                self._process = subprocess.Popen(command, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, process_group=0)
+            os.write(self._pipe.fileno(), json.dumps(sys.path).encode() + b"\n")
+        except OSError as error:
+            raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
+        try:
+            ready = self.run(call)
         except WorkerDiedError:
-            ready = b""
+            ready = None
         if ready != READY:
             self.close()
-            raise VcmvspError(f"a worker of the study ended while it started (exit code {self._process.returncode})")
+            raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
 
-    def run(self, job: Job) -> bytes:
-        """A run's row.
+    def run(self, given: Any) -> Any:
+        """What the function gives, or raises.
 
         Raises:
             WorkerDiedError: the process was killed, or crashed.
         """
-        return self._ask(msgspec.json.encode(job)).removesuffix(b"\n")
+        asked = pickle.dumps(given)
+        try:
+            self._pipe.send_bytes(asked)
+            answer = self._pipe.recv_bytes()
+        except (EOFError, OSError) as error:
+            raise WorkerDiedError from error
+        raised, value = pickle.loads(answer)  # noqa: S301  by a process of our own
+        if raised:
+            raise value
+        return value
 
     def close(self) -> None:
         """End it, whatever it is doing; hosts of agents that it has started end by themselves then."""
         self._process.kill()
         self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            with contextlib.suppress(OSError):
-                pipe.close()  # type: ignore[union-attr]  # both are pipes
+        self._pipe.close()
 
     def kill(self) -> None:
         """End it while another thread waits for its answer."""
         self._process.kill()
-
-    def _ask(self, line: bytes) -> bytes:
-        stdin, stdout = self._process.stdin, self._process.stdout
-        try:
-            stdin.write(line + b"\n")  # type: ignore[union-attr]
-            stdin.flush()  # type: ignore[union-attr]
-            answer: bytes = stdout.readline()  # type: ignore[union-attr]
-        except (OSError, ValueError) as error:
-            raise WorkerDiedError from error
-        if not answer.endswith(b"\n"):
-            raise WorkerDiedError
-        return answer
 
 
 class Pool:
     """Workers of this machine. Use it as a context manager: leaving it ends them.
 
     Args:
-        work: what all runs share.
-        jobs: how many run at once.
+        call: a function of a module, or a `functools.partial` of one.
+        jobs: how many calls are made at once.
+        died: what a call gives whose worker died, twice; an error is raised.
     """
 
-    def __init__(self, work: Work, jobs: int) -> None:
-        self._work, self._jobs = work, jobs
+    def __init__(self, call: Callable[[Any], Any], jobs: int, *, died: Any) -> None:
+        self._call, self._jobs, self._died = call, jobs, died
         self._lock, self._stopped = threading.Lock(), False
         self._threads: list[threading.Thread] = []
         self._workers: set[Worker] = set()
@@ -109,7 +115,7 @@ class Pool:
             thread.join()
 
     def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
-        """The ``count`` rows of these runs, in the order in which they become known."""
+        """What these ``count`` calls give, in the order in which it becomes known; the first that raises ends it."""
         source = iter(asked)
         for _ in range(min(self._jobs, count)):
             self._threads.append(threading.Thread(target=self._serve, args=(source,), daemon=True))
@@ -125,17 +131,17 @@ class Pool:
         worker: Worker | None = None
         try:
             while (each := self._next(source)) is not None:
-                run, job = each
-                answer = DIED
+                name, given = each
+                answer = self._died
                 for _ in range(ATTEMPTS):
                     try:
                         worker = worker or self._started()
-                        answer = worker.run(job)
+                        answer = worker.run(given)
                         break
                     except WorkerDiedError:
                         self._left(worker)
                         worker = None
-                self._answers.put((run, answer))
+                self._answers.put(answer if isinstance(answer, BaseException) else (name, answer))
         except BaseException as error:  # for the main thread to raise
             self._answers.put(error)
         finally:
@@ -148,7 +154,7 @@ class Pool:
     def _started(self) -> Worker:
         if self._stopped:
             raise WorkerDiedError
-        worker = Worker(self._work)
+        worker = Worker(self._call)
         with self._lock:
             self._workers.add(worker)
             if self._stopped:
@@ -165,3 +171,50 @@ class Pool:
 def cores() -> int:
     """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+# --- in the worker ----------------------------------------------------------------------------------------------------------
+
+
+def main() -> int:
+    """Entry point of a worker process: a function comes in first, then what it is to be given, again and again."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's to handle; it ends its workers
+    pipe: Connection[Any, Any] = Connection(os.dup(0))
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # nothing that a call starts holds our end, or reads from it
+    lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(pipe, lines), daemon=True).start()
+    call = pickle.loads(lines.get())  # noqa: S301  from the process that started us
+    pipe.send_bytes(pickle.dumps((False, READY)))
+    while True:
+        pipe.send_bytes(_answer(call, lines.get()))
+
+
+def _read(pipe: "Connection[Any, Any]", lines: "queue.SimpleQueue[bytes]") -> None:
+    """Take calls; leave at once, in the middle of one too, when the caller's process is gone: its end of the pipe closes."""
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            lines.put(pipe.recv_bytes())
+    os._exit(0)
+
+
+def _answer(call: Callable[[Any], Any], given: bytes) -> bytes:
+    try:
+        return pickle.dumps((False, call(pickle.loads(given))))  # noqa: S301
+    except Exception as error:
+        return pickle.dumps((True, _portable(error)))
+
+
+def _portable(error: Exception) -> Exception:
+    """The error, where it can be sent; what it says otherwise."""
+    if not isinstance(error, VcmvspError):
+        error.add_note("".join(traceback.format_exception(error)))
+    try:
+        pickle.loads(pickle.dumps(error))  # noqa: S301
+    except Exception:  # an error need not be made for it, nor what it holds
+        kind = "" if isinstance(error, VcmvspError) else f"{type(error).__name__}: "
+        return VcmvspError(f"{kind}{error}")
+    return error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -30,17 +30,25 @@ class StudyProgress:
         if self._bar is not None:
             self._bar.stop()
 
+    def on_check(self, done: int, total: int) -> None:
+        """Note how many points are checked before the first run."""
+        self._show(f"checking: {done} of {total} points", done, total)
+
     def on_run(self, done: int, failed: int, total: int) -> None:
         """Note how many runs are done; the first call, with those that were done before, starts the clock."""
         now = time.monotonic()
-        if self._first is None:
+        if self._first is None or done <= self._first:
             self._start, self._first = now, done
-        if self._quiet or now - self._last < (DRAW_EVERY_S if self._terminal else LOG_EVERY_S):
-            return
-        self._last = now
         words = f"{done} of {total} runs done" + (f", {failed} failed" if failed else "")
         if done > self._first:  # time left: as long for each as for those that are done
             words += f", {clock((now - self._start) / (done - self._first) * (total - done))} left"
+        self._show(words, done, total)
+
+    def _show(self, words: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if self._quiet or now - self._last < (DRAW_EVERY_S if self._terminal else LOG_EVERY_S):
+            return
+        self._last = now
         if self._terminal:
             self._draw(words, done, total)
         else:
@@ -54,9 +62,9 @@ class StudyProgress:
 
             columns = (BarColumn(), TextColumn("{task.description}"))
             self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=total)
+            self._task = self._bar.add_task("")
             self._bar.start()
-        self._bar.update(self._task, completed=done, description=words)
+        self._bar.update(self._task, completed=done, total=total, description=words)
 
 
 def clock(seconds: float) -> str:

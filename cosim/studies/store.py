@@ -3,6 +3,10 @@
 ``study.toml`` says what is run and is written first. A finished run is a line of ``study.journal`` at once; now and then the
 table ``study.parquet`` is written anew, beside the old one and then in its place, and the journal is emptied. That is done so
 rarely that it takes less than a fiftieth of the time, however large the table. In the end there is no journal.
+
+Whatever ends the process loses nothing. A power cut may: as runs finish, the journal is written through to the disk at most
+five times a second; the system writes the rest within seconds. What a cut takes is run again. Plan and table are on the disk
+before they take the place of those before them.
 """
 
 import contextlib
@@ -19,7 +23,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cosim.api import Folder
+from cosim.api import Folder, writing
 from cosim.errors import UsageError
 from cosim.record.tables import write_table
 from cosim.studies import rows
@@ -29,7 +33,8 @@ PLAN, TABLE, JOURNAL, LOCK = "study.toml", "study.parquet", "study.journal", "st
 UNFINISHED = {LOCK, f"{PLAN}.tmp"}  # what a study leaves that was killed before it began
 FIGURES = tuple(f"{name}.{kind}" for name in ("study", "study-map") for kind in ("png", "svg"))
 OUTPUTS = ("about.json", "summary.csv", "report.html", *FIGURES)
-SHARE = 0.02  # of the time may go into writing the table
+SHARE = 0.02  # of the time may go into writing the table, and as much into waiting for the disk
+SYNC_EVERY_S = 0.2  # at the most often: the journal, to the disk
 
 
 class Line(msgspec.Struct, frozen=True):
@@ -48,7 +53,7 @@ class Answers:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self.rows: dict[str, bytes] = {}
+        self.rows: dict[str, bytes] = {}  # by `Run.key`, packed
 
     def __enter__(self) -> Self:
         return self
@@ -58,7 +63,7 @@ class Answers:
 
     def add(self, run: str, row: bytes) -> None:
         """Keep a run's row."""
-        self.rows[run] = row
+        self.rows[run] = rows.packed(row)
 
     def finish(self) -> pa.Table:
         """The table of all runs."""
@@ -98,11 +103,11 @@ class Store(Answers):
     def __init__(self, folder: Path, plan: Plan, *, resume: bool, force: bool) -> None:
         super().__init__(plan)
         self._folder, self._resume, self._force = folder, resume, force
-        self._next = 0.0
+        self._next = self._sync = 0.0
         self._journal: IO[bytes]
 
     def __enter__(self) -> Self:
-        with contextlib.ExitStack() as stack:
+        with writing(self._folder), contextlib.ExitStack() as stack:
             self._folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(_locked(self._folder / LOCK))
             if stored := begun(self._folder, resume=self._resume, force=self._force):
@@ -111,7 +116,8 @@ class Store(Answers):
             else:
                 for name in (TABLE, JOURNAL, *OUTPUTS):
                     (self._folder / name).unlink(missing_ok=True)
-            _replace(self._folder / PLAN, self.plan.to_toml().encode())
+            with _replacing(self._folder / PLAN) as path:
+                path.write_bytes(self.plan.to_toml().encode())
             self._journal = stack.enter_context((self._folder / JOURNAL).open("ab", buffering=0))
             self.write()
             self._stack = stack.pop_all()
@@ -125,19 +131,24 @@ class Store(Answers):
                     self.write()
 
     def add(self, run: str, row: bytes) -> None:
-        """Keep a run's row, on disk at once."""
+        """Keep a run's row, in the journal at once."""
         super().add(run, row)
-        self._journal.write(msgspec.json.encode(Line(run, msgspec.Raw(row))) + b"\n")
-        if time.monotonic() >= self._next:
-            self.write()
+        with writing(self._folder):
+            self._journal.write(msgspec.json.encode(Line(run, msgspec.Raw(row))) + b"\n")
+            begin = time.monotonic()
+            if begin >= self._next:
+                self.write()
+            elif begin >= self._sync:
+                os.fsync(self._journal.fileno())
+                end = time.monotonic()
+                self._sync = end + max(SYNC_EVERY_S, (end - begin) / SHARE)
 
     def write(self) -> pa.Table:
         """Write the table of all rows so far."""
         begin = time.monotonic()
         table = rows.table_of(self.plan, self.rows)
-        path = self._folder / f"{TABLE}.tmp"
-        write_table(table, path)
-        path.replace(self._folder / TABLE)
+        with _replacing(self._folder / TABLE) as path:
+            write_table(table, path)
         self._journal.truncate(0)
         end = time.monotonic()
         self._next = end + (end - begin) / SHARE
@@ -145,33 +156,46 @@ class Store(Answers):
 
     def finish(self) -> pa.Table:
         """Write the table of all runs; the journal goes."""
-        table = self.write()
-        (self._folder / JOURNAL).unlink()
+        with writing(self._folder):
+            table = self.write()
+            (self._folder / JOURNAL).unlink()
         return table
 
     def _recover(self, stored: Plan) -> None:
-        """Take the rows that are there: of the table, and of whole lines of the journal."""
+        """Take the rows that are there: of the table, and of those lines of the journal that can be read."""
         wanted = {run.key for run in self.plan.runs}
         try:
             if (self._folder / TABLE).exists():
                 self.rows |= rows.answers_of(pq.read_table(self._folder / TABLE), list(stored.vary))
             text = (self._folder / JOURNAL).read_bytes() if (self._folder / JOURNAL).exists() else b""
-            for line in text.splitlines(keepends=True):
-                if line.endswith(b"\n"):  # else it was being written when the study ended
-                    told = msgspec.json.decode(line, type=Line)
-                    if rows.decode(told.row).error is None:  # failed runs are run again
-                        self.rows[told.run] = bytes(told.row)
         except (OSError, ValueError, KeyError) as error:
             problem = " ".join(str(error).split())
             raise UsageError(f"--resume {self._folder}: its rows cannot be read: {problem}") from error
+        for line in text.split(b"\n"):
+            with contextlib.suppress(msgspec.DecodeError):  # half a line, or what a power cut left of one: it is run again
+                told = msgspec.json.decode(line, type=Line)
+                if rows.decode(told.row).error is None:  # failed runs are run again
+                    self.rows[told.run] = rows.packed(bytes(told.row))
         self.rows = {run: row for run, row in self.rows.items() if run in wanted}
 
 
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file so that it is there either as it was or as it is to be."""
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Where to write a file so that it is there either as it was or, whole, as it is to be: after a power cut too."""
     beside = path.with_name(f"{path.name}.tmp")
-    beside.write_bytes(content)
+    yield beside
+    _sync(beside)
     beside.replace(path)
+    _sync(path.parent)
+
+
+def _sync(path: Path) -> None:
+    """Have the disk hold a file, or the names in a folder."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
 
 
 @contextlib.contextmanager

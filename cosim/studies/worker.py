@@ -1,12 +1,7 @@
-"""One run of a study, and the process that makes one after the other for `cosim.studies.pool`."""
+"""One run of a study, wherever it is made: by `cosim.studies.pool` on this machine, or by `cosim.studies.cluster`."""
 
 import contextlib
 import functools
-import io
-import os
-import queue
-import signal
-import sys
 import threading
 from importlib import metadata
 from pathlib import Path
@@ -19,7 +14,6 @@ from cosim.errors import VcmvspError
 from cosim.studies.plan import content
 from cosim.studies.rows import Row, encode, flat
 
-READY = b"ready\n"
 _one_at_a_time = threading.Lock()  # a run has the process for itself, its current folder too
 
 
@@ -63,6 +57,9 @@ def failed(message: str) -> bytes:
     return encode(Row(error=" ".join(message.split())))
 
 
+DIED = failed("its worker died")
+
+
 @functools.lru_cache(maxsize=4)
 def _content(text: str) -> dict[str, Any]:
     return content(text)
@@ -71,28 +68,3 @@ def _content(text: str) -> dict[str, Any]:
 def _in(folder: str) -> contextlib.AbstractContextManager[None]:
     """Relative files of a scenario lie in its folder, which a worker elsewhere need not have if there are none."""
     return contextlib.chdir(folder) if Path(folder).is_dir() else contextlib.nullcontext()
-
-
-def main() -> int:
-    """Entry point of a worker process: a `Work` and then a `Job` a line come in, a `Row` a line goes out."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the study's to handle; it ends its workers
-    answers = os.fdopen(os.dup(1), "wb", buffering=0)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what agents print is no answer
-    pipe = io.FileIO(0, closefd=False)  # unbuffered: a thread that waits in it must not hold a lock when Python exits
-    work = msgspec.json.decode(pipe.readline(), type=Work)
-    lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(pipe, lines), daemon=True).start()
-    answers.write(READY)
-    while True:
-        answers.write(run_one(work, msgspec.json.decode(lines.get(), type=Job)) + b"\n")
-
-
-def _read(pipe: io.FileIO, lines: "queue.SimpleQueue[bytes]") -> None:
-    """Take jobs; leave at once, in the middle of a run too, when the study's process is gone: its end of the pipe closes."""
-    while line := pipe.readline():
-        lines.put(line)
-    os._exit(0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -129,7 +129,7 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
         (["--set"], "--set"),
         (["--nonsense"], "--nonsense"),
         (["more"], "more"),
-        (["--agents", "zenoh", "--listen", "nonsense"], "cannot listen on 'nonsense'"),
+        (["--agents", "zenoh", "--listen", "nonsense"], "'nonsense': must be tcp/HOST:PORT or tls/HOST:PORT"),
     ],
 )
 def test_a_bad_option_is_refused(folder: Path, options: list[str], words: str) -> None:

@@ -3,18 +3,22 @@
 import csv
 import json
 import math
+import os
+import signal
 import sys
 import types
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import cosim
 from cosim import figures
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from cosim.figures import loss, lossy, theory
 from cosim.figures.files import as_json, table, write
-from cosim.figures.kit import Curve, Figure, Heat, Panel, Row, Runner, at_least, at_most, relative
+from cosim.figures.kit import Curve, Figure, Heat, Job, Panel, Row, Runner, at_least, at_most, relative
 from cosim.figures.scenarios import ASIDE, K1, R, T, V, fleet, overshoot, rms, settling_s, step_follower, track
 from cosim.figures.scenarios import lossy as radio
 from tests.cosim.command import vcmvsp
@@ -166,6 +170,35 @@ def test_a_run_that_fails_in_a_process_is_raised_here() -> None:
     good, bad = fleet(1.0), fleet(1.0, [{"distanec": 1.0}])
     with pytest.raises(ScenarioError, match="did you mean 'distance'"):
         Runner(2)([track(good), track(bad)])
+
+
+def die_once(result: cosim.Result, mark: Path) -> int:
+    """The worker's process, which the first of them does not survive."""
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def die(result: cosim.Result) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_worker_that_is_killed_costs_no_figure(tmp_path: Path) -> None:
+    found = Runner(2)([Job(fleet(0.5), partial(die_once, mark=tmp_path / "mark")), rms(fleet(0.5), from_s=0.0)])
+    assert found[0] != os.getpid()
+    assert found[1].shape == (2,)
+    with pytest.raises(VcmvspError, match="died twice; --jobs 1"):
+        Runner(2)([Job(fleet(0.5), die), Job(fleet(0.5), die)])
+
+
+def refuse(result: cosim.Result) -> None:
+    raise AgentError(("car1",), "mine", "no")
+
+
+def test_an_error_that_cannot_be_sent_says_what_it_said() -> None:
+    with pytest.raises(VcmvspError, match=r"^agent mine of vehicle car1: no$"):
+        Runner(2)([Job(fleet(0.5), refuse), Job(fleet(0.5), refuse)])
 
 
 def test_a_step_begins_with_no_history() -> None:

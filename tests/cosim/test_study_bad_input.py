@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from cosim.cli_study import _default_folder
 from tests.cosim.command import two_cars, vcmvsp
 from tests.cosim.studying import LOSS
 
@@ -84,7 +83,13 @@ def test_a_study_table_is_the_default(tmp_path: Path) -> None:
     assert '"runs": 4' in found.out
     assert '"radio.frames": {' in found.out
     assert (tmp_path / "runs" / "t-study" / "study.parquet").exists()
-    assert _default_folder("t.toml") == Path("runs/t-study-2")
+    again = vcmvsp("study", "t.toml", "--jobs", "1", "--quiet", "--json")
+    assert again.out == found.out.replace("runs/t-study", "runs/t-study-2")
+
+
+def test_without_a_folder_a_bad_study_makes_none(tmp_path: Path) -> None:
+    assert vcmvsp("study", "s.toml", "--vary", f"{LOSS}=0,2").code == 2
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_study_of_which_every_run_failed_says_so(tmp_path: Path) -> None:

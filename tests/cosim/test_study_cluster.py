@@ -1,5 +1,7 @@
 """Studies on a cluster: two Dask workers on this machine."""
 
+import functools
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -70,6 +72,23 @@ def test_a_cluster_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(UsageError, match=r"--cluster tcp://127\.0\.0\.1:1: no Dask scheduler answers there within 1 s"):
         study(two(), vary=VARY, seeds=1, cluster="tcp://127.0.0.1:1")
     assert time.monotonic() - begin < 30
+
+
+def test_a_cluster_that_says_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(clusters, "TIMEOUT_S", 1)
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # it accepts
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(UsageError, match=rf"--cluster {address}: no Dask scheduler answers there within 1 s"):
+            study(two(), vary={LOSS: [0.0]}, seeds=1, cluster=address)
+
+
+def test_workers_that_say_nothing_are_named(dask: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clusters, "TIMEOUT_S", 1)
+    monkeypatch.setattr(clusters, "version", functools.partial(time.sleep, 3.0))
+    with pytest.raises(UsageError, match=r"a worker cannot run vcmvsp \(TimeoutError: it says nothing\)"):
+        study(two(), vary={LOSS: [0.0]}, seeds=1, cluster=dask.scheduler_address)
+    time.sleep(3.0)
 
 
 def test_without_dask_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,11 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
+import cosim
 from cosim.record import study_plot
 from cosim.scenario import settings_of
 from cosim.studies.grid import vary_of
 from cosim.studies.outputs import command_of, toml_of, write
 from cosim.studies.summary import summarise
+from tests.cosim.studying import two
 
 LOSS, DELAY, WHO, METRIC = "radio.loss.probability", "radio.delay.seconds", "agents.estimator", "formation.rms_m"
 
@@ -231,6 +233,22 @@ values = st.recursive(
 def test_a_value_is_read_again_as_it_was(value: Any) -> None:
     assert vary_of([f"a.b={toml_of(value)}"]) == {"a.b": [value]}
     assert settings_of([f"a.b={toml_of(value)}"]) == {"a.b": value}
+
+
+@pytest.mark.parametrize("text", ["-5", "-inf", "5", "1e5", "nan", "true", "1979-05-27", "2nd", "-", "_1", "0x1F", "a-b", "٣"])
+def test_a_text_stays_a_text(text: str) -> None:
+    assert vary_of([f"a.b={toml_of(text)}"]) == {"a.b": [text]}
+    assert settings_of([f"a.b={toml_of(text)}"]) == {"a.b": text}
+
+
+def test_a_scenario_that_has_no_name_has_no_command(tmp_path: Path) -> None:
+    table, spec = study({LOSS: [0.1, 0.5]})
+    write(tmp_path, table, spec, repeatable=False)
+    text = html.unescape((tmp_path / "report.html").read_text("utf-8"))
+    assert "vcmvsp study" not in text
+    assert "Again" not in text
+    cosim.study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / "whole")
+    assert "vcmvsp study" not in (tmp_path / "whole" / "report.html").read_text("utf-8")
 
 
 def test_the_command_says_everything_that_the_study_was() -> None:

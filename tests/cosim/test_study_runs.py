@@ -1,8 +1,11 @@
 """Studies through ``cosim.study``: what the rows are does not depend on how they were made."""
 
+import errno
+import functools
 import itertools
 import os
 import signal
+import subprocess
 import threading
 import time
 from pathlib import Path
@@ -12,13 +15,16 @@ import pyarrow as pa
 import pytest
 
 import cosim
-from cosim.errors import AgentError
+from cosim.assemble import Assembly
+from cosim.errors import AgentError, FederateError, UsageError, VcmvspError
+from cosim.studies import examine
+from cosim.studies import plan as plans
 from cosim.studies.engine import study
 from cosim.studies.plan import Plan
 from cosim.studies.pool import Pool, Worker
 from cosim.studies.progress import StudyProgress
-from cosim.studies.rows import Row, encode, flat, table_of
-from cosim.studies.worker import Job, Work, failed, version
+from cosim.studies.rows import Row, encode, flat, packed, table_of
+from cosim.studies.worker import DIED, Job, Work, failed, run_one, version
 from tests.cosim.studying import ESTIMATOR, LOSS, columns, mine, two
 
 VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
@@ -87,7 +93,7 @@ def test_losses_that_did_not_happen_are_none() -> None:
 def test_values_of_all_kinds_make_columns_of_their_types() -> None:
     def column(values: list[Any]) -> Any:
         plan = Plan(scenario="", scenario_toml="", vary={"key": values}, seeds=[0])
-        return table_of(plan, {run.key: failed("no") for run in plan.runs})["key"]
+        return table_of(plan, {run.key: packed(failed("no")) for run in plan.runs})["key"]
 
     for values, kind in (
         ([0, 1], pa.int64()),
@@ -102,7 +108,7 @@ def test_values_of_all_kinds_make_columns_of_their_types() -> None:
 
 def test_a_metric_that_is_varied_has_one_column() -> None:
     plan = Plan(scenario="", scenario_toml="", vary={"duration_s": [0.5, 1.0]}, seeds=[0])
-    found = table_of(plan, {run.key: encode(Row({"duration_s": 9.0, "digest": "d"})) for run in plan.runs})
+    found = table_of(plan, {run.key: packed(encode(Row({"duration_s": 9.0, "digest": "d"}))) for run in plan.runs})
     assert found.column_names == ["duration_s", "seed", "error", "digest"]
     assert found["duration_s"].to_pylist() == [0.5, 1.0]
 
@@ -124,7 +130,9 @@ def wait_for(condition: Any, seconds: float = 30.0) -> None:
 def pool_and_job(folder: Path, nap_s: float) -> tuple[Pool, Job]:
     """A pool of one worker, and a run that leaves a mark and then naps."""
     work = Work(mine(folder).read_text(), str(folder), version())
-    return Pool(work, 1), Job(0, {"agents.nap_s": nap_s, "vehicle.car1.agent.mark": str(folder / "mark")})
+    return Pool(functools.partial(run_one, work), 1, died=DIED), Job(
+        0, {"agents.nap_s": nap_s, "vehicle.car1.agent.mark": str(folder / "mark")}
+    )
 
 
 @pytest.mark.parametrize("deaths", [1, 2])
@@ -142,7 +150,7 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
     killer = threading.Thread(target=kill)
     killer.start()
     with pool:
-        rows = [row for _, row in pool.answers([(None, job) for job in (quick, slow, quick)], 3)]  # type: ignore[misc]
+        rows = [row for _, row in pool.answers([(None, job) for job in (quick, slow, quick)], 3)]
     killer.join()
     assert rows[0] == rows[2]
     assert b'"error":null' in rows[0]
@@ -152,25 +160,47 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
 def test_leaving_a_pool_ends_its_workers_in_the_middle_of_a_run(tmp_path: Path) -> None:
     pool, slow = pool_and_job(tmp_path, 60.0)
     with pool:
-        answers = pool.answers([(None, slow)], 1)  # type: ignore[list-item]
+        answers = pool.answers([(None, slow)], 1)
         threading.Thread(target=lambda: next(answers, None), daemon=True).start()
         wait_for((tmp_path / "mark").exists)
         (worker,) = pool._workers
     assert worker._process.returncode == -signal.SIGKILL
 
 
+def test_what_a_worker_raises_is_raised_here() -> None:
+    with Pool(int, 2, died=None) as pool:
+        assert sorted(pool.answers(enumerate(["1", "2"]), 2)) == [(0, 1), (1, 2)]
+        with pytest.raises(ValueError, match="invalid literal") as error:
+            list(pool.answers([(0, "x")], 1))
+    assert "Traceback" in error.value.__notes__[0]  # with the place where it arose
+
+
+def test_a_worker_that_cannot_be_started_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def popen(*arguments: Any, **more: Any) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    with pytest.raises(VcmvspError, match=r"^cannot start a worker: Too many open files$"):
+        study(two(), vary={LOSS: [0.0]}, seeds=1, out=tmp_path / "s")
+
+
+def test_what_a_worker_that_cannot_begin_ended_with_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.studies.pool.BOOT", "raise SystemExit(7)  # {module}")
+    with pytest.raises(VcmvspError, match=r"ended while it started \(exit code 7\)"):
+        study(two(), vary={LOSS: [0.0]}, seeds=1)
+
+
 def test_what_agents_print_is_no_answer(tmp_path: Path) -> None:
     (tmp_path / "loud.py").write_text(
         "import os\nprint('module')\nos.write(1, b'raw')\n" + (mine(tmp_path).parent / "mine.py").read_text()
     )
-    worker = Worker(Work(mine(tmp_path).read_text().replace("mine.py", "loud.py"), str(tmp_path), version()))
+    work = Work(mine(tmp_path).read_text().replace("mine.py", "loud.py"), str(tmp_path), version())
+    worker = Worker(functools.partial(run_one, work))
     assert worker.run(Job(0, {})).startswith(b'{"values":{')
     worker.close()
 
 
 def test_another_version_makes_no_rows(tmp_path: Path) -> None:
-    from cosim.studies.worker import run_one
-
     row = run_one(Work(mine(tmp_path).read_text(), str(tmp_path), "0.0.0"), Job(0, {}))
     assert b"this worker has vcmvsp" in row
 
@@ -185,3 +215,65 @@ def test_progress_in_a_log_tells_the_time_left(monkeypatch: pytest.MonkeyPatch, 
                 now[0] += 2.0
                 progress.on_run(done, done - 11, 50)
         assert capsys.readouterr().err == ("" if quiet else "13 of 50 runs done, 2 failed, 1 min 14 s left\n")
+
+
+# --- what is checked before the first run ------------------------------------------------------------------------------------
+
+
+def test_of_many_points_each_value_of_each_key_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = plans.base_of(two())
+    seen: list[tuple[Any, ...]] = []
+    told: list[tuple[int, int]] = []
+    check = examine._check
+
+    def noted(plan: Plan, base: plans.Base, point: tuple[Any, ...]) -> Any:
+        seen.append(point)
+        return check(plan, base, point)
+
+    monkeypatch.setattr(examine, "_check", noted)
+    for losses, count in ((25, 50), (26, 27)):
+        seen.clear()
+        told.clear()
+        vary: dict[str, list[Any]] = {LOSS: [i / 100 for i in range(losses)], ESTIMATOR: ["hold", "dr"]}
+        plan = plans.make(base, vary=vary, seeds=3, seed=None, settings={}, metrics=None, stored=None)
+        examine.examined(plan, base, lambda done, of: told.append((done, of)))
+        assert told == [(number, count) for number in range(count)]
+        assert len(set(seen)) == count
+        assert [{point[key] for point in seen} for key in (0, 1)] == [{*values} for values in vary.values()]
+
+
+def test_the_check_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    with StudyProgress(quiet=False) as progress:
+        for done in range(4):
+            progress.on_check(done, 120)
+            now[0] += 2.0
+    assert capsys.readouterr().err == "checking: 3 of 120 points\n"
+
+
+@pytest.mark.parametrize(("error", "shown"), [(AgentError(("car1",), "a", "no"), True), (FederateError("air", "no"), False)])
+def test_what_breaks_a_start_is_said_at_once_unless_it_is_an_agent(
+    monkeypatch: pytest.MonkeyPatch, error: FederateError, shown: bool
+) -> None:
+    def start(assembly: Assembly, kernel: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(Assembly, "start", start)
+    if shown:
+        assert study(two(), vary={LOSS: [0.0]}, seeds=1)["error"].to_pylist() == [None]  # workers start as ever
+    else:
+        with pytest.raises(FederateError, match="air: no"):
+            study(two(), vary={LOSS: [0.0]}, seeds=1)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), [1.0, float("-inf")], {"a": float("nan")}])
+def test_only_finite_values_are_varied_over(value: Any) -> None:
+    with pytest.raises(UsageError, match=f"--vary {LOSS}=.*: must be finite, not -?(nan|inf)"):
+        study(two(), vary={LOSS: [0.0, value]}, seeds=1)
+
+
+@pytest.mark.parametrize("seeds", [float("nan"), float("inf"), 2.5])
+def test_seeds_are_counted(seeds: float) -> None:
+    with pytest.raises(VcmvspError, match="--seeds"):
+        study(two(), vary={LOSS: [0.0]}, seeds=seeds)  # type: ignore[arg-type]

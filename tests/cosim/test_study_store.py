@@ -21,7 +21,7 @@ from cosim.studies.examine import examined
 from cosim.studies.plan import Plan
 from cosim.studies.store import Store
 from cosim.studies.worker import failed
-from tests.cosim.studying import LOSS, columns, mine, start, two
+from tests.cosim.studying import ESTIMATOR, LOSS, columns, mine, start, two
 
 NAP = "agents.nap_s"
 
@@ -59,7 +59,7 @@ def test_the_table_is_there_from_the_start_and_grows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("written", [0, 1, 4, 8])
-@pytest.mark.parametrize("torn", [b"", b'{"run":"0\\n1\\n3","row":{"val'])
+@pytest.mark.parametrize("torn", [b"", b'{"run":"0\\n1\\n3","row":{"val', bytes(60) + b"\n", bytes(60), b"\xff\n[1]\n"])
 def test_whatever_is_in_table_and_journal_when_it_ends_the_rest_gives_the_same_bytes(
     tmp_path: Path, written: int, torn: bytes
 ) -> None:
@@ -82,6 +82,44 @@ def test_whatever_is_in_table_and_journal_when_it_ends_the_rest_gives_the_same_b
     assert not (saved / "study.journal").exists()
 
 
+def test_lines_after_one_that_a_power_cut_spoilt_count(tmp_path: Path) -> None:
+    with Store(tmp_path / "s", plan_of(), resume=False, force=False) as store:
+        store.write()
+        fill(store)
+        shutil.copytree(tmp_path / "s", tmp_path / "cut")
+    journal = tmp_path / "cut" / "study.journal"
+    lines = journal.read_bytes().split(b"\n")
+    lines[2] = bytes(len(lines[2]))
+    journal.write_bytes(b"\n".join(lines))
+    with Store(tmp_path / "cut", plan_of(), resume=True, force=False) as again:
+        missing = [number for number, run in enumerate(plan_of().runs) if run.key not in again.rows]
+    assert missing == [2, 5]  # and the one that failed
+
+
+def test_plan_and_table_are_on_the_disk_before_they_replace_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    sync, replace, folder = os.fsync, Path.replace, tmp_path.stat().st_ino
+
+    def synced(file: int) -> None:
+        status = os.fstat(file)
+        done.append("the folder" if status.st_ino == folder else f"{status.st_size} bytes")
+        sync(file)
+
+    def replaced(path: Path, target: Path) -> Path:
+        done.append(f"{path.stat().st_size} bytes are {target.name}")
+        return replace(path, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
+    with Store(tmp_path, plan_of(), resume=False, force=False):
+        pass
+    expected = []
+    for name in ("study.toml", "study.parquet"):
+        size = (tmp_path / name).stat().st_size
+        expected += [f"{size} bytes", f"{size} bytes are {name}", "the folder"]
+    assert done == expected
+
+
 def test_more_values_and_seeds_may_be_asked_for_later(tmp_path: Path) -> None:
     more = plan_of(vary={LOSS: [0.25, 0.0, 0.5], "n": [2, 1, 3.5]}, seeds=[2, 3, 4, 5])
     expected = whole(tmp_path / "whole", more)
@@ -99,6 +137,7 @@ def test_more_values_and_seeds_may_be_asked_for_later(tmp_path: Path) -> None:
         ({"scenario_toml": 'name = "three"\n'}, r"the scenario differs \(name: 'three' now, 'two' then\)"),
         ({"set": {"duration_s": 3}}, r"--set differs \(duration_s: 3 now, nothing then\)"),
         ({"files": {"mine.py": "abc"}}, "its file differs .mine.py"),
+        ({"files": {"mine.py": "0", "two.py": "1 3"}}, "its file differs .two.py"),
         ({"versions": {"vcmvsp": "99"}}, "the version of differs .vcmvsp: '99' now"),
         ({"vary": {LOSS: [0.0, 0.5]}}, "it varies radio.loss.probability, n"),
         ({"vary": {LOSS: [0.0], "n": [1, 2]}}, "not left out: radio.loss.probability was varied over 0.5"),
@@ -106,10 +145,51 @@ def test_more_values_and_seeds_may_be_asked_for_later(tmp_path: Path) -> None:
     ],
 )
 def test_another_study_is_not_gone_on_with(tmp_path: Path, change: dict[str, Any], words: str) -> None:
-    before = whole(tmp_path, plan_of())
+    before = whole(tmp_path, plan_of(files={"mine.py": "0", "two.py": "1 2"}))
     with pytest.raises(UsageError, match=words), Store(tmp_path, plan_of(**change), resume=True, force=False):
         pass
     assert (tmp_path / "study.parquet").read_bytes() == before
+
+
+def test_a_file_that_came_with_a_new_value_does_not_make_it_another(tmp_path: Path) -> None:
+    whole(tmp_path, plan_of(files={"mine.py": "0"}))
+    more = plan_of(files={"mine.py": "0 1", "new.py": "2"})
+    with Store(tmp_path, more, resume=True, force=False) as store:
+        assert len(store.rows) == 7
+
+
+PREDICTOR = "from agents.formation.prediction import DeadReckoning\n\n\nclass Own(DeadReckoning):\n    pass\n"
+
+
+def with_own(folder: Path, what: str) -> tuple[dict[str, Any], str]:
+    """Values that name two files of one basename, an agent's or an estimator's, and a key for them."""
+    for name in ("one", "other"):
+        (folder / name).mkdir()
+        text = PREDICTOR if what == "estimator" else (mine(folder).parent / "mine.py").read_text()
+        (folder / name / "own.py").write_text(f"{text}# {name}\n")
+    if what == "estimator":
+        return two(), ESTIMATOR
+    return two(vehicle=[{"name": "car1", "agent": {"kind": "mine.py:Mine"}}], agents={}), "vehicle.car1.agent.kind"
+
+
+@pytest.mark.parametrize("what", ["agent", "estimator"])
+def test_rows_of_code_that_has_changed_since_are_not_mixed_with_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenario, key = with_own(tmp_path, what)
+    name = "Own" if what == "estimator" else "Mine"
+    values = [f"one/own.py:{name}", f"other/own.py:{name}"]
+    given: dict[str, Any] = {"seeds": 1, "jobs": 1, "out": tmp_path / "s"}
+    study(scenario, vary={key: values[:1]}, **given)
+    assert study(scenario, vary={key: values}, resume=True, **given).num_rows == 2
+    for changed in ("one", "other"):
+        path = tmp_path / changed / "own.py"
+        before = path.read_text()
+        path.write_text(f"{before}# changed\n")
+        with pytest.raises(UsageError, match=r"holds another study: its file differs \(own\.py: "):
+            study(scenario, vary={key: values}, seeds=2, out=tmp_path / "s", resume=True)
+        path.write_text(before)
 
 
 def test_comments_and_the_study_table_of_a_scenario_do_not_make_it_another(tmp_path: Path) -> None:
@@ -133,6 +213,40 @@ def test_a_folder_that_holds_something_needs_a_word(tmp_path: Path) -> None:
     with Store(tmp_path / "s", plan_of(), resume=False, force=True) as store:
         assert not store.rows
         assert not (tmp_path / "s" / "report.html").exists()
+
+
+def test_a_folder_that_cannot_be_read_is_named_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def iterdir(path: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    with pytest.raises(UsageError, match=f"^cannot write into {tmp_path}: Permission denied$"):
+        study(two(), vary={LOSS: [0.0]}, seeds=1, out=tmp_path)
+
+
+def test_only_what_is_written_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*counts: int) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    with pytest.raises(BrokenPipeError):
+        study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / "a", progress=gone)
+    for name in ("cosim.studies.store.write_table", "cosim.studies.outputs.write"):
+
+        def full(*given: Any, **more: Any) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(name, full)
+            with pytest.raises(UsageError, match=r"cannot write into .*: No space left on device"):
+                study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / name)
+
+
+def test_two_studies_started_at_once_without_a_folder_get_two(tmp_path: Path) -> None:
+    mine(tmp_path)
+    runs = [start(tmp_path, "mine.toml", "--vary", f"{NAP}=0.1", "--seeds", "1", "--jobs", "1", "--json") for _ in range(2)]
+    outs = [json.loads(run.communicate(timeout=60)[0])["out"] for run in runs]
+    assert sorted(outs) == ["runs/mine-study", "runs/mine-study-2"]
+    assert all((tmp_path / out / "report.html").exists() for out in outs)
 
 
 def test_two_studies_never_share_a_folder(tmp_path: Path) -> None:
