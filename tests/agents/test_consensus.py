@@ -17,6 +17,7 @@ from cosim.agent import Observation, Radio, VehicleInfo
 from cosim.frames import arc
 from cosim.types import Follows, Message, Odometry, Velocity
 from tests.agents.loops import Floats, observe, received
+from tests.responses import growth, root
 
 T_NS = 100_000_000
 GRAPHS: tuple[tuple[Graph, int, float, float], ...] = (  # graph, members, lambda_2, lambda_max
@@ -91,20 +92,6 @@ def drive(
     return np.array(way)
 
 
-def dominant(lam: float, period_s: float, age: int) -> float:
-    """Largest root of z^(d + 1) - z^d + lam T = 0: what a mode is multiplied by in a tick, in the end."""
-    return float(
-        np.abs(np.roots([1.0, -1.0, *([0.0] * (age - 1)), lam * period_s] if age else [1.0, lam * period_s - 1.0])).max()
-    )
-
-
-def growth(y: Floats, step: int) -> float:
-    """Growth per tick of a mode that swings as one pair of roots: y[n + 2 s] = a y[n + s] + b y[n] has |z|^(2 s) = -b."""
-    past = np.stack([y[step:-step], y[: -2 * step]], axis=1)
-    _, b = np.linalg.lstsq(past, y[2 * step :], rcond=None)[0]
-    return float(math.sqrt(-b) ** (1.0 / step))
-
-
 @st.composite
 def connected(draw: st.DrawFn) -> Sides:
     """Any connected undirected graph: a random tree and some more edges."""
@@ -171,7 +158,16 @@ def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bou
 def test_the_sampled_bound_is_where_the_characteristic_root_leaves_the_unit_circle(ticks: int, limit: float) -> None:
     assert 2.0 * math.sin(math.pi / (2 * (2 * ticks + 1))) == pytest.approx(limit, abs=5e-5)
     exact = 2.0 * math.sin(math.pi / (2 * (2 * ticks + 1)))
-    assert dominant(exact * 0.999 / 0.1, 0.1, ticks) < 1.0 < dominant(exact * 1.001 / 0.1, 0.1, ticks)
+    assert root(exact * 0.999, ticks) < 1.0 < root(exact * 1.001, ticks)
+
+
+@pytest.mark.parametrize("age", range(7))
+@pytest.mark.parametrize("share", [0.3, 0.7, 1.0, 1.3])
+def test_the_root_found_is_the_largest_of_all(age: int, share: float) -> None:
+    """Around the bound, where roots swing: of those that numpy.roots finds."""
+    gain = share * 2.0 * math.sin(math.pi / (2 * (2 * age + 1)))
+    coefficients = [1.0, -1.0, *([0.0] * (age - 1)), gain] if age else [1.0, gain - 1.0]
+    assert root(gain, age) == pytest.approx(np.abs(np.roots(coefficients)).max(), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -192,11 +188,7 @@ def test_growth_around_the_bound_of_continuous_time(graph: Graph, count: int, re
         way = drive(agents, np.outer(mode, [1.0, -0.5]), 2600, age, period_ns=1_000_000)
         measured = growth(way[1800:, :, 0] @ mode, 100) ** 1000  # by then the other roots have died out
         assert measured == pytest.approx(expected, rel=0.01)
-        # Newton's method from i lambda: numpy.roots of degree 400 would take a while
-        z = complex(np.exp(1j * lam * 1e-3))
-        for _ in range(50):
-            z -= (z - 1.0 + lam * 1e-3 * z**-age) / (1.0 - age * lam * 1e-3 * z ** (-age - 1))
-        assert measured == pytest.approx(abs(z) ** 1000, rel=0.002)
+        assert measured == pytest.approx(root(1e-3 * lam, age) ** 1000, rel=0.002)
 
 
 @settings(max_examples=25, deadline=None)

@@ -12,10 +12,12 @@ from agents.formation import LeaderFollower, LeaderState, Trajectory
 from agents.formation.law import Demand, Place, formation_law
 from cosim.frames import arc
 from cosim.rng import stream
-from tests.agents.loops import Floats, Pose, drive
+from tests.agents.loops import Pose, drive
+from tests.responses import overshoot, servo_step, settling_s
 
 L, LEFT = math.cos(math.radians(30.0)), 0.5  # the standard triangle: 1 m at +-30 degrees
 V, W, R = 0.3, 0.15, 2.0
+BAND = 0.05 * 0.5  # m: 5 % of a start 0.5 m away
 
 
 def triangle(**params: float) -> list[LeaderFollower]:
@@ -25,16 +27,6 @@ def triangle(**params: float) -> list[LeaderFollower]:
 def behind(k1: float, **params: float) -> LeaderFollower:
     """A follower whose slot is L straight behind the leader, free to reverse so that the loop stays linear."""
     return LeaderFollower("leader", L, k1=k1, max_reverse=1e9, **params)  # type: ignore[arg-type]
-
-
-def overshoot(error: Floats) -> float:
-    """How far the error goes to the other side, as a share of its start."""
-    return max(0.0, float(np.max(-error / error[0])))
-
-
-def settling_s(error: Floats, period_s: float) -> float:
-    """When the error comes within 5 % of its start for good."""
-    return float(np.nonzero(np.abs(error) > 0.05 * abs(error[0]))[0][-1] + 1) * period_s
 
 
 # --- the proof: V' = -k1 z1^2 - k2 z2^2 ---
@@ -192,13 +184,7 @@ def test_sampling_alone_overshoots_by_k1_period_minus_1(k1: float, expected: flo
 def test_a_slow_control_rate_overshoots(hz: float, expected: float, settled_s: float) -> None:
     run = drive(Trajectory("straight"), [behind(0.8)], poses=[(-L - 0.5, 0.0, 0.0)], duration_s=30, period_s=1 / hz)
     assert overshoot(run.z[:, 0, 0]) == pytest.approx(expected, abs=1e-9)
-    assert settling_s(run.z[:, 0, 0], 1 / hz) == pytest.approx(settled_s)
-
-
-def servo_matrix(k1: float, T: float, tau: float) -> Floats:
-    """One period of (z1, v_f - v_l) with a first-order servo, exactly."""
-    a = math.exp(-T / tau)
-    return np.array([[1 - k1 * (T - tau * (1 - a)), -tau * (1 - a)], [(1 - a) * k1, a]])
+    assert settling_s(run.z[:, 0, 0], 1 / hz, BAND) == pytest.approx(settled_s)
 
 
 @pytest.mark.parametrize(
@@ -216,16 +202,12 @@ def servo_matrix(k1: float, T: float, tau: float) -> Floats:
 )
 def test_a_servo_makes_high_gains_overshoot(k1: float, T: float, percent: float, settled_s: float | None) -> None:
     """The whole loop equals the exact matrix of the sampled servo, and both give the published figures."""
-    ticks = round(20 / T)
     start = (-L - 0.5, 0.0, 0.0)
     run = drive(Trajectory("straight"), [behind(k1)], poses=[start], duration_s=20, period_s=T, tau=(0.5, 0.3), rolling=V)
-    states = [np.array([0.5, 0.0])]
-    for _ in range(ticks):
-        states.append(servo_matrix(k1, T, 0.5) @ states[-1])
-    np.testing.assert_allclose(run.z[:, 0, 0], np.array(states)[:, 0], atol=1e-9)
+    np.testing.assert_allclose(run.z[:, 0, 0], 0.5 * servo_step(k1, T, 0.5, len(run.z)), atol=1e-9)
     assert 100 * overshoot(run.z[:, 0, 0]) == pytest.approx(percent, abs=0.06)
     if settled_s is not None:
-        assert settling_s(run.z[:, 0, 0], T) == pytest.approx(settled_s, abs=T + 1e-9)
+        assert settling_s(run.z[:, 0, 0], T, BAND) == pytest.approx(settled_s, abs=T + 1e-9)
 
 
 @pytest.mark.parametrize(("k1", "percent"), [(1.0, 4.3), (2.0, 16.3), (4.0, 30.5)])
@@ -251,7 +233,7 @@ def test_a_servo_makes_high_lateral_gains_overshoot(k2: float, percent: float) -
     start = (-L, 0.5, 0.0)
     run = drive(Trajectory("straight"), [behind(0.8, k2=k2)], poses=[start], duration_s=30, tau=(0.5, 0.3), rolling=V)
     assert 100 * overshoot(run.z[:, 0, 1]) == pytest.approx(percent, rel=0.05, abs=0.5)
-    assert settling_s(run.followers[:, 0, 1], 0.1) > 8.0
+    assert settling_s(run.followers[:, 0, 1], 0.1, BAND) > 8.0
 
 
 @pytest.mark.parametrize(("T", "k2_max"), [(0.1, 19.654), (0.5, 3.6536), (1.0, 1.6536), (2.0, 0.6536)])

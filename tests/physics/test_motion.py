@@ -14,6 +14,7 @@ from cosim.frames import arc, wrap
 from physics.federate import KinematicPhysics
 from physics.motion import MotionEngine
 from physics.vehicles import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
+from tests.responses import overshoot, servo_step
 
 speeds = st.floats(-2.0, 2.0)
 rates = st.floats(-3.0, 3.0)
@@ -143,37 +144,30 @@ def test_a_fleet_moves_as_each_of_it_alone() -> None:
         assert row(fleet, number) == pytest.approx(row(moved), abs=1e-12)
 
 
-def overshoot(model: GroundVehicle, k1: float, period_s: float = 0.1) -> float:
-    """Catch up with a slot that moves at 0.3 m/s, 0.5 m ahead, by v = 0.3 + k1 z; how far beyond it goes, of 0.5 m."""
+def catching_up(model: GroundVehicle, k1: float, period_s: float = 0.1) -> list[float]:
+    """Errors z, m, of a vehicle that catches up by v = 0.3 + k1 z with a slot at 0.3 m/s, 0.5 m ahead at the start."""
     moved, period_ns = engine(model), round(period_s * SECOND_NS)
     moved.command(0, (0.3, 0.0, 0.0), 0.0)
     moved.advance(60 * SECOND_NS)  # at speed when it begins
-    start_m, least = row(moved)[0], math.inf
+    start_m, errors = row(moved)[0], []
     for k in range(round(40.0 / period_s)):
         z = start_m + 0.5 + 0.3 * k * period_s - row(moved)[0]
-        least = min(least, z)
+        errors.append(z)
         moved.command(0, (0.3 + k1 * z, 0.0, 0.0), 0.0)
         moved.advance(60 * SECOND_NS + (k + 1) * period_ns)
-    return max(0.0, -least / 0.5)
+    return errors
 
 
 @pytest.mark.parametrize(("k1", "percent"), [(0.4, 0.0), (0.8, 2.6), (2.0, 20.6), (4.0, 39.6), (8.0, 62.2)])
 def test_sampled_servo_overshoots_by_its_transition_matrix(k1: float, percent: float) -> None:
-    # x[n+1] = [[1 - k1 (T - tau (1-a)), -tau (1-a)], [(1-a) k1, a]] x[n], a = exp(-T/tau), x = (z, v_f - v_l)
-    a = math.exp(-0.1 / 0.5)
-    matrix = np.array([[1.0 - k1 * (0.1 - 0.5 * (1.0 - a)), -0.5 * (1.0 - a)], [(1.0 - a) * k1, a]])
-    state, least = np.array([0.5, 0.0]), 0.5
-    for _ in range(400):
-        state = matrix @ state
-        least = min(least, state[0])
-    expected = max(0.0, -least / 0.5)
-    assert expected == pytest.approx(percent / 100.0, abs=5e-4)
-    assert overshoot(Lag(), k1) == pytest.approx(expected, abs=1e-6)
+    exact = servo_step(k1, 0.1, 0.5, 400)
+    assert overshoot(exact) == pytest.approx(percent / 100.0, abs=5e-4)
+    assert catching_up(Lag(), k1) == pytest.approx(0.5 * exact, abs=1e-6)
 
 
 @pytest.mark.parametrize(("k1", "percent"), [(2.0, 0.0), (8.0, 0.0), (12.0, 20.0), (16.0, 60.0)])
 def test_sampled_unicycle_overshoots_by_k1_t_minus_one(k1: float, percent: float) -> None:
-    assert overshoot(Kinematic(), k1) == pytest.approx(percent / 100.0, abs=1e-9)
+    assert overshoot(catching_up(Kinematic(), k1)) == pytest.approx(percent / 100.0, abs=1e-9)
 
 
 def test_through_the_federate(drive: Callable[..., Any]) -> None:

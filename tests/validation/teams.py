@@ -8,10 +8,10 @@ import numpy as np
 
 import cosim
 from agents.formation.shape import slots
+from cosim.figures.scenarios import IDEAL
 from tests.agents.loops import formation_error
 from tests.validation.fleet import Floats, Table, poses
 
-IDEAL = {"preset": "ideal"}
 COLUMN = {"shape": "column", "topology": "chain", "spacing": 0.8}
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import cosim
 from agents.formation.consensus import Graph, neighbours_of
+from tests.responses import growth, root
 from tests.validation.fleet import Floats, Table, lossy, poses
 
 KIND = "consensus"
@@ -67,21 +68,6 @@ def sampled(step: float, age: int, ticks: int) -> Floats:
     for n in range(ticks):
         y.append(y[n] - (step * y[n - age] if n >= age else 0.0))
     return np.array(y)
-
-
-def root(step: float, age: int) -> float:
-    """Largest root of z^(age + 1) - z^age + step = 0, by Newton's method from where it is without delay in the loop."""
-    z = complex(np.exp(1j * min(step, 0.5)))
-    for _ in range(100):
-        z -= (z - 1.0 + step * z**-age) / (1.0 - age * step * z ** (-age - 1))
-    return abs(z)
-
-
-def growth(y: Floats, step: int) -> float:
-    """Growth per tick of a mode that swings as one pair of roots: y[n + 2 s] = a y[n + s] + b y[n] has |z|^(2 s) = -b."""
-    past = np.stack([y[step:-step], y[: -2 * step]], axis=1)
-    _, b = np.linalg.lstsq(past, y[2 * step :], rcond=None)[0]
-    return float(math.sqrt(-b) ** (1.0 / step))
 
 
 @pytest.mark.parametrize(("graph", "count", "last_stable"), GRAPHS)

@@ -9,15 +9,15 @@ import cosim
 from agents.formation import LeaderFollower
 from agents.formation.law import Place
 from cosim.agent import Observation, Radio
+from cosim.figures import theory
 from cosim.types import Follows, Velocity
+from tests.responses import overshoot, servo_step, settling_s
 from tests.validation.fleet import AHEAD, K1, LEFT, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, R, T, V, W, errors, fleet, poses
-
-IDEAL = {"preset": "ideal"}
 
 
 def test_the_standard_triangle_on_a_circle() -> None:
     """|z| = 0; radius sqrt((R + L')^2 - L^2); rho^2 = 1 - 2 L L' sin(thb), sin(thb) = L w / (v + L' w)."""
-    result = cosim.run(fleet(90.0, radio=IDEAL))
+    result = cosim.run(fleet(90.0))
     times, moved = poses(result)
     centre = np.array([0.0, R])
     radius = np.hypot(*(moved[-1, 1:, :2] - centre).T)
@@ -37,7 +37,7 @@ def test_the_standard_triangle_on_a_circle() -> None:
 
 def test_a_short_handle_keeps_the_distance_better() -> None:
     """The same circle with a handle of 0.3 m: rho 0.9384 and 1.0520 m."""
-    result = cosim.run(fleet(90.0, radio=IDEAL, agents={"handle": 0.3}))
+    result = cosim.run(fleet(90.0, agents={"handle": 0.3}))
     _, moved = poses(result)
     assert np.hypot(*(moved[-1, 1:, :2] - moved[-1, 0, :2]).T) == pytest.approx([0.9384, 1.0520], abs=1e-4)
     assert result.metrics["formation"]["final_m"] < 1e-6
@@ -45,7 +45,7 @@ def test_a_short_handle_keeps_the_distance_better() -> None:
 
 def test_inertia_leaves_no_error_on_a_circle() -> None:
     """Commands are constant there, so lags and limits do not matter in the end: < 1 mm after 60 s."""
-    assert cosim.run(fleet(60.0, kind="inertial", radio=IDEAL)).metrics["formation"]["final_m"] < 1e-3
+    assert cosim.run(fleet(60.0, kind="inertial")).metrics["formation"]["final_m"] < 1e-3
 
 
 class Closer(LeaderFollower):
@@ -62,37 +62,22 @@ class Closer(LeaderFollower):
         return super().act(obs, radio)
 
 
-@pytest.mark.parametrize(("k1", "overshoot"), [(0.4, 0.0), (0.8, 0.026), (2.0, 0.206), (4.0, 0.396)])
-def test_step_response_of_a_servo(k1: float, overshoot: float) -> None:
+@pytest.mark.parametrize(("k1", "share"), [(0.4, 0.0), (0.8, 0.026), (2.0, 0.206), (4.0, 0.396)])
+def test_step_response_of_a_servo(k1: float, share: float) -> None:
     """0.5 m behind the slot at v = 0.3 m/s, servo lag 0.5 s, 10 Hz (Fig 30): the sampled servo, state (z1, v_f - v_l)."""
     at_s, tau = 40.0, 0.5
-    scenario = fleet(65.0, [{"distance": 1.5}], path="straight", kind="lag", radio=IDEAL)
+    scenario = fleet(65.0, [{"distance": 1.5}], path="straight", kind="lag")
     result = cosim.run(scenario, agents={"car2": Closer(at_s, k1=k1)})
     times, z = errors(result)
     z1 = z[times >= at_s, 0, 0]
-    decay = math.exp(-T / tau)
-    settle = tau * (1 - decay)
-    matrix = np.array([[1 - k1 * (T - settle), -settle], [(1 - decay) * k1, decay]])
-    state, exact = np.array([0.5, 0.0]), []
-    for _ in z1:
-        exact.append(state[0])
-        state = matrix @ state
-    assert z1 == pytest.approx(exact, abs=1e-6)
-    assert max(0.0, -z1.min() / 0.5) == pytest.approx(overshoot, abs=5e-4)
+    assert z1 == pytest.approx(0.5 * servo_step(k1, T, tau, len(z1)), abs=1e-6)
+    assert overshoot(z1) == pytest.approx(share, abs=5e-4)
 
 
-def settling_s(behind: float, tau: float, accel: float, first_tick: int) -> float:
+def settled_s(behind: float, tau: float, accel: float, first_tick: int) -> float:
     """When a follower's z1 stays below 5 cm: plain integration at 1 ms of a servo that acts from ``first_tick`` on."""
-    z, speed, command, unsettled = behind, 0.0, 0.0, -1
-    for step in range(20_000):
-        if step % 100 == 0:
-            if abs(z) > 0.05:
-                unsettled = step // 100
-            if step // 100 >= first_tick:
-                command = min(V + K1 * z, 0.75)
-        speed = command if tau == 0.0 else speed + 1e-3 * max(-0.75, min((command - speed) / tau, accel))
-        z += 1e-3 * (V - speed)
-    return (unsettled + 1) * T
+    z = theory.start_up(behind, tau, accel, gain=K1, speed=V, period_s=T, first_tick=first_tick)
+    return settling_s(z, T, 0.05)
 
 
 @pytest.mark.parametrize(
@@ -105,15 +90,15 @@ def test_a_leader_that_starts_at_once(behind: float, kind: str, reference_s: flo
     The reference knows of the leader at once; here the first report is a tick old when it is used, which costs two ticks.
     """
     servo = (0.0, math.inf) if kind == "kinematic" else (0.5, 0.3)
-    assert settling_s(behind, *servo, 0) == pytest.approx(reference_s)
-    scenario = fleet(20.0, [{"pose": (-1.0 - behind, 0.0, 0.0)}], path="straight", kind=kind, radio=IDEAL)
+    assert settled_s(behind, *servo, 0) == pytest.approx(reference_s)
+    scenario = fleet(20.0, [{"pose": (-1.0 - behind, 0.0, 0.0)}], path="straight", kind=kind)
     result = cosim.run(scenario, set={"vehicle.car1.kind": "kinematic"})
-    assert result.metrics["formation"]["settling_s"] == pytest.approx(settling_s(behind, *servo, 1))
+    assert result.metrics["formation"]["settling_s"] == pytest.approx(settled_s(behind, *servo, 1))
 
 
 def test_a_body_settles_later_than_a_point() -> None:
     """The same start with p2dx bodies in Bullet, which take 0.9 s to reach 90 % of 0.3 m/s."""
-    scenario = fleet(10.0, [{}], path="straight", kind="p2dx", physics="bullet", radio=IDEAL)
+    scenario = fleet(10.0, [{}], path="straight", kind="p2dx", physics={"kind": "bullet"})
     body = cosim.run(scenario, set={"vehicle.car1.kind": "kinematic"})
     point = cosim.run(scenario, set={"vehicle.car1.kind": "kinematic", "physics.kind": "kinematic"})
     assert point.metrics["formation"]["settling_s"] == 0.0
@@ -126,7 +111,7 @@ def test_noise_of_positioning(sigma_m: float, sigma_rad: float, rms_m: float, to
     sensor = {"rate_hz": 10.0, "sigma_m": sigma_m, "sigma_rad": sigma_rad}
     vehicles = {"pose_source": "positioning", "positioning": sensor}
     followers = [RIGHT_BEHIND, LEFT_BEHIND] * 5
-    result = cosim.run(fleet(120.0, followers, vehicles=vehicles, radio=IDEAL, metrics={"from_s": 20.0}))
+    result = cosim.run(fleet(120.0, followers, vehicles=vehicles, metrics={"from_s": 20.0}))
     assert result.metrics["formation"]["rms_m"] == pytest.approx(rms_m, abs=tolerance)
     _, moved = poses(result)
     assert np.hypot(moved[:, 0, 0], moved[:, 0, 1] - R) == pytest.approx(R, abs=1e-9)
@@ -134,7 +119,7 @@ def test_noise_of_positioning(sigma_m: float, sigma_rad: float, rms_m: float, to
 
 def test_wheels_and_bodies_do_what_was_commanded() -> None:
     """p2dx in Bullet: forward speed and yaw rate within 1 % of the command, on a line and on a circle."""
-    scenario = fleet(20.0, [], kind="p2dx", physics="bullet", radio=IDEAL)
+    scenario = fleet(20.0, [], kind="p2dx", physics={"kind": "bullet"})
     scenario["vehicle"].append({"name": "car2", "pose": (0.0, -3.0, 0.0), "agent": {"kind": "trajectory", "path": "straight"}})
     times, moved = poses(cosim.run(scenario))
     steady = moved[times >= 5.0]
@@ -148,7 +133,7 @@ def test_wheels_and_bodies_do_what_was_commanded() -> None:
 
 def test_the_platform_adds_nothing_to_the_law() -> None:
     """A start away from the slot decays by (1 - k1 T) a period, to the last digits: no delay and no sample is lost between."""
-    result = cosim.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}], path="straight", radio=IDEAL))
+    result = cosim.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}], path="straight"))
     times, z = errors(result)
     heard = 0.5 + V * T  # the first report is acted upon at the second tick
     assert z[1:, 0, 0] == pytest.approx(heard * (1 - K1 * T) ** np.arange(len(times) - 1), abs=1e-12)
