@@ -107,7 +107,7 @@ def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
 
 
 def _settling_s(time_ns: Array, errors: Array) -> float | None:
-    """The earliest recorded instant from which no error exceeds `SETTLED_M` any more; one that is not measured any more stays."""
+    """The earliest recorded instant from which no error exceeds `SETTLED_M` any more; one that ends stays as it was."""
     measured = np.any(np.isfinite(errors), axis=0)
     instants = np.arange(errors.shape[1])
     last = np.maximum.accumulate(np.where(np.isfinite(errors), instants, 0), axis=1)  # the newest that was measured
