@@ -83,6 +83,11 @@ class Result:
         return self._recorder.radio
 
     @property
+    def files(self) -> Mapping[str, bytes]:
+        """Files that the scenario names, as they were used, by the name under which they are kept beside it."""
+        return self._files
+
+    @property
     def follows(self) -> Sequence[Placement]:
         """Who meant to keep which place, and from when on."""
         return self._recorder.follows

@@ -49,7 +49,10 @@ class Parameter(msgspec.Struct, frozen=True):
 
 
 def parameters(target: Callable[..., Any]) -> Mapping[str, Parameter]:
-    """The parameters that a table can give to ``target`` (a class or function), in order."""
+    """The parameters that a table can give to ``target`` (a class or function), in order.
+
+    A class that takes ``**more`` is taken to hand that on to its base class, whose parameters then count too.
+    """
     return _parameters(target)
 
 
@@ -64,11 +67,14 @@ def _parameters(target: Any) -> Mapping[str, Parameter]:
         hints = {}
     if isinstance(target, type) and issubclass(target, msgspec.Struct):
         hints = typing.get_type_hints(target, include_extras=True)
-    found = {}
+    found: dict[str, Parameter] = {}
     for name, parameter in inspect.signature(target).parameters.items():
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
             required = parameter.default is parameter.empty
             found[name] = Parameter(hints.get(name, Any), None if required else parameter.default, required)
+        elif parameter.kind is parameter.VAR_KEYWORD and isinstance(target, type):  # handed on to the next class in line
+            line = [base for base in target.__mro__ if "__init__" in vars(base)]
+            found |= {name: each for name, each in _parameters(line[1]).items() if name not in found}
     return types.MappingProxyType(found)
 
 

@@ -24,3 +24,8 @@ class Formation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     parents: Mapping[str, str] | None = None  # of topology "graph": whom each member follows, by name
     members: tuple[str, ...] = ()  # by their places, the first leads; default: all vehicles of the run in their order
     changes: tuple[tuple[NonNegative, ShapeName], ...] = ()  # of the leader: from when on (s) the team takes which shape
+
+    def __post_init__(self) -> None:
+        times = [time_s for time_s, _ in self.changes]
+        if times != sorted(times):
+            raise ValueError(f"changes must be in order of time, not at {', '.join(f'{time_s:g}' for time_s in times)} s")

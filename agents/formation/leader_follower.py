@@ -117,6 +117,8 @@ class LeaderFollower(Agent):
                 raise ValueError(
                     f"leader = {leader!r}, but the formation says whom this vehicle follows; leave one of them out"
                 )
+            if slot is not None:
+                raise ValueError("slot says where to be, but the formation does so already; leave one of them out")
             self._handle = TEAM_HANDLE_M if handle is None else handle
             return
         if leader is None:

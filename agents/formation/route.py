@@ -2,15 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from agents.formation.formation import Formation
-from agents.formation.leader import Extra, Leader
-from agents.formation.prediction import Estimator
-from agents.formation.sending import Sending
+from agents.formation.leader import Leader
 from cosim.agent import Observation
 from cosim.frames import arc, rotate2
-from cosim.types import NonNegative, Positive
+from cosim.types import Positive
 
 Point = tuple[float, float]
 
@@ -44,7 +41,7 @@ class Route(Leader):
         lookahead_m: shorter keeps nearer to the way, longer is smoother and bears more lag: at least ``speed`` times 1 s.
         arrive_m: a point is reached from this near.
         deceleration: at the last point, m/s2.
-        tell, estimator, horizon_s, fade_s, sending, formation: as of every `Leader`.
+        leading: tell, estimator, horizon_s, fade_s, sending and formation, as of every `Leader`.
     """
 
     def __init__(
@@ -57,16 +54,9 @@ class Route(Leader):
         lookahead_m: Positive = 0.6,
         arrive_m: Positive = 0.1,
         deceleration: Positive = 0.2,
-        tell: tuple[Extra, ...] = (),
-        estimator: str | Estimator = "dr",
-        horizon_s: NonNegative = 2.0,
-        fade_s: Positive = 1.0,
-        sending: Sending | None = None,
-        formation: Formation | None = None,
+        **leading: Any,
     ) -> None:
-        super().__init__(
-            tell=tell, estimator=estimator, horizon_s=horizon_s, fade_s=fade_s, sending=sending, formation=formation
-        )
+        super().__init__(**leading)
         if not way:
             raise ValueError("way needs at least one point")
         self.way, self.loop, self.speed, self.yaw_rate = way, loop, speed, yaw_rate

@@ -1,10 +1,9 @@
 """A leader that a person drives."""
 
+from typing import Any
+
 from agents.formation.devices import KEYBOARD, Device, DeviceLostError, open_device
-from agents.formation.formation import Formation
-from agents.formation.leader import Extra, Leader
-from agents.formation.prediction import Estimator
-from agents.formation.sending import Sending
+from agents.formation.leader import Leader
 from cosim.agent import Observation, VehicleInfo
 from cosim.types import Count, NonNegative, Positive, Probability
 
@@ -26,7 +25,7 @@ class Teleop(Leader):
         yaw_acceleration: of the ramp, rad/s2.
         axes: of a joystick: which two tell the speed and the yaw rate.
         deadband: of a joystick: the share of an axis about its middle that counts as none.
-        tell, estimator, horizon_s, fade_s, sending, formation: as of every `Leader`.
+        leading: tell, estimator, horizon_s, fade_s, sending and formation, as of every `Leader`.
     """
 
     def __init__(
@@ -40,16 +39,9 @@ class Teleop(Leader):
         yaw_acceleration: Positive = 0.6,
         axes: tuple[Count, Count] = (1, 0),
         deadband: Probability = 0.1,
-        tell: tuple[Extra, ...] = (),
-        estimator: str | Estimator = "dr",
-        horizon_s: NonNegative = 2.0,
-        fade_s: Positive = 1.0,
-        sending: Sending | None = None,
-        formation: Formation | None = None,
+        **leading: Any,
     ) -> None:
-        super().__init__(
-            tell=tell, estimator=estimator, horizon_s=horizon_s, fade_s=fade_s, sending=sending, formation=formation
-        )
+        super().__init__(**leading)
         if deadband == 1.0:
             raise ValueError("deadband = 1 leaves nothing of the axis; it must be below 1")
         self.device, self.speed, self.max_reverse, self.yaw_rate = device, speed, max_reverse, yaw_rate

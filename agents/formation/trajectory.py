@@ -6,17 +6,14 @@ reports, not how it drives, and all followers of a study face the same leader.
 
 import math
 from collections import deque
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from agents.formation.formation import Formation
-from agents.formation.leader import Extra, Leader
-from agents.formation.prediction import Estimator
-from agents.formation.sending import Sending
+from agents.formation.leader import Leader
 from cosim.agent import Observation, VehicleInfo
 from cosim.clock import Ticks
-from cosim.types import Count, NonNegative, Positive
+from cosim.types import Count, Positive
 
 Path = Literal["straight", "circle", "slalom", "stopgo", "random"]
 
@@ -50,7 +47,7 @@ class Trajectory(Leader):
         sway_s: period of ``slalom`` and of the turning in ``stopgo``, s.
         surge_s: period of the speed in ``stopgo``, s.
         path_seed: which random path.
-        tell, estimator, horizon_s, fade_s, sending, formation: as of every `Leader`.
+        leading: tell, estimator, horizon_s, fade_s, sending and formation, as of every `Leader`.
     """
 
     def __init__(
@@ -62,16 +59,9 @@ class Trajectory(Leader):
         sway_s: Positive = 16.0,
         surge_s: Positive = 9.0,
         path_seed: Count = 7,
-        tell: tuple[Extra, ...] = (),
-        estimator: str | Estimator = "dr",
-        horizon_s: NonNegative = 2.0,
-        fade_s: Positive = 1.0,
-        sending: Sending | None = None,
-        formation: Formation | None = None,
+        **leading: Any,
     ) -> None:
-        super().__init__(
-            tell=tell, estimator=estimator, horizon_s=horizon_s, fade_s=fade_s, sending=sending, formation=formation
-        )
+        super().__init__(**leading)
         if path not in STANDARD_YAW_RATE:
             raise ValueError(f"path {path!r} is not one of {', '.join(STANDARD_YAW_RATE)}")
         if path == "straight" and yaw_rate:

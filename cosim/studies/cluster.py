@@ -45,7 +45,7 @@ class Cluster:
             raise UsageError(f"--cluster {address}: must be the address of a Dask scheduler, e.g. tcp://10.0.0.1:8786")
         try:
             self._client: Any = _in_time(lambda: distributed.Client(address, timeout=f"{TIMEOUT_S}s", set_as_default=False))
-        except (OSError, ValueError, TypeError) as error:
+        except Exception as error:  # what is no scheduler may answer anything, and Dask believes it
             problem = f"no Dask scheduler answers there within {TIMEOUT_S} s"
             raise UsageError(f"--cluster {self._name}: {problem} ({' '.join(str(error).split())})") from error
         self._capacity, self._looked = LEAST, 0.0

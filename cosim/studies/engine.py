@@ -114,7 +114,7 @@ def conduct(
     base = plans.base_of(scenario)
     plan = plans.make(base, vary=vary, seeds=seeds, seed=seed, settings=settings, metrics=metrics, stored=stored)
     plan = examined(plan, base, checking)
-    work = Work(plan.scenario_toml, str(base.folder), version(), where(plan, base))
+    work = Work(plan.scenario_toml, str(base.folder), version(), where(plan, base), plan.files)
     with _workers(work, jobs, cluster) as ask:
         if out is not None and numbered:
             with writing(out):

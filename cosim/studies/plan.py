@@ -143,7 +143,7 @@ def make(
         scenario_toml=base.text,
         vary=full,
         seeds=list(range(first, first + count)),
-        metrics=list(metrics or (stored.metrics if stored else said.metrics)),
+        metrics=[metrics] if isinstance(metrics, str) else list(metrics or (stored.metrics if stored else said.metrics)),
         set={key: table.plain(value) for key, value in settings.items()},
     )
 
@@ -174,6 +174,8 @@ def check_same(plan: Plan, stored: Plan, out: Path) -> None:
 
 
 def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
+    if not isinstance(vary, Mapping):
+        raise UsageError(f"vary: must be a mapping, e.g. {{'radio.loss.probability': [0.0, 0.3]}}, not {table.show(vary)}")
     full: dict[str, list[Any]] = {}
     for key, values in vary.items():
         try:

@@ -57,6 +57,8 @@ class Worker:
             ready = None
         if ready != READY:
             self.close()
+            if self._process.returncode == -signal.SIGKILL:  # somebody else's doing: like one that is killed later
+                raise WorkerDiedError
             raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
 
     def run(self, given: Any) -> Any:

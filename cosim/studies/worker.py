@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import hashlib
 import threading
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +25,7 @@ class Work(msgspec.Struct, frozen=True):
     folder: str  # where the scenario's files are
     version: str  # of vcmvsp, which must be the same everywhere
     agents: Literal["inprocess"] | None = None  # where agents run, if not where the scenario says
+    files: dict[str, str] = {}  # SHA-256 of the files that the scenario names, as `Plan.files`
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -46,6 +48,10 @@ def run_one(work: Work, job: Job) -> bytes:
             return failed(f"this worker has vcmvsp {version()}, the study {work.version}")
         with _one_at_a_time, _in(work.folder):
             result = api.run(_content(work.scenario_toml), seed=job.seed, set=job.settings, agents=work.agents, mcap=False)
+        for name, text in result.files.items():
+            used = hashlib.sha256(text).hexdigest()
+            if used not in work.files.get(name, used):
+                return failed(f"{name} was changed while the study ran")
         return encode(Row(flat(result.metrics)))
     except (Exception, SystemExit) as error:
         kind = "" if isinstance(error, VcmvspError) else f"{type(error).__name__}: "

@@ -2,6 +2,7 @@
 
 import errno
 import functools
+import hashlib
 import itertools
 import os
 import signal
@@ -17,7 +18,7 @@ import pytest
 import cosim
 from cosim.assemble import Assembly
 from cosim.errors import AgentError, FederateError, UsageError, VcmvspError
-from cosim.studies import examine
+from cosim.studies import examine, rows
 from cosim.studies import plan as plans
 from cosim.studies.engine import study
 from cosim.studies.plan import Plan
@@ -277,3 +278,19 @@ def test_only_finite_values_are_varied_over(value: Any) -> None:
 def test_seeds_are_counted(seeds: float) -> None:
     with pytest.raises(VcmvspError, match="--seeds"):
         study(two(), vary={LOSS: [0.0]}, seeds=seeds)  # type: ignore[arg-type]
+
+
+def test_a_file_that_changes_while_the_study_runs_makes_no_rows(tmp_path: Path) -> None:
+    scenario = mine(tmp_path).read_text()
+    now = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()
+    for known, problem in ((now, None), ("0" * 64, "mine.py was changed while the study ran")):
+        work = Work(scenario, str(tmp_path), version(), files={"mine.py": known})
+        assert rows.decode(run_one(work, Job(0, {}))).error == problem
+
+
+@pytest.mark.parametrize(
+    ("given", "says"), [({"vary": "a=0,1"}, "vary: must be a mapping"), ({"metrics": "age"}, "--metric age:")]
+)
+def test_words_in_place_of_lists_are_understood_or_named(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        cosim.study("study-delay", seeds=1, **given)

@@ -276,3 +276,28 @@ def test_suggestions_are_near_and_lists_are_sorted() -> None:
     )
     assert table.unknown("key", "zzz", ["b", "a"]) == "unknown key 'zzz' (allowed: a, b)"
     assert table.unknown("key", "zzz", []) == "unknown key 'zzz' (allowed: none)"
+
+
+class Base:
+    """Takes one."""
+
+    def __init__(self, *, one: Positive = 1.0) -> None:
+        self.one = one
+
+
+class Derived(Base):
+    """Takes two, and hands on the rest."""
+
+    def __init__(self, two: int, **more: Any) -> None:
+        super().__init__(**more)
+        self.two = two
+
+
+def test_a_class_that_hands_on_the_rest_takes_what_its_base_takes() -> None:
+    assert list(table.parameters(Derived)) == ["two", "one"]
+    made = table.call(Derived, {"two": 2, "one": 3.0})
+    assert (made.two, made.one) == (2, 3.0)
+    with pytest.raises(ScenarioError, match="one: must be a number > 0, not -1"):
+        table.call(Derived, {"two": 2, "one": -1})
+    with pytest.raises(ScenarioError, match=r"unknown key 'more'.*\(allowed: one, two\)"):
+        table.call(Derived, {"two": 2, "more": {}})
