@@ -5,7 +5,6 @@ import queue
 import signal
 import socket
 import subprocess
-import sys
 import time
 import tomllib
 import types
@@ -20,8 +19,8 @@ from hypothesis import strategies as st
 import cosim
 from cosim.errors import FederateError
 from cosim.transport import dialling, wire
+from tests.cosim.hosting import Stage, ended, wait_for
 
-VCMVSP = [sys.executable, "-m", "cosim.cli"]
 SCENARIO = """
 name = "byhand"
 duration_s = {duration}
@@ -53,26 +52,18 @@ class Still(Agent):
 """
 
 
-class Stage:
+class ByHand(Stage):
     """A scenario whose car2 is hosted by hand, and the processes that play in it."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.out = folder, folder / "out"
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        super().__init__(folder)
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
         (folder / "still.py").write_text(STILL)
-        self.processes: list[subprocess.Popen[str]] = []
 
     def scenario(self, duration: float = 2.0, patience: float = 30.0) -> Path:
         path = self.folder / "byhand.toml"
         path.write_text(SCENARIO.format(duration=duration, endpoint=self.endpoint, patience=patience))
         return path
-
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen([*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder)
-        self.processes.append(process)
-        return process
 
     def run(self, duration: float = 2.0, patience: float = 30.0, *more: str) -> subprocess.Popen[str]:
         return self.start("run", str(self.scenario(duration, patience)), "--out", str(self.out), *more)
@@ -86,21 +77,12 @@ class Stage:
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Stage]:
-    made = Stage(tmp_path)
-    yield made
-    for process in made.processes:
-        process.kill()
-        process.communicate()
+def stage(tmp_path: Path) -> Iterator[ByHand]:
+    with ByHand(tmp_path) as made:
+        yield made
 
 
-def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    _, said = process.communicate(timeout=60)
-    assert "Traceback" not in said
-    return process.returncode, said
-
-
-def test_a_host_may_bring_parameters_and_the_result_says_so(stage: Stage) -> None:
+def test_a_host_may_bring_parameters_and_the_result_says_so(stage: ByHand) -> None:
     run, host = stage.run(), stage.host("agents.formation.leader_follower:LeaderFollower", "--set", "k2=0.25")
     assert ended(run)[0] == 0
     code, said = ended(host)
@@ -112,7 +94,7 @@ def test_a_host_may_bring_parameters_and_the_result_says_so(stage: Stage) -> Non
     assert '"car2": "zenoh"' in (stage.out / "about.json").read_text()
 
 
-def test_a_host_may_bring_another_class_and_the_result_says_so(stage: Stage) -> None:
+def test_a_host_may_bring_another_class_and_the_result_says_so(stage: ByHand) -> None:
     run, host = stage.run(), stage.host("still.py:Still", "--set", "patience=3.0")
     assert (ended(run)[0], ended(host)[0]) == (0, 0)
     agent = stage.resolved_agent()
@@ -123,7 +105,7 @@ def test_a_host_may_bring_another_class_and_the_result_says_so(stage: Stage) -> 
     assert set(moved.x) == {-1.0}
 
 
-def test_who_does_not_belong_is_refused(stage: Stage) -> None:
+def test_who_does_not_belong_is_refused(stage: ByHand) -> None:
     run = stage.run()
     code, said = ended(stage.host(vehicle="car3"))
     assert code == 2
@@ -136,7 +118,7 @@ def test_who_does_not_belong_is_refused(stage: Stage) -> None:
     assert not stage.out.exists()
 
 
-def test_a_vehicle_has_one_host(stage: Stage) -> None:
+def test_a_vehicle_has_one_host(stage: ByHand) -> None:
     run = stage.run(3600.0, 30.0, "--realtime")
     first = stage.host()
     wait_for(stage.out / "run.mcap")
@@ -149,7 +131,7 @@ def test_a_vehicle_has_one_host(stage: Stage) -> None:
     assert ended(first)[0] == 0
 
 
-def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: Stage) -> None:
+def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand) -> None:
     run = stage.start("run", str(stage.scenario()), "--agents", "zenoh", "--out", str(stage.out), "--quiet")
     early = stage.host()
     time.sleep(2.0)
@@ -158,7 +140,7 @@ def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: Stage) 
     assert [ended(each)[0] for each in (run, later, leader)] == [0, 0, 0]
 
 
-def test_a_run_that_nobody_joins_ends(stage: Stage) -> None:
+def test_a_run_that_nobody_joins_ends(stage: ByHand) -> None:
     code, said = ended(stage.run(2.0, 0.5))
     assert code == 3
     assert f"vcmvsp agent leader_follower --vehicle car2 --connect {stage.endpoint}" in said
@@ -166,7 +148,7 @@ def test_a_run_that_nobody_joins_ends(stage: Stage) -> None:
     assert not stage.out.exists()
 
 
-def test_a_host_that_is_killed_ends_the_run(stage: Stage) -> None:
+def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
     run, host = stage.run(3600.0, 30.0, "--realtime"), stage.host()
     wait_for(stage.out / "run.mcap")
     time.sleep(0.5)
@@ -179,7 +161,7 @@ def test_a_host_that_is_killed_ends_the_run(stage: Stage) -> None:
     assert (stage.out / "states.parquet").exists()
 
 
-def test_a_run_that_is_killed_ends_the_host(stage: Stage) -> None:
+def test_a_run_that_is_killed_ends_the_host(stage: ByHand) -> None:
     run, host = stage.run(3600.0, 30.0, "--realtime"), stage.host()
     wait_for(stage.out / "run.mcap")
     run.kill()
@@ -188,7 +170,7 @@ def test_a_run_that_is_killed_ends_the_host(stage: Stage) -> None:
     assert "the run: is gone" in said
 
 
-def test_endpoints_that_cannot_be_used_are_bad_input(stage: Stage) -> None:
+def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -197,13 +179,6 @@ def test_endpoints_that_cannot_be_used_are_bad_input(stage: Stage) -> None:
         assert "cannot listen on 'tcp/127.0.0.1:" in said
     stage.endpoint = "nonsense"
     assert ended(stage.host())[0] == 2
-
-
-def wait_for(path: Path) -> None:
-    last = time.monotonic() + 30.0
-    while not path.exists():
-        assert time.monotonic() < last
-        time.sleep(0.02)
 
 
 class Asked:

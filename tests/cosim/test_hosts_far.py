@@ -2,7 +2,6 @@
 
 import json
 import re
-import socket
 import subprocess
 import sys
 import threading
@@ -13,9 +12,8 @@ from pathlib import Path
 import pytest
 
 import cosim
-from tests.cosim.faraway import Wire
+from tests.cosim.hosting import VCMVSP, Stage, Wire, ended, wait_for
 
-VCMVSP = [sys.executable, "-m", "cosim.cli"]
 SCENARIO = """
 name = "far"
 duration_s = {duration}
@@ -43,15 +41,11 @@ agent = {{ kind = "leader_follower", leader = "car1", runs = "zenoh" }}
 """
 
 
-class Place:
+class Place(Stage):
     """A folder with keys and a scenario, and the processes that are started there."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port: int = free.getsockname()[1]
-        self.processes: list[subprocess.Popen[str]] = []
+        super().__init__(folder)
         self.say("keys", "init", "keys")
 
     def say(self, *arguments: str) -> str:
@@ -62,11 +56,6 @@ class Place:
     def keys(self, *vehicles: str, as_: str) -> str:
         self.say("keys", "vehicle", *vehicles, "--keys", "keys", "--as", as_, "--out", f"{as_}.keys")
         return f"{as_}.keys"
-
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen([*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder)
-        self.processes.append(process)
-        return process
 
     def run(self, duration: float, *more: str) -> subprocess.Popen[str]:
         (self.folder / "far.toml").write_text(SCENARIO.format(duration=duration))
@@ -82,23 +71,14 @@ class Place:
         return digest
 
     def digest(self) -> str:
-        digest: str = json.loads((self.folder / "out" / "metrics.json").read_text())["digest"]
+        digest: str = json.loads((self.out / "metrics.json").read_text())["digest"]
         return digest
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    made = Place(tmp_path)
-    yield made
-    for process in made.processes:
-        process.kill()
-        process.communicate()
-
-
-def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    _, said = process.communicate(timeout=100)
-    assert "Traceback" not in said
-    return process.returncode, said
+    with Place(tmp_path) as made:
+        yield made
 
 
 def test_two_machines_with_certificates_give_the_bytes_of_one_process(place: Place) -> None:
@@ -152,10 +132,7 @@ def test_a_cut_that_heals_within_the_deadline_loses_nothing(
     wire = Wire(place.port)
     run = place.run(5.0, "--realtime", "--set", f"agents.latency_s={latency_s}")
     hosts = [place.host("car2", both, wire.port), place.host("car3", both, place.port)]
-    last = time.monotonic() + 60.0
-    while not (place.folder / "out" / "run.mcap").exists():
-        assert time.monotonic() < last
-        time.sleep(0.02)
+    wait_for(place.out / "run.mcap")
     time.sleep(1.0)
     cutting = threading.Thread(target=cut, args=(wire,))
     cutting.start()
@@ -165,7 +142,7 @@ def test_a_cut_that_heals_within_the_deadline_loses_nothing(
     assert [ended(host)[0] for host in hosts] == [0, 0]
     wire.close()
     assert place.digest() == place.reference(latency_s)
-    late = json.loads((place.folder / "out" / "about.json").read_text())["lateness"]
+    late = json.loads((place.out / "about.json").read_text())["lateness"]
     assert late["max_s"] > 1.5  # the cut was felt
 
 
@@ -177,7 +154,7 @@ def test_beyond_this_machine_certificates_are_a_must(place: Place) -> None:
     code, said = ended(place.start("agent", "--vehicle", "car2", "--connect", "tcp/192.0.2.1:7447"))
     assert code == 2
     assert "--keys FILE" in said
-    assert not (place.folder / "out").exists()
+    assert not (place.out).exists()
     code, said = ended(place.run(1.0))
     assert code == 2
     assert "no machine has a certificate for car2, car3: vcmvsp keys vehicle car2 --keys keys" in said

@@ -1,9 +1,54 @@
-"""A network between a run and its hosts that can be cut: a TCP forwarder of this machine."""
+"""Runs and hosts as processes of a folder, and a network between them that can be cut: a TCP forwarder of this machine."""
 
 import contextlib
 import socket
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
+from typing import Self
+
+VCMVSP = [sys.executable, "-m", "cosim.cli"]
+
+
+class Stage:
+    """A folder, a free port, and the processes that are started there; leave it, and they are gone."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.out = folder, folder / "out"
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port: int = free.getsockname()[1]
+        self.processes: list[subprocess.Popen[str]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for process in self.processes:
+            process.kill()
+            process.communicate()
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen([*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder)
+        self.processes.append(process)
+        return process
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Its exit code, and what it said on the way."""
+    _, said = process.communicate(timeout=100)
+    assert "Traceback" not in said
+    return process.returncode, said
+
+
+def wait_for(path: Path) -> None:
+    """Until there is such a file."""
+    last = time.monotonic() + 60.0
+    while not path.exists():
+        assert time.monotonic() < last
+        time.sleep(0.02)
 
 
 class Wire:
