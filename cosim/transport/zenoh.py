@@ -188,7 +188,7 @@ class ZenohLink:
         """Ask all that is open once more, for as long as the host may still come back."""
         ended = self.why_lost()
         if not ended and time.monotonic() + _RETRY_S >= oldest.last:
-            ended = f"left the run, and did not come back within the deadline of {oldest.deadline_s:g} s"
+            ended = f"did not answer within the deadline of {oldest.deadline_s:g} s: it left the run, or is cut off from it"
         if ended:
             self._failed = True
             raise LinkError(ended)

@@ -156,7 +156,7 @@ def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
     begin = time.monotonic()
     code, said = ended(run)
     assert code == 3
-    assert "agent leader_follower of vehicle car2: left the run" in said
+    assert "agent leader_follower of vehicle car2: did not answer within the deadline of 2 s: it left the run" in said
     assert time.monotonic() - begin < 10.0
     assert (stage.out / "states.parquet").exists()
 
