@@ -17,7 +17,6 @@ from cosim.errors import AgentError, UsageError, VcmvspError
 from cosim.federate import Federate
 from cosim.scenario import AgentsTable
 from cosim.transport.remote import Desk, HostFederate, Link, MemoryLink, RemoteHost
-from cosim.transport.security import endpoint_rules
 from cosim.transport.wire import Hello
 
 if TYPE_CHECKING:
@@ -127,6 +126,8 @@ class Hosts:
 
     def _certificates(self, specs: Sequence[AgentSpec]) -> "Keys | None":
         """What the user says of who may come from elsewhere, checked."""
+        from cosim.transport.security import endpoint_rules
+
         keys = None
         if self._keys is not None:
             from cosim import certificates

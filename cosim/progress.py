@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -12,8 +13,8 @@ LOG_EVERY_S = 5.0
 DRAW_EVERY_S = 0.1
 
 
-class Progress:
-    """Progress on stderr. Its clock is looked at once an instant; drawing is rare.
+class Shown:
+    """Something that takes its time, on stderr; drawing is rare.
 
     Args:
         quiet: show nothing.
@@ -40,31 +41,52 @@ class Progress:
             sys.stderr.write(f"{text}\n")
             sys.stderr.flush()
 
+    def _is_due(self) -> bool:
+        """Whether it is time to show how far it is."""
+        now = time.monotonic()
+        if self._quiet or now - self._last < self._every_s:
+            return False
+        self._last = now
+        return True
+
+    def _draw(self, completed: float, total: float, words: str = "") -> None:
+        """Show the bar, on a terminal."""
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self._bar = Bar(*self._columns(), console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("")
+            self._bar.start()
+        self._bar.update(self._task, completed=completed, total=total, description=words)
+
+    def _columns(self) -> Sequence[Any]:
+        """What the bar consists of."""
+        from rich.progress import BarColumn, TextColumn
+
+        return BarColumn(), TextColumn("{task.description}")
+
+
+class Progress(Shown):
+    """How far a run is. The clock is looked at once an instant."""
+
     def on_instant(self, now_ns: int, end_ns: int) -> None:
         """Note how far the run is."""
-        wall = time.monotonic()
-        if self._quiet or wall - self._last < self._every_s:
+        if not self._is_due():
             return
-        self._last = wall
         if self._terminal:
             self._draw(now_ns / 1e9, end_ns / 1e9)
         else:
-            speed = now_ns / 1e9 / max(wall - self._start, 1e-9)
+            speed = now_ns / 1e9 / max(self._last - self._start, 1e-9)
             self.tell(
                 f"{now_ns / 1e9:.1f} of {end_ns / 1e9:g} s simulated ({100 * now_ns // end_ns} %, {speed:.1f}x real time)"
             )
 
-    def _draw(self, now_s: float, end_s: float) -> None:
-        if self._bar is None:
-            from rich.console import Console
-            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-            from rich.progress import Progress as Bar
+    def _columns(self) -> Sequence[Any]:
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
-            columns = (TextColumn("simulating"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:g} s"))
-            self._bar = Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=end_s)
-            self._bar.start()
-        self._bar.update(self._task, completed=now_s)
+        how_far = TextColumn("{task.completed:.1f} of {task.total:g} s")
+        return TextColumn("simulating"), BarColumn(), how_far, TimeRemainingColumn()
 
 
 def summary(result: "Result") -> str:

@@ -111,7 +111,7 @@ class Consensus(Agent):
         shape: ShapeName | None = None
         if self.formation:
             shape = self.formation.shape
-            self._changes = sorted(((seconds_to_ns(at_s), to) for at_s, to in self.formation.changes), reverse=True)
+            self._changes = [(seconds_to_ns(at_s), to) for at_s, to in reversed(self.formation.changes)]
         self._take(shape)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:

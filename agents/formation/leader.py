@@ -76,7 +76,7 @@ class Leader(Agent):
                 f"formation: {info.name} does not lead this team, {team.ancestors[-1]} does; name it first in members"
             )
         self._reporter.start(team.children)
-        self._changes = deque(sorted((seconds_to_ns(at_s), shape) for at_s, shape in self._formation.changes))
+        self._changes = deque((seconds_to_ns(at_s), shape) for at_s, shape in self._formation.changes)
         self._listening = Listening(team.members, 0.0)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
@@ -110,3 +110,8 @@ class Leader(Agent):
             then = self.estimator.predict(report, max(0, obs.time_ns - report.t_ns) / 1e9)
             places[name] = rotate2(then.x - x, then.y - y, -yaw)
         return places
+
+
+def towards(value: float, target: float, step: float) -> float:
+    """The value on its way to the target, changed by ``step`` at most."""
+    return value + max(-step, min(target - value, step))

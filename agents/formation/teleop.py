@@ -3,7 +3,7 @@
 from typing import Any
 
 from agents.formation.devices import KEYBOARD, Device, DeviceLostError, open_device
-from agents.formation.leader import Leader
+from agents.formation.leader import Leader, towards
 from cosim.agent import Observation, VehicleInfo
 from cosim.types import Count, NonNegative, Positive, Probability
 
@@ -69,8 +69,8 @@ class Teleop(Leader):
         asked_v = max(-self.max_reverse, min(v, self.speed))
         asked_w = max(-self.yaw_rate, min(w, self.yaw_rate))
         self.note(asked_v=asked_v, asked_w=asked_w)
-        self._v = _towards(self._v, asked_v, self.acceleration * self._period_s)
-        self._w = _towards(self._w, asked_w, self.yaw_acceleration * self._period_s)
+        self._v = towards(self._v, asked_v, self.acceleration * self._period_s)
+        self._w = towards(self._w, asked_w, self.yaw_acceleration * self._period_s)
         return self._v, self._w
 
     def close(self) -> None:
@@ -78,7 +78,3 @@ class Teleop(Leader):
         device, self._device = self._device, None
         if device is not None:
             device.close()
-
-
-def _towards(value: float, target: float, step: float) -> float:
-    return value + max(-step, min(target - value, step))

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from agents.formation.leader import Leader
+from agents.formation.leader import Leader, towards
 from cosim.agent import Observation, VehicleInfo
 from cosim.clock import Ticks
 from cosim.types import Count, Positive
@@ -112,10 +112,6 @@ class Trajectory(Leader):
             self._target_v = self.speed * self._draws.uniform(1.0 / 3.0, 1.5)
             self._target_w = self.yaw_rate * self._draws.uniform(-1.0, 1.0)
             self._next_draw_ns = time_ns + round(REDRAW_S * 1e9)
-        self._v = _towards(self._v, self._target_v, ACCELERATION * self._period_s)
-        self._w = _towards(self._w, self._target_w, YAW_ACCELERATION * self._period_s)
+        self._v = towards(self._v, self._target_v, ACCELERATION * self._period_s)
+        self._w = towards(self._w, self._target_w, YAW_ACCELERATION * self._period_s)
         return self._v, self._w
-
-
-def _towards(value: float, target: float, step: float) -> float:
-    return value + max(-step, min(target - value, step))

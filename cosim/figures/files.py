@@ -16,7 +16,7 @@ def as_json(name: str, figure: Figure) -> str:
 
 def write(name: str, figure: Figure, folder: Path) -> list[Path]:
     """Write NAME.csv, NAME-expected.csv, NAME.json, NAME.png and NAME.svg; the answer is where they are."""
-    from cosim.record import figure_plot
+    from cosim.record import figure_plot, plots
 
     points, expected, rows = (folder / f"{name}{end}" for end in (".csv", "-expected.csv", ".json"))
     with writing(folder):
@@ -24,7 +24,7 @@ def write(name: str, figure: Figure, folder: Path) -> list[Path]:
         _write_points(points, figure)
         _write_rows(expected, figure)
         rows.write_text(as_json(name, figure), "utf-8")
-        return [points, expected, rows, *figure_plot.save(figure, folder / name)]
+        return [points, expected, rows, *plots.save(figure_plot.draw(figure), folder / name)]
 
 
 def table(figure: Figure) -> str:

@@ -6,13 +6,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from cosim.record.palette import OKABE_ITO
-from cosim.record.plots import GREY, _styled
+from cosim.record.plots import GREY, styled
 from cosim.types import Array
 
 _BLUE, _RED = OKABE_ITO[1], OKABE_ITO[2]
 
 
-@_styled
+@styled
 def draw_calibration(
     *,
     distance_m: Array,

@@ -1,10 +1,8 @@
 """The picture of a coverage map: level and success seen from above, with walls and vehicles."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cosim.record.palette import OKABE_ITO
-from cosim.record.plots import STYLE
+from cosim.record.plots import MAP, style
 from cosim.types import Array
 
 if TYPE_CHECKING:
@@ -27,7 +25,7 @@ _DEEPEST_DB = 15.0  # below what is noticed: weaker levels all look alike
 
 def coverage(found: "Map") -> Figure:
     """Two maps with the same axes: the mean level, with a contour where it is just noticed, and the share of frames."""
-    with _style():
+    with style(MAP):
         width, height = np.ptp(found.x), np.ptp(found.y)
         wide = width > 1.6 * height
         size = (7.0, 1.6 + 12.0 * height / width) if wide else (10.5, 1.2 + 4.4 * height / width)
@@ -55,15 +53,6 @@ def coverage(found: "Map") -> Figure:
         below.set_ylabel("y north [m]" if wide else "")
         _titles(figure, above, found)
         return figure
-
-
-@contextmanager
-def _style() -> Iterator[None]:
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        style: Any = {**STYLE, "axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
-        mpl.rcParams.update(style)
-        yield
 
 
 def _field(

@@ -1,18 +1,16 @@
 """Draws what a figure of `cosim.figures` consists of: panels of curves, or maps; as PNG and SVG, the same bytes each time."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from cosim.record.palette import OKABE_ITO, color_of
-from cosim.record.plots import GREY, _draw_vehicle, _style, _styled, save_png
+from cosim.record.plots import GREY, draw_vehicle, styled
 
 if TYPE_CHECKING:
     from cosim.figures.kit import Curve, Figure, Heat, Panel
@@ -31,7 +29,7 @@ GROWING = LinearSegmentedColormap.from_list("growing", ["#ffffff", OKABE_ITO[1],
 ABOUT_ONE = LinearSegmentedColormap.from_list("about one", [OKABE_ITO[1], "#ffffff", OKABE_ITO[2]])
 
 
-@_styled
+@styled
 def draw(figure: "Figure") -> Canvas:
     """All panels of a figure, ``columns`` of them side by side."""
     columns = min(figure.columns, len(figure.panels))
@@ -49,20 +47,6 @@ def draw(figure: "Figure") -> Canvas:
         else:
             _draw_heat(axes, panel.heat)
     return canvas
-
-
-def save(figure: "Figure", base: Path) -> list[Path]:
-    """Draw and write ``base.png`` and ``base.svg``; the SVG's text stays text."""
-    png, svg = base.with_name(f"{base.name}.png"), base.with_name(f"{base.name}.svg")
-    canvas = draw(figure)
-    save_png(canvas, png)  # rounds the positions, also for what follows
-    with _style():
-        import matplotlib as mpl
-
-        mpl.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "vcmvsp"})
-        writer: Any = FigureCanvasSVG(canvas)
-        writer.print_svg(str(svg), metadata={"Date": None, "Creator": None})
-    return [png, svg]
 
 
 def _draw_curves(axes: Axes, panel: "Panel") -> None:
@@ -111,7 +95,7 @@ def _draw_curve(axes: Axes, curve: "Curve", label: str) -> None:
     axes.plot(curve.x, curve.y, color=color, label=label or "_", zorder=3)
     axes.plot(curve.x[:1], curve.y[:1], "o", color=color, markersize=4.5, zorder=4)
     ahead = np.arctan2(curve.y[-1] - curve.y[-2], curve.x[-1] - curve.x[-2])
-    _draw_vehicle(axes, (curve.x[-1], curve.y[-1], float(ahead)), color, 13.0)
+    draw_vehicle(axes, (curve.x[-1], curve.y[-1], float(ahead)), color, 13.0)
 
 
 def _draw_heat(axes: Axes, heat: "Heat") -> None:

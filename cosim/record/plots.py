@@ -4,7 +4,7 @@ This is the only module that knows the plotting library. It uses figure objects 
 user's own settings are, and writes the same bytes for the same run.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
@@ -42,31 +42,37 @@ STYLE: dict[str, Any] = {
     "path.simplify": False,  # it turns circles into polygons
     "legend.frameon": False,
     "legend.fontsize": 8,
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "vcmvsp",  # the same names inside for the same figure
 }
+MAP = {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
+"""For `style`: of maps, which fill their axes."""
 GREY = "0.55"
 P = ParamSpec("P")
 
 
 @contextmanager
-def _style() -> Iterator[None]:
-    """Matplotlib's own defaults and `STYLE`, whatever a user's matplotlibrc says."""
+def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Matplotlib's own defaults, `STYLE`, and ``more``, whatever a user's matplotlibrc says."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        style: Any = STYLE
-        mpl.rcParams.update(style)
+        wanted: Any = {**STYLE, **(more or {})}
+        mpl.rcParams.update(wanted)
         yield
 
 
-def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """A function that draws in this style."""
+
     @wraps(draw)
-    def styled(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with _style():
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with style():
             return draw(*args, **kwargs)
 
-    return styled
+    return drawn
 
 
-@_styled
+@styled
 def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
     """Where the vehicles went, seen from above: a dot where each starts, arrowheads on the way and a larger one where it ends.
 
@@ -88,7 +94,7 @@ def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Se
         axes.plot(x[:1, i], y[:1, i], "o", color=color_of(i), markersize=4.5, zorder=4)
         for instant in shown[1:]:
             pose = x[instant, i], y[instant, i], moved.yaw[instant, i]
-            _draw_vehicle(axes, pose, color_of(i), 14.0 if instant == shown[-1] else 9.0)
+            draw_vehicle(axes, pose, color_of(i), 14.0 if instant == shown[-1] else 9.0)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.06)
     axes.set_xlabel("x east [m]")
@@ -98,7 +104,7 @@ def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Se
     return figure
 
 
-@_styled
+@styled
 def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placement], window: Window | None = None) -> Figure:
     """Formation error of every follower over time; below, with radio, the age of what it knows of its leader, and losses.
 
@@ -136,7 +142,7 @@ def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placeme
 
 def save_png(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG: no date, no library version inside."""
-    with _style():
+    with style():
         canvas: Any = FigureCanvasAgg(figure)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # it leaves the last bit of a position to chance: round it away
@@ -146,7 +152,16 @@ def save_png(figure: Figure, path: str | Path) -> None:
         canvas.print_png(str(path), metadata={"Software": None})
 
 
-def _draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size: float) -> None:
+def save(figure: Figure, stem: Path) -> list[Path]:
+    """Write ``stem``.png and ``stem``.svg: the same bytes for the same figure; text in the SVG stays text."""
+    png, svg = (stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg"))
+    save_png(figure, png)  # it also rounds the layout, which the SVG then has, too
+    with style():
+        figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    return [png, svg]
+
+
+def draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size: float) -> None:
     """A slender triangle that points ahead, of a size in points, so that it is seen at any scale."""
     x, y, yaw = pose
     if np.isnan(yaw):

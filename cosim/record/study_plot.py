@@ -5,9 +5,7 @@ They are drawn from the summary (`cosim.studies.summary`) alone, in the style of
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -20,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cosim.record.palette import OKABE_ITO
-from cosim.record.plots import STYLE, save_png
+from cosim.record.plots import MAP, style
 from cosim.types import Array
 
 MAP_COLORS = "cividis"  # keeps its order in grey and under every common form of colour blindness
@@ -60,7 +58,7 @@ def lines(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str], title:
     table = _sorted(summary, keys)
     x_key = table.numeric[0] if table.numeric else next(iter(table.named), "")
     others = [key for key in (*table.named, *table.numeric) if key != x_key]
-    with _style():
+    with style():
         across = min(len(metrics), 2)
         down = math.ceil(len(metrics) / across)
         wide = 6.4 if across == 1 else 9.6
@@ -95,7 +93,7 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
     x_key, y_key = table.numeric[:2]
     groups = _groups(table, (*table.named, *table.numeric[2:]))
     xs, ys = (sorted(_distinct(table.columns[key])) for key in (x_key, y_key))
-    with _style({"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
+    with style(MAP):
         across = min(len(groups), 2)
         down = math.ceil(len(groups) / across)
         cell = 0.62 if len(xs) * len(ys) <= ANNOTATED_CELLS else 0.25
@@ -129,15 +127,6 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
         if title:
             figure.suptitle(title, fontsize=10)
         return figure
-
-
-def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write ``stem``.png and ``stem``.svg: the same bytes for the same figure; text in the SVG stays text."""
-    png, svg = stem.with_suffix(".png"), stem.with_suffix(".svg")
-    save_png(figure, png)  # it also rounds the layout, which the SVG then has, too
-    with _style():
-        figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-    return [png, svg]
 
 
 def label_of(key: str) -> str:
@@ -306,12 +295,3 @@ def _short(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, int | float) else str(value)
-
-
-@contextmanager
-def _style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        style: Any = {**STYLE, "svg.hashsalt": "vcmvsp", "svg.fonttype": "none", **(more or {})}
-        mpl.rcParams.update(style)
-        yield

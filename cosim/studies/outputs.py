@@ -4,95 +4,64 @@ import shlex
 from collections.abc import Mapping, Sequence
 from datetime import date, datetime, time
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pyarrow as pa
 import tomli_w
 
 from cosim import scenario as scenarios
 from cosim.report.page import Code, Facts, Figure, Rows, Section, Words, page
+from cosim.studies.plan import Plan
 from cosim.studies.summary import summarise, to_csv
 
 LISTED_FAILURES = 100
 
 
-class Spec(Protocol):
-    """What a study is, as far as its outputs tell it: a `cosim.studies.plan.Plan`, or anything like it."""
-
-    @property
-    def scenario(self) -> str:
-        """Its name, or its file."""
-
-    @property
-    def vary(self) -> Mapping[str, Sequence[Any]]:
-        """Key path -> values."""
-
-    @property
-    def seeds(self) -> Sequence[int]:
-        """Of every point."""
-
-    @property
-    def metrics(self) -> Sequence[str]:
-        """What is summarised and drawn; the first of them in the map."""
-
-    @property
-    def set(self) -> Mapping[str, Any]:
-        """Key path -> value, for all runs."""
-
-    @property
-    def scenario_toml(self) -> str:
-        """The text of the scenario."""
-
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Of the packages that matter."""
-
-
-def write(folder: Path, table: pa.Table, spec: Spec, *, repeatable: bool = True) -> list[Path]:
+def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True) -> list[Path]:
     """Write ``summary.csv``, ``study.png``, ``study-map.png``, both as ``.svg`` too, and ``report.html``.
 
     Args:
         folder: which must exist.
         table: a row for each run: the varied keys, ``seed``, metrics, ``error`` and ``digest``.
-        spec: what was studied. The map is drawn where two keys with numbers were varied.
+        plan: what was studied. The map is drawn where two keys with numbers were varied.
         repeatable: whether the scenario has a name or a file, so that there is a command for it.
 
     Returns:
         What was written.
     """
-    from cosim.record import study_plot
+    from cosim.record import plots, study_plot
 
-    keys, metrics = list(spec.vary), list(spec.metrics)
+    keys, metrics = list(plan.vary), list(plan.metrics)
     summary = summarise(table, keys, metrics)
     written = [folder / "summary.csv"]
     written[0].write_text(to_csv(summary), "utf-8")
     drawn: list[Path] = []
     if metrics:
-        title = Path(spec.scenario).stem
-        many = len(spec.seeds) > 1
-        means = f"{title}: means of {len(spec.seeds)} runs" if many else title
-        drawn += study_plot.save(
+        title = Path(plan.scenario).stem
+        many = len(plan.seeds) > 1
+        means = f"{title}: means of {len(plan.seeds)} runs" if many else title
+        drawn += plots.save(
             study_plot.lines(summary, keys, metrics, f"{means} with 95 % bands" if many else title), folder / "study"
         )
         if (over_two := study_plot.heat_map(summary, keys, metrics[0], means)) is not None:
-            drawn += study_plot.save(over_two, folder / "study-map")
+            drawn += plots.save(over_two, folder / "study-map")
     report = folder / "report.html"
     drawings = [path for path in drawn if path.suffix == ".svg"]
-    report.write_text(_page(table, summary, spec, drawings, repeatable=repeatable), "utf-8")
+    report.write_text(_page(table, summary, plan, drawings, repeatable=repeatable), "utf-8")
     return [*written, *drawn, report]
 
 
-def command_of(spec: Spec) -> str:
+def command_of(plan: Plan) -> str:
     """The command that repeats a study."""
-    words = ["vcmvsp", "study", spec.scenario]
-    for key, values in spec.vary.items():
+    words = ["vcmvsp", "study", plan.scenario]
+    for key, values in plan.vary.items():
         words += ["--vary", f"{key}={','.join(toml_of(value) for value in values)}"]
-    words += ["--seeds", str(len(spec.seeds)), "--seed", str(spec.seeds[0])]
-    for metric in spec.metrics:
+    words += ["--seeds", str(len(plan.seeds)), "--seed", str(plan.seeds[0])]
+    for metric in plan.metrics:
         words += ["--metric", metric]
-    for key, value in spec.set.items():
+    for key, value in plan.set.items():
         words += ["--set", f"{key}={toml_of(value)}"]
-    return shlex.join([*words, "--out", f"{Path(spec.scenario).stem}-study"])
+    return shlex.join([*words, "--out", f"{Path(plan.scenario).stem}-study"])
 
 
 def toml_of(value: Any) -> str:
@@ -117,21 +86,21 @@ def _quoted(text: str) -> str:
     return tomli_w.dumps({"value": text}).removeprefix("value = ").strip()
 
 
-def _page(table: pa.Table, summary: pa.Table, spec: Spec, drawings: Sequence[Path], *, repeatable: bool) -> str:
-    failures = _failures(table, list(spec.vary))
-    points, seeds = summary.num_rows, len(spec.seeds)
+def _page(table: pa.Table, summary: pa.Table, plan: Plan, drawings: Sequence[Path], *, repeatable: bool) -> str:
+    failures = _failures(table, list(plan.vary))
+    points, seeds = summary.num_rows, len(plan.seeds)
     lead = f"{_count(table.num_rows, 'run')}: {_count(points, 'point')} with {_count(seeds, 'seed')} each"
     sections = [
-        Section("What was varied", [Facts(_varied(spec))]),
-        Section("Figures", [Figure(path.read_text("utf-8"), f"{path.stem} of {spec.scenario}") for path in drawings]),
-        Section("Summary", [Words(_EXPLAINED), _table(summary, spec)]),
-        _failed(failures, list(spec.vary)) if failures else None,
-        Section("Again", [Code(command_of(spec))]) if repeatable else None,
-        Section("Scenario", [Code(spec.scenario_toml, folded="its file, without what was varied or set")]),
-        Section("Versions", [Facts(list(spec.versions.items()))]),
+        Section("What was varied", [Facts(_varied(plan))]),
+        Section("Figures", [Figure(path.read_text("utf-8"), f"{path.stem} of {plan.scenario}") for path in drawings]),
+        Section("Summary", [Words(_EXPLAINED), _table(summary, plan)]),
+        _failed(failures, list(plan.vary)) if failures else None,
+        Section("Again", [Code(command_of(plan))]) if repeatable else None,
+        Section("Scenario", [Code(plan.scenario_toml, folded="its file, without what was varied or set")]),
+        Section("Versions", [Facts(list(plan.versions.items()))]),
     ]
     lead += f"; {len(failures)} failed" if failures else ""
-    return page(f"Study of {spec.scenario}", lead, [each for each in sections if each is not None and each.parts])
+    return page(f"Study of {plan.scenario}", lead, [each for each in sections if each is not None and each.parts])
 
 
 _EXPLAINED = (
@@ -140,22 +109,22 @@ _EXPLAINED = (
 )
 
 
-def _varied(spec: Spec) -> list[tuple[str, str]]:
-    facts = [(key, ", ".join(toml_of(value) for value in values)) for key, values in spec.vary.items()]
-    first, last = spec.seeds[0], spec.seeds[-1]
+def _varied(plan: Plan) -> list[tuple[str, str]]:
+    facts = [(key, ", ".join(toml_of(value) for value in values)) for key, values in plan.vary.items()]
+    first, last = plan.seeds[0], plan.seeds[-1]
     facts.append(("seeds", str(first) if first == last else f"{first} to {last}"))
-    return [*facts, *((f"{key} (all runs)", toml_of(value)) for key, value in spec.set.items())]
+    return [*facts, *((f"{key} (all runs)", toml_of(value)) for key, value in plan.set.items())]
 
 
-def _table(summary: pa.Table, spec: Spec) -> Rows:
+def _table(summary: pa.Table, plan: Plan) -> Rows:
     """The summary with bands as ``low to high`` would be hard to compare: a column each."""
-    keys = list(spec.vary)
+    keys = list(plan.vary)
     columns = summary.to_pydict()
-    partly = [metric for metric in spec.metrics if columns[f"{metric}.n"] != columns["n"]]
+    partly = [metric for metric in plan.metrics if columns[f"{metric}.n"] != columns["n"]]
     shown: list[tuple[str, str]] = [*((key, key) for key in keys), ("n", "n")]
     if any(columns["failed"]):
         shown.append(("failed", "failed"))
-    for metric in spec.metrics:
+    for metric in plan.metrics:
         shown += [(f"{metric}.mean", metric), (f"{metric}.low", "low"), (f"{metric}.high", "high")]
         shown += [(f"{metric}.n", "its n")] if metric in partly else []
     rows = [[_plain(columns[name][row]) for name, _ in shown] for row in range(summary.num_rows)]

@@ -1,34 +1,14 @@
 """How far a study is: a bar on a terminal, a line every few seconds in a log."""
 
-import sys
 import time
-from types import TracebackType
-from typing import Any, Self
 
-from cosim.progress import DRAW_EVERY_S, LOG_EVERY_S
+from cosim.progress import Shown
 
 
-class StudyProgress:
-    """Progress on stderr.
+class StudyProgress(Shown):
+    """How far a study is."""
 
-    Args:
-        quiet: show nothing.
-    """
-
-    def __init__(self, *, quiet: bool) -> None:
-        self._terminal = sys.stderr.isatty() and not quiet
-        self._quiet = quiet
-        self._bar: Any = None
-        self._task: Any = None
-        self._start = self._last = time.monotonic()
-        self._first: int | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+    _first: int | None = None  # how many runs were done before
 
     def on_check(self, done: int, total: int) -> None:
         """Note how many points are checked before the first run."""
@@ -45,26 +25,8 @@ class StudyProgress:
         self._show(words, done, total)
 
     def _show(self, words: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        if self._quiet or now - self._last < (DRAW_EVERY_S if self._terminal else LOG_EVERY_S):
-            return
-        self._last = now
-        if self._terminal:
-            self._draw(words, done, total)
-        else:
-            sys.stderr.write(f"{words}\n")
-            sys.stderr.flush()
-
-    def _draw(self, words: str, done: int, total: int) -> None:
-        if self._bar is None:
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn
-
-            columns = (BarColumn(), TextColumn("{task.description}"))
-            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("")
-            self._bar.start()
-        self._bar.update(self._task, completed=done, total=total, description=words)
+        if self._is_due():
+            self._draw(done, total, words) if self._terminal else self.tell(words)
 
 
 def clock(seconds: float) -> str:

@@ -7,9 +7,9 @@ import re
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -22,13 +22,14 @@ from cosim.record import study_plot
 from cosim.scenario import settings_of
 from cosim.studies.grid import vary_of
 from cosim.studies.outputs import command_of, toml_of, write
+from cosim.studies.plan import Plan
 from cosim.studies.summary import summarise
 from tests.cosim.studying import two
 
 LOSS, DELAY, WHO, METRIC = "radio.loss.probability", "radio.delay.seconds", "agents.estimator", "formation.rms_m"
 
 
-def study(vary: Mapping[str, Any], seeds: int = 3, fails: bool = False, **changed: Any) -> tuple[pa.Table, SimpleNamespace]:
+def study(vary: Mapping[str, Any], seeds: int = 3, fails: bool = False, **changed: Any) -> tuple[pa.Table, Plan]:
     """A study whose metric is the sum of all numbers that were varied, and a hundredth of the seed."""
     points = [dict(zip(vary, values, strict=True)) for values in itertools.product(*vary.values())]
     rows = []
@@ -38,17 +39,16 @@ def study(vary: Mapping[str, Any], seeds: int = 3, fails: bool = False, **change
             failed = fails and seed == 2
             values = {METRIC: None if failed else value, "radio.delivery_ratio": None if failed else 1.0 / seed}
             rows.append({**point, "seed": seed, **values, "error": "car2: <it> raised" if failed else None, "digest": "00"})
-    spec = SimpleNamespace(
+    spec = Plan(
         scenario="study-loss",
-        vary=vary,
+        vary={key: list(values) for key, values in vary.items()},
         seeds=list(range(1, seeds + 1)),
         metrics=[METRIC, "radio.delivery_ratio"],
         set={"duration_s": 30.0},
         scenario_toml='name = "study-loss"  # <comment>\n',
         versions={"vcmvsp": "0.1.0"},
     )
-    vars(spec).update(changed)
-    return pa.table({name: [row[name] for row in rows] for name in rows[0]}), spec
+    return pa.table({name: [row[name] for row in rows] for name in rows[0]}), msgspec.structs.replace(spec, **changed)
 
 
 def figure_of(vary: Mapping[str, Any], metrics: tuple[str, ...] = (METRIC,)) -> Figure:
