@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 
 from cosim import registry, table
+from cosim.absence import Absence
 from cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import AgentError, ScenarioError, place_of
@@ -61,8 +62,8 @@ class AgentHost:
             self._seats[vehicle].take(what, event.value)
         events: list[Event] = []
         for seat in self._seats.values():
-            if seat.next_ns == now_ns:
-                (seat.act if now_ns < seat.fails_ns else seat.die)(now_ns, events)
+            if seat.next_ns <= now_ns:
+                seat.tick(now_ns, events)
         return Step(events, min(seat.next_ns for seat in self._seats.values()))
 
     def close(self) -> None:
@@ -108,6 +109,7 @@ class _Seat:
         self._follows: Follows | None = None
         self.fails_ns = NEVER_NS if spec.fails_s is None else seconds_to_ns(spec.fails_s)
         self._dead = False
+        self._absence: Absence | None = None
 
     def start(self, run: RunInfo) -> None:
         self._radio, self._started = Radio(self._vehicle, run.vehicles), True
@@ -143,8 +145,35 @@ class _Seat:
         else:
             self._readings[what] = value
 
-    def act(self, now_ns: int, events: list[Event]) -> None:
-        """Let the agent act, and append what it gave, in effect from now + latency on."""
+    def tick(self, now_ns: int, events: list[Event]) -> None:
+        """Append what the agent does at its tick, or what its vehicle does without it, in effect from now + latency on."""
+        if self.next_ns < now_ns:  # out of reach of the run, it has missed ticks
+            self.next_ns = self._ticks.after(now_ns - 1)
+            if self.next_ns > now_ns:
+                return
+        self.next_ns = self._ticks.after(now_ns)
+        if now_ns >= self.fails_ns:
+            self._die(now_ns, events)
+        elif self._absence is not None:
+            self._heard.clear()
+            events.extend(self._absence.go_on(now_ns + self.info.latency_ns))
+        else:
+            self._try(now_ns, events)
+
+    def _try(self, now_ns: int, events: list[Event]) -> None:
+        """Let the agent act; if it fails, the scenario says what follows."""
+        given = len(events)
+        try:
+            self._act(now_ns, events)
+        except AgentError as error:
+            if self.spec.on_lost == "stop":
+                raise
+            del events[given:]
+            when, follows = now_ns + self.info.latency_ns, self._follows is not None
+            self._absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
+            events.extend(self._absence.news)
+
+    def _act(self, now_ns: int, events: list[Event]) -> None:
         if self._state is None:
             raise AgentError(
                 (self._vehicle,), self.spec.kind, "has no state to act on: nothing published its vehicle's estimate"
@@ -167,9 +196,8 @@ class _Seat:
         if notes := self.agent.drain_notes():
             events.append(Event(f"{vehicle}/note", when, Note(values=notes)))
         events.extend(Event(f"{vehicle}/send", when, message) for message in self._radio.drain())
-        self.next_ns = self._ticks.after(now_ns)
 
-    def die(self, now_ns: int, events: list[Event]) -> None:
+    def _die(self, now_ns: int, events: list[Event]) -> None:
         """From now on the vehicle stands still and says nothing."""
         self._heard.clear()
         if not self._dead:
@@ -178,7 +206,6 @@ class _Seat:
             events += [Event(f"{self._vehicle}/command", when, Velocity()), Event(f"{self._vehicle}/note", when, note)]
             if self._follows is not None:  # it means to keep no place any more
                 events.append(Event(f"{self._vehicle}/follows", when, self._place(None)))
-        self.next_ns = self._ticks.after(now_ns)
 
     def _checked(self, command: Any) -> Velocity | Waypoint:
         """The command in plain floats, as it would come over a wire."""

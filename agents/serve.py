@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from agents.federate import AgentHost
 from cosim.errors import UsageError, VcmvspError
+from cosim.transport.desk import Desk
 from cosim.transport.dialling import serve
-from cosim.transport.remote import Desk
 from cosim.transport.security import endpoint_rules
 from cosim.transport.wire import PROTOCOL, Hello
 

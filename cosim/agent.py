@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.clock import Ticks
 from cosim.rng import stream
-from cosim.types import Follows, Message, Reading, Reception, Value, VehicleState, Velocity, Waypoint
+from cosim.types import Follows, Message, OnLost, Reading, Reception, Value, VehicleState, Velocity, Waypoint
 
 LARGEST_MESSAGE_BYTES = 2**31 - 1
 
@@ -59,6 +59,8 @@ class AgentSpec(Value, frozen=True, kw_only=True):
     source: str  # the scenario file, for error messages
     sensors: tuple[str, ...] = ()  # what the vehicle carries, by name
     fails_s: float | None = None  # from then on it is dead
+    on_lost: OnLost = "stop"  # what becomes of the run, or of the vehicle, when the agent fails or its host is lost
+    hold_s: float = 0.0  # for so long its last command counts then
 
 
 class AgentInfo(Value, frozen=True, kw_only=True):

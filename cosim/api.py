@@ -27,13 +27,14 @@ from cosim import worlds
 from cosim.agent import Agent
 from cosim.assemble import Assembly
 from cosim.clock import Clock, SimClock, WallClock
-from cosim.errors import FederateError, Interrupted, UsageError, VcmvspError
+from cosim.errors import AgentError, FederateError, Interrupted, UsageError, VcmvspError
+from cosim.federate import Event
 from cosim.hosts import Tell
 from cosim.kernel import Kernel
 from cosim.record.metrics import Window
 from cosim.record.recorder import Recorder
 from cosim.record.tables import Placement, load
-from cosim.types import Array
+from cosim.types import Array, Presence
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -154,6 +155,7 @@ def run(
     mcap: bool = True,
     progress: Progress | None = None,
     tell: Tell = lambda _: None,
+    watch: Callable[[], str | None] = lambda: None,
 ) -> Result:
     """Run a scenario to its end.
 
@@ -172,6 +174,7 @@ def run(
         mcap: without it, nothing but tables and metrics is kept, in memory, which takes two thirds of the time.
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
+        watch: asked while hosts are waited for; an answer is why there is no use in it.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
@@ -187,10 +190,18 @@ def run(
     try:
         folder_of_keys = None if keys is None else Path(keys)
         with Assembly(
-            parsed, source, objects=objects, runs=runs, listen=listen, keys=folder_of_keys, insecure=insecure, tell=tell
+            parsed,
+            source,
+            objects=objects,
+            runs=runs,
+            listen=listen,
+            keys=folder_of_keys,
+            insecure=insecure,
+            tell=tell,
+            watch=watch,
         ) as assembly:
             clock = SimClock() if realtime is None else WallClock(realtime)
-            simulation = _Simulation(assembly, clock, folder, progress, mcap=mcap)
+            simulation = _Simulation(assembly, clock, folder, progress, tell, mcap=mcap)
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
                 result = simulation.result(failure, started, time.process_time() - cpu)
@@ -245,10 +256,17 @@ class _Simulation:
     """One run: kernel and recording, from the first event to the files."""
 
     def __init__(
-        self, assembly: Assembly, clock: Clock, folder: "Folder | None", progress: Progress | None, *, mcap: bool
+        self,
+        assembly: Assembly,
+        clock: Clock,
+        folder: "Folder | None",
+        progress: Progress | None,
+        tell: Tell,
+        *,
+        mcap: bool,
     ) -> None:
         self._assembly, self._clock, self._folder = assembly, clock, folder
-        self._progress = progress
+        self._progress, self._tell, self._over = progress, tell, False
         self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
         self._kernel = Kernel(assembly.run_info, assembly.federates, clock=clock)
         self._mcap = io.BytesIO() if mcap and folder is None else None
@@ -301,7 +319,11 @@ class _Simulation:
             failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
         except VcmvspError as error:
             failure = error
-        self._simulating_s = time.monotonic() - begin
+        self._simulating_s, self._over = time.monotonic() - begin, True
+        if isinstance(failure, AgentError):
+            gone = Presence(state="lost", since_ns=kernel.now_ns, why=failure.cause)
+            for vehicle in failure.vehicles:
+                recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
         recorder.close(kernel.now_ns)
         return failure
@@ -320,6 +342,7 @@ class _Simulation:
                 agents=assembly.infos,
                 radius_m=assembly.radius_m,
                 sensors=assembly.recorded_sensors,
+                tell=lambda text: None if self._over else self._tell(text),
             )
             yield self._recorder
 
@@ -340,6 +363,7 @@ class _Simulation:
             "simulated_s": self._kernel.now_ns / 1e9,
             "agents": assembly.where,
             "lateness": self._lateness(),
+            "cuts_s": assembly.cuts_s,
             "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
             "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
             "versions": _versions(),

@@ -1,9 +1,9 @@
 """From a scenario to federates: every part is found, checked and built here."""
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
@@ -15,10 +15,13 @@ from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
 from cosim.kernel import Kernel
 from cosim.resolve import Resolution
-from cosim.scenario import AgentsTable, Scenario, VehicleTable
+from cosim.scenario import AgentsTable, AgentTable, Scenario, VehicleTable
 from cosim.source import Source
 
-TOPICS = ("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows")  # of every vehicle
+if TYPE_CHECKING:
+    from cosim.transport.zenoh import Hub
+
+TOPICS = ("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host")  # of every vehicle
 _NOT_SHARED = {"name", "pose", "position", "agent", "params"}  # keys of a vehicle for which [vehicles] has no default
 
 
@@ -36,6 +39,7 @@ class Assembly:
         listen: where hosts started by hand dial in, instead of the scenario's ``agents.listen``.
         keys, insecure: who may dial in there from other machines (`cosim.hosts.Hosts`).
         tell: takes lines for the user.
+        watch: asked while hosts are waited for; an answer is why there is no use in it.
     """
 
     def __init__(
@@ -49,6 +53,7 @@ class Assembly:
         keys: Path | None = None,
         insecure: bool = False,
         tell: Tell = lambda _: None,
+        watch: Callable[[], str | None] = lambda: None,
     ) -> None:
         registry.guard()
         self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
@@ -64,9 +69,11 @@ class Assembly:
         world = self.world = self._build_world()
         air, physics = self._build_radio(world), self._build_physics(world)
         self.radius_m: Mapping[str, float] = physics.radius_m
-        self._hosts = Hosts(agents, tell, keys=keys, insecure=insecure)
+        self._hosts = Hosts(agents, tell, keys=keys, insecure=insecure, watch=watch)
         try:
             self._place_agents(runs)
+            if listen is not None and self._hosts.hub is None:
+                self._hosts.listen()  # for those who watch
             self.infos = tuple(sorted(self._hosts.infos, key=lambda info: info.vehicle))
             self._check_defaults_taken()
         except BaseException:
@@ -120,6 +127,16 @@ class Assembly:
     def resolved(self) -> dict[str, Any]:
         """The scenario with everything filled in (`cosim.resolve`)."""
         return self._resolution.scenario(self.infos, self._hosts.kinds)
+
+    @property
+    def hub(self) -> "Hub | None":
+        """Where machines dial in that host agents, or only watch; None: nowhere."""
+        return self._hosts.hub
+
+    @property
+    def cuts_s(self) -> Mapping[str, Sequence[float]]:
+        """For how long hosts were out of reach, each time that the run waited for them, by their vehicles."""
+        return self._hosts.cuts_s
 
     @property
     def files(self) -> Mapping[str, bytes]:
@@ -244,6 +261,7 @@ class Assembly:
 
     def _agent_spec(self, vehicle: VehicleTable, where: str) -> AgentSpec:
         agents, own = self._scenario.agents, vehicle.agent
+        fate = own or AgentTable()
         kind = self._kind(vehicle)
         if vehicle.name in self._objects:
             made = type(self._objects[vehicle.name])
@@ -268,7 +286,9 @@ class Assembly:
             latency_s=latency,
             source=self._source.name,
             sensors=tuple(self._sensors[vehicle.name]),
-            fails_s=None if vehicle.agent is None else vehicle.agent.fails_s,
+            fails_s=fate.fails_s,
+            on_lost=fate.on_lost or agents.on_lost,
+            hold_s=agents.hold_s if fate.hold_s is None else fate.hold_s,
         )
 
     def _check_defaults_taken(self) -> None:

@@ -1,23 +1,22 @@
 """Where agents run: in this process, in child processes, or in hosts that somebody starts elsewhere."""
 
 import contextlib
-import os
 import secrets
 import shlex
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-import msgspec
-
-from cosim import registry, table
+from cosim import joining, registry
 from cosim.agent import Agent, AgentInfo, AgentSpec
-from cosim.errors import AgentError, UsageError, VcmvspError
+from cosim.errors import AgentError, UsageError
 from cosim.federate import Federate
 from cosim.scenario import AgentsTable
-from cosim.transport.remote import Desk, HostFederate, Link, MemoryLink, RemoteHost
-from cosim.transport.wire import Hello
+from cosim.transport.crew import Crew, Link, MemoryLink
+from cosim.transport.desk import Desk, HostFederate
+from cosim.transport.remote import RemoteHost
+from cosim.transport.wire import Built
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
@@ -42,18 +41,36 @@ class Hosts:
         tell: takes lines for the user, such as how to start a host by hand.
         keys: folder with the certificates of those who may come from elsewhere.
         insecure: let anybody come from elsewhere.
+        watch: asked while hosts are waited for; an answer is why there is no use in it.
     """
 
-    def __init__(self, agents: AgentsTable, tell: Tell, *, keys: Path | None = None, insecure: bool = False) -> None:
-        self._agents, self._tell, self._keys, self._insecure = agents, tell, keys, insecure
+    def __init__(
+        self,
+        agents: AgentsTable,
+        tell: Tell,
+        *,
+        keys: Path | None = None,
+        insecure: bool = False,
+        watch: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        self._agents, self._tell, self._keys, self._insecure, self._watch = agents, tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
+        self.hub: Hub | None = None  # where those who are elsewhere, or only watch, dial in
         self.federates: list[Federate] = []
         self.infos: list[AgentInfo] = []
         self.kinds: dict[str, str] = {}  # vehicle -> class that a host brought along instead of the scenario's
+        self._links: list[tuple[str, ZenohLink]] = []
+        self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
+        self._specs: dict[str, AgentSpec] = {}  # of those
 
     def close(self) -> None:
         """Let go of them all."""
         self._stack.close()
+
+    @property
+    def cuts_s(self) -> dict[str, list[float]]:
+        """For how long each host was out of reach, each time that the run waited for it, by its vehicles."""
+        return {vehicles: link.cuts_s for vehicles, link in self._links if link.cuts_s}
 
     def run_here(self, specs: Sequence[AgentSpec], objects: Mapping[str, Agent]) -> None:
         """Host agents in this process."""
@@ -64,16 +81,15 @@ class Hosts:
         """Host agents in this process, but behind the same bytes as over a wire (for tests of the wire)."""
         desk = Desk(registry.piece("agent host"))
         self._stack.callback(desk.close)
-        host = self._remote("agents", MemoryLink(desk.handle), specs)
-        host.build()
-        self._add(host)
+        crew = self._crew(MemoryLink(desk.handle), specs)
+        self._add(RemoteHost("agents", [crew], [crew.build()]))
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
         from cosim.transport.process import HostProcess
         from cosim.transport.zenoh import Hub
 
-        hub = Hub(deadline_s=self._agents.deadline_s)
+        hub = Hub(patience_s=self._patience_s(specs))
         self._stack.callback(hub.close)
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
@@ -88,21 +104,19 @@ class Hosts:
                 link.why_lost = children[token].why_ended
                 link.released = children[token].close
                 links[token] = link
-        self._add_remote((links[token], group) for token, group in groups.items())
+        hub.shut()
+        self._add_remote([(links[token], group) for token, group in groups.items()])
 
     def await_by_hand(self, specs: Sequence[AgentSpec]) -> None:
-        """Wait until hosts that somebody starts have joined for all these agents."""
-        from cosim.transport.zenoh import Hub
-
-        keys = self._certificates(specs)
-        hub = Hub(self._agents.listen, keys, deadline_s=self._agents.deadline_s)
-        self._stack.callback(hub.close)
-        wanted = {spec.vehicle: spec for spec in specs}
+        """Wait until hosts that somebody starts have joined for all these agents, as far as the run cannot begin without."""
+        self.listen(specs)
+        hub, wanted = self.hub, {spec.vehicle: spec for spec in specs}
+        assert hub is not None  # noqa: S101
         waiting = dict(wanted)
         self._tell(f"waiting for {len(waiting)} agents at {hub.endpoint}; start each with")
         for spec in specs:
             how = ["--vehicle", spec.vehicle, "--connect", hub.endpoint]
-            how += ["--keys", f"{spec.vehicle}.keys"] if keys else ["--insecure"] if self._insecure else []
+            how += ["--keys", f"{spec.vehicle}.keys"] if self._keys else ["--insecure"] if self._insecure else []
             self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
         joined: dict[str, tuple[ZenohLink, list[AgentSpec]]] = {}
 
@@ -112,17 +126,35 @@ class Hosts:
                     waiting[left.vehicle] = wanted[left.vehicle]
                     self.kinds.pop(left.vehicle, None)
                     self._tell(f"the host of {left.vehicle} has left; waiting for another")
+            if why := self._watch():
+                raise AgentError(tuple(waiting), "host", why)
             return list(waiting)
 
-        for knock in self._knocking(hub, missing):
+        for knock in self._knocking(hub, missing, indispensable=lambda vehicle: _indispensable(wanted[vehicle])):
             hello = knock.hello
-            refusal = knock.denied or _refusal(hello, waiting, wanted)
-            if refusal:
-                self._tell(f"refused a host{f' with the certificate of {knock.name}' if keys else ''}: {refusal}")
-            if link := knock.answer(refusal):
-                joined[hello.host] = link, [self._as_host_says(waiting.pop(vehicle), hello) for vehicle in hello.vehicles]
+            if link := self._let_in(knock, joining.refusal(hello, waiting, wanted)):
+                specs_of = [joining.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
+                joined[hello.host] = link, specs_of
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
-        self._add_remote(joined.values())
+        self._specs = {**wanted, **{spec.vehicle: spec for _, group in joined.values() for spec in group}}
+        if not waiting:
+            hub.shut()
+        self._add_remote(list(joined.values()), list(waiting.values()))
+
+    def listen(self, specs: Sequence[AgentSpec] = ()) -> None:
+        """Let machines dial in that host these agents, or only watch."""
+        from cosim.transport.zenoh import Hub
+
+        keys = self._certificates(specs)
+        self.hub = Hub(self._agents.listen, keys, patience_s=self._patience_s(specs))
+        self._stack.callback(self.hub.close)
+        if not specs:
+            self.hub.shut()
+
+    def _patience_s(self, specs: Sequence[AgentSpec]) -> float:
+        """For how long a host waits for a run that it is cut off from: where it may come back, it had better be there."""
+        agents = self._agents
+        return agents.deadline_s if all(map(_indispensable, specs)) else max(agents.deadline_s, agents.join_timeout_s)
 
     def _certificates(self, specs: Sequence[AgentSpec]) -> "Keys | None":
         """What the user says of who may come from elsewhere, checked."""
@@ -141,32 +173,77 @@ class Hosts:
             raise UsageError(f"no machine has a certificate for {', '.join(lacking)}: {command}")
         return keys
 
-    def _add_remote(self, joined: Iterable[tuple[Link, Sequence[AgentSpec]]]) -> None:
-        hosts = []
-        for number, (link, specs) in enumerate(joined, len(self.federates)):
-            self._stack.callback(link.close)
-            hosts.append(self._remote(f"agents-{number}", link, specs))
-        for host in hosts:
-            host.build()
-            self._add(host)
+    # --- who is there -------------------------------------------------------------------------------------------------------
 
-    def _remote(self, name: str, link: Link, specs: Sequence[AgentSpec]) -> RemoteHost:
-        return RemoteHost(name, link, specs, deadline_s=self._agents.deadline_s, build_s=self._agents.join_timeout_s)
+    def _add_remote(self, joined: Sequence[tuple["ZenohLink", Sequence[AgentSpec]]], late: Sequence[AgentSpec] = ()) -> None:
+        crews = []
+        for link, specs in joined:
+            self._stack.callback(link.close)
+            crews.append(self._crew_at(link, specs))
+        for crew in crews:
+            self._add_host([crew], crew.build())
+        if late:  # what they will be is known without them: the scenario names their classes
+            local: Any = registry.piece("agent host")("late", late)
+            self._add_host([], Built(local.agents, local.reads, local.latest), late)
+
+    def _add_host(self, crews: Sequence[Crew], built: Built, missing: Sequence[AgentSpec] = ()) -> None:
+        name = f"agents-{len(self.federates)}"
+        host = RemoteHost(name, crews, [built], missing=missing, door=self._answer_door, tell=self._tell)
+        if self.hub is not None:
+            self._elsewhere.append(host)
+        self._add(host)
+
+    def _crew(self, link: Link, specs: Sequence[AgentSpec]) -> Crew:
+        return Crew(link, specs, deadline_s=self._agents.deadline_s, build_s=self._agents.join_timeout_s)
+
+    def _crew_at(self, link: "ZenohLink", specs: Sequence[AgentSpec]) -> Crew:
+        who = ", ".join(spec.vehicle for spec in specs)
+        self._links.append((who, link))
+        if self.hub is not None:  # of a child that is gone, the run knows more
+            link.noticed = lambda there: self._tell(f"the host of {who} is {'back' if there else 'out of reach'}")
+        return self._crew(link, specs)
 
     def _add(self, host: HostFederate) -> None:
         self.federates.append(host)
         self.infos.extend(host.agents)
 
-    def _knocking(self, hub: "Hub", missing: Callable[[], Sequence[str]]) -> "Iterator[Knock]":
-        """Hosts that want to join, until nobody is missing; too late is an error that names who is."""
+    def _answer_door(self) -> None:
+        """While somebody is away, a host that knocks may take its place."""
+        hub = self.hub
+        if hub is None:
+            return
+        if not any(each.wants() for each in self._elsewhere):
+            hub.shut()
+            return
+        hub.open()
+        while knock := hub.next_hello(0.0):
+            hello = knock.hello
+            places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
+            link = self._let_in(knock, joining.late_refusal(hello, self._specs, self._elsewhere, places))
+            if link is not None:
+                self._tell(f"{', '.join(hello.vehicles)} joined")
+                places[0].welcome(self._crew_at(link, [self._specs[vehicle] for vehicle in hello.vehicles]))
+
+    def _let_in(self, knock: "Knock", refusal: str | None) -> "ZenohLink | None":
+        """A link to a host that knocks, unless it is refused."""
+        if why := knock.denied or refusal:
+            self._tell(f"refused a host{f' with the certificate of {knock.name}' if self._keys else ''}: {why}")
+        return knock.answer(refusal)
+
+    def _knocking(
+        self, hub: "Hub", missing: Callable[[], Sequence[str]], indispensable: Callable[[str], bool] = lambda _: True
+    ) -> "Iterator[Knock]":
+        """Hosts that want to join, until nobody is missing; too late is an error that names who is, if the run needs them."""
         last = time.monotonic() + self._agents.join_timeout_s
         while vehicles := missing():
             if time.monotonic() > last:
                 cause = f"did not join within {self._agents.join_timeout_s:g} s (agents.join_timeout_s)"
-                raise AgentError(tuple(vehicles), "host", cause)
+                if needed := tuple(filter(indispensable, vehicles)):
+                    raise AgentError(needed, "host", cause)
+                self._tell(f"the host of {', '.join(vehicles)} {cause}; the run begins without")
+                return
             if knock := hub.next_hello(POLL_S):
                 yield knock
-        hub.shut()
 
     @staticmethod
     def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:
@@ -177,40 +254,7 @@ class Hosts:
                 raise AgentError(tuple(spec.vehicle for spec in group), group[0].kind, cause)
         return [spec.vehicle for token, group in groups.items() if token not in links for spec in group]
 
-    def _as_host_says(self, spec: AgentSpec, hello: Hello) -> AgentSpec:
-        """The spec with what the host was told on its own command line."""
-        params: dict[str, Any] = dict(hello.params)
-        if hello.kind is None or _same(hello.kind, spec.kind):
-            kind, folder = (hello.kind, hello.folder) if hello.kind else (spec.kind, spec.folder)
-            return msgspec.structs.replace(spec, kind=kind, folder=folder, params={**spec.params, **params})
-        self.kinds[spec.vehicle] = hello.kind
-        # Another class than the scenario's: the scenario's parameters are for it where it takes them.
-        defaults = {**spec.defaults, **spec.params}
-        return msgspec.structs.replace(spec, kind=hello.kind, folder=hello.folder, params=params, defaults=defaults)
 
-
-def _refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection[str]) -> str | None:
-    """Why a host that knocks may not come in; None: it may."""
-    if len(set(hello.vehicles)) < len(hello.vehicles):
-        return "it names a vehicle twice"
-    for vehicle in hello.vehicles:
-        if vehicle not in expected:
-            return f"{table.unknown('vehicle', vehicle, expected)}, or its agent runs elsewhere"
-        if vehicle not in waiting:
-            return f"the agent of '{vehicle}' has joined already"
-        if hello.kind is None and not waiting[vehicle].kind:
-            return f"the scenario names no agent for '{vehicle}': start the host with MODULE_OR_FILE:Class"
-    return None if hello.vehicles else "it names no vehicle"
-
-
-def _same(one: str, other: str) -> bool:
-    """Whether two kinds name the same class; of files only the name counts, since folders differ between machines."""
-    return _target(one) == _target(other)
-
-
-def _target(kind: str) -> str:
-    if registry.is_file_kind(kind):
-        return os.path.basename(kind)  # noqa: PTH119  of "folder/file.py:Class", which is no path
-    with contextlib.suppress(VcmvspError):
-        return registry.target("agent", kind)
-    return kind
+def _indispensable(spec: AgentSpec) -> bool:
+    """Whether the run cannot begin without it: it must not be lost, or only its host knows what it is."""
+    return spec.on_lost == "stop" or not spec.kind

@@ -65,7 +65,7 @@ class Resolution:
             "seed": scenario.seed,
             **self.tables,
             "agents": {
-                **_present(period_s=agents.period_s, latency_s=agents.latency_s),
+                **_present(period_s=agents.period_s, latency_s=agents.latency_s, on_lost=agents.on_lost, hold_s=agents.hold_s),
                 **{name: self._kept(value) for name, value in of_agents.items()},
             },
             "vehicles": shared,
@@ -124,6 +124,8 @@ class Resolution:
             period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
             latency_s=own.latency_s if own else None,
             fails_s=own.fails_s if own else None,
+            on_lost=own.on_lost if own else None,
+            hold_s=own.hold_s if own else None,
         )
         taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
         return {"agent": {**full, **{name: self._kept(value) for name, value in info.params.items() if name not in taken}}}

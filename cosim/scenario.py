@@ -17,7 +17,7 @@ from cosim import table
 from cosim.errors import ScenarioError, UsageError
 from cosim.repeat import names_copy, repeated
 from cosim.source import Source
-from cosim.types import Count, Name, NonNegative, Period, Seconds, Seed, Vec3
+from cosim.types import Count, Name, NonNegative, OnLost, Period, Seconds, Seed, Vec3
 
 RESERVED = ("world", "radio", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = Path(__file__).resolve().parent.parent / "scenarios"
@@ -37,6 +37,8 @@ class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
     join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
     period_s: Period | None = None  # s between ticks; default: the agent's own period
     latency_s: Seconds = 0.0  # s from an observation to the effect of the command
+    on_lost: OnLost = "stop"  # when an agent fails or its host is lost: stop (the run) | hold (its last command) | remove (it)
+    hold_s: Seconds = 1.0  # with on_lost = "hold": for so long, then the vehicle stands still
     defaults: Mapping[str, Any] = {}
 
 
@@ -48,6 +50,8 @@ class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
     period_s: Period | None = None
     latency_s: Seconds | None = None
     fails_s: Seconds | None = None  # from then on it is dead: its vehicle stands still and sends nothing
+    on_lost: OnLost | None = None  # default: agents.on_lost
+    hold_s: Seconds | None = None  # s; default: agents.hold_s
     params: Mapping[str, Any] = {}
 
 

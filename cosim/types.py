@@ -4,7 +4,7 @@ Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy 
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -25,6 +25,7 @@ Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
 Period = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]  # s
 Rate = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]  # Hz
+OnLost = Literal["stop", "hold", "remove"]
 Name = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-]+\Z")]
 
 
@@ -209,6 +210,15 @@ class Follows(Value, frozen=True, kw_only=True, tag="follows"):
     handle_m: float = 0.0  # m
 
 
+class Presence(Value, frozen=True, kw_only=True, tag="presence"):
+    """What became of a vehicle's agent: it was lost and its vehicle holds, was lost for good, or is back."""
+
+    state: Literal["lost", "removed", "back"]
+    since_ns: int  # its first tick without an answer, or its first with one again
+    why: str = ""
+    late: int = 0  # back: answers that came too late to count
+
+
 class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     """What became of one frame at every receiver it was meant for; the rows of ``radio.parquet``."""
 
@@ -258,6 +268,7 @@ AnyValue = (
     | Reception
     | Note
     | Follows
+    | Presence
     | FrameReport
     | Contact
 )

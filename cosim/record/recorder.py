@@ -43,6 +43,7 @@ from cosim.types import (
     Message,
     Note,
     Odometry,
+    Presence,
     Scan,
     States,
     Value,
@@ -62,6 +63,7 @@ class Recorder:
         agents: whose ticks the age of information is measured at.
         radius_m: radius of each vehicle's body, for drawing.
         sensors: whose readings are recorded although they are worked out on demand, by name; ``*``: all.
+        tell: takes lines for the user: which agent was lost, and which is back.
     """
 
     def __init__(
@@ -73,7 +75,9 @@ class Recorder:
         agents: Sequence[AgentInfo],
         radius_m: Mapping[str, float],
         sensors: Sequence[str] = (),
+        tell: Callable[[str], None] = lambda _: None,
     ) -> None:
+        self._tell = tell
         self._run, self._record_ticks, self._radius_m = run, record_ticks, radius_m
         self._sensors = frozenset(sensors)
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
@@ -86,6 +90,7 @@ class Recorder:
         self._commands = {
             name: array("d") for name in run.vehicles
         }  # time ns, velocity m/s, yaw rate rad/s, one after the other
+        self._presences: list[tuple[str, Presence]] = []
         self._collisions = 0
         self._others = hashlib.sha256()  # what is in no table, for the digest
         self._pack = msgspec.msgpack.Encoder(enc_hook=foxglove.to_json).encode
@@ -108,6 +113,7 @@ class Recorder:
             Message: self._remember,
             Odometry: self._remember,
             Contact: self._on_contact,
+            Presence: self._on_presence,
             Fix: self._on_fix,
             Scan: self._on_scan,
             Image: self._on_image,
@@ -168,6 +174,7 @@ class Recorder:
             "radio": metrics.radio_metrics(radio, ages, end_ns),
             "control": metrics.control_metrics(commands, vehicles, window, end_ns),
             "connectivity": metrics.connectivity_metrics(got, vehicles, window, end_ns),
+            "agents": metrics.agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
             "safety": {"collisions": self._collisions, "min_separation_m": metrics.min_separation_m(moved)},
             "digest": digest([states, radio], self._others.digest()),
         }
@@ -219,6 +226,15 @@ class Recorder:
     def _on_contact(self, key: str, time_ns: int, contact: Contact) -> None:
         self._collisions += 1
         self._remember(key, time_ns, contact)
+
+    def _on_presence(self, key: str, time_ns: int, presence: Presence) -> None:
+        vehicle = _vehicle(key)
+        self._presences.append((vehicle, presence))
+        self._remember(key, time_ns, presence)
+        words = {"lost": "has lost its agent", "removed": "is without an agent for good", "back": "has its agent again"}
+        text = f"{vehicle} {words[presence.state]}" + (f": {presence.why}" if presence.why else "")
+        self.log("info" if presence.state == "back" else "warning", text, time_ns)
+        self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
 
     def _on_fix(self, key: str, time_ns: int, fix: Fix) -> None:
         self._others.update(self._pack((key, time_ns, fix)))

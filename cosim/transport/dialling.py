@@ -10,7 +10,7 @@ from zenoh.handlers import Callback
 
 from cosim.errors import FederateError, UsageError
 from cosim.transport import security, wire
-from cosim.transport.remote import Desk
+from cosim.transport.desk import Desk
 from cosim.transport.zenoh import common_names, opened
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def serve(
         welcome = _join(session, name, hello(host))
         on_state("joined; waiting for the run to begin")
         try:
-            _answer(questions, desk, key, session, welcome.deadline_s)
+            _answer(questions, desk, key, session, welcome.patience_s)
             if desk.failure is not None:
                 raise desk.failure
             return desk.ended or ""

@@ -1,104 +1,106 @@
-"""A host of agents as the kernel sees it (`RemoteHost`), and as it runs where the agents are (`Desk`).
+"""Agents elsewhere as the kernel sees them: one federate for those of one host, or of several that have come in its place.
 
-Both speak the questions and answers of `cosim.transport.wire`; the `Link` between them carries bytes and knows nothing of them.
+A host that is lost, while the scenario wants the run to go on, leaves its vehicles without an agent (`cosim.absence`). They get
+it back when the host answers again, or when another one comes in its place. When that is depends on the wall clock; the
+recording is told.
 """
 
-import traceback
+from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
-from cosim.agent import AgentInfo, AgentSpec
-from cosim.errors import AgentError, FederateError, VcmvspError
-from cosim.federate import Event, Federate, RunInfo, Slot, Step
+import msgspec
+
+from cosim.absence import Absence
+from cosim.agent import AgentSpec
+from cosim.errors import FederateError, VcmvspError
+from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.transport import wire
-
-
-class LinkError(Exception):
-    """No answer will come; the message says why, e.g. ``was killed by SIGKILL``."""
-
-
-class LateError(LinkError, TimeoutError):
-    """No answer came in time."""
-
-
-class Link(Protocol):
-    """One host, reachable: questions are answered in order."""
-
-    def ask(self, question: bytes, deadline_s: float) -> None:
-        """Send a question that is to be answered within so much wall-clock time; do not wait."""
-
-    def answer(self) -> bytes:
-        """Wait for the answer to the oldest open question; `LinkError` if none comes in time or at all."""
-
-    def close(self) -> None:
-        """Let the host go."""
-
-
-class BuildsHost(Protocol):
-    """How a `Desk` makes its federate: `agents.federate.AgentHost`, without this module knowing that part."""
-
-    def __call__(self, name: str, specs: Sequence[AgentSpec]) -> "HostFederate":
-        """A federate with these agents."""
-
-
-class HostFederate(Federate, Protocol):
-    """A federate that says which agents it holds."""
-
-    agents: tuple[AgentInfo, ...]
+from cosim.transport.crew import Crew
+from cosim.types import Follows
 
 
 class RemoteHost:
-    """A `cosim.federate.RemoteFederate` for the agents of one host.
+    """A `cosim.federate.RemoteFederate` for agents elsewhere.
 
     Args:
         name: of the federate.
-        link: to the host.
-        specs: the agents that it is to build.
-        deadline_s: wall-clock seconds within which it has to answer a step.
-        build_s: the same for building its agents, which may load large libraries.
+        crews: the hosts that are there.
+        built: what they say of their agents, and what is known of those that nobody hosts yet.
+        missing: specs of the latter.
+        door: looks whether somebody knocks; called at each tick at which an agent is away.
+        tell: takes lines for the user.
     """
 
     slot = wake_slot = Slot.AGENT
     wakes: tuple[str, ...] = ()
 
-    def __init__(self, name: str, link: Link, specs: Sequence[AgentSpec], *, deadline_s: float, build_s: float) -> None:
-        self.name, self._link, self._deadline_s = name, link, deadline_s
-        self._vehicles = tuple(spec.vehicle for spec in specs)
-        self._kinds = ", ".join(dict.fromkeys(spec.kind for spec in specs))
-        self._alive, self._open, self._released = True, 0, False
-        self._build_s = build_s
-        self._send(wire.Build(tuple(specs)), build_s)
-
-    def build(self) -> None:
-        """Wait until the agents stand; the constructor has asked for it, so that all hosts build at once."""
-        try:
-            built = self._receive()
-        except AgentError as error:
-            if isinstance(error.__cause__, TimeoutError):
-                raise self._error(f"did not build its agents within {self._build_s:g} s (agents.join_timeout_s)") from error
-            raise
-        if not isinstance(built, wire.Built):
-            raise self._error(f"answered {type(built).__name__} to Build")
-        self.agents, self.reads, self.latest = built.agents, built.reads, built.latest
+    def __init__(
+        self,
+        name: str,
+        crews: Sequence[Crew],
+        built: Sequence[wire.Built],
+        *,
+        missing: Sequence[AgentSpec] = (),
+        door: Callable[[], None] = lambda: None,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.name, self._door, self._tell = name, door, tell
+        self.agents = tuple(info for each in built for info in each.agents)
+        self.reads = tuple(key for each in built for key in each.reads)
+        self.latest = tuple(key for each in built for key in each.latest)
+        self._infos = {info.vehicle: info for info in self.agents}
         self.lookahead_ns = min(info.latency_ns for info in self.agents)
+        self._crews = list(crews)  # those that are asked
+        self._others: list[Crew] = []  # those that have yet to answer what they were asked, before they are asked again
+        self._asked: deque[_Asked] = deque()
+        self._missing = tuple(missing)
+        self._away: dict[str, Absence] = {}
+        self._kept: dict[str, Event] = {}  # the newest that vehicles have seen which are away
+        self._removable = any(spec.on_lost == "remove" for crew in crews for spec in crew.specs)
+        self._following: set[str] = set()  # who means to keep a place
 
     def start(self, run: RunInfo) -> int | None:
         """Have the agents told who and where they are."""
-        self._send(wire.Begin(run))
-        self._receive()
+        self._run, self._names = run, frozenset(run.vehicles)
+        for crew in self._crews:
+            crew.send(wire.Begin(run))
+        for crew in self._crews:
+            crew.receive()
         return 0
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
         """Send the step; the next wake-up follows from the agents' ticks, whatever the answer will be."""
-        self._send(wire.Act(now_ns, list(inbox)))
+        asked = _Asked(now_ns)
+        self._asked.append(asked)
+        if self._missing:
+            asked.events += self._leave(self._missing, now_ns, "no host has joined for it yet")
+            self._missing = ()
+        if self._away:
+            inbox = self._look_around(asked, inbox)
+        whole = len(self._crews) == 1 and not self._away
+        for crew in self._crews:
+            mine = inbox if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
+            crew.send(wire.Act(now_ns, list(mine)))
+            asked.crews.append(crew)
         return min(info.ticks.after(now_ns) for info in self.agents)
 
     def answer(self) -> Sequence[Event]:
         """The events of the oldest step that is still open."""
-        stepped = self._receive()
-        if not isinstance(stepped, wire.Stepped):
-            raise self._error(f"answered {type(stepped).__name__} to a step")
-        return stepped.events
+        asked = self._asked.popleft()
+        events, now_ns = asked.events, asked.now_ns
+        for crew in asked.crews:
+            effects = {vehicle: now_ns + self._infos[vehicle].latency_ns for vehicle in crew.vehicles}
+            try:
+                given = crew.stepped(effects, self._names)
+            except FederateError as error:
+                events += self._lose(crew, now_ns, error)
+            else:
+                events += [event for event in given if _vehicle(event) not in self._away] if self._away else given
+                if self._removable:
+                    self._note_places(given)
+        for vehicle, absence in self._away.items():
+            events += absence.go_on(now_ns + self._infos[vehicle].latency_ns)
+        return events
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Ask and wait."""
@@ -106,104 +108,120 @@ class RemoteHost:
         return Step(self.answer(), next_ns)
 
     def release(self) -> None:
-        """Tell the host that the run is over, if it still answers."""
-        if self._alive and not self._released:
-            self._released = True
-            self._send(wire.End("the run is over"))
+        """Tell the hosts that the run is over, as far as they still answer."""
+        for crew in (*self._crews, *self._others):
+            crew.release("the run is over")
 
     def close(self) -> None:
-        """Wait until the agents are closed, and let the host go."""
-        try:
-            self.release()
-            while self._alive and self._open:
-                self._receive()
-        finally:
-            self._link.close()
+        """Wait until the agents are closed, and let the hosts go; the first failure that matters is raised at the end."""
+        failure: VcmvspError | None = None
+        for crew in self._crews:
+            try:
+                crew.close()
+            except VcmvspError as error:
+                failure = failure or (error if crew.indispensable else None)
+        for crew in self._others:
+            crew.link.close()
+        if failure:
+            raise failure
 
-    def _send(self, question: wire.Question, deadline_s: float | None = None) -> None:
-        try:
-            self._link.ask(wire.encode(question), deadline_s or self._deadline_s)
-        except ValueError as error:
-            raise self._error(f"cannot be asked: {error}") from error
-        self._open += 1
+    # --- hosts that are lost, and those that come back or instead -------------------------------------------------------------
 
-    def _receive(self) -> wire.Answer:
-        try:
-            answer = wire.answers.decode(self._link.answer())
-        except LinkError as error:
-            self._alive = False
-            raise self._error(str(error)) from error
-        except ValueError as error:  # msgspec's errors among them
-            self._alive = False
-            raise self._error(f"gave an answer that cannot be read: {error}") from error
-        self._open -= 1
-        if isinstance(answer, wire.Failed):
-            self._alive = False
-            raise answer.error(self.name)
-        return answer
+    def wants(self, vehicle: str | None = None) -> bool:
+        """Whether this vehicle may have another host, or any may."""
+        named = self._away if vehicle is None else [vehicle]
+        return any(each in self._away and not self._away[each].final for each in named)
 
-    def _error(self, cause: str) -> AgentError:
-        return AgentError(self._vehicles, self._kinds, cause)
+    def welcome(self, crew: Crew) -> None:
+        """Take a host in place of the one that was lost; it is asked as soon as its agents stand."""
+        for lost in [each for each in self._others if not set(each.vehicles).isdisjoint(crew.vehicles)]:
+            self._dismiss(lost, "another host has come in its place")
+        self._others.append(crew)
+
+    def _lose(self, crew: Crew, now_ns: int, error: FederateError) -> list[Event]:
+        """A host has not answered: what its vehicles do from now on; the error itself, if one of them must not be lost."""
+        if crew.indispensable:
+            raise error
+        self._crews.remove(crew)
+        for asked in self._asked:
+            asked.crews = [each for each in asked.crews if each is not crew]
+        self._others.append(crew)
+        if not crew.alive:
+            self._dismiss(crew, error.cause)
+        return self._leave([spec for spec in crew.specs if spec.vehicle not in self._away], now_ns, error.cause)
+
+    def _leave(self, specs: Sequence[AgentSpec], now_ns: int, why: str) -> list[Event]:
+        news: list[Event] = []
+        for spec in specs:
+            info, follows = self._infos[spec.vehicle], spec.vehicle in self._following
+            absence = Absence(spec, info.ticks.after(now_ns - 1), now_ns + info.latency_ns, why, follows=follows)
+            self._away[spec.vehicle] = absence
+            news += absence.news
+        return news
+
+    def _note_places(self, events: Sequence[Event]) -> None:
+        for event in events:
+            if isinstance(event.value, Follows):
+                (self._following.discard if event.value.leader is None else self._following.add)(_vehicle(event))
+
+    def _look_around(self, asked: "_Asked", inbox: Sequence[Event]) -> Sequence[Event]:
+        """Take back those who have an agent again; the answer is what all who are there are to know."""
+        latest = frozenset(self.latest)
+        self._kept.update((event.key, event) for event in inbox if _vehicle(event) in self._away and event.key in latest)
+        self._door()
+        for crew in list(self._others):
+            try:
+                if self._is_ready(crew):
+                    inbox = self._take_back(crew, asked, inbox)
+            except VcmvspError as error:
+                self._tell(f"{error}")
+                self._dismiss(crew, str(error))
+        if not self._away:
+            self._door()  # to shut it
+        return inbox
+
+    def _is_ready(self, crew: Crew) -> bool:
+        """Whether a host has answered all that it was asked."""
+        while crew.open:
+            answer = crew.look()
+            if answer is None:
+                return False
+            if isinstance(answer, wire.Built):
+                for info in crew.built(answer).agents:
+                    expected = self._infos[info.vehicle]
+                    if msgspec.structs.replace(info, agent=expected.agent) != expected:
+                        raise crew.error("is not the agent that the run began with: its parameters or its period differ")
+                crew.send(wire.Begin(self._run))
+        return True
+
+    def _take_back(self, crew: Crew, asked: "_Asked", inbox: Sequence[Event]) -> Sequence[Event]:
+        self._others.remove(crew)
+        self._crews.append(crew)
+        for vehicle in crew.vehicles:
+            if not self.wants(vehicle):
+                continue
+            info = self._infos[vehicle]
+            since_ns, when = info.ticks.after(asked.now_ns - 1), asked.now_ns + info.latency_ns
+            asked.events.append(self._away.pop(vehicle).back(since_ns, when, crew.late))
+            seen = [self._kept.pop(key) for key in list(self._kept) if key.startswith(f"{vehicle}/")]
+            inbox = [*seen, *(event for event in inbox if _vehicle(event) != vehicle)]
+        crew.late = 0
+        return inbox
+
+    def _dismiss(self, crew: Crew, why: str) -> None:
+        self._others.remove(crew)
+        crew.release(why)
+        crew.link.close()
 
 
-class Desk:
-    """The host's side: answers one question after the other with the federate that it builds."""
+class _Asked:
+    """A step that has been asked: of whom, and what is to be said of those who were not."""
 
-    def __init__(self, builds: BuildsHost) -> None:
-        self._builds = builds
-        self._federate: HostFederate | None = None
-        self.ended: str | None = None  # why there will be no more questions
-        self.failure: VcmvspError | None = None  # ... if something went wrong here
-
-    def handle(self, question: bytes) -> bytes:
-        """The answer to a question; whatever goes wrong becomes a `Failed`."""
-        try:
-            return wire.encode(self._answer(wire.questions.decode(question)))
-        except VcmvspError as error:
-            self.failure = error
-        except BaseException as error:  # a host must answer, whatever its agents do
-            details = "".join(traceback.format_exception(error))
-            self.failure = FederateError("host", f"{type(error).__name__}: {error}", details=details)
-        self.ended = str(self.failure)
-        return wire.encode(wire.Failed.of(self.failure))
-
-    def _answer(self, question: wire.Question) -> wire.Answer:
-        if isinstance(question, wire.Build):
-            self._federate = self._builds("host", question.specs)
-            return wire.Built(self._federate.agents, self._federate.reads, self._federate.latest)
-        if isinstance(question, wire.End):
-            self.ended = question.reason
-            self.close()
-            return wire.Ended()
-        if self._federate is None:
-            raise FederateError("host", "was asked to step before it was told what to build")
-        if isinstance(question, wire.Begin):
-            self._federate.start(question.run)
-            return wire.Stepped([])
-        step = self._federate.step(question.now_ns, question.inbox)
-        return wire.Stepped(list(step.events))
-
-    def close(self) -> None:
-        """Close the federate, once."""
-        federate, self._federate = self._federate, None
-        if federate is not None:
-            federate.close()
+    def __init__(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+        self.crews: list[Crew] = []
+        self.events: list[Event] = []
 
 
-class MemoryLink:
-    """A `Link` within the process: the same bytes as over a wire, without one. Proves that nothing is lost in translation."""
-
-    def __init__(self, handle: Callable[[bytes], bytes]) -> None:
-        self._handle = handle
-        self._answers: list[bytes] = []
-
-    def ask(self, question: bytes, deadline_s: float) -> None:
-        """Have it answered at once."""
-        self._answers.append(self._handle(question))
-
-    def answer(self) -> bytes:
-        """The answer to the oldest open question."""
-        return self._answers.pop(0)
-
-    def close(self) -> None:
-        """Nothing to let go."""
+def _vehicle(event: Event) -> str:
+    return event.key.partition("/")[0]

@@ -11,6 +11,7 @@ question   meaning                                         answer
 """
 
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -20,7 +21,7 @@ from cosim.codec import Decoder, encode
 from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from cosim.federate import Event, RunInfo
 
-PROTOCOL = 3
+PROTOCOL = 4
 """Version of this table; a host of another version is refused."""
 
 
@@ -40,7 +41,7 @@ class Welcome(msgspec.Struct, frozen=True, tag=True):
     """The hub's answer to a `Hello`: refused with a reason, or accepted (None)."""
 
     refused: str | None = None
-    deadline_s: float = 2.0  # how long the run waits for an answer, and a host for a run that it is cut off from
+    patience_s: float = 2.0  # how long the host is to wait for a run that it is cut off from
 
 
 class Build(msgspec.Struct, frozen=True, tag=True):
@@ -106,13 +107,13 @@ class Failed(msgspec.Struct, frozen=True, tag=True):
             return cls(cause=error.cause, details=error.details, vehicles=error.vehicles, agent=error.agent)
         return cls(cause=str(error), details=error.details if isinstance(error, FederateError) else "")
 
-    def error(self, host: str) -> VcmvspError:
-        """The error again."""
+    def error(self, vehicles: Sequence[str]) -> VcmvspError:
+        """The error again, from the host of these vehicles."""
         if self.bad_scenario:
             return ScenarioError(self.cause, key=self.key, source=self.source)
         if self.vehicles:
             return AgentError(self.vehicles, self.agent, self.cause, details=self.details)
-        return FederateError(host, self.cause, details=self.details)
+        return FederateError(f"the host of {', '.join(vehicles)}", self.cause, details=self.details)
 
 
 Question = Build | Begin | Act | End

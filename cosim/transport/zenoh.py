@@ -18,8 +18,8 @@ import zenoh
 from zenoh.handlers import Callback
 
 from cosim.errors import UsageError
-from cosim.transport import security, wire
-from cosim.transport.remote import LateError, LinkError
+from cosim.transport import checking, security, wire
+from cosim.transport.crew import LateError, LinkError
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
@@ -32,6 +32,7 @@ COMMON: dict[str, Any] = {
     "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": security.LEASE_MS}}},
 }
 _RETRY_S = 0.02
+_SLICE_S = 1.0  # after so long without an answer a question is asked again: a link that breaks may lose one in silence
 
 
 class Hub:
@@ -40,24 +41,25 @@ class Hub:
     Args:
         endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one.
         keys: the certificates of those who may come; None: anybody may.
-        deadline_s: wall-clock seconds within which hosts must answer; they wait as long for a run that they are cut off from.
+        patience_s: wall-clock seconds for which hosts are to wait for a run that they are cut off from.
 
     Raises:
         UsageError: nothing can listen there.
     """
 
-    def __init__(self, endpoint: str = LOOPBACK, keys: "Keys | None" = None, *, deadline_s: float = 2.0) -> None:
+    def __init__(self, endpoint: str = LOOPBACK, keys: "Keys | None" = None, *, patience_s: float = 2.0) -> None:
         config = {"mode": "router", "listen": {"endpoints": [endpoint]}}
         config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
         if keys is not None:
             zenoh.init_log_from_env_or(security.LOG)
-        self._session = opened(config, {} if keys is None else security.hub_security(keys), f"cannot listen on '{endpoint}'")
+        self.session = opened(config, {} if keys is None else security.hub_security(keys), f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
-        self._keys, self._deadline_s = keys, deadline_s
+        self._keys, self._patience_s = keys, patience_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
-        self._shut = False
+        self._wanted = {"to begin"}  # why somebody may come in; nothing: nobody is missing
         self.gone: set[str] = set()  # sessions of hosts that have left
-        session = self._session
+        self._links: dict[str, ZenohLink] = {}
+        session = self.session
         self._watch = session.liveliness().declare_subscriber(security.ALIVE, Callback(self._on_token, indirect=False))
         self._door = session.declare_queryable(security.JOIN, Callback(self._on_join, indirect=False))
         self._token = session.liveliness().declare_token(security.HUB_ALIVE)
@@ -72,56 +74,75 @@ class Hub:
         try:
             hello = wire.hellos.decode(query.payload.to_bytes() if query.payload else b"")
             key = security.host_key(speaker[0] if speaker else "", hello.host, "ask")
+            checking.greeting(hello)
         except ValueError:
             self._reply(query, "that was no greeting of a vcmvsp host")
             return None
 
-        def answer(refused: str | None) -> ZenohLink | None:
-            if refused is None and hello.protocol != wire.PROTOCOL:
-                refused = f"this run speaks protocol {wire.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
-            self._reply(query, refused)
-            return None if refused else ZenohLink(self._session, key)
-
         denied = None
-        if self._keys is not None and speaker is not None:
+        if hello.protocol != wire.PROTOCOL:
+            denied = f"this run speaks protocol {wire.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
+        elif self._keys is not None and speaker is not None:
             from cosim import certificates
 
             current = certificates.load(self._keys.folder)  # somebody may have been shut out since the run began to listen
             denied = security.admission(current, speaker[0], hello.vehicles)
+
+        def answer(refused: str | None) -> ZenohLink | None:
+            self._reply(query, denied or refused)
+            return None if denied or refused else self._linked(hello.host, key)
+
         return Knock(hello, speaker[0] if speaker else "", denied, answer)
+
+    def open(self) -> None:
+        """Somebody is missing: let those who come wait to be heard (`next_hello`)."""
+        self._wanted.add("to replace")
 
     def shut(self) -> None:
         """Nobody is missing any more: refuse whoever still comes."""
-        self._shut = True
+        self._wanted.clear()
         with contextlib.suppress(queue.Empty):
             while True:
                 self._refuse(self._joins.get_nowait())
 
     def close(self) -> None:
         """Leave; hosts see the hub's token go."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        self.session.close()  # type: ignore[no-untyped-call]
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         speaker = security.speaker(str(sample.key_expr))
-        if speaker is not None and sample.kind == zenoh.SampleKind.DELETE:
-            self.gone.add(speaker[1])
+        if speaker is None:
+            return
+        host, there = speaker[1], sample.kind == zenoh.SampleKind.PUT
+        (self.gone.discard if there else self.gone.add)(host)
+        link = self._links.get(host)
+        if link is None or link.leaving:
+            return
+        (self._wanted.discard if there else self._wanted.add)(host)
+        if not self._wanted:
+            self.shut()
+        link.noticed(there)
+
+    def _linked(self, host: str, key: str) -> "ZenohLink":
+        link = self._links[host] = ZenohLink(self.session, key)
+        return link
 
     def _on_join(self, query: zenoh.Query) -> None:
-        if self._shut:
-            self._refuse(query)
-        else:
+        if self._wanted:
             self._joins.put(query)
+        else:
+            self._refuse(query)
 
     def _refuse(self, query: zenoh.Query) -> None:
         self._reply(query, "it has begun, and nobody is missing")
 
     def _reply(self, query: zenoh.Query, refused: str | None) -> None:
         with query:
-            query.reply(query.key_expr, wire.encode(wire.Welcome(refused=refused, deadline_s=self._deadline_s)))
+            query.reply(query.key_expr, wire.encode(wire.Welcome(refused=refused, patience_s=self._patience_s)))
 
     def _locator(self) -> str:
         """Where the session really listens (the admin space knows the port that 0 became)."""
-        for reply in self._session.get(f"@/{self._session.zid()}/router"):
+        for reply in self.session.get(f"@/{self.session.zid()}/router"):
             if reply.ok is not None:
                 locators: list[str] = json.loads(reply.ok.payload.to_string())["locators"]
                 if locators:
@@ -134,12 +155,12 @@ class Knock(NamedTuple):
 
     hello: wire.Hello
     name: str  # of its certificate
-    denied: str | None  # why its certificate does not let it; None: it does
+    denied: str | None  # why its version or its certificate does not let it; None: they do
     answer: "Callable[[str | None], ZenohLink | None]"  # with why it is refused, or None to let it in
 
 
 class ZenohLink:
-    """A `cosim.transport.remote.Link` to one host.
+    """A `cosim.transport.crew.Link` to one host.
 
     Args:
         session: the hub's.
@@ -147,59 +168,90 @@ class ZenohLink:
 
     Attributes:
         why_lost: says how the host has ended; an empty answer: that is not known, and it may come back.
+        noticed: told by Zenoh's thread, and at once, when the host is out of reach (False), and when it is back.
         released: lets go of whatever runs the host; told whether it has answered to the last.
+        cuts_s: for how long it was out of reach, each time that the run waited for it.
     """
+
+    leaving = False
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._session, self._key = session, key
         self._open: deque[_Question] = deque()
-        self._asked = 0
-        self.why_lost: Callable[[], str] = lambda: ""
-        self.released: Callable[[bool], None] = lambda _: None
+        self._number = 0
+        self._asked_again, self._ended = 0.0, False
+        self._cut: float | None = None  # since when nobody is there
         self._failed = False
+        self.why_lost: Callable[[], str] = lambda: ""
+        self.noticed: Callable[[bool], None] = lambda _: None
+        self.released: Callable[[bool], None] = lambda _: None
+        self.cuts_s: list[float] = []
 
     def ask(self, question: bytes, deadline_s: float) -> None:
         """Send a question; Zenoh ends it without a reply as soon as nobody is there who could answer."""
-        self._asked += 1
-        asked = _Question(self._asked, question, deadline_s, time.monotonic() + deadline_s)
-        asked.replies = self._get(asked)
+        self._number += 1
+        asked = _Question(self._number, question, deadline_s, time.monotonic() + deadline_s)
         self._open.append(asked)
+        self._send(asked)
 
     def answer(self) -> bytes:
         """Wait for the answer to the oldest open question."""
-        oldest = self._open[0]  # it stays open if Ctrl-C ends the waiting
-        while True:
-            try:
-                reply = oldest.replies.recv()
-                break
-            except zenoh.ZError:
-                self._ask_again(oldest)
-        self._open.popleft()
-        if reply.ok is None:
-            self._failed = True
-            raise LateError(f"did not answer within the deadline of {oldest.deadline_s:g} s")
-        return reply.ok.payload.to_bytes()
+        while True:  # a question stays open if Ctrl-C ends the waiting
+            oldest = self._open[0]
+            answer = self._taken(oldest.replies.recv)
+            if answer is not None:
+                return answer
+            if time.monotonic() + _RETRY_S >= oldest.last:
+                self._failed = True
+                gone = "" if self._cut is None else ": it left the run, or is cut off from it"
+                raise LateError(f"did not answer within the deadline of {oldest.deadline_s:g} s{gone}")
+            if self._cut is not None:
+                time.sleep(_RETRY_S)
+            self._ask_again()
+
+    def look(self) -> bytes | None:
+        """The answer to the oldest open question, if it is there, however late."""
+        answer = self._taken(self._open[0].replies.try_recv)
+        if self._ended and time.monotonic() - self._asked_again > _RETRY_S:
+            self._ask_again()
+        return answer
 
     def close(self) -> None:
         """Let go of whatever runs the host."""
         self.released(not self._failed)
 
-    def _ask_again(self, oldest: "_Question") -> None:
-        """Ask all that is open once more, for as long as the host may still come back."""
-        ended = self.why_lost()
-        if not ended and time.monotonic() + _RETRY_S >= oldest.last:
-            ended = f"did not answer within the deadline of {oldest.deadline_s:g} s: it left the run, or is cut off from it"
-        if ended:
-            self._failed = True
-            raise LinkError(ended)
-        time.sleep(_RETRY_S)
-        for each in self._open:
-            each.replies = self._get(each)
+    def _taken(self, take: "Callable[[], zenoh.Reply | None]") -> bytes | None:
+        """The answer to the oldest question, if this gives one."""
+        try:
+            reply = take()
+        except zenoh.ZError:  # nobody is there who could answer
+            self._ended = True
+            self._cut = self._cut or time.monotonic()
+            if ended := self.why_lost():
+                self._failed = True
+                raise LinkError(ended) from None
+            return None
+        if reply is None:  # not yet
+            return None
+        if reply.ok is None:  # not for a while
+            self._ended = True
+            return None
+        if self._cut is not None:
+            self.cuts_s.append(time.monotonic() - self._cut)
+        self._cut, self._failed = None, False
+        self._open.popleft()
+        return reply.ok.payload.to_bytes()
 
-    def _get(self, asked: "_Question") -> "zenoh.Handler[zenoh.Reply]":
-        left_s = max(_RETRY_S, asked.last - time.monotonic())
-        attachment = wire.numbers.pack(asked.number, self._open[0].number if self._open else asked.number)
-        return self._session.get(self._key, payload=asked.content, attachment=attachment, timeout=left_s)
+    def _ask_again(self) -> None:
+        """Ask all that is open once more."""
+        self._asked_again, self._ended = time.monotonic(), False
+        for each in self._open:
+            self._send(each)
+
+    def _send(self, asked: "_Question") -> None:
+        attachment = wire.numbers.pack(asked.number, self._open[0].number)
+        wait_s = min(_SLICE_S, max(_RETRY_S, asked.last - time.monotonic()))
+        asked.replies = self._session.get(self._key, payload=asked.content, attachment=attachment, timeout=wait_s)
 
 
 class _Question:

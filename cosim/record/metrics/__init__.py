@@ -1,4 +1,4 @@
-"""The numbers of a run, computed from what it recorded: formation, radio, commands, connectivity, safety.
+"""The numbers of a run, computed from what it recorded: formation, radio, commands, connectivity, agents, safety.
 
 Formation error of a follower (Toh 2012, equations 3-31 and 3-34, for any slot): its handle,
 ``h = p_f + ell (cos th_f, sin th_f)``, should lie on the point ``r = p_l + Rot(th_l) (slot + (ell, 0))`` of its leader's frame;
@@ -38,12 +38,18 @@ is None, never NaN::
     connectivity                    of all vehicles by radio, in each second of the window (`connectivity`)
       mean, min                     of the algebraic connectivity
       connected_share               share of the seconds in which it is greater than 0
+    agents.<vehicle>                each vehicle with an agent, of the whole run (`agents`)
+      missed                        ticks at which the agent, lost or failed, did not act
+      lost_s                        simulated time for which it was lost
+      reconnects                    how often it came back, or another host in its place
+      late                          answers that came too late to count
     safety
       collisions                    touches that began
       min_separation_m              smallest distance of two centres at a recorded instant
     digest                          SHA-256 of all that was recorded (`cosim.record.digest`)
 """
 
+from cosim.record.metrics.agents import agent_metrics
 from cosim.record.metrics.ages import Link, age_metrics, ages_s, links
 from cosim.record.metrics.connectivity import connectivity_metrics
 from cosim.record.metrics.control import control_metrics
@@ -62,6 +68,7 @@ __all__ = [
     "Receptions",
     "Window",
     "age_metrics",
+    "agent_metrics",
     "ages_s",
     "connectivity_metrics",
     "control_metrics",
