@@ -3,6 +3,7 @@
 from cosim.agent import AgentSpec
 from cosim.clock import seconds_to_ns
 from cosim.federate import Event
+from cosim.text import plain
 from cosim.types import Follows, Presence, Velocity
 
 
@@ -25,7 +26,7 @@ class Absence:
         self.final = spec.on_lost == "remove"
         self._vehicle, self._rests = spec.vehicle, False
         self._rests_ns = now_ns if self.final else now_ns + seconds_to_ns(spec.hold_s)
-        presence = Presence(state="removed" if self.final else "lost", since_ns=since_ns, why=why)
+        presence = Presence(state="removed" if self.final else "lost", since_ns=since_ns, why=plain(why))
         self.news = [Event(f"{self._vehicle}/host", now_ns, presence), *self.go_on(now_ns)]
         if self.final and follows:
             self.news.append(Event(f"{self._vehicle}/follows", now_ns, Follows(leader=None)))

@@ -15,6 +15,7 @@ from cosim.rng import stream
 from cosim.types import Follows, Message, OnLost, Reading, Reception, Value, VehicleState, Velocity, Waypoint
 
 LARGEST_MESSAGE_BYTES = 2**31 - 1
+DEEPEST = 64  # lists and mappings inside one another in a message; Python gives up below 1000, depending on who calls
 
 
 class Observation(Value, frozen=True, kw_only=True):
@@ -111,7 +112,7 @@ class Radio:
         else:
             encoded = msgspec.msgpack.encode({**(body or {}), **values}, enc_hook=_plain)
             content = msgspec.msgpack.decode(encoded, type=dict[str, Any])  # what receivers get, here or over a wire
-            msgspec.json.encode(content)  # refuses what the recording could not hold
+            check_body(content)
             natural = len(encoded)
         size = natural if size_bytes is None else int(size_bytes)
         if not 0 <= size <= LARGEST_MESSAGE_BYTES:
@@ -163,6 +164,23 @@ class Agent:
         """Take what was noted since the last call (for the host of the agent)."""
         notes, self._notes = self._notes, None
         return notes or {}
+
+
+def check_body(body: Mapping[str, Any]) -> None:
+    """Raise a `ValueError` or a `TypeError` if the recording could not hold this body of a message."""
+    text = msgspec.json.encode(body)
+    # No deeper than it has brackets; texts may have some, too, so that the count alone is not enough to refuse it.
+    if text.count(b"{") + text.count(b"[") > DEEPEST and _depth(body) > DEEPEST:
+        raise ValueError(f"a message may have {DEEPEST} lists and mappings inside one another, not {_depth(body)}")
+
+
+def _depth(value: Any) -> int:
+    """How many lists and mappings are inside one another, at most."""
+    depth, level = 0, [value]
+    while level := [each for each in level if isinstance(each, dict | list)]:
+        depth += 1
+        level = [inner for each in level for inner in (each.values() if isinstance(each, dict) else each)]
+    return depth
 
 
 def _plain(value: Any) -> Any:

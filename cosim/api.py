@@ -30,7 +30,7 @@ from cosim.clock import Clock, SimClock, WallClock
 from cosim.errors import AgentError, FederateError, Interrupted, UsageError, VcmvspError
 from cosim.federate import Event
 from cosim.hosts import Tell
-from cosim.kernel import Kernel
+from cosim.kernel import Kernel, Observer
 from cosim.record.metrics import Window
 from cosim.record.recorder import Recorder
 from cosim.record.tables import Placement, load
@@ -155,7 +155,7 @@ def run(
     mcap: bool = True,
     progress: Progress | None = None,
     tell: Tell = lambda _: None,
-    watch: Callable[[], str | None] = lambda: None,
+    watch: Callable[[], str | None] | None = None,
 ) -> Result:
     """Run a scenario to its end.
 
@@ -174,7 +174,7 @@ def run(
         mcap: without it, nothing but tables and metrics is kept, in memory, which takes two thirds of the time.
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
-        watch: asked while hosts are waited for; an answer is why there is no use in it.
+        watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
@@ -314,7 +314,7 @@ class _Simulation:
         failure: VcmvspError | None = None
         begin = time.monotonic()
         try:
-            kernel.run(recorder.on, on_instant=None if progress is None else lambda now: progress(now, end_ns))
+            kernel.run(self._observer(recorder), on_instant=None if progress is None else lambda now: progress(now, end_ns))
         except KeyboardInterrupt:
             failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
         except VcmvspError as error:
@@ -327,6 +327,17 @@ class _Simulation:
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
         recorder.close(kernel.now_ns)
         return failure
+
+    def _observer(self, recorder: Recorder) -> Observer:
+        topics = self._assembly.topics
+        if topics is None:
+            return recorder.on
+
+        def on(event: Event) -> None:
+            recorder.on(event)
+            topics.on(event)
+
+        return on
 
     @contextlib.contextmanager
     def _recording(self) -> Iterator[Recorder]:

@@ -19,7 +19,7 @@ from cosim.scenario import AgentsTable, AgentTable, Scenario, VehicleTable
 from cosim.source import Source
 
 if TYPE_CHECKING:
-    from cosim.transport.zenoh import Hub
+    from cosim.transport.topics import Topics
 
 TOPICS = ("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host")  # of every vehicle
 _NOT_SHARED = {"name", "pose", "position", "agent", "params"}  # keys of a vehicle for which [vehicles] has no default
@@ -53,7 +53,7 @@ class Assembly:
         keys: Path | None = None,
         insecure: bool = False,
         tell: Tell = lambda _: None,
-        watch: Callable[[], str | None] = lambda: None,
+        watch: Callable[[], str | None] | None = None,
     ) -> None:
         registry.guard()
         self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
@@ -69,7 +69,9 @@ class Assembly:
         world = self.world = self._build_world()
         air, physics = self._build_radio(world), self._build_physics(world)
         self.radius_m: Mapping[str, float] = physics.radius_m
-        self._hosts = Hosts(agents, tell, keys=keys, insecure=insecure, watch=watch)
+        about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s}
+        about["vehicles"] = [each.name for each in scenario.vehicle]
+        self._hosts = Hosts(agents, tell, keys=keys, insecure=insecure, watch=watch, about=about)
         try:
             self._place_agents(runs)
             if listen is not None and self._hosts.hub is None:
@@ -126,12 +128,13 @@ class Assembly:
 
     def resolved(self) -> dict[str, Any]:
         """The scenario with everything filled in (`cosim.resolve`)."""
-        return self._resolution.scenario(self.infos, self._hosts.kinds)
+        foreign = {vehicle for vehicle, place in self.where.items() if place == "zenoh"}
+        return self._resolution.scenario(self.infos, self._hosts.kinds, foreign)
 
     @property
-    def hub(self) -> "Hub | None":
-        """Where machines dial in that host agents, or only watch; None: nowhere."""
-        return self._hosts.hub
+    def topics(self) -> "Topics | None":
+        """What is shown to those who watch from elsewhere; None: nobody can."""
+        return self._hosts.topics
 
     @property
     def cuts_s(self) -> Mapping[str, Sequence[float]]:

@@ -13,9 +13,12 @@ from cosim.cli_explain import radio_command
 from cosim.cli_figure import figure_command
 from cosim.cli_keys import keys_app
 from cosim.cli_kinds import list_command, show_command, world_command
+from cosim.cli_launch import launch_command
 from cosim.cli_options import AsJson
 from cosim.cli_radio import register
+from cosim.cli_run import ScenarioName, Sets, run_command
 from cosim.cli_study import study_command
+from cosim.cli_watch import watch_command
 from cosim.errors import Interrupted, UsageError, VcmvspError
 from cosim.streams import stdout_to_stderr
 
@@ -29,72 +32,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-Sets = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario, e.g. radio.loss.probability=0.3."),
-]
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
-
-
-@app.command("run")
-def run_command(
-    scenario: ScenarioName,
-    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's.")] = None,
-    set_: Sets = None,
-    agents: Annotated[
-        str | None,
-        typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand)."),
-    ] = None,
-    listen: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="For hosts started by hand, e.g. tls/0.0.0.0:7447.")
-    ] = None,
-    keys: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Certificates for hosts on other machines ('vcmvsp keys init').")
-    ] = None,
-    insecure: Annotated[bool, typer.Option("--insecure", help="Let anybody who can reach this machine host agents.")] = False,
-    realtime: Annotated[
-        float | None, typer.Option(metavar="[SPEED]", help="Keep to the wall clock: SPEED simulated seconds per second (1).")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-SEED].")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")] = False,
-    json: AsJson = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
-) -> None:
-    """Run a scenario; leaves recording, tables, metrics, figures.
-
-    Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
-    """
-    from cosim import api
-    from cosim import scenario as scenarios
-    from cosim.progress import Progress, summary
-
-    if agents not in (None, "inprocess", "process", "zenoh"):
-        raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
-    if out is not None and str(out) == ".":
-        raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
-    if realtime is not None and not 0.0 < realtime < float("inf"):
-        raise UsageError(f"--realtime {realtime}: must be a positive number")
-    settings = scenarios.settings_of(set_ or [])
-    with Progress(quiet=quiet) as progress, stdout_to_stderr():
-        result = api.run(
-            scenario,
-            seed=seed,
-            set=settings,
-            agents=agents,  # type: ignore[arg-type]  # checked above
-            listen=listen,
-            keys=keys,
-            insecure=insecure,
-            realtime=realtime,
-            out=out if out is not None else _default_folder(scenario, settings, seed),
-            numbered=out is None,
-            force=force,
-            progress=progress.on_instant,
-            tell=progress.tell,
-        )
-    if json:
-        sys.stdout.write(api.to_json(result.metrics))
-    elif not quiet:
-        sys.stdout.write(summary(result))
+app.command("run")(run_command)
 
 
 @app.command("agent")
@@ -163,11 +101,27 @@ def plot_command(
 
 
 @app.command("doctor")
-def doctor_command() -> None:
-    """Check this installation and make two short runs."""
-    from cosim.doctor import examine
+def doctor_command(
+    connect: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="Check the way to a run that listens there, instead.")
+    ] = None,
+    keys: Annotated[Path | None, typer.Option(metavar="FILE", help="This machine's certificate, for --connect.")] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")] = False,
+    json: AsJson = False,
+) -> None:
+    """Check this installation and make two short runs, or check the way to a run on another machine.
 
-    raise SystemExit(examine())
+    Example: vcmvsp doctor --connect tls/192.168.1.10:7447 --keys car2.keys
+    """
+    from cosim import doctor
+
+    if connect is None and (keys is not None or insecure):
+        raise UsageError("--keys and --insecure say how to reach a run: add --connect ENDPOINT")
+    checks = doctor.installation() if connect is None else doctor.connection(connect, keys, insecure=insecure)
+    if json:
+        with stdout_to_stderr():
+            checks = iter(list(checks))
+    raise SystemExit(doctor.report(checks, as_json=json))
 
 
 @app.command("drive")
@@ -196,6 +150,7 @@ def drive_command(
     sys.stdout.write(api.to_json(about) if json else drive.summary(about))
 
 
+app.command("launch")(launch_command)
 app.command("study")(study_command)
 app.command("figure")(figure_command)
 app.command("list")(list_command)
@@ -203,6 +158,7 @@ app.command("show")(show_command)
 app.command("world")(world_command)
 app.command("radio")(radio_command)
 app.command("calibrate")(calibrate_command)
+app.command("watch")(watch_command)
 register(app)
 app.add_typer(keys_app)
 
@@ -245,14 +201,6 @@ def _checked(scenario: str, settings: dict[str, Any]) -> dict[str, Any]:
 
     with stdout_to_stderr():
         return api.check(scenario, set=settings)
-
-
-def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
-    """``runs/NAME-SEED``."""
-    from cosim import scenario as scenarios
-
-    parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
-    return Path("runs") / f"{parsed.name}-{parsed.seed}"
 
 
 def _say(text: str) -> None:

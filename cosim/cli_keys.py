@@ -78,7 +78,7 @@ def vehicle_command(
     if as_ is None and len(vehicle) > 1:
         raise UsageError("several vehicles: give their machine a name, with --as HOST")
     bundle = certificates.issue(keys, as_ or vehicle[0], vehicle, days=days, out=out, force=force)
-    _say_bundle(bundle, f"there: vcmvsp agent --vehicle {' --vehicle '.join(bundle.vehicles)}")
+    _say_bundle(bundle, f"there: vcmvsp agent --vehicle {' --vehicle '.join(bundle.vehicles)} --connect")
 
 
 @keys_app.command("observer")
@@ -143,4 +143,4 @@ def _say_hub(keys: "Keys") -> None:
 
 def _say_bundle(bundle: "Bundle", then: str) -> None:
     sys.stdout.write(f"{bundle.path}: valid until {bundle.until:%Y-%m-%d}; it is a secret; copy it to its machine\n")
-    sys.stdout.write(f"{then} --connect tls/HOST:PORT --keys {bundle.path.name}\n")
+    sys.stdout.write(f"{then} tls/HOST:PORT --keys {bundle.path.name}\n")

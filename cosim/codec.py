@@ -9,13 +9,14 @@ import numpy as np
 from cosim.types import Later
 
 T = TypeVar("T")
+LONGEST_ERROR = 300  # characters
 
 
 def encode(value: Any) -> bytes:
     """Any `cosim.types` value, or a structure of them, as bytes; what cannot be sent raises a `ValueError`."""
     try:
         return _encoder.encode(value)
-    except (TypeError, NotImplementedError, OverflowError) as error:
+    except (TypeError, NotImplementedError, OverflowError, RecursionError) as error:
         raise ValueError(f"{error}") from error
 
 
@@ -27,7 +28,12 @@ class Decoder(Generic[T]):
 
     def decode(self, data: bytes) -> T:
         """The value."""
-        return self._decoder.decode(data)
+        try:
+            return self._decoder.decode(data)
+        except RecursionError:
+            raise ValueError("lists and mappings are nested too deeply") from None
+        except msgspec.ValidationError as error:  # it repeats what it was given, which may be meant for a terminal
+            raise msgspec.ValidationError(repr(str(error))[1:-1][:LONGEST_ERROR]) from None
 
 
 def _encode_other(value: Any) -> Any:
@@ -41,13 +47,18 @@ def _encode_other(value: Any) -> Any:
 
 
 def _decode_array(kind: Any, value: Any) -> Any:
-    """A read-only view of the bytes; dtypes that hold Python objects are refused."""
+    """A read-only view of the bytes, said just as `encode` says it; dtypes that hold Python objects are refused."""
     if getattr(kind, "__origin__", kind) is not np.ndarray:
         raise NotImplementedError(f"cannot read a {kind}")
     dtype, shape, raw = value
-    if not re.fullmatch(r"[<>|=]?[biuf]\d+", dtype):
+    if not re.fullmatch(r"[<>|][biuf]\d+", dtype):
         raise ValueError(f"arrays of {dtype!r} do not travel")
-    return np.frombuffer(raw, np.dtype(dtype)).reshape(shape)
+    array = np.frombuffer(raw, np.dtype(dtype)).reshape(shape)
+    if array.dtype.str != dtype or list(array.shape) != shape:  # such as a size of -1, which NumPy works out
+        raise ValueError(f"{dtype!r} of shape {shape!r} is no array's own description")
+    if array.dtype.kind == "b" and array.view(np.uint8).max(initial=0) > 1:
+        raise ValueError("a boolean is neither 0 nor 1")
+    return array
 
 
 _encoder = msgspec.msgpack.Encoder(enc_hook=_encode_other)

@@ -1,15 +1,34 @@
-"""``vcmvsp doctor``: says what works in this installation, and what does not."""
+"""``vcmvsp doctor``: says what works in this installation, or on the way from here to a run, and what does not."""
 
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
 from cosim.errors import VcmvspError
 
+Check = tuple[str, bool, str]
+"""What was tried, whether it works, and what there is to say about it."""
 
-def examine() -> int:
-    """Print a line per check; 0 if all is well, else 1."""
+
+def report(checks: Iterable[Check], *, as_json: bool = False) -> int:
+    """Print a line per check as soon as it is known; 0 if all is well, else 1."""
+    found = []
+    for name, ok, words in checks:
+        found.append({"name": name, "ok": ok, "words": words})
+        if not as_json:
+            sys.stdout.write(f"{'ok' if ok else 'FAILS':<6} {name}: {words}\n")
+            sys.stdout.flush()
+    if as_json:
+        from cosim.api import to_json
+
+        sys.stdout.write(to_json(found))
+    return 0 if all(check["ok"] for check in found) else 1
+
+
+def installation() -> Iterator[Check]:
+    """Whether everything is here, and two short runs."""
     checks: list[tuple[str, Callable[[], str]]] = [
         ("python", _python),
         ("parts", _parts),
@@ -18,15 +37,29 @@ def examine() -> int:
         ("run in one process", lambda: _run("inprocess")),
         ("run in four processes", lambda: _run("process")),
     ]
-    worst = 0
     for name, check in checks:
         try:
-            verdict, words = "ok", check()
+            yield name, True, check()
         except (VcmvspError, ImportError, OSError) as error:
-            verdict, words, worst = "FAILS", f"{error}", 1
-        sys.stdout.write(f"{verdict:<6} {name}: {words}\n")
-        sys.stdout.flush()
-    return worst
+            yield name, False, f"{error}"
+
+
+def connection(endpoint: str, keys: Path | None = None, *, insecure: bool = False) -> Iterator[Check]:
+    """How well the run at an endpoint can be reached with this certificate.
+
+    Raises:
+        UsageError: the endpoint is none, or may not be dialled so, or the file is none of a machine.
+    """
+    from cosim.transport.examining import examine
+    from cosim.transport.security import endpoint_rules
+
+    bundle = None
+    if keys is not None:
+        from cosim import certificates
+
+        bundle = certificates.load_bundle(keys)
+    endpoint_rules(endpoint, bundle, insecure=insecure, side="observer" if bundle and bundle.role == "observer" else "host")
+    return examine(endpoint, bundle)
 
 
 def _python() -> str:

@@ -20,6 +20,7 @@ from cosim.transport.wire import Built
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
+    from cosim.transport.topics import Topics
     from cosim.transport.zenoh import Hub, Knock, ZenohLink
 
 HOST_PROCESS = "agents.serve"
@@ -41,7 +42,8 @@ class Hosts:
         tell: takes lines for the user, such as how to start a host by hand.
         keys: folder with the certificates of those who may come from elsewhere.
         insecure: let anybody come from elsewhere.
-        watch: asked while hosts are waited for; an answer is why there is no use in it.
+        watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
+        about: of the run, for those who watch (`cosim.transport.topics.About`).
     """
 
     def __init__(
@@ -51,17 +53,21 @@ class Hosts:
         *,
         keys: Path | None = None,
         insecure: bool = False,
-        watch: Callable[[], str | None] = lambda: None,
+        watch: Callable[[], str | None] | None = None,
+        about: Mapping[str, Any] | None = None,
     ) -> None:
+        self._about = {**(about or {}), "missing": self._absent}
         self._agents, self._tell, self._keys, self._insecure, self._watch = agents, tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
         self.hub: Hub | None = None  # where those who are elsewhere, or only watch, dial in
+        self.topics: Topics | None = None  # what the latter see
         self.federates: list[Federate] = []
         self.infos: list[AgentInfo] = []
         self.kinds: dict[str, str] = {}  # vehicle -> class that a host brought along instead of the scenario's
         self._links: list[tuple[str, ZenohLink]] = []
         self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
         self._specs: dict[str, AgentSpec] = {}  # of those
+        self._waiting: dict[str, AgentSpec] = {}  # who has not joined before the run began
 
     def close(self) -> None:
         """Let go of them all."""
@@ -112,12 +118,9 @@ class Hosts:
         self.listen(specs)
         hub, wanted = self.hub, {spec.vehicle: spec for spec in specs}
         assert hub is not None  # noqa: S101
-        waiting = dict(wanted)
-        self._tell(f"waiting for {len(waiting)} agents at {hub.endpoint}; start each with")
-        for spec in specs:
-            how = ["--vehicle", spec.vehicle, "--connect", hub.endpoint]
-            how += ["--keys", f"{spec.vehicle}.keys"] if self._keys else ["--insecure"] if self._insecure else []
-            self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
+        waiting = self._waiting = dict(wanted)
+        if self._watch is None:  # nobody else starts them
+            self._tell_how(hub.endpoint, specs)
         joined: dict[str, tuple[ZenohLink, list[AgentSpec]]] = {}
 
         def missing() -> list[str]:
@@ -126,7 +129,7 @@ class Hosts:
                     waiting[left.vehicle] = wanted[left.vehicle]
                     self.kinds.pop(left.vehicle, None)
                     self._tell(f"the host of {left.vehicle} has left; waiting for another")
-            if why := self._watch():
+            if self._watch is not None and (why := self._watch()):
                 raise AgentError(tuple(waiting), "host", why)
             return list(waiting)
 
@@ -136,18 +139,29 @@ class Hosts:
                 specs_of = [joining.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
                 joined[hello.host] = link, specs_of
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
+        self._waiting = {}
         self._specs = {**wanted, **{spec.vehicle: spec for _, group in joined.values() for spec in group}}
         if not waiting:
             hub.shut()
         self._add_remote(list(joined.values()), list(waiting.values()))
 
+    def _tell_how(self, endpoint: str, specs: Sequence[AgentSpec]) -> None:
+        self._tell(f"waiting for {len(specs)} agents at {endpoint}; start each with")
+        for spec in specs:
+            how = ["--vehicle", spec.vehicle, "--connect", endpoint]
+            how += ["--keys", f"{spec.vehicle}.keys"] if self._keys else ["--insecure"] if self._insecure else []
+            self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
+
     def listen(self, specs: Sequence[AgentSpec] = ()) -> None:
         """Let machines dial in that host these agents, or only watch."""
+        from cosim.transport.topics import Topics
         from cosim.transport.zenoh import Hub
 
         keys = self._certificates(specs)
         self.hub = Hub(self._agents.listen, keys, patience_s=self._patience_s(specs))
         self._stack.callback(self.hub.close)
+        self.topics = Topics(self.hub.session, self._about, keys)
+        self._stack.callback(self.topics.close)
         if not specs:
             self.hub.shut()
 
@@ -206,6 +220,11 @@ class Hosts:
     def _add(self, host: HostFederate) -> None:
         self.federates.append(host)
         self.infos.extend(host.agents)
+
+    def _absent(self) -> list[str]:
+        """Who has no agent at the moment, as Zenoh's thread may ask at any time."""
+        lost = (vehicle for vehicle in list(self._specs) if any(each.wants(vehicle) for each in list(self._elsewhere)))
+        return list(dict.fromkeys((*self._waiting, *lost)))
 
     def _answer_door(self) -> None:
         """While somebody is away, a host that knocks may take its place."""

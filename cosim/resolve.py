@@ -4,7 +4,7 @@ Where agents ran is not part of it, since that changes no result. Defaults for a
 still change them in one place.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +33,17 @@ class Resolution:
         self.files: dict[str, bytes] = {}
         self._paths: dict[str, Path] = {}
 
-    def portable(self, kind: str) -> str:
-        """The kind without a folder; a Python file that it names is kept."""
+    def portable(self, kind: str, *, foreign: bool = False) -> str:
+        """The kind without a folder; a Python file that it names is kept.
+
+        Args:
+            kind: as it is written.
+            foreign: a host elsewhere says so, which may name any file of this machine: only those beside the scenario are kept.
+        """
         path = registry.file_of(kind, self._source.folder)
         if not registry.is_file_kind(kind) or not path.is_file():  # that of a host elsewhere is not on this machine
+            return kind
+        if foreign and not path.resolve().is_relative_to(self._source.folder.resolve()):
             return kind
         return f"{self.keep(path)}:{kind.rpartition(':')[2]}"
 
@@ -49,12 +56,13 @@ class Resolution:
         self.files.setdefault(name, path.read_bytes())
         return name
 
-    def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str]) -> dict[str, Any]:
+    def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str], foreign: Collection[str] = ()) -> dict[str, Any]:
         """The resolved scenario, in TOML's types.
 
         Args:
             infos: what the hosts say of the agents.
             brought: the classes that hosts brought along instead of the scenario's, by vehicle.
+            foreign: vehicles whose hosts somebody has started elsewhere.
         """
         scenario, agents = self._scenario, self._scenario.agents
         told = {info.vehicle: info for info in infos}
@@ -73,7 +81,10 @@ class Resolution:
             "metrics": table.plain(scenario.metrics),
             **({"study": table.plain(scenario.study)} if scenario.study.vary else {}),
             "vehicle": [
-                {**self._vehicle(each, shared), **self._agent(each, told.get(each.name), of_agents, brought)}
+                {
+                    **self._vehicle(each, shared),
+                    **self._agent(each, told.get(each.name), of_agents, brought, each.name in foreign),
+                }
                 for each in scenario.vehicle
             ],
         }
@@ -112,7 +123,12 @@ class Resolution:
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
 
     def _agent(
-        self, vehicle: VehicleTable, info: AgentInfo | None, shared: Mapping[str, Any], brought: Mapping[str, str]
+        self,
+        vehicle: VehicleTable,
+        info: AgentInfo | None,
+        shared: Mapping[str, Any],
+        brought: Mapping[str, str],
+        foreign: bool,
     ) -> dict[str, Any]:
         """``agent = {...}``: what is not a default for all, under the kind that really ran."""
         if info is None:
@@ -120,7 +136,7 @@ class Resolution:
         agents, own = self._scenario.agents, vehicle.agent
         kind = brought.get(vehicle.name) or (own and own.kind) or shared.get("kind") or info.agent
         full = _present(
-            kind=None if kind == shared.get("kind") else self.portable(kind),
+            kind=None if kind == shared.get("kind") else self.portable(kind, foreign=foreign),
             period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
             latency_s=own.latency_s if own else None,
             fails_s=own.fails_s if own else None,
@@ -128,13 +144,14 @@ class Resolution:
             hold_s=own.hold_s if own else None,
         )
         taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
-        return {"agent": {**full, **{name: self._kept(value) for name, value in info.params.items() if name not in taken}}}
+        params = {name: self._kept(value, foreign) for name, value in info.params.items() if name not in taken}
+        return {"agent": {**full, **params}}
 
-    def _kept(self, value: Any) -> Any:
+    def _kept(self, value: Any, foreign: bool = False) -> Any:
         """A parameter of an agent; a Python file that it names (``file.py:Class``), alone or in a table, is kept."""
         if isinstance(value, dict):
-            return {name: self._kept(each) for name, each in value.items()}
-        return self.portable(value) if isinstance(value, str) else value
+            return {name: self._kept(each, foreign) for name, each in value.items()}
+        return self.portable(value, foreign=foreign) if isinstance(value, str) else value
 
 
 def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,6 @@ that names it. Causes are worded to stand behind ``gave an answer that cannot be
 """
 
 import math
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -13,23 +12,18 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import tomli_w
 
-from cosim.agent import LARGEST_MESSAGE_BYTES, AgentInfo, AgentSpec
+from cosim.agent import LARGEST_MESSAGE_BYTES, AgentInfo, AgentSpec, check_body
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.federate import Event
 from cosim.scenario import AgentTable
+from cosim.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 from cosim.types import Follows, Message, Note, Presence, Velocity, Waypoint
 
 if TYPE_CHECKING:
     from cosim.transport.wire import Built, Failed, Hello
 
-DEEPEST = 64
-"""Lists and mappings inside one another in the body of a message; Python gives up below 1000, depending on who calls."""
-
 LARGEST_PARAMS_BYTES = 2**20
 """All parameters of an agent as TOML: a path of some 20 000 points."""
-
-LONGEST_LINE, LONGEST_DETAILS, LONGEST_NAME = 500, 20_000, 100
-"""Characters of what a host says of itself, of a traceback, and of a word inside a message."""
 
 PERIODS_NS = range(SECOND_NS // 10**6, SECOND_NS * 10**6 + 1)
 """What `cosim.types.Period` allows."""
@@ -37,22 +31,6 @@ PERIODS_NS = range(SECOND_NS // 10**6, SECOND_NS * 10**6 + 1)
 _OF_SCENARIO = frozenset(AgentTable.__struct_fields__) - {"params"}  # what the scenario says of an agent beside its parameters
 _INT64 = range(-(2**63), 2**63)
 _HEARS, _SEES = ("heard",), ("estimate", "odometry", "fix")  # what is there of every vehicle for its own agent
-# A sequence that tells a terminal something: a control sequence, one with a text (such as a window's title), or a short one.
-_ESCAPE = re.compile(r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]|(?:\x1b\]|\x9d).*?(?:\x07|\x1b\\|\x9c|$)|\x1b[ -/]*[0-~]", re.DOTALL)
-
-
-def plain(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> str:
-    """A text from elsewhere, fit to be shown: nothing that a terminal obeys, no more than ``limit`` characters.
-
-    Args:
-        text: the text.
-        limit: the most characters; longer ones end in dots.
-        lines: keep line breaks; else they become spaces.
-    """
-    text = _ESCAPE.sub("", text[: 2 * limit + 100])  # no more work than the answer needs
-    keep = "\n" if lines else ""
-    text = "".join(each if each.isprintable() or each in keep else " " for each in text)
-    return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
 def events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: frozenset[str]) -> None:
@@ -102,7 +80,10 @@ def _message(message: Any, vehicle: str, names: frozenset[str]) -> None:
     if message.priority not in _INT64:
         raise ValueError(f"a message of priority {message.priority}, which is beyond 64 bits")
     if type(message.body) is dict:
-        _body(message.body)
+        try:
+            check_body(message.body)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"a message that cannot be recorded: {plain(str(error))}") from None
 
 
 def _command(command: Any) -> None:
@@ -122,8 +103,8 @@ def _rare(value: Any, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
     if type(value) is Presence:
         if not (0 <= value.since_ns <= due_ns and value.late in _INT64):
             raise ValueError(f"{vehicle}/host since {value.since_ns} ns, {value.late} late, at {due_ns} ns")
-        if len(value.why) > LONGEST_DETAILS:
-            raise ValueError(f"{vehicle}/host with {len(value.why)} characters; at most {LONGEST_DETAILS}")
+        if plain(value.why) != value.why:
+            raise ValueError(f"{vehicle}/host with a reason that is too long or cannot be shown")
 
 
 _KINDS: dict[str, tuple[type, ...]] = {
@@ -133,26 +114,6 @@ _KINDS: dict[str, tuple[type, ...]] = {
     "send": (Message,),
     "host": (Presence,),
 }
-
-
-def _body(body: dict[str, Any]) -> None:
-    """Raise a `ValueError` if the recording could not hold this, which came as MessagePack: odd keys, or too deep."""
-    try:
-        text = msgspec.json.encode(body)
-    except (TypeError, RecursionError) as error:
-        raise ValueError(f"a message that cannot be recorded: {plain(str(error))}") from None
-    # No deeper than it has brackets; text may have some, too, so that the count alone is not enough to refuse it.
-    if text.count(b"{") + text.count(b"[") > DEEPEST and _depth(body) > DEEPEST:
-        raise ValueError(f"a message with more than {DEEPEST} lists and mappings inside one another")
-
-
-def _depth(value: Any) -> int:
-    """How many lists and mappings are inside one another, at most."""
-    depth, level = 0, [value]
-    while level := [each for each in level if isinstance(each, dict | list)]:
-        depth += 1
-        level = [inner for each in level for inner in (each.values() if isinstance(each, dict) else each)]
-    return depth
 
 
 def built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
@@ -183,11 +144,7 @@ def built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
 
 
 def _agent(info: AgentInfo, spec: AgentSpec) -> None:
-    ticks = info.ticks
-    if ticks.ns < 1 or ticks.per < 1 or not PERIODS_NS.start <= ticks.period <= PERIODS_NS[-1]:
-        raise ValueError(f"a period of {ticks.ns}/{ticks.per} ns; allowed are 1e-06 s to 1e+06 s")
-    if spec.period_s is not None and ticks != Ticks.every(spec.period_s):
-        raise ValueError(f"a period of {float(ticks.period) / SECOND_NS:g} s, expected {spec.period_s:g} s")
+    _ticks(info.ticks, spec.period_s)
     if info.latency_ns != seconds_to_ns(spec.latency_s):
         raise ValueError(f"a latency of {info.latency_ns} ns, expected {spec.latency_s:g} s")
     if info.agent != spec.kind:
@@ -213,6 +170,13 @@ def greeting(hello: "Hello") -> None:
     for text in (*hello.vehicles, hello.kind or ""):
         if plain(text, LONGEST_LINE) != text:
             raise ValueError("a name that is too long or cannot be shown")
+
+
+def _ticks(ticks: Ticks, period_s: float | None) -> None:
+    if ticks.ns < 1 or ticks.per < 1 or not PERIODS_NS.start <= ticks.period <= PERIODS_NS[-1]:
+        raise ValueError(f"a period of {ticks.ns}/{ticks.per} ns; allowed are 1e-06 s to 1e+06 s")
+    if period_s is not None and ticks != Ticks.every(period_s):
+        raise ValueError(f"a period of {float(ticks.period) / SECOND_NS:g} s, expected {period_s:g} s")
 
 
 def failed(answer: "Failed", vehicles: Sequence[str]) -> "Failed":

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from cosim.agent import AgentSpec
-from cosim.errors import AgentError
+from cosim.errors import AgentError, ScenarioError
 from cosim.federate import Event
 from cosim.transport import checking, wire
 
@@ -95,16 +95,19 @@ class Crew:
     def built(self, answer: wire.Answer) -> wire.Built:
         """The answer to `Build`, which is believed only in what it may say."""
         if not isinstance(answer, wire.Built):
-            raise self.error(f"answered {type(answer).__name__} to Build")
+            raise self._unreadable(f"it answered {type(answer).__name__} to Build")
         try:
             checking.built(answer, self.specs)
         except ValueError as error:
-            raise self.error(f"gave an answer that it may not give: {error}") from error
+            raise self._unreadable(str(error)) from error
         return answer
 
     def stepped(self, effects: Mapping[str, int], names: frozenset[str]) -> list[Event]:
         """Wait for the answer to a step; its events are those of these vehicles alone, at these times."""
-        answer = self.receive()
+        try:
+            answer = self.receive()
+        except ScenarioError as error:  # it is too late to speak of the scenario
+            raise self.error(str(error)) from error
         if not isinstance(answer, wire.Stepped):
             raise self._unreadable(f"it answered {type(answer).__name__} to a step")
         try:
@@ -172,5 +175,6 @@ class Crew:
         return answer
 
     def _unreadable(self, why: str) -> AgentError:
+        self.release(f"it does not accept what this host answers: {why}")
         self.alive = False
-        return self.error(f"gave an answer that cannot be read: {why}")
+        return self.error(f"gave an answer that is refused: {why}")

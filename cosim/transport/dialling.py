@@ -44,7 +44,7 @@ def serve(
         FederateError: an agent of this host failed, or the run is gone.
     """
     name = security.OPEN if bundle is None else bundle.name
-    with _dial(endpoint, bundle, on_state) as session:
+    with dial(endpoint, bundle, on_state) as session:
         host = str(session.zid())
         questions: queue.SimpleQueue[zenoh.Query | bool] = queue.SimpleQueue()
         key = security.host_key(name, host, "ask")
@@ -106,7 +106,7 @@ def _hub(session: zenoh.Session) -> str:
     return "".join(str(each) for each in session.info.routers_zid()[:1])
 
 
-def _dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]) -> zenoh.Session:
+def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]) -> zenoh.Session:
     """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}

@@ -49,6 +49,8 @@ class RemoteHost:
         self.reads = tuple(key for each in built for key in each.reads)
         self.latest = tuple(key for each in built for key in each.latest)
         self._infos = {info.vehicle: info for info in self.agents}
+        trains = dict.fromkeys(info.ticks for info in self.agents)
+        self._trains = {each: frozenset(info.vehicle for info in self.agents if info.ticks == each) for each in trains}
         self.lookahead_ns = min(info.latency_ns for info in self.agents)
         self._crews = list(crews)  # those that are asked
         self._others: list[Crew] = []  # those that have yet to answer what they were asked, before they are asked again
@@ -70,7 +72,7 @@ class RemoteHost:
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
         """Send the step; the next wake-up follows from the agents' ticks, whatever the answer will be."""
-        asked = _Asked(now_ns)
+        asked = _Asked(now_ns, frozenset().union(*(whose for train, whose in self._trains.items() if train.hits(now_ns))))
         self._asked.append(asked)
         if self._missing:
             asked.events += self._leave(self._missing, now_ns, "no host has joined for it yet")
@@ -82,14 +84,14 @@ class RemoteHost:
             mine = inbox if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
             crew.send(wire.Act(now_ns, list(mine)))
             asked.crews.append(crew)
-        return min(info.ticks.after(now_ns) for info in self.agents)
+        return min(train.after(now_ns) for train in self._trains)
 
     def answer(self) -> Sequence[Event]:
         """The events of the oldest step that is still open."""
         asked = self._asked.popleft()
         events, now_ns = asked.events, asked.now_ns
         for crew in asked.crews:
-            effects = {vehicle: now_ns + self._infos[vehicle].latency_ns for vehicle in crew.vehicles}
+            effects = {vehicle: now_ns + self._infos[vehicle].latency_ns for vehicle in crew.vehicles if vehicle in asked.due}
             try:
                 given = crew.stepped(effects, self._names)
             except FederateError as error:
@@ -215,10 +217,10 @@ class RemoteHost:
 
 
 class _Asked:
-    """A step that has been asked: of whom, and what is to be said of those who were not."""
+    """A step that has been asked: whose turn it is, who was asked, and what is to be said of the others."""
 
-    def __init__(self, now_ns: int) -> None:
-        self.now_ns = now_ns
+    def __init__(self, now_ns: int, due: frozenset[str]) -> None:
+        self.now_ns, self.due = now_ns, due
         self.crews: list[Crew] = []
         self.events: list[Event] = []
 

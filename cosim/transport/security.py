@@ -3,6 +3,7 @@
 Keys of the protocol, with a machine's name NAME from its certificate and ZID, the id of its Zenoh session::
 
     vcmvsp/join/NAME             queryable of the hub: a host that wants to take part
+    vcmvsp/about/NAME            queryable of the hub: what run this is, and what NAME is to it
     vcmvsp/host/NAME/ZID/ask     queryable of a host: one question, one answer
     vcmvsp/host/NAME/ZID/alive   liveliness token of a host
     vcmvsp/hub/alive             liveliness token of the hub
@@ -14,11 +15,12 @@ in silence: a query on a denied key ends at once without a reply, and a put goes
 """
 
 import base64
+import datetime as dt
 import ipaddress
 import re
 import socket
 import ssl
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from cosim.errors import UsageError
@@ -29,7 +31,8 @@ if TYPE_CHECKING:
 OPEN = "anyone"
 """The name that stands in the keys of a host without a certificate (on this machine, or where the user wants none)."""
 
-JOIN, HUB_ALIVE, TOPICS = "vcmvsp/join/*", "vcmvsp/hub/alive", "vcmvsp/topic/**"
+JOIN, ABOUT, HUB_ALIVE = "vcmvsp/join/*", "vcmvsp/about/*", "vcmvsp/hub/alive"
+TOPIC, TOPICS = "vcmvsp/topic/", "vcmvsp/topic/**"
 ALIVE = "vcmvsp/host/*/*/alive"
 
 MAX_MESSAGE = 16 * 2**20  # bytes of an answer
@@ -39,14 +42,24 @@ ACCEPT_MS = 3000  # who dials and then says nothing holds a place for so long
 OPEN_MS = 2000  # who dials something that does not answer tries for so long
 PROBE_S = 1.0
 
+LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE}}}}
+"""Of any hub; Zenoh's own is 1 GiB."""
+
 LOG = "error,zenoh_link_tls=warn"
 """What Zenoh is to log in a hub with certificates: why it turned somebody away at the door is said nowhere else."""
 
-_KEY = re.compile(r"vcmvsp/(?:join/([A-Za-z0-9_-]+)|host/([A-Za-z0-9_-]+)/([0-9a-f]{1,32})/(?:ask|alive))")
+_KEY = re.compile(r"vcmvsp/(?:(?:join|about)/([A-Za-z0-9_-]+)|host/([A-Za-z0-9_-]+)/([0-9a-f]{1,32})/(?:ask|alive))")
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#\s]+):(\d{1,5})")
 
 Side = Literal["run", "host", "observer"]
 Config = dict[str, Any]
+
+
+class Shown(NamedTuple):
+    """The certificate that a run shows."""
+
+    names: tuple[str, ...]  # host names and addresses under which it may be dialled
+    until: dt.datetime
 
 
 class Refusal(NamedTuple):
@@ -59,6 +72,11 @@ class Refusal(NamedTuple):
 def join_key(name: str) -> str:
     """Where a host greets the hub."""
     return f"vcmvsp/join/{name}"
+
+
+def about_key(name: str) -> str:
+    """Where a machine asks what run this is."""
+    return f"vcmvsp/about/{name}"
 
 
 def host_key(name: str, zid: str, what: Literal["ask", "alive"]) -> str:
@@ -74,7 +92,10 @@ def host_key(name: str, zid: str, what: Literal["ask", "alive"]) -> str:
 
 
 def speaker(key: str) -> tuple[str, str] | None:
-    """Name and session id (empty in a greeting) of the machine that a key belongs to; None: the key is none, or is for many."""
+    """Name and session id (empty unless it is a host's key) of the machine that a key belongs to.
+
+    None: the key is none, or is for many.
+    """
     found = _KEY.fullmatch(key)
     return (found[1] or found[2], found[3] or "") if found else None
 
@@ -103,9 +124,9 @@ def hub_security(keys: "Keys") -> Config:
     tls = {"listen_private_key_base64": _base64(keys.key_pem), "listen_certificate_base64": _base64(keys.certificate_pem)}
     config = _transport(keys.ca_pem, tls)
     config["transport"]["unicast"] = {"accept_timeout": ACCEPT_MS}
-    config["transport"]["link"]["rx"] = {"max_message_size": MAX_MESSAGE}
-    greeting = {"id": "greeting", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN], "size_limit": MAX_JOIN}
-    config["low_pass_filter"] = [greeting]
+    config = merge(config, LIMITS)
+    asked = {"id": "asked", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN, ABOUT], "size_limit": MAX_JOIN}
+    config["low_pass_filter"] = [asked]
     hosts = [entry.name for entry in keys.members if entry.role == "host"]
     observers = [entry.name for entry in keys.members if entry.role == "observer"]
     config["access_control"] = _access(hosts, observers)
@@ -201,6 +222,24 @@ def diagnose(endpoint: str, bundle: "Bundle | None") -> Refusal | None:
         return Refusal(f"nobody listens there ({error.strerror or 'timed out'})", final=False)
 
 
+def shown(endpoint: str, bundle: "Bundle") -> Shown:
+    """The certificate of the run at an endpoint where `diagnose` found nothing wrong."""
+    _, host, port = _parts(endpoint)
+    with (
+        socket.create_connection((host, port), timeout=PROBE_S) as connection,
+        _context(bundle).wrap_socket(connection, server_hostname=host) as tls,
+    ):
+        says: Any = tls.getpeercert()
+    until = dt.datetime.fromtimestamp(ssl.cert_time_to_seconds(says["notAfter"]), dt.UTC)
+    return Shown(tuple(name for _, name in says["subjectAltName"]), until)
+
+
+def _context(bundle: "Bundle") -> ssl.SSLContext:
+    context = ssl.create_default_context(ssl.Purpose.SERVER_AUTH, cadata=bundle.ca_pem)
+    context.load_cert_chain(bundle.path)
+    return context
+
+
 def _probe(connection: socket.socket, host: str) -> Refusal | None:
     """Whether what listens there wants TLS, whoever it is."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
@@ -213,8 +252,7 @@ def _probe(connection: socket.socket, host: str) -> Refusal | None:
 
 
 def _probe_tls(connection: socket.socket, host: str, bundle: "Bundle") -> Refusal | None:
-    context = ssl.create_default_context(ssl.Purpose.SERVER_AUTH, cadata=bundle.ca_pem)
-    context.load_cert_chain(bundle.path)
+    context = _context(bundle)
     try:
         tls = context.wrap_socket(connection, server_hostname=host)
     except ssl.SSLCertVerificationError as error:
@@ -270,25 +308,33 @@ def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
     rules: list[Config] = []
     policies: list[Config] = []
 
-    def allow(name: str, rule: str, flow: str, messages: list[str], key: str) -> None:
-        rule = f"{name}/{rule}"  # no name has a slash
-        rules.append({"id": rule, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
-        policies[-1]["rules"].append(rule)
+    def policy(name: str) -> Callable[[str, str, list[str], str], None]:
+        own: list[str] = []
+        policies.append({"subjects": [name], "rules": own})
+
+        def allow(rule: str, flow: str, messages: list[str], key: str) -> None:
+            rule = f"{name}/{rule}"  # no name has a slash
+            rules.append({"id": rule, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
+            own.append(rule)
+
+        allow("inquires", "ingress", ["query"], about_key(name))
+        allow("is told", "egress", ["reply"], about_key(name))
+        allow("watches", "ingress", ["declare_liveliness_subscriber"], HUB_ALIVE)
+        allow("sees", "egress", ["liveliness_token"], HUB_ALIVE)
+        return allow
 
     for name in hosts:
-        policies.append({"subjects": [name], "rules": []})
-        allow(name, "greets", "ingress", ["query"], join_key(name))
-        allow(name, "is answered", "egress", ["reply"], join_key(name))
-        allow(name, "answers", "ingress", ["declare_queryable", "reply"], f"vcmvsp/host/{name}/*/ask")
-        allow(name, "is asked", "egress", ["query"], f"vcmvsp/host/{name}/*/ask")
-        allow(name, "is alive", "ingress", ["liveliness_token"], f"vcmvsp/host/{name}/*/alive")
-        allow(name, "watches", "ingress", ["declare_liveliness_subscriber"], HUB_ALIVE)
-        allow(name, "sees", "egress", ["liveliness_token"], HUB_ALIVE)
+        allow = policy(name)
+        allow("greets", "ingress", ["query"], join_key(name))
+        allow("is answered", "egress", ["reply"], join_key(name))
+        allow("answers", "ingress", ["declare_queryable", "reply"], f"vcmvsp/host/{name}/*/ask")
+        allow("is asked", "egress", ["query"], f"vcmvsp/host/{name}/*/ask")
+        allow("is alive", "ingress", ["liveliness_token"], f"vcmvsp/host/{name}/*/alive")
     for name in observers:
-        policies.append({"subjects": [name], "rules": []})
-        allow(name, "listens", "ingress", ["declare_subscriber"], TOPICS)
-        allow(name, "hears", "egress", ["put"], TOPICS)
-    subjects = [{"id": name, "cert_common_names": [name]} for policy in policies for name in policy["subjects"]]
+        allow = policy(name)
+        allow("listens", "ingress", ["declare_subscriber"], TOPICS)
+        allow("hears", "egress", ["put"], TOPICS)
+    subjects = [{"id": name, "cert_common_names": [name]} for each in policies for name in each["subjects"]]
     default = {"enabled": True, "default_permission": "deny"}
     return {**default, "rules": rules, "subjects": subjects, "policies": policies}
 

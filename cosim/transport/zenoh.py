@@ -31,6 +31,19 @@ COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": security.LEASE_MS}}},
 }
+QUEUES: dict[str, Any] = {
+    "transport": {
+        "link": {
+            "tx": {
+                "queue": {
+                    "size": {"data_low": 16},  # 64 KiB each: room for one picture
+                    "congestion_control": {"drop": {"max_wait_before_drop_fragments": 5000}},  # us that it may wait for more
+                }
+            }
+        }
+    }
+}
+"""Of the hub, so that an observer that takes no more pictures holds the run up for 5 ms, not 50."""
 _RETRY_S = 0.02
 _SLICE_S = 1.0  # after so long without an answer a question is asked again: a link that breaks may lose one in silence
 
@@ -48,11 +61,12 @@ class Hub:
     """
 
     def __init__(self, endpoint: str = LOOPBACK, keys: "Keys | None" = None, *, patience_s: float = 2.0) -> None:
-        config = {"mode": "router", "listen": {"endpoints": [endpoint]}}
+        config = {"mode": "router", "listen": {"endpoints": [endpoint]}, **QUEUES}
         config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
         if keys is not None:
             zenoh.init_log_from_env_or(security.LOG)
-        self.session = opened(config, {} if keys is None else security.hub_security(keys), f"cannot listen on '{endpoint}'")
+        secure = security.LIMITS if keys is None else security.hub_security(keys)
+        self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
         self._keys, self._patience_s = keys, patience_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()

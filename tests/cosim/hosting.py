@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -30,8 +31,13 @@ class Stage:
             process.kill()
             process.communicate()
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen([*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder)
+    def start(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
+        """Start ``vcmvsp`` with these arguments; ``before`` is a command that starts commands, such as ``ip netns exec``."""
+        return self.python("-m", "cosim.cli", *arguments, before=before)
+
+    def python(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
+        command = [*before, sys.executable, *arguments]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=self.folder)
         self.processes.append(process)
         return process
 

@@ -2,7 +2,7 @@
 
 import struct
 import typing
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -44,6 +44,7 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     float: FLOATS,
     float | None: FLOATS | st.none(),
     int: TIMES,
+    Literal["lost", "removed", "back"]: st.sampled_from(["lost", "removed", "back"]),
     str: TEXT,
     str | None: TEXT | st.none(),
     tuple[str, ...]: st.lists(TEXT, max_size=3).map(tuple),

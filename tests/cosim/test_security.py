@@ -67,7 +67,8 @@ class Hub:
         self.endpoint = self.endpoints[0]
         self._links: list[zenoh.LinkEvent] = []
         self.session.info.declare_link_events_listener(direct(self._links.append))
-        self.session.declare_queryable(security.JOIN, direct(self._greeted))
+        for key in (security.JOIN, security.ABOUT):
+            self.session.declare_queryable(key, direct(self._greeted))
         self._token = self.session.liveliness().declare_token(security.HUB_ALIVE)
         watch = direct(lambda sample: self.seen.update([f"token {sample.key_expr}"]))
         self.session.liveliness().declare_subscriber("vcmvsp/**", watch)
@@ -136,6 +137,11 @@ def dial(endpoint: str, machine: Bundle | None, mode: str = "client") -> zenoh.S
 
 def greet(session: zenoh.Session, name: str, payload: bytes = b"hello") -> list[bytes]:
     replies = session.get(security.join_key(name), payload=payload, timeout=PATIENCE_S)
+    return [each.ok.payload.to_bytes() for each in replies if each.ok]
+
+
+def inquire(session: zenoh.Session, name: str, payload: bytes = b"about") -> list[bytes]:
+    replies = session.get(security.about_key(name), payload=payload, timeout=PATIENCE_S)
     return [each.ok.payload.to_bytes() for each in replies if each.ok]
 
 
@@ -344,7 +350,7 @@ def test_three_hundred_connections_of_garbage_hurt_nobody(keys: Keys, stack: con
 # --- the rules ---
 
 
-ALL = frozenset({"greeted", "answered", "alive", "hub seen", "topics"})
+ALL = frozenset({"greeted", "answered", "alive", "hub seen", "told", "topics", "anna told", "anna sees hub"})
 
 
 class Stage:
@@ -362,6 +368,8 @@ class Stage:
         self._token = self.host.liveliness().declare_token(self.keys[1])
         watch = direct(lambda sample: self.seen.update([f"car2 sees hub {sample.kind}"]))
         self.host.liveliness().declare_subscriber(security.HUB_ALIVE, watch, history=True)
+        look = direct(lambda sample: self.seen.update([f"anna sees hub {sample.kind}"]))
+        self.anna.liveliness().declare_subscriber(security.HUB_ALIVE, look, history=True)
         hear = direct(lambda sample: self.seen.update([f"anna hears {sample.payload.to_string()}"]))
         self.anna.declare_subscriber(security.TOPICS, hear)
 
@@ -376,7 +384,10 @@ class Stage:
             "answered": lambda: self.hub.ask("car2", self.host) == [b"true"],
             "alive": lambda: self.hub.seen[f"token {self.keys[1]}"],
             "hub seen": lambda: self.seen[f"car2 sees hub {zenoh.SampleKind.PUT}"],
+            "told": lambda: inquire(self.host, "car2") == [b"welcome"],
             "topics": self._heard,
+            "anna told": lambda: inquire(self.anna, "anna") == [b"welcome"],
+            "anna sees hub": lambda: self.seen[f"anna sees hub {zenoh.SampleKind.PUT}"],
         }
         for name in expected:
             until(checks[name])
@@ -418,8 +429,14 @@ def test_no_rule_allows_more_than_a_run_needs(keys: Keys, stack: contextlib.Exit
         "car2/is alive": "alive",
         "car2/watches": "hub seen",
         "car2/sees": "hub seen",
+        "car2/inquires": "told",
+        "car2/is told": "told",
         "anna/listens": "topics",
         "anna/hears": "topics",
+        "anna/inquires": "anna told",
+        "anna/is told": "anna told",
+        "anna/watches": "anna sees hub",
+        "anna/sees": "anna sees hub",
     }
     assert Stage(keys, rules, stack).everything(ALL - {needs[rule]}) == ALL - {needs[rule]}
 
@@ -433,7 +450,16 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         got.update(["asked"])
         reply(query, b"false")
 
-    for key in ("vcmvsp/join/car2", security.JOIN, "**", stage.keys[0], "vcmvsp/host/*/*/ask", "vcmvsp/hub/*"):
+    for key in (
+        "vcmvsp/join/car2",
+        security.JOIN,
+        "vcmvsp/about/car2",
+        security.ABOUT,
+        "**",
+        stage.keys[0],
+        "vcmvsp/host/*/*/ask",
+        "vcmvsp/hub/*",
+    ):
         got.update(f"reply on {key}" for each in session.get(key, payload=b"evil", timeout=1.0) if each.ok)
     for key in ("vcmvsp/host/**", stage.keys[1]):
         found = [str(each.ok.key_expr) for each in session.liveliness().get(key, timeout=1.0) if each.ok]
@@ -442,7 +468,7 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         session.liveliness().declare_subscriber(key, see, history=True)
     tokens = [security.host_key("car2", zid, "alive"), security.HUB_ALIVE, "vcmvsp/hub/*", f"vcmvsp/host/*/{zid}/alive"]
     declared = [session.liveliness().declare_token(key) for key in tokens]
-    for key in (stage.keys[0], "vcmvsp/host/car2/*/ask", "vcmvsp/host/**", "**", "vcmvsp/join/car2", security.JOIN):
+    for key in (stage.keys[0], "vcmvsp/host/car2/*/ask", "vcmvsp/host/**", "**", "vcmvsp/join/car2", "vcmvsp/about/**"):
         session.declare_queryable(key, direct(lie), complete=True)
     for key in (TOPIC, "**") if name != "anna" else ("vcmvsp/host/**", "vcmvsp/join/**"):
         session.declare_subscriber(key, direct(lambda sample: got.update([f"hears {sample.payload.to_string()}"])))
@@ -468,8 +494,10 @@ def test_nobody_hears_others_speaks_for_them_or_poses_as_the_run(
     got = attack(stage, session, name)
     assert stage.everything() == ALL
     assert got == {}
-    assert set(stage.seen) == {"car2 asked question", f"car2 sees hub {zenoh.SampleKind.PUT}", "anna hears truth"}
-    assert set(stage.hub.seen) == {"greeting vcmvsp/join/car2 hello", f"token {stage.keys[1]}", "sample truth"}
+    sees = {f"{who} sees hub {zenoh.SampleKind.PUT}" for who in ("car2", "anna")}
+    assert set(stage.seen) == {"car2 asked question", *sees, "anna hears truth"}
+    greetings = {f"greeting {key}" for key in ("vcmvsp/join/car2 hello", "vcmvsp/about/car2 about", "vcmvsp/about/anna about")}
+    assert set(stage.hub.seen) == {*greetings, f"token {stage.keys[1]}", "sample truth"}
 
 
 def test_without_the_rules_all_that_would_get_through(keys: Keys, stack: contextlib.ExitStack) -> None:
@@ -550,6 +578,7 @@ zids = st.from_regex(r"\A[0-9a-f]{1,32}\Z")
 @given(names, zids)
 def test_the_speaker_of_a_key_is_the_name_in_it(name: str, zid: str) -> None:
     assert security.speaker(security.join_key(name)) == (name, "")
+    assert security.speaker(security.about_key(name)) == (name, "")
     assert security.speaker(security.host_key(name, zid, "ask")) == (name, zid)
     assert security.speaker(security.host_key(name, zid, "alive")) == (name, zid)
 
@@ -557,7 +586,12 @@ def test_the_speaker_of_a_key_is_the_name_in_it(name: str, zid: str) -> None:
 @given(names, zids, st.sampled_from(["/", "*", "**", "$*", "?", "#", "@", " ", "\n", "\u0661", "/.."]), st.integers(0, 40))
 def test_what_could_be_another_key_is_none(name: str, zid: str, evil: str, where: int) -> None:
     bad_name, bad_zid = (each[: where % (len(each) + 1)] + evil + each[where % (len(each) + 1) :] for each in (name, zid))
-    for key in (security.join_key(bad_name), f"vcmvsp/host/{bad_name}/{zid}/ask", f"vcmvsp/host/{name}/{bad_zid}/alive"):
+    for key in (
+        security.join_key(bad_name),
+        security.about_key(bad_name),
+        f"vcmvsp/host/{bad_name}/{zid}/ask",
+        f"vcmvsp/host/{name}/{bad_zid}/alive",
+    ):
         assert security.speaker(key) is None
     with pytest.raises(ValueError, match="no key of a host"):
         security.host_key(name, bad_zid, "ask")

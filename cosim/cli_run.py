@@ -1,0 +1,110 @@
+"""``vcmvsp run``, and what other commands share with it that run a scenario."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cosim.cli_options import AsJson
+from cosim.errors import UsageError
+from cosim.streams import stdout_to_stderr
+
+if TYPE_CHECKING:
+    from cosim.api import Result
+
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario, e.g. radio.loss.probability=0.3."),
+]
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
+Seed = Annotated[int | None, typer.Option(help="Instead of the scenario's.")]
+Listen = Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Where hosts of agents dial in, e.g. tls/0.0.0.0:7447.")]
+KeysOfRun = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Certificates for hosts on other machines ('vcmvsp keys init').")
+]
+Insecure = Annotated[bool, typer.Option("--insecure", help="Let anybody who can reach this machine host agents.")]
+Realtime = Annotated[
+    float | None, typer.Option(metavar="[SPEED]", help="Keep to the wall clock: SPEED simulated seconds per second (1).")
+]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-SEED].")]
+Force = Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
+
+
+def run_command(
+    scenario: ScenarioName,
+    seed: Seed = None,
+    set_: Sets = None,
+    agents: Annotated[
+        str | None,
+        typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand)."),
+    ] = None,
+    listen: Listen = None,
+    keys: KeysOfRun = None,
+    insecure: Insecure = False,
+    realtime: Realtime = None,
+    out: Out = None,
+    force: Force = False,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a scenario; leaves recording, tables, metrics, figures.
+
+    Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
+    """
+    from cosim import api
+
+    if agents not in (None, "inprocess", "process", "zenoh"):
+        raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
+    where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
+    conduct(api.run, scenario, set_ or [], out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, **where)
+
+
+def conduct(
+    run: "Callable[..., Result]",
+    scenario: str,
+    sets: Sequence[str],
+    out: Path | None,
+    *,
+    seed: int | None,
+    realtime: float | None,
+    json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Call `cosim.run`, or what takes its place, and show how far it is and what came out."""
+    from cosim import api
+    from cosim import scenario as scenarios
+    from cosim.progress import Progress, summary
+
+    if out is not None and str(out) == ".":
+        raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
+    if realtime is not None and not 0.0 < realtime < float("inf"):
+        raise UsageError(f"--realtime {realtime}: must be a positive number")
+    settings = scenarios.settings_of(sets)
+    with Progress(quiet=quiet) as progress, stdout_to_stderr():
+        result = run(
+            scenario,
+            seed=seed,
+            set=settings,
+            realtime=realtime,
+            out=out if out is not None else _default_folder(scenario, settings, seed),
+            numbered=out is None,
+            progress=progress.on_instant,
+            tell=progress.tell,
+            **options,
+        )
+    if json:
+        sys.stdout.write(api.to_json(result.metrics))
+    elif not quiet:
+        sys.stdout.write(summary(result))
+
+
+def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
+    """``runs/NAME-SEED``."""
+    from cosim import scenario as scenarios
+
+    parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
+    return Path("runs") / f"{parsed.name}-{parsed.seed}"

@@ -1,0 +1,103 @@
+"""Another machine, as ssh sees it: one that is played by a script, or this one behind a real server of SSH."""
+
+import importlib.util
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+PLAYED = """\
+#!/bin/sh
+# What ssh does with its last argument, in a home of its own. The others are kept for whoever wants to see them.
+printf '%s\\n' "$@" >"$FAR/ssh-was-told"
+for command; do :; done
+cd "$FAR" && HOME="$FAR" TMPDIR="$FAR" exec sh -c "$command"
+"""
+SSHD = """\
+ListenAddress 127.0.0.1:{port}
+HostKey {folder}/host
+AuthorizedKeysFile {folder}/user.pub
+PidFile none
+StrictModes no
+UsePAM no
+PasswordAuthentication no
+KbdInteractiveAuthentication no
+"""
+ASYNCSSH = """
+import asyncio, sys, asyncssh
+port, folder = int(sys.argv[1]), sys.argv[2]
+
+async def serve(process):
+    pipe = asyncio.subprocess.PIPE
+    child = await asyncio.create_subprocess_shell(process.command, stdin=pipe, stdout=pipe, stderr=pipe)
+    await process.redirect(stdin=child.stdin, stdout=child.stdout, stderr=child.stderr)
+    process.exit(await child.wait())
+
+async def main():
+    await asyncssh.listen("127.0.0.1", port, server_host_keys=[folder + "/host"], authorized_client_keys=folder + "/user.pub",
+                          process_factory=serve, encoding=None)
+    await asyncio.Event().wait()
+
+asyncio.run(main())
+"""
+
+
+class Machine(NamedTuple):
+    """Another machine."""
+
+    ssh: str  # for a file of hosts
+    options: tuple[str, ...]
+    environment: dict[str, str]  # of whoever calls ssh
+    server: subprocess.Popen[bytes] | None
+
+
+def played(folder: Path) -> Machine:
+    """A program called ssh that runs things in ``folder``."""
+    folder.mkdir()
+    programs = folder.parent / "programs"
+    programs.mkdir()
+    (programs / "ssh").write_text(PLAYED)
+    (programs / "ssh").chmod(0o755)
+    return Machine("anna@far", (), {"PATH": f"{programs}:{os.environ['PATH']}", "FAR": str(folder)}, None)
+
+
+def served(kind: str, folder: Path) -> Machine:
+    """This machine, behind ``sshd`` of OpenSSH or ``asyncssh`` of PyPI, for whoever has the key in ``folder``."""
+    if not shutil.which("ssh") or not shutil.which("ssh-keygen"):
+        pytest.skip("this machine has no ssh")
+    sshd = shutil.which("sshd") or "/usr/sbin/sshd"
+    if kind == "sshd" and not Path(sshd).exists():
+        pytest.skip("this machine has no sshd")
+    if kind == "asyncssh" and not importlib.util.find_spec("asyncssh"):
+        pytest.skip("asyncssh is not installed")
+    folder.mkdir()
+    for name in ("host", "user"):
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(folder / name)], check=True, timeout=30)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port: int = free.getsockname()[1]
+    (folder / "config").write_text(SSHD.format(port=port, folder=folder))
+    (folder / "known").write_text(f"[127.0.0.1]:{port} {(folder / 'host.pub').read_text()}")
+    command = [sshd, "-D", "-e", "-f", str(folder / "config")]
+    if kind == "asyncssh":
+        command = [sys.executable, "-c", ASYNCSSH, str(port), str(folder)]
+    server = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    last = time.monotonic() + 30.0
+    while time.monotonic() < last and server.poll() is None:
+        try:
+            socket.create_connection(("127.0.0.1", port)).close()
+            break
+        except OSError:
+            time.sleep(0.05)
+    else:
+        server.kill()
+        server.wait()
+        pytest.skip(f"{kind} does not start here (sshd wants /run/sshd where root starts it)")
+    options = ("-F", "none", "-i", str(folder / "user"), "-o", "IdentitiesOnly=yes", "-p", str(port))
+    return Machine("127.0.0.1", (*options, "-o", f"UserKnownHostsFile={folder / 'known'}"), {}, server)
