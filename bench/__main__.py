@@ -66,7 +66,7 @@ def federation_row() -> Row:
             def other() -> float:
                 begin = time.perf_counter()
                 for _ in range(rounds):
-                    bare.ask(hub._session, question)
+                    bare.ask(hub.session, question)
                 return (time.perf_counter() - begin) / rounds
 
             mine, its, ratio = in_turn(ours, other, 9)
@@ -86,7 +86,8 @@ def _remote_host(scenario: dict[str, object]) -> Iterator[tuple[RemoteHost, list
     parsed, source = scenarios.load(scenario)
     with Assembly(parsed, source, runs="process") as assembly:
         host = next(each for each in assembly.federates if isinstance(each, RemoteHost))
-        link, ask, link_ask, link_answer = host._link, host.ask, host._link.ask, host._link.answer
+        link, ask = host._crews[0].link, host.ask
+        link_ask, link_answer = link.ask, link.answer
 
         def note_question(now_ns: int, inbox: Sequence[Event]) -> int | None:
             questions.append((now_ns, inbox))
