@@ -35,7 +35,7 @@ docs: setup
 test: check
 	$(BIN)/pytest -n auto --dist loadfile
 
-bench: setup .ns3/.ready .drones/.ready
+bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	NS3_PREFIX=$$(echo .ns3/lib/python*/site-packages/ns3) $(BIN)/python -m bench
 
 # ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++.
@@ -49,5 +49,10 @@ bench: setup .ns3/.ready .drones/.ready
 	$(UV) pip install --quiet --python .drones/bin/python pyflyt==0.29.0 pybullet==3.2.7 numpy==1.26.4
 	@touch $@
 
+# HELICS and mosaik, with which distributed agents are compared; where they cannot be installed, the table says so.
+.peers/.ready: $(VENV)/.ready
+	-$(UV) venv --quiet --allow-existing --python $(BIN)/python .peers && \
+	$(UV) pip install --quiet --python .peers/bin/python helics==3.6.1 mosaik==3.6.0 && touch $@
+
 clean:
-	rm -rf $(VENV) .uv .ns3 .drones runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .uv .ns3 .drones .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

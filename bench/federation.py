@@ -1,0 +1,164 @@
+"""Agents in other processes, beside bare Zenoh, HELICS and mosaik, in one run: ``python -m bench.federation``.
+
+A world tells each agent where it is (200 bytes on our wire) and, in some rows, what its scanner sees (512 beams); each agent
+answers with a command (90 bytes); neither does anything else, and nothing is recorded. Wall-clock time of an agent's step: a
+stretch of steps of ours and one of its peer in turn, medians of the pairs. Both are programs of their own (`bench.peers`); what
+HELICS and mosaik need is in ``.peers`` (see the Makefile).
+"""
+
+import contextlib
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bench.measure import Row, Timed, in_turn, table
+from bench.peers import ours
+
+ROUNDS = 7
+HERE = Path(sys.executable)
+PYTHON = Path(".peers/bin/python")
+PEERS = {"bare": "bare Zenoh", "helics_star": "HELICS 3.6.1 (zmq)", "mosaik_star": "mosaik 3.6.0"}
+
+
+class Star(NamedTuple):
+    """A row's workload, and who does the same, with the largest share of his time that ours may take."""
+
+    agents: int
+    processes: int
+    beside: dict[str, float]
+    scans: bool = False
+    latency_s: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """For the table."""
+        what = f"{self.agents} agents"
+        if self.processes == self.agents:
+            what = f"{self.agents} hosts x 1 agent"
+        elif self.processes:
+            what = f"{self.processes} host x {self.agents} agents"
+        where = what if self.processes else f"{what} in-process"
+        return where + (", scans" if self.scans else "") + (", commands a step later" if self.latency_s else "")
+
+
+STARS = (
+    Star(8, 8, {"bare": 1.5, "helics_star": 1 / 3, "mosaik_star": 1 / 2.5}),
+    Star(8, 8, {"bare": 1.5, "helics_star": 1 / 3, "mosaik_star": 1 / 2.5}, scans=True),
+    Star(8, 8, {"helics_star": math.inf}, latency_s=0.1),
+    Star(32, 1, {"bare": 2.0, "helics_star": 1 / 10, "mosaik_star": 1 / 2}),
+    Star(32, 1, {"bare": 2.0, "helics_star": 1 / 10, "mosaik_star": 1 / 20}, scans=True),
+    Star(32, 1, {"helics_star": math.inf}, latency_s=0.1),
+    Star(32, 0, {"mosaik_star": 1.0}),
+    Star(32, 0, {"mosaik_star": 1.0}, scans=True),
+)
+
+
+class SilentError(Exception):
+    """A program did not answer; the message is the last that it said."""
+
+
+@contextlib.contextmanager
+def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
+    """A program of `bench.peers` that has warmed up; each call runs a stretch and gives the seconds of an agent's step."""
+    command = [str(python), "-m", f"bench.peers.{module}"]
+    for name, value in options.items():
+        command += [f"--{name}"] if value is True else [f"--{name}", str(value)] if value else []
+    with tempfile.TemporaryFile("w+") as said, _process(command, said) as (asked, told):
+
+        def stretch() -> float:
+            if not (answer := told.readline()):
+                said.seek(0)
+                raise SilentError((said.read().strip().splitlines() or ["no word"])[-1])
+            return float(answer)
+
+        def timed() -> float:
+            asked.write("on\n")
+            asked.flush()
+            return stretch()
+
+        stretch()
+        yield timed
+
+
+@contextlib.contextmanager
+def _process(command: list[str], said: Any) -> Iterator[tuple[Any, Any]]:
+    """Its pipes; on the way out it and what it has started are gone."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    child = subprocess.Popen(command, text=True, stderr=said, start_new_session=True, **pipes)  # type: ignore[call-overload]
+    try:
+        yield child.stdin, child.stdout
+    finally:
+        with contextlib.suppress(OSError):
+            child.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(10)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        child.stdout.close()
+
+
+def beside(star: Star) -> Iterator[Row]:
+    """A row for each peer."""
+    asked, answered = ours.sizes(star.scans)
+    same: dict[str, Any] = {"agents": star.agents, "processes": star.processes}
+    same |= {"scans": star.scans, "latency_s": star.latency_s}
+    with program("ours", HERE, **same) as mine:
+        for peer, share in star.beside.items():
+            print(f"measuring: federation, {star.name}, beside {PEERS[peer]} ...", file=sys.stderr, flush=True)
+            name = f"agents elsewhere: {star.name}; beside it {PEERS[peer]}"
+            demand = "none" if math.isinf(share) else f"<= {share:.2g}x"
+            try:
+                python = HERE if peer == "bare" else installed()
+                with program(peer, python, **same, asked=asked, answered=answered) as its:
+                    one, other, ratio = in_turn(mine, its, ROUNDS)
+            except SilentError as error:
+                yield Row(name, "", f"not measured: {error}", math.nan, demand, True)
+            else:
+                yield Row(name, f"{1e6 * one:.1f} us a step", f"{1e6 * other:.1f} us", ratio, demand, ratio <= share)
+
+
+def installed() -> Path:
+    """The Python that has the peers."""
+    if not PYTHON.exists():
+        raise SilentError(f"it is not installed: make {PYTHON.parts[0]}/.ready")
+    return PYTHON
+
+
+def compute_row() -> Row:
+    """Two agents that take 20 ms of CPU time each."""
+    return _computing("2 agents that compute 20 ms, in two processes", 0.6, 2)
+
+
+def overlap_row() -> Row:
+    """Agents and world at the same time, on two cores: what an agent says counts a step later."""
+    name = "a world that computes 40 ms, 2 agents that compute 20 ms, in one other process, commands a step later"
+    return _computing(name, 0.55, 1, latency_s=0.1, world_s=0.04)
+
+
+def _computing(name: str, demanded: float, processes: int, **options: Any) -> Row:
+    """The least of each, since CPU time that others take is nobody's to compare."""
+    print(f"measuring: federation, {name} ...", file=sys.stderr, flush=True)
+    same: dict[str, Any] = {"agents": 2, "busy_s": 0.02, "stretch_s": 1.0, **options}
+    with program("ours", HERE, **same, processes=processes) as apart, program("ours", HERE, **same) as together:
+        pairs = [(apart(), together()) for _ in range(2 * ROUNDS)]
+    mine, its = (min(each) for each in zip(*pairs, strict=True))
+    ratio = mine / its
+    name = f"agents elsewhere: {name}; beside it all in one process (least of {2 * ROUNDS})"
+    return Row(name, f"{2e3 * mine:.1f} ms a step", f"{2e3 * its:.1f} ms", ratio, f"<= {demanded}x", ratio <= demanded)
+
+
+def rows() -> list[Row]:
+    """All of them."""
+    more: tuple[Callable[[], Row], ...] = (compute_row, overlap_row)
+    return [row for star in STARS for row in beside(star)] + [measure() for measure in more]
+
+
+if __name__ == "__main__":
+    print(table(rows()))

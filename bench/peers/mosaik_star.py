@@ -1,0 +1,107 @@
+"""mosaik (mosaik.offis.de): a world in mosaik's own process, and simulators that hold the agents, there or elsewhere.
+
+Agents see the present and the world what was said a step before (a time-shifted connection), as in ours; a loop within a step
+(`weak` connections) takes longer. mosaik carries JSON, so states and scans are lists of numbers.
+"""
+
+import contextlib
+import sys
+from typing import Any
+
+import mosaik  # type: ignore[import-not-found]
+import mosaik_api_v3  # type: ignore[import-not-found]
+
+from bench.peers.pace import BEAMS, COMMAND, STATE, Options, Pace, busy, options
+
+STILL = "bench.peers.mosaik_star"
+END = 10**9
+
+
+class EnoughError(Exception):
+    """Ends a run early."""
+
+
+class World(mosaik_api_v3.Simulator):  # type: ignore[misc]
+    """Tells all vehicles what they see."""
+
+    def __init__(self) -> None:
+        attributes = {"public": True, "params": [], "attrs": ["seen", "command"]}
+        super().__init__({"type": "time-based", "models": {"Vehicle": attributes}})
+
+    def init(self, sid: str, time_resolution: float, *, pace: Pace, scans: bool) -> Any:
+        """Time 0."""
+        self._pace = pace
+        self._seen: dict[str, Any] = {**STATE, **({"scan": [0.1 + n / 51.0 for n in range(BEAMS)]} if scans else {})}
+        return self.meta
+
+    def create(self, num: int, model: str) -> Any:
+        """All vehicles."""
+        self._count = num
+        return [{"eid": f"v{n}", "type": model} for n in range(num)]
+
+    def step(self, time: int, inputs: Any, max_advance: int) -> int:
+        """The next is one later."""
+        assert time < 2 or len(inputs) == self._count
+        if not self._pace.step():
+            raise EnoughError
+        return time + 1
+
+    def get_data(self, outputs: Any) -> Any:
+        """The same for all."""
+        return {each: {"seen": self._seen} for each in outputs}
+
+
+class Still(mosaik_api_v3.Simulator):  # type: ignore[misc]
+    """Agents that say the same whatever they see."""
+
+    def __init__(self) -> None:
+        attributes = {"public": True, "params": [], "attrs": ["seen", "command"]}
+        super().__init__({"type": "time-based", "models": {"Agent": attributes}})
+
+    def init(self, sid: str, time_resolution: float, *, busy_s: float = 0.0) -> Any:
+        """Time 0."""
+        self._busy_s = busy_s
+        return self.meta
+
+    def create(self, num: int, model: str) -> Any:
+        """All agents."""
+        return [{"eid": f"a{n}", "type": model} for n in range(num)]
+
+    def step(self, time: int, inputs: Any, max_advance: int) -> int:
+        """Look at what is seen."""
+        for its in inputs.values():
+            (seen,) = its["seen"].values()
+            assert seen["position"]
+            busy(self._busy_s)
+        return time + 1
+
+    def get_data(self, outputs: Any) -> Any:
+        """The same for all."""
+        return {each: {"command": COMMAND} for each in outputs}
+
+
+def main(wanted: Options) -> None:
+    """Run until nobody asks any more."""
+    pace, groups = Pace(wanted), max(1, wanted.processes)
+    elsewhere = {"cmd": f"{sys.executable} -m {STILL} %(addr)s"}
+    config = {
+        "World": {"python": f"{__name__}:World"},
+        "Still": elsewhere if wanted.processes else {"python": f"{__name__}:Still"},
+    }
+    star = mosaik.World(config, skip_greetings=True, configure_logging=False)
+    vehicles = star.start("World", pace=pace, scans=wanted.scans).Vehicle.create(wanted.agents)
+    hosts = [star.start("Still", busy_s=wanted.busy_s) for _ in range(groups)]
+    for number, host in enumerate(hosts):
+        mine = vehicles[number::groups]
+        for vehicle, agent in zip(mine, host.Agent.create(len(mine)), strict=True):
+            star.connect(vehicle, agent, "seen")
+            star.connect(agent, vehicle, "command", time_shifted=True, initial_data={"command": COMMAND})
+    with contextlib.suppress(EnoughError):
+        star.run(until=END, print_progress=False)
+
+
+if __name__ == "__main__":
+    if sys.argv[1].startswith("--"):
+        main(options())
+    else:
+        mosaik_api_v3.start_simulation(Still())

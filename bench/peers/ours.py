@@ -1,0 +1,115 @@
+"""Ours: the kernel, a world that only publishes, and hosts of agents that do next to nothing. Nothing is recorded."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.peers.pace import BEAMS, COMMAND, STATE, Options, Pace, busy, options
+from cosim import scenario as scenarios
+from cosim.agent import Agent, Observation, Radio
+from cosim.assemble import Assembly
+from cosim.codec import encode
+from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.kernel import Kernel
+from cosim.types import NonNegative, Scan, VehicleState, Velocity, frozen
+
+PERIOD_NS = 100_000_000
+STATE_SEEN = VehicleState(**STATE)  # type: ignore[arg-type]
+SCAN_SEEN = Scan(ranges=frozen(np.linspace(0.1, 9.9, BEAMS), np.float32), angle_min=-2.0, angle_step=0.01, range_max=10.0)
+SAID = Velocity(**COMMAND)  # type: ignore[arg-type]
+
+
+class World:
+    """Tells every vehicle where it is, and what its scanner sees, if it has one."""
+
+    name = "physics"
+    slot = wake_slot = Slot.WORLD
+    reads = ("*/command",)
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self, world: Any, vehicles: Any, busy_s: NonNegative = 0.0) -> None:
+        self.radius_m = {each.name: 0.0 for each in vehicles}
+        self._busy_s = busy_s
+        self._said = [(f"{each.name}/estimate", STATE_SEEN) for each in vehicles]
+        self._said += [(f"{each.name}/scan", SCAN_SEEN) for each in vehicles if each.sensors]  # type: ignore[misc]
+
+    def start(self, run: RunInfo) -> int | None:
+        """Publish at once."""
+        return 0
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """Publish."""
+        busy(self._busy_s)
+        return Step([Event(key, now_ns, value) for key, value in self._said], now_ns + PERIOD_NS)
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+class Still(Agent):
+    """Says the same whatever it sees."""
+
+    def __init__(self, busy_s: NonNegative = 0.0) -> None:
+        self._busy_s = busy_s
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        """A command of nearly a hundred bytes."""
+        busy(self._busy_s)
+        return SAID
+
+
+def scenario(wanted: Options) -> dict[str, Any]:
+    """The star."""
+    seen = (
+        {"sensors": {"scan": {"kind": "range_scanner", "beams": BEAMS, "field_of_view": 4.0, "range_max": 10.0}}}
+        if wanted.scans
+        else {}
+    )
+    return {
+        "name": "bench",
+        "duration_s": 1e6,
+        "physics": {"kind": "bench.peers.ours:World", "busy_s": wanted.world_s},
+        "radio": {"preset": "ideal"},
+        "vehicles": {"kind": "point"},
+        "agents": {
+            "kind": "bench.peers.ours:Still",
+            "runs": "process" if wanted.processes else "inprocess",
+            "period_s": PERIOD_NS / 1e9,
+            "latency_s": wanted.latency_s,
+            "busy_s": wanted.busy_s,
+            "deadline_s": 30.0,
+            **({"processes": wanted.processes} if wanted.processes else {}),
+        },
+        "vehicle": [{"name": f"car{n:02}", "agent": {}, **seen} for n in range(wanted.agents)],
+    }
+
+
+def sizes(scans: bool) -> tuple[int, int]:
+    """Bytes of an agent's observation and answer on the wire."""
+    late_ns = 1000 * PERIOD_NS
+    seen = [Event("car00/estimate", late_ns, STATE_SEEN), *([Event("car00/scan", late_ns, SCAN_SEEN)] if scans else [])]
+    return sum(len(encode(each)) for each in seen), len(encode(Event("car00/command", late_ns, SAID)))
+
+
+def main() -> None:
+    """Run until nobody asks any more."""
+    wanted = options()
+    pace = Pace(wanted)
+    parsed, source = scenarios.load(scenario(wanted))
+    with Assembly(parsed, source) as assembly:
+        kernel = Kernel(assembly.run_info, assembly.federates)
+        kernel.start()
+
+        def instant(_: int) -> None:
+            kernel.stop = not pace.step()
+
+        try:
+            kernel.run(lambda _: None, on_instant=instant)
+        except KeyboardInterrupt:  # which is what a stop is
+            kernel.close()
+
+
+if __name__ == "__main__":
+    main()
