@@ -44,6 +44,7 @@ class AgentHost:
         ordered = sorted(specs, key=lambda spec: spec.vehicle)
         self._seats = {spec.vehicle: _Seat(spec, given.get(spec.vehicle), kinds) for spec in ordered}
         self.agents = tuple(seat.info for seat in self._seats.values())
+        self._ticks = tuple(dict.fromkeys(info.ticks for info in self.agents))
         self.reads = tuple(f"{vehicle}/heard" for vehicle in self._seats)
         self.latest = tuple(
             f"{vehicle}/{what}" for vehicle, seat in self._seats.items() for what in ("estimate", *seat.sensors)
@@ -61,10 +62,13 @@ class AgentHost:
             vehicle, _, what = event.key.partition("/")
             self._seats[vehicle].take(what, event.value)
         events: list[Event] = []
+        after = {ticks: ticks.after(now_ns) for ticks in self._ticks}  # few trains, many seats
+        next_ns = NEVER_NS
         for seat in self._seats.values():
             if seat.next_ns <= now_ns:
-                seat.tick(now_ns, events)
-        return Step(events, min(seat.next_ns for seat in self._seats.values()))
+                seat.tick(now_ns, after[seat.info.ticks], events)
+            next_ns = min(next_ns, seat.next_ns)
+        return Step(events, next_ns)
 
     def close(self) -> None:
         """Close every agent that was started, even if one of them fails; the first failure is raised at the end."""
@@ -145,13 +149,13 @@ class _Seat:
         else:
             self._readings[what] = value
 
-    def tick(self, now_ns: int, events: list[Event]) -> None:
+    def tick(self, now_ns: int, after_ns: int, events: list[Event]) -> None:
         """Append what the agent does at its tick, or what its vehicle does without it, in effect from now + latency on."""
         if self.next_ns < now_ns:  # out of reach of the run, it has missed ticks
             self.next_ns = self._ticks.after(now_ns - 1)
             if self.next_ns > now_ns:
                 return
-        self.next_ns = self._ticks.after(now_ns)
+        self.next_ns = after_ns
         if now_ns >= self.fails_ns:
             self._die(now_ns, events)
         elif self._absence is not None:
@@ -185,17 +189,25 @@ class _Seat:
             readings=Readings(self._readings),
             heard=tuple(self._heard),
         )
-        self._heard.clear()
-        command = self.guarded(self.agent.act, seen, self._radio)
+        if self._heard:
+            self._heard.clear()
+        agent = self.agent
+        try:
+            command = agent.act(seen, self._radio)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # as in `guarded`, a call less
+            raise self._failure(error) from error
         when, vehicle = now_ns + self.info.latency_ns, self._vehicle
         if command is not None:
             events.append(Event(f"{vehicle}/command", when, self._checked(command)))
-        if self.agent.follows != self._follows:
-            self._follows = self.agent.follows
+        if agent.follows is not self._follows and agent.follows != self._follows:
+            self._follows = agent.follows
             events.append(Event(f"{vehicle}/follows", when, self._place(self._follows)))
-        if notes := self.agent.drain_notes():
+        if notes := agent.drain_notes():
             events.append(Event(f"{vehicle}/note", when, Note(values=notes)))
-        events.extend(Event(f"{vehicle}/send", when, message) for message in self._radio.drain())
+        if sent := self._radio.drain():
+            events.extend(Event(f"{vehicle}/send", when, message) for message in sent)
 
     def _die(self, now_ns: int, events: list[Event]) -> None:
         """From now on the vehicle stands still and says nothing."""
@@ -240,8 +252,12 @@ class _Seat:
         except passes:
             raise
         except BaseException as error:  # whatever an agent raises must not end the recording
-            cause = f"raised {type(error).__name__}: {error}{place_of(error)}"
-            raise self._error(cause, details="".join(traceback.format_exception(error))) from error
+            raise self._failure(error) from error
+
+    def _failure(self, error: BaseException) -> AgentError:
+        """What an agent raised, as an error that names agent, vehicle, and the line."""
+        cause = f"raised {type(error).__name__}: {error}{place_of(error)}"
+        return self._error(cause, details="".join(traceback.format_exception(error)))
 
     def _error(self, cause: str, *, details: str = "") -> AgentError:
         return AgentError((self._vehicle,), self.spec.kind, cause, details=details)
@@ -284,8 +300,11 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
 def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
     """The command in plain floats, and their sum, which is finite only if all are."""
     if isinstance(command, Velocity):
-        x, y, z = map(float, command.linear)
-        rate = float(command.yaw_rate)
+        x, y, z = command.linear
+        rate = command.yaw_rate
+        if type(x) is type(y) is type(z) is type(rate) is float and type(command) is Velocity and type(command.linear) is tuple:
+            return command, x + y + z + rate
+        x, y, z, rate = float(x), float(y), float(z), float(rate)
         return Velocity(linear=(x, y, z), yaw_rate=rate), x + y + z + rate
     x, y, z = map(float, command.position)
     yaw, speed = (None if each is None else float(each) for each in (command.yaw, command.speed))

@@ -50,15 +50,24 @@ def _decode_array(kind: Any, value: Any) -> Any:
     """A read-only view of the bytes, said just as `encode` says it; dtypes that hold Python objects are refused."""
     if getattr(kind, "__origin__", kind) is not np.ndarray:
         raise NotImplementedError(f"cannot read a {kind}")
-    dtype, shape, raw = value
-    if not re.fullmatch(r"[<>|][biuf]\d+", dtype):
-        raise ValueError(f"arrays of {dtype!r} do not travel")
-    array = np.frombuffer(raw, np.dtype(dtype)).reshape(shape)
-    if array.dtype.str != dtype or list(array.shape) != shape:  # such as a size of -1, which NumPy works out
-        raise ValueError(f"{dtype!r} of shape {shape!r} is no array's own description")
-    if array.dtype.kind == "b" and array.view(np.uint8).max(initial=0) > 1:
+    name, shape, raw = value
+    dtype = _dtypes.get(name) or _dtype(name)
+    array = np.frombuffer(raw, dtype)
+    if [array.size] != shape:
+        array = array.reshape(shape)
+        if list(array.shape) != shape:  # such as a size of -1, which NumPy works out
+            raise ValueError(f"{name!r} of shape {shape!r} is no array's own description")
+    if dtype.kind == "b" and array.view(np.uint8).max(initial=0) > 1:
         raise ValueError("a boolean is neither 0 nor 1")
     return array
 
 
+def _dtype(name: str) -> np.dtype[Any]:
+    """The type that says its name just so; few do, so that they can be kept."""
+    if not re.fullmatch(r"[<>|][biuf]\d+", name) or (dtype := np.dtype(name)).str != name:
+        raise ValueError(f"arrays of {name!r} do not travel")
+    return _dtypes.setdefault(name, dtype)
+
+
+_dtypes: dict[str, np.dtype[Any]] = {}
 _encoder = msgspec.msgpack.Encoder(enc_hook=_encode_other)

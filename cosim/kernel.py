@@ -203,15 +203,15 @@ class Kernel:
 
     def _give(self, index: int, events: Sequence[Event], now: int, slot: Slot) -> None:
         """Take what a federate gave; an event of the future that wakes someone has its instant scheduled."""
-        home = self._federates[index].slot
+        home, routes = self._federates[index].slot, self._routes
         for event in events:
-            when = event.time_ns
+            when, key = event.time_ns, event.key
             if when < now:
-                raise FederateError(self._federates[index].name, f"gave {event.key} of {when} ns at {now} ns")
+                raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
             at = slot if when == now else home
             self._given += 1
-            route = self._route(event.key)
-            due = when, at, event.key, self._given, event, route
+            route = routes.get(key) or self._route(key)
+            due = when, at, key, self._given, event, route
             if when == now:
                 self._present.append(due)
             else:

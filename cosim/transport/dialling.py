@@ -46,9 +46,10 @@ def serve(
     name = security.OPEN if bundle is None else bundle.name
     with dial(endpoint, bundle, on_state) as session:
         host = str(session.zid())
-        questions: queue.SimpleQueue[zenoh.Query | bool] = queue.SimpleQueue()
+        questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
         key = security.host_key(name, host, "ask")
-        queryable = session.declare_queryable(key, Callback(questions.put, indirect=False))
+        hears = session.declare_subscriber(key, Callback(questions.put, indirect=False))
+        says = session.declare_publisher(security.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
         token = session.liveliness().declare_token(security.host_key(name, host, "alive"))
 
         def on_hub(sample: zenoh.Sample) -> None:
@@ -59,18 +60,22 @@ def serve(
         welcome = _join(session, name, hello(host))
         on_state("joined; waiting for the run to begin")
         try:
-            _answer(questions, desk, key, session, welcome.patience_s)
+            _answer(questions, desk, says, session, welcome.patience_s)
             if desk.failure is not None:
                 raise desk.failure
             return desk.ended or ""
         finally:
             desk.close()
-            for handle in (watch, token, queryable):
+            for handle in (watch, token, hears, says):
                 handle.undeclare()  # type: ignore[no-untyped-call]
 
 
 def _answer(
-    questions: "queue.SimpleQueue[zenoh.Query | bool]", desk: Desk, key: str, session: zenoh.Session, patience_s: float
+    questions: "queue.SimpleQueue[zenoh.Sample | bool]",
+    desk: Desk,
+    says: zenoh.Publisher,
+    session: zenoh.Session,
+    patience_s: float,
 ) -> None:
     """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again.
 
@@ -91,14 +96,17 @@ def _answer(
             if there and _hub(session) not in (hub, ""):
                 raise FederateError("the run", "is gone: another one listens there now; start this host again")
             continue
-        with question:
-            number, oldest = wire.numbers.unpack(question.attachment.to_bytes() if question.attachment else b"")
-            answers = {each: answer for each, answer in answers.items() if each >= oldest}
-            if number == last + 1:
-                answers[number] = desk.handle(question.payload.to_bytes() if question.payload else b"")
-                last = number
-            if number in answers:
-                question.reply(key, answers[number])
+        content = question.payload.to_bytes()
+        if len(content) < wire.numbers.size:
+            continue  # nothing that a run asks
+        number, oldest = wire.numbers.unpack_from(content)
+        while answers and next(iter(answers)) < oldest:
+            del answers[next(iter(answers))]
+        if number == last + 1:
+            answers[number] = wire.number.pack(number) + desk.handle(content[wire.numbers.size :])
+            last = number
+        if number in answers:
+            says.put(answers[number])
 
 
 def _hub(session: zenoh.Session) -> str:

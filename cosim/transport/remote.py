@@ -48,6 +48,7 @@ class RemoteHost:
         self.agents = tuple(info for each in built for info in each.agents)
         self.reads = tuple(key for each in built for key in each.reads)
         self.latest = tuple(key for each in built for key in each.latest)
+        self._latency_ns = {info.vehicle: info.latency_ns for info in self.agents}
         self._infos = {info.vehicle: info for info in self.agents}
         trains = dict.fromkeys(info.ticks for info in self.agents)
         self._trains = {each: frozenset(info.vehicle for info in self.agents if info.ticks == each) for each in trains}
@@ -91,7 +92,7 @@ class RemoteHost:
         asked = self._asked.popleft()
         events, now_ns = asked.events, asked.now_ns
         for crew in asked.crews:
-            effects = {vehicle: now_ns + self._infos[vehicle].latency_ns for vehicle in crew.vehicles if vehicle in asked.due}
+            effects = {vehicle: now_ns + self._latency_ns[vehicle] for vehicle in crew.vehicles if vehicle in asked.due}
             try:
                 given = crew.stepped(effects, self._names)
             except FederateError as error:

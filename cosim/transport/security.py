@@ -4,7 +4,8 @@ Keys of the protocol, with a machine's name NAME from its certificate and ZID, t
 
     vcmvsp/join/NAME             queryable of the hub: a host that wants to take part
     vcmvsp/about/NAME            queryable of the hub: what run this is, and what NAME is to it
-    vcmvsp/host/NAME/ZID/ask     queryable of a host: one question, one answer
+    vcmvsp/host/NAME/ZID/ask     the hub publishes questions to a host
+    vcmvsp/host/NAME/ZID/answer  the host publishes its answers
     vcmvsp/host/NAME/ZID/alive   liveliness token of a host
     vcmvsp/hub/alive             liveliness token of the hub
     vcmvsp/topic/...             what the run shows to observers
@@ -77,6 +78,11 @@ def join_key(name: str) -> str:
 def about_key(name: str) -> str:
     """Where a machine asks what run this is."""
     return f"vcmvsp/about/{name}"
+
+
+def answer_key(ask: str) -> str:
+    """Where a host answers what it is asked under this key."""
+    return f"{ask.removesuffix('ask')}answer"
 
 
 def host_key(name: str, zid: str, what: Literal["ask", "alive"]) -> str:
@@ -327,8 +333,10 @@ def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
         allow = policy(name)
         allow("greets", "ingress", ["query"], join_key(name))
         allow("is answered", "egress", ["reply"], join_key(name))
-        allow("answers", "ingress", ["declare_queryable", "reply"], f"vcmvsp/host/{name}/*/ask")
-        allow("is asked", "egress", ["query"], f"vcmvsp/host/{name}/*/ask")
+        allow("listens", "ingress", ["declare_subscriber"], f"vcmvsp/host/{name}/*/ask")
+        allow("is asked", "egress", ["put"], f"vcmvsp/host/{name}/*/ask")
+        allow("is heard", "egress", ["declare_subscriber"], f"vcmvsp/host/{name}/*/answer")
+        allow("answers", "ingress", ["put"], f"vcmvsp/host/{name}/*/answer")
         allow("is alive", "ingress", ["liveliness_token"], f"vcmvsp/host/{name}/*/alive")
     for name in observers:
         allow = policy(name)

@@ -21,7 +21,7 @@ from cosim.codec import Decoder, encode
 from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from cosim.federate import Event, RunInfo
 
-PROTOCOL = 4
+PROTOCOL = 5
 """Version of this table; a host of another version is refused."""
 
 
@@ -120,7 +120,10 @@ Question = Build | Begin | Act | End
 Answer = Built | Stepped | Ended | Failed
 
 numbers = struct.Struct("<QQ")
-"""Beside each question: its number, from 1 on, and that of the oldest one which has not been answered."""
+"""Before each question: its number, from 1 on, and that of the oldest one which has not been answered."""
+
+number = struct.Struct("<Q")
+"""Before each answer: the number of its question."""
 
 questions: Decoder[Question] = Decoder(Question)
 answers: Decoder[Answer] = Decoder(Answer)
@@ -144,6 +147,7 @@ __all__ = [
     "answers",
     "encode",
     "hellos",
+    "number",
     "numbers",
     "questions",
     "welcomes",

@@ -1,8 +1,9 @@
 """The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients.
 
-The host's end is `cosim.transport.dialling`; the keys, and who may use which, are in `cosim.transport.security`. A query, not
-a pair of publications, carries each question: Zenoh then tells at once when nobody is there to answer. Questions are
-numbered, and a host keeps its last answers: one that was cut off is asked again as soon as it is back, and does nothing twice.
+The host's end is `cosim.transport.dialling`; the keys, and who may use which, are in `cosim.transport.security`. Questions and
+answers are publications, which Zenoh loses in silence when a link breaks. So they are numbered, and a host keeps its last
+answers: one whose token comes back, or that has been silent for a second, is asked again all that is open, and does nothing
+twice.
 Callbacks are always direct (no thread per callback) and only hand over to a queue.
 """
 
@@ -135,7 +136,7 @@ class Hub:
         (self._wanted.discard if there else self._wanted.add)(host)
         if not self._wanted:
             self.shut()
-        link.noticed(there)
+        link.there(there)
 
     def _linked(self, host: str, key: str) -> "ZenohLink":
         link = self._links[host] = ZenohLink(self.session, key)
@@ -178,7 +179,7 @@ class ZenohLink:
 
     Args:
         session: the hub's.
-        key: of the host's queryable.
+        key: under which the host is asked.
 
     Attributes:
         why_lost: says how the host has ended; an empty answer: that is not known, and it may come back.
@@ -190,10 +191,12 @@ class ZenohLink:
     leaving = False
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
-        self._session, self._key = session, key
+        self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
+        self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+        self._hears = session.declare_subscriber(security.answer_key(key), Callback(self._news.put, indirect=False))
         self._open: deque[_Question] = deque()
         self._number = 0
-        self._asked_again, self._ended = 0.0, False
+        self._asked_at = 0.0  # when all that is open was last asked
         self._cut: float | None = None  # since when nobody is there
         self._failed = False
         self.why_lost: Callable[[], str] = lambda: ""
@@ -201,10 +204,18 @@ class ZenohLink:
         self.released: Callable[[bool], None] = lambda _: None
         self.cuts_s: list[float] = []
 
+    def there(self, there: bool) -> None:
+        """Told by Zenoh's thread whether the host can be reached."""
+        self._news.put(there)
+        self.noticed(there)
+
     def ask(self, question: bytes, deadline_s: float) -> None:
-        """Send a question; Zenoh ends it without a reply as soon as nobody is there who could answer."""
+        """Send a question; a host that is out of reach is asked again as soon as it is back."""
         self._number += 1
-        asked = _Question(self._number, question, deadline_s, time.monotonic() + deadline_s)
+        now = time.monotonic()
+        if not self._open:
+            self._asked_at = now
+        asked = _Question(self._number, question, deadline_s, now + deadline_s)
         self._open.append(asked)
         self._send(asked)
 
@@ -212,69 +223,81 @@ class ZenohLink:
         """Wait for the answer to the oldest open question."""
         while True:  # a question stays open if Ctrl-C ends the waiting
             oldest = self._open[0]
-            answer = self._taken(oldest.replies.recv)
+            left_s, wait_s = oldest.last - time.monotonic(), _SLICE_S if self._cut is None else _RETRY_S
+            try:
+                answer = self._taken(self._news.get(timeout=max(0.0, min(left_s, wait_s))))
+            except queue.Empty:
+                answer = None
+                if left_s <= 0.0:
+                    self._failed = True
+                    gone = "" if self._cut is None else ": it left the run, or is cut off from it"
+                    raise LateError(f"did not answer within the deadline of {oldest.deadline_s:g} s{gone}") from None
+                if self._cut is None:
+                    self._ask_again()
+                else:
+                    self._check_whether_ended()
             if answer is not None:
                 return answer
-            if time.monotonic() + _RETRY_S >= oldest.last:
-                self._failed = True
-                gone = "" if self._cut is None else ": it left the run, or is cut off from it"
-                raise LateError(f"did not answer within the deadline of {oldest.deadline_s:g} s{gone}")
-            if self._cut is not None:
-                time.sleep(_RETRY_S)
-            self._ask_again()
 
     def look(self) -> bytes | None:
         """The answer to the oldest open question, if it is there, however late."""
-        answer = self._taken(self._open[0].replies.try_recv)
-        if self._ended and time.monotonic() - self._asked_again > _RETRY_S:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                if (answer := self._taken(self._news.get_nowait())) is not None:
+                    return answer
+        if time.monotonic() - self._asked_at > _SLICE_S:
             self._ask_again()
-        return answer
+        return None
 
     def close(self) -> None:
         """Let go of whatever runs the host."""
+        with contextlib.suppress(zenoh.ZError):  # the session may be closed
+            self._hears.undeclare()  # type: ignore[no-untyped-call]
         self.released(not self._failed)
 
-    def _taken(self, take: "Callable[[], zenoh.Reply | None]") -> bytes | None:
-        """The answer to the oldest question, if this gives one."""
-        try:
-            reply = take()
-        except zenoh.ZError:  # nobody is there who could answer
-            self._ended = True
+    def _taken(self, news: "zenoh.Sample | bool") -> bytes | None:
+        """The answer to the oldest question, if this is it."""
+        if news is False:  # nobody is there who could answer
             self._cut = self._cut or time.monotonic()
-            if ended := self.why_lost():
-                self._failed = True
-                raise LinkError(ended) from None
+            self._check_whether_ended()
             return None
-        if reply is None:  # not yet
+        if news is True:
+            self._ask_again()
             return None
-        if reply.ok is None:  # not for a while
-            self._ended = True
+        content = news.payload.to_bytes()
+        if len(content) < wire.number.size or "*" in str(news.key_expr):
+            return None  # no answer of ours: a key with wildcards may be meant for many
+        number, oldest = wire.number.unpack_from(content)[0], self._open[0]
+        if number != oldest.number:  # asked twice, answered twice
             return None
         if self._cut is not None:
             self.cuts_s.append(time.monotonic() - self._cut)
         self._cut, self._failed = None, False
         self._open.popleft()
-        return reply.ok.payload.to_bytes()
+        return content[wire.number.size :]
+
+    def _check_whether_ended(self) -> None:
+        if ended := self.why_lost():
+            self._failed = True
+            raise LinkError(ended)
 
     def _ask_again(self) -> None:
         """Ask all that is open once more."""
-        self._asked_again, self._ended = time.monotonic(), False
+        self._asked_at = time.monotonic()
         for each in self._open:
             self._send(each)
 
     def _send(self, asked: "_Question") -> None:
-        attachment = wire.numbers.pack(asked.number, self._open[0].number)
-        wait_s = min(_SLICE_S, max(_RETRY_S, asked.last - time.monotonic()))
-        asked.replies = self._session.get(self._key, payload=asked.content, attachment=attachment, timeout=wait_s)
+        self._ask.put(wire.numbers.pack(asked.number, self._open[0].number) + asked.content)
 
 
-class _Question:
+class _Question(NamedTuple):
     """One that has not been answered."""
 
-    replies: "zenoh.Handler[zenoh.Reply]"
-
-    def __init__(self, number: int, content: bytes, deadline_s: float, last: float) -> None:
-        self.number, self.content, self.deadline_s, self.last = number, content, deadline_s, last
+    number: int
+    content: bytes
+    deadline_s: float
+    last: float
 
 
 def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.Session:

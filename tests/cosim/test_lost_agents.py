@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 import cosim
 from cosim.clock import SECOND_NS, Ticks
 from cosim.record.metrics import agent_metrics
+from cosim.transport import wire
 from cosim.types import Presence
 from tests.cosim.hosting import Stage, ended, wait_for
 
@@ -289,7 +290,7 @@ def test_a_run_listens_for_nobody_whom_it_cannot_use(stage: ByHand) -> None:
         f"serve.host('{stage.endpoint}', ('car2',))"
     )
     done = subprocess.run([sys.executable, "-c", older], check=False, capture_output=True, text=True, timeout=60)
-    words = "speaks protocol 4, the host 1: use the same vcmvsp version"
+    words = f"speaks protocol {wire.PROTOCOL}, the host 1: use the same vcmvsp version"
     assert words in done.stderr
     other.send_signal(signal.SIGINT)
     assert words in ended(other)[1]
