@@ -14,7 +14,6 @@ same bytes in one process and in many.
 
 import heapq
 import traceback
-from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import TypeVar
@@ -66,7 +65,7 @@ class Kernel:
         self._present: list[Due] = []  # those that belong to the slot that is being worked off
         self._given = 0  # events given so far; keeps the order of giving among equal keys
         self._routes: dict[str, Route] = {}
-        self._open: defaultdict[int, deque[int]] = defaultdict(deque)  # federate -> due times of its open questions
+        self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> whose answers are awaited there
 
     def start(self) -> None:
         """Start all federates: everything that can be wrong with how they are set up comes out here."""
@@ -173,7 +172,7 @@ class Kernel:
         federate = self._remote[index]
         with self._blames[index]:
             next_ns = federate.ask(now, self._take_inbox(index))
-        self._open[index].append(now + federate.lookahead_ns)
+        self._open.setdefault((now + federate.lookahead_ns, federate.slot), []).append(index)
         if federate.lookahead_ns:
             self._slot(now + federate.lookahead_ns, federate.slot)
         self._schedule_next(index, next_ns, now)
@@ -185,12 +184,10 @@ class Kernel:
 
     def _collect(self, now: int, slot: Slot) -> None:
         """Await all answers that fall due in this slot."""
-        for index, due in sorted(self._open.items()):
-            while due and due[0] == now and slot == self._remote[index].slot:
-                due.popleft()
-                with self._blames[index]:
-                    events = self._await(self._remote[index].answer)
-                self._give(index, events, now, slot)
+        for index in sorted(self._open.pop((now, slot), ())):
+            with self._blames[index]:
+                events = self._await(self._remote[index].answer)
+            self._give(index, events, now, slot)
 
     def _take_inbox(self, index: int) -> Sequence[Event]:
         inbox, self._inbox[index] = self._inbox[index], []

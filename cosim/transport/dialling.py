@@ -1,5 +1,6 @@
 """The host's end of Eclipse Zenoh: dial in, join a run, answer its questions until it ends."""
 
+import os
 import queue
 import time
 from collections.abc import Callable
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door yet
 _NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 _DIAL_S = 0.1
+ONE_LINK = "(rx: (worker_threads: 1))"
+"""Of Zenoh's threads: one listens. More would all be woken by each message of the only link, which costs a tenth of an exchange."""
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
 
 
@@ -116,6 +119,7 @@ def _hub(session: zenoh.Session) -> str:
 
 def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]) -> zenoh.Session:
     """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
+    os.environ.setdefault("ZENOH_RUNTIME", ONE_LINK)  # which Zenoh reads when a process opens its first session
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     secure = {} if bundle is None else security.machine_security(bundle)

@@ -73,7 +73,7 @@ class RemoteHost:
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
         """Send the step; the next wake-up follows from the agents' ticks, whatever the answer will be."""
-        asked = _Asked(now_ns, frozenset().union(*(whose for train, whose in self._trains.items() if train.hits(now_ns))))
+        asked = _Asked(now_ns, self._due(now_ns))
         self._asked.append(asked)
         if self._missing:
             asked.events += self._leave(self._missing, now_ns, "no host has joined for it yet")
@@ -83,9 +83,9 @@ class RemoteHost:
         whole = len(self._crews) == 1 and not self._away
         for crew in self._crews:
             mine = inbox if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
-            crew.send(wire.Act(now_ns, list(mine)))
+            crew.send(wire.Act(now_ns, mine))
             asked.crews.append(crew)
-        return min(train.after(now_ns) for train in self._trains)
+        return self._next(now_ns)
 
     def answer(self) -> Sequence[Event]:
         """The events of the oldest step that is still open."""
@@ -104,6 +104,14 @@ class RemoteHost:
         for vehicle, absence in self._away.items():
             events += absence.go_on(now_ns + self._infos[vehicle].latency_ns)
         return events
+
+    def _due(self, now_ns: int) -> frozenset[str]:
+        """Whose tick this is; of all, since they were asked for, where all have the same ticks."""
+        due = [whose for train, whose in self._trains.items() if len(self._trains) == 1 or train.hits(now_ns)]
+        return due[0] if len(due) == 1 else frozenset().union(*due)
+
+    def _next(self, now_ns: int) -> int:
+        return min([train.after(now_ns) for train in self._trains])
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Ask and wait."""

@@ -60,7 +60,7 @@ class Act(msgspec.Struct, frozen=True, tag=True):
     """Step to ``now_ns``."""
 
     now_ns: int
-    inbox: list[Event]
+    inbox: Sequence[Event]
 
 
 class End(msgspec.Struct, frozen=True, tag=True):

@@ -193,7 +193,8 @@ class ZenohLink:
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
         self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
-        self._hears = session.declare_subscriber(security.answer_key(key), Callback(self._news.put, indirect=False))
+        self._answers = zenoh.KeyExpr(security.answer_key(key))
+        self._hears = session.declare_subscriber(self._answers, Callback(self._news.put, indirect=False))
         self._open: deque[_Question] = deque()
         self._number = 0
         self._asked_at = 0.0  # when all that is open was last asked
@@ -265,7 +266,7 @@ class ZenohLink:
             self._ask_again()
             return None
         content = news.payload.to_bytes()
-        if len(content) < wire.number.size or "*" in str(news.key_expr):
+        if len(content) < wire.number.size or news.key_expr != self._answers:
             return None  # no answer of ours: a key with wildcards may be meant for many
         number, oldest = wire.number.unpack_from(content)[0], self._open[0]
         if number != oldest.number:  # asked twice, answered twice
