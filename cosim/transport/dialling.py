@@ -21,7 +21,7 @@ JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door
 _NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 _DIAL_S = 0.1
 ONE_LINK = "(rx: (worker_threads: 1))"
-"""Of Zenoh's threads: one listens. More would all be woken by each message of the only link, which costs a tenth of an exchange."""
+"""Of Zenoh's threads one listens: more would all be woken by each message of the only link, a tenth of an exchange."""
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
 
 
