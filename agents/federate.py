@@ -19,6 +19,7 @@ from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import AgentError, ScenarioError, place_of
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.scenario import AgentTable
+from cosim.text import plain
 from cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
 
 NEVER_NS = 2**63
@@ -260,7 +261,7 @@ class _Seat:
         return self._error(cause, details="".join(traceback.format_exception(error)))
 
     def _error(self, cause: str, *, details: str = "") -> AgentError:
-        return AgentError((self._vehicle,), self.spec.kind, cause, details=details)
+        return AgentError((self._vehicle,), self.spec.kind, plain(cause, lines=True), details=details)
 
 
 class Kinds:

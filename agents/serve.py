@@ -56,7 +56,8 @@ def host(
         if warning := bundle.check():
             on_state(warning)
         bundle.speaks_for(vehicles)
-    endpoint_rules(endpoint, bundle, insecure=insecure, side="host")
+    if not token:  # whom a run has started it has also told where to dial
+        endpoint_rules(endpoint, bundle, insecure=insecure, side="host")
 
     def hello(host_id: str) -> Hello:
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=folder, params=params or {}, token=token)

@@ -34,6 +34,7 @@ from cosim.kernel import Kernel, Observer
 from cosim.record.metrics import Window
 from cosim.record.recorder import Recorder
 from cosim.record.tables import Placement, load
+from cosim.text import plain
 from cosim.types import Array, Presence
 
 if TYPE_CHECKING:
@@ -321,7 +322,7 @@ class _Simulation:
             failure = error
         self._simulating_s, self._over = time.monotonic() - begin, True
         if isinstance(failure, AgentError):
-            gone = Presence(state="lost", since_ns=kernel.now_ns, why=failure.cause)
+            gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
             for vehicle in failure.vehicles:
                 recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)

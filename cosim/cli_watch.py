@@ -12,6 +12,7 @@ import typer
 
 from cosim.cli_options import AsJson
 from cosim.frames import yaw_of
+from cosim.text import plain
 
 if TYPE_CHECKING:
     from cosim.transport.watching import Seen
@@ -64,17 +65,23 @@ def watch_command(
 
 def line(seen: "Seen") -> str:
     """An event for people."""
-    said = "".join(each if each.isprintable() else "?" for each in words(seen.type, seen.value))
-    return f"{seen.time_ns / 1e9:9.3f} s  {seen.topic:<16}  {said}\n"
+    return plain(f"{seen.time_ns / 1e9:9.3f} s  {seen.topic:<16}  {words(seen.type, seen.value)}") + "\n"
 
 
 def words(kind: str, value: Any) -> str:
     """A value for people; of a kind that is not known here, its JSON."""
     try:
         said = _WORDS[kind](value)
-    except (KeyError, TypeError, ValueError):  # of another version, or of somebody's own
-        said = msgspec.json.encode(value).decode()
+    except Exception:  # of another version, or of somebody's own, with anything in it
+        said = _json_or(value)
     return said if len(said) <= WIDTH else f"{said[: WIDTH - 3]}..."
+
+
+def _json_or(value: Any) -> str:
+    try:
+        return msgspec.json.encode(value).decode()
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return "(cannot be shown)"
 
 
 def _newest(batch: Iterable["Seen"]) -> list["Seen"]:

@@ -1,22 +1,25 @@
 """Where agents run: in this process, in child processes, or in hosts that somebody starts elsewhere."""
 
 import contextlib
+import queue
 import secrets
 import shlex
+import tempfile
+import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cosim import joining, registry
 from cosim.agent import Agent, AgentInfo, AgentSpec
-from cosim.errors import AgentError, UsageError
+from cosim.errors import AgentError, ScenarioError, UsageError
 from cosim.federate import Federate
 from cosim.scenario import AgentsTable
 from cosim.transport.crew import Crew, Link, MemoryLink
 from cosim.transport.desk import Desk, HostFederate
 from cosim.transport.remote import RemoteHost
-from cosim.transport.wire import Built
+from cosim.transport.wire import Built, Machine
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
 
 HOST_PROCESS = "agents.serve"
 POLL_S = 0.05
+GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
+MOST_TOLD = 100  # different reasons for which hosts were refused
 
 
 class Tell(Protocol):
@@ -65,8 +70,11 @@ class Hosts:
         self.infos: list[AgentInfo] = []
         self.kinds: dict[str, str] = {}  # vehicle -> class that a host brought along instead of the scenario's
         self._links: list[tuple[str, ZenohLink]] = []
+        self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # of Zenoh's threads, for the user
+        self._refused: set[str] = set()  # what has been said of those who were refused
         self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
-        self._specs: dict[str, AgentSpec] = {}  # of those
+        self._specs: dict[str, AgentSpec] = {}  # of those, as their hosts have them
+        self._wanted: dict[str, AgentSpec] = {}  # ... as the scenario has them
         self._waiting: dict[str, AgentSpec] = {}  # who has not joined before the run began
 
     def close(self) -> None:
@@ -76,7 +84,11 @@ class Hosts:
     @property
     def cuts_s(self) -> dict[str, list[float]]:
         """For how long each host was out of reach, each time that the run waited for it, by its vehicles."""
-        return {vehicles: link.cuts_s for vehicles, link in self._links if link.cuts_s}
+        cuts: dict[str, list[float]] = {}
+        for vehicles, link in self._links:
+            if link.cuts_s:
+                cuts.setdefault(vehicles, []).extend(link.cuts_s)
+        return cuts
 
     def run_here(self, specs: Sequence[AgentSpec], objects: Mapping[str, Agent]) -> None:
         """Host agents in this process."""
@@ -95,7 +107,9 @@ class Hosts:
         from cosim.transport.process import HostProcess
         from cosim.transport.zenoh import Hub
 
-        hub = Hub(patience_s=self._patience_s(specs))
+        # A socket in a folder that is this user's alone: whoever else is on this machine cannot ask the children anything.
+        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))
+        hub = Hub(f"unixsock-stream/{folder}/hub", patience_s=self._patience_s(specs))
         self._stack.callback(hub.close)
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
@@ -121,25 +135,31 @@ class Hosts:
         waiting = self._waiting = dict(wanted)
         if self._watch is None:  # nobody else starts them
             self._tell_how(hub.endpoint, specs)
-        joined: dict[str, tuple[ZenohLink, list[AgentSpec]]] = {}
+        joined: dict[Machine, tuple[ZenohLink, list[AgentSpec]]] = {}
 
-        def missing() -> list[str]:
-            for host in sorted(hub.gone & joined.keys()):
+        def give_up(hosts: Collection[Machine]) -> None:
+            for host in sorted(hosts):
                 for left in joined.pop(host)[1]:
                     waiting[left.vehicle] = wanted[left.vehicle]
                     self.kinds.pop(left.vehicle, None)
                     self._tell(f"the host of {left.vehicle} has left; waiting for another")
+
+        def missing() -> list[str]:
+            last = time.monotonic() - self._agents.deadline_s  # until then it may come back
+            give_up({host for host, since in list(hub.gone.items()) if host in joined and since < last})
             if self._watch is not None and (why := self._watch()):
                 raise AgentError(tuple(waiting), "host", why)
             return list(waiting)
 
         for knock in self._knocking(hub, missing, indispensable=lambda vehicle: _indispensable(wanted[vehicle])):
             hello = knock.hello
+            # Whoever comes in place of one that is out of reach need not wait until that is given up.
+            give_up({host for host in hub.gone.keys() & joined.keys() if _runs(joined[host][1], hello.vehicles)})
             if link := self._let_in(knock, joining.refusal(hello, waiting, wanted)):
                 specs_of = [joining.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
-                joined[hello.host] = link, specs_of
+                joined[knock.machine] = link, specs_of
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
-        self._waiting = {}
+        self._waiting, self._wanted = {}, wanted
         self._specs = {**wanted, **{spec.vehicle: spec for _, group in joined.values() for spec in group}}
         if not waiting:
             hub.shut()
@@ -152,6 +172,11 @@ class Hosts:
             how += ["--keys", f"{spec.vehicle}.keys"] if self._keys else ["--insecure"] if self._insecure else []
             self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
 
+    def _tell_news(self) -> None:
+        """Tell what has happened as it happens, however long that takes: Zenoh's threads have other things to do."""
+        while (text := self._news.get()) is not None:
+            self._tell(text)
+
     def listen(self, specs: Sequence[AgentSpec] = ()) -> None:
         """Let machines dial in that host these agents, or only watch."""
         from cosim.transport.topics import Topics
@@ -162,6 +187,8 @@ class Hosts:
         self._stack.callback(self.hub.close)
         self.topics = Topics(self.hub.session, self._about, keys)
         self._stack.callback(self.topics.close)
+        threading.Thread(target=self._tell_news, daemon=True).start()
+        self._stack.callback(self._news.put, None)
         if not specs:
             self.hub.shut()
 
@@ -195,7 +222,18 @@ class Hosts:
             self._stack.callback(link.close)
             crews.append(self._crew_at(link, specs))
         for crew in crews:
-            self._add_host([crew], crew.build())
+            try:
+                self._add_host([crew], crew.build())
+            except (AgentError, ScenarioError) as error:
+                asked_for = [self._wanted.get(vehicle) for vehicle in crew.vehicles]
+                if not all(spec is not None and not _indispensable(spec) for spec in asked_for):
+                    raise
+                self._tell(f"{error}; the run begins without")
+                crew.dismiss(str(error))
+                late = [*late, *(spec for spec in asked_for if spec is not None)]
+                for vehicle in crew.vehicles:
+                    self.kinds.pop(vehicle, None)
+                    self._specs[vehicle] = self._wanted[vehicle]
         if late:  # what they will be is known without them: the scenario names their classes
             local: Any = registry.piece("agent host")("late", late)
             self._add_host([], Built(local.agents, local.reads, local.latest), late)
@@ -213,8 +251,9 @@ class Hosts:
     def _crew_at(self, link: "ZenohLink", specs: Sequence[AgentSpec]) -> Crew:
         who = ", ".join(spec.vehicle for spec in specs)
         self._links.append((who, link))
+        link.cut_deadline_s = max(self._agents.deadline_s, GONE_S)
         if self.hub is not None:  # of a child that is gone, the run knows more
-            link.noticed = lambda there: self._tell(f"the host of {who} is {'back' if there else 'out of reach'}")
+            link.noticed = lambda there: self._news.put(f"the host of {who} is {'back' if there else 'out of reach'}")
         return self._crew(link, specs)
 
     def _add(self, host: HostFederate) -> None:
@@ -231,22 +270,26 @@ class Hosts:
         hub = self.hub
         if hub is None:
             return
-        if not any(each.wants() for each in self._elsewhere):
+        if any(each.wants() for each in self._elsewhere):
+            hub.open()
+        else:
             hub.shut()
-            return
-        hub.open()
-        while knock := hub.next_hello(0.0):
+        if knock := hub.next_hello(0.0):  # one a tick: nobody can keep the run at the door
             hello = knock.hello
             places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
             link = self._let_in(knock, joining.late_refusal(hello, self._specs, self._elsewhere, places))
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")
-                places[0].welcome(self._crew_at(link, [self._specs[vehicle] for vehicle in hello.vehicles]))
+                specs = [joining.at_its_place(self._specs[vehicle], hello) for vehicle in hello.vehicles]
+                places[0].welcome(self._crew_at(link, specs))
 
     def _let_in(self, knock: "Knock", refusal: str | None) -> "ZenohLink | None":
         """A link to a host that knocks, unless it is refused."""
         if why := knock.denied or refusal:
-            self._tell(f"refused a host{f' with the certificate of {knock.name}' if self._keys else ''}: {why}")
+            words = f"refused a host{f' with the certificate of {knock.machine[0]}' if self._keys else ''}: {why}"
+            if words not in self._refused and len(self._refused) < MOST_TOLD:
+                self._refused.add(words)
+                self._tell(words)
         return knock.answer(refusal)
 
     def _knocking(
@@ -272,6 +315,10 @@ class Hosts:
                 cause = f"its process {children[token].why_ended()} before it joined"
                 raise AgentError(tuple(spec.vehicle for spec in group), group[0].kind, cause)
         return [spec.vehicle for token, group in groups.items() if token not in links for spec in group]
+
+
+def _runs(specs: Sequence[AgentSpec], vehicles: Collection[str]) -> bool:
+    return any(spec.vehicle in vehicles for spec in specs)
 
 
 def _indispensable(spec: AgentSpec) -> bool:

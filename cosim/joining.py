@@ -57,6 +57,11 @@ def late_refusal(
     return None if places else f"the run has begun with {', '.join(hello.vehicles)} at several hosts: start one for each"
 
 
+def at_its_place(spec: AgentSpec, hello: Hello) -> AgentSpec:
+    """The spec for a host that comes later: the same class may be in another folder on its machine."""
+    return spec if hello.kind is None else msgspec.structs.replace(spec, kind=hello.kind, folder=hello.folder)
+
+
 def as_host_says(spec: AgentSpec, hello: Hello, kinds: dict[str, str]) -> AgentSpec:
     """The spec with what the host was told on its own command line; another class than the scenario's is noted in ``kinds``."""
     params: dict[str, Any] = dict(hello.params)

@@ -1,7 +1,7 @@
 """What a host of agents says is believed in nothing: here it is compared with what was asked of it.
 
-A host is somebody else's program on somebody else's machine. Where it says more than a host may, the run ends with an error
-that names it. Causes are worded to stand behind ``gave an answer that cannot be read:``.
+A host is somebody else's program on somebody else's machine. Where it says more than a host may, it is lost, and an error
+or the recording says why. Causes are worded to stand behind ``gave an answer that is refused:``.
 """
 
 import math
@@ -101,8 +101,8 @@ def _rare(value: Any, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
     if type(value) is Follows and value.leader is not None and (value.leader not in names or value.leader == vehicle):
         raise ValueError(f"it follows {plain(value.leader, LONGEST_NAME)}, which is not another vehicle of this run")
     if type(value) is Presence:
-        if not (0 <= value.since_ns <= due_ns and value.late in _INT64):
-            raise ValueError(f"{vehicle}/host since {value.since_ns} ns, {value.late} late, at {due_ns} ns")
+        if value.state == "back" or value.late or not 0 <= value.since_ns <= due_ns:
+            raise ValueError(f"{vehicle}/host since {value.since_ns} ns, {value.state}, {value.late} late, at {due_ns} ns")
         if plain(value.why) != value.why:
             raise ValueError(f"{vehicle}/host with a reason that is too long or cannot be shown")
 

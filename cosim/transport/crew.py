@@ -140,6 +140,11 @@ class Crew:
             self._released = self.link.leaving = True
             self.send(wire.End(reason))
 
+    def dismiss(self, why: str) -> None:
+        """Let the host go without waiting for it."""
+        self.release(why)
+        self.link.close()
+
     def close(self) -> None:
         """Wait until the agents are closed, and let the host go."""
         try:

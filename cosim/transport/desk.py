@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from cosim.agent import AgentInfo, AgentSpec
-from cosim.errors import FederateError, VcmvspError
+from cosim.errors import FederateError, Interrupted, VcmvspError
 from cosim.federate import Federate
 from cosim.transport import wire
 
@@ -38,6 +38,8 @@ class Desk:
             return wire.encode(self._answer(wire.questions.decode(question)))
         except VcmvspError as error:
             self.failure = error
+        except KeyboardInterrupt:
+            self.failure = Interrupted("interrupted at its host")
         except BaseException as error:  # a host must answer, whatever its agents do
             details = "".join(traceback.format_exception(error))
             self.failure = FederateError("host", f"{type(error).__name__}: {error}", details=details)
@@ -46,6 +48,8 @@ class Desk:
 
     def _answer(self, question: wire.Question) -> wire.Answer:
         if isinstance(question, wire.Build):
+            if self._federate is not None:
+                raise FederateError("host", "was asked to build twice")
             self._federate = self._builds("host", question.specs)
             return wire.Built(self._federate.agents, self._federate.reads, self._federate.latest)
         if isinstance(question, wire.End):

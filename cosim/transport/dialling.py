@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door yet
 _NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 _DIAL_S = 0.1
+_LOOK_S = 1.0
+UNIX = "unixsock-stream/"  # how the children of a run reach it
 ONE_LINK = "(rx: (worker_threads: 1))"
 """Of Zenoh's threads one listens: more would all be woken by each message of the only link, a tenth of an exchange."""
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
@@ -91,9 +93,12 @@ def _answer(
     there = True
     while desk.ended is None:
         try:
-            question = questions.get(timeout=None if there else patience_s)
+            question = questions.get(timeout=_LOOK_S if there else patience_s)
         except queue.Empty:
-            raise FederateError("the run", "is gone: its process ended or the connection broke") from None
+            if not there:
+                raise FederateError("the run", "is gone: its process ended or the connection broke") from None
+            there = _hub(session) != ""  # a host that was stopped for a while may have missed that its run went
+            continue
         if isinstance(question, bool):  # whether the hub is there
             there = question
             if there and _hub(session) not in (hub, ""):
@@ -131,7 +136,7 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
         except UsageError as error:
             if "Unable to connect" not in str(error):
                 raise
-        refusal = security.diagnose(endpoint, bundle)
+        refusal = None if endpoint.startswith(UNIX) else security.diagnose(endpoint, bundle)
         if refusal is not None and refusal.final:
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
         waits = f"waiting for a run at {endpoint}" + (f": {refusal.why}" if refusal else "")
@@ -164,4 +169,6 @@ def _join(session: zenoh.Session, name: str, hello: wire.Hello) -> wire.Welcome:
         if time.monotonic() > last:
             break
         time.sleep(_DIAL_S)
-    raise UsageError("the run ended before it let this host in" if name == security.OPEN else security.silence(name))
+    if name == security.OPEN:
+        raise FederateError("the run", "ended before it let this host in")
+    raise UsageError(security.silence(name))

@@ -12,11 +12,11 @@ import msgspec
 
 from cosim.absence import Absence
 from cosim.agent import AgentSpec
-from cosim.errors import FederateError, VcmvspError
+from cosim.errors import AgentError, FederateError, VcmvspError
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.transport import wire
 from cosim.transport.crew import Crew
-from cosim.types import Follows
+from cosim.types import Follows, Presence
 
 
 class RemoteHost:
@@ -59,24 +59,36 @@ class RemoteHost:
         self._missing = tuple(missing)
         self._away: dict[str, Absence] = {}
         self._kept: dict[str, Event] = {}  # the newest that vehicles have seen which are away
-        self._removable = any(spec.on_lost == "remove" for crew in crews for spec in crew.specs)
+        policies = {spec.on_lost for crew in crews for spec in crew.specs} | {spec.on_lost for spec in missing}
+        self._may_go_on = policies != {"stop"}
+        self._replaceable = frozenset(self.latest) if "hold" in policies else frozenset()
         self._following: set[str] = set()  # who means to keep a place
+        self._failed: dict[str, Crew] = {}  # agents that failed inside a host that is still there
 
     def start(self, run: RunInfo) -> int | None:
         """Have the agents told who and where they are."""
         self._run, self._names = run, frozenset(run.vehicles)
         for crew in self._crews:
             crew.send(wire.Begin(run))
-        for crew in self._crews:
-            crew.receive()
+        for crew in list(self._crews):
+            try:
+                crew.receive()
+            except AgentError:
+                if crew.indispensable:
+                    raise
+                self._crews.remove(crew)
+                self._others.append(crew)
+                self._missing += crew.specs
         return 0
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
         """Send the step; the next wake-up follows from the agents' ticks, whatever the answer will be."""
         asked = _Asked(now_ns, self._due(now_ns))
         self._asked.append(asked)
+        if self._replaceable:
+            self._kept.update((event.key, event) for event in inbox if event.key in self._replaceable)
         if self._missing:
-            asked.events += self._leave(self._missing, now_ns, "no host has joined for it yet")
+            asked.events += self._leave(self._missing, now_ns, "it has no host yet")
             self._missing = ()
         if self._away:
             inbox = self._look_around(asked, inbox)
@@ -99,8 +111,8 @@ class RemoteHost:
                 events += self._lose(crew, now_ns, error)
             else:
                 events += [event for event in given if _vehicle(event) not in self._away] if self._away else given
-                if self._removable:
-                    self._note_places(given)
+                if self._may_go_on:
+                    self._note(given, crew)
         for vehicle, absence in self._away.items():
             events += absence.go_on(now_ns + self._infos[vehicle].latency_ns)
         return events
@@ -140,8 +152,9 @@ class RemoteHost:
 
     def wants(self, vehicle: str | None = None) -> bool:
         """Whether this vehicle may have another host, or any may."""
-        named = self._away if vehicle is None else [vehicle]
-        return any(each in self._away and not self._away[each].final for each in named)
+        away = dict(self._away)  # as it is now: Zenoh's thread may ask, too
+        named = away if vehicle is None else [vehicle]
+        return any(each in away and not away[each].final for each in named)
 
     def welcome(self, crew: Crew) -> None:
         """Take a host in place of the one that was lost; it is asked as soon as its agents stand."""
@@ -157,7 +170,7 @@ class RemoteHost:
         for asked in self._asked:
             asked.crews = [each for each in asked.crews if each is not crew]
         self._others.append(crew)
-        if not crew.alive:
+        if not crew.alive or all(spec.on_lost == "remove" for spec in crew.specs):
             self._dismiss(crew, error.cause)
         return self._leave([spec for spec in crew.specs if spec.vehicle not in self._away], now_ns, error.cause)
 
@@ -167,18 +180,20 @@ class RemoteHost:
             info, follows = self._infos[spec.vehicle], spec.vehicle in self._following
             absence = Absence(spec, info.ticks.after(now_ns - 1), now_ns + info.latency_ns, why, follows=follows)
             self._away[spec.vehicle] = absence
-            news += absence.news
+            if spec.vehicle not in self._failed:  # else it has been said
+                news += absence.news
         return news
 
-    def _note_places(self, events: Sequence[Event]) -> None:
+    def _note(self, events: Sequence[Event], crew: Crew) -> None:
+        """Who means to keep a place, and whose agent has failed."""
         for event in events:
             if isinstance(event.value, Follows):
                 (self._following.discard if event.value.leader is None else self._following.add)(_vehicle(event))
+            elif isinstance(event.value, Presence):
+                self._failed[_vehicle(event)] = crew
 
     def _look_around(self, asked: "_Asked", inbox: Sequence[Event]) -> Sequence[Event]:
         """Take back those who have an agent again; the answer is what all who are there are to know."""
-        latest = frozenset(self.latest)
-        self._kept.update((event.key, event) for event in inbox if _vehicle(event) in self._away and event.key in latest)
         self._door()
         for crew in list(self._others):
             try:
@@ -211,18 +226,20 @@ class RemoteHost:
         for vehicle in crew.vehicles:
             if not self.wants(vehicle):
                 continue
-            info = self._infos[vehicle]
+            info, absence = self._infos[vehicle], self._away.pop(vehicle)
+            if self._failed.get(vehicle) is crew:
+                continue  # the host is back, the agent is not
+            self._failed.pop(vehicle, None)
             since_ns, when = info.ticks.after(asked.now_ns - 1), asked.now_ns + info.latency_ns
-            asked.events.append(self._away.pop(vehicle).back(since_ns, when, crew.late))
-            seen = [self._kept.pop(key) for key in list(self._kept) if key.startswith(f"{vehicle}/")]
+            asked.events.append(absence.back(since_ns, when, crew.late))
+            seen = [event for key, event in self._kept.items() if key.startswith(f"{vehicle}/")]
             inbox = [*seen, *(event for event in inbox if _vehicle(event) != vehicle)]
         crew.late = 0
         return inbox
 
     def _dismiss(self, crew: Crew, why: str) -> None:
         self._others.remove(crew)
-        crew.release(why)
-        crew.link.close()
+        crew.dismiss(why)
 
 
 class _Asked:

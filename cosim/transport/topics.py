@@ -48,7 +48,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     seed: int | None = None
     duration_s: float | None = None
     vehicles: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()  # vehicles whose agents have not joined
+    missing: tuple[str, ...] = ()  # vehicles whose agents have not joined, or are lost
     time_ns: int | None = None  # simulated; None: it has not begun
     wall_ns: int  # the hub's wall clock when it answered, since 1970
     you: You

@@ -35,7 +35,7 @@ class Seen(NamedTuple):
         """The value, of lists, mappings, numbers and strings; None: it cannot be read."""
         try:
             return msgspec.json.decode(self.payload)
-        except ValueError:
+        except (ValueError, RecursionError):
             return None
 
 
@@ -85,7 +85,7 @@ def watch(
             over = run.is_over()  # asked first: what has come until then is given yet
             if batch := _batch(inbox, every_s):
                 yield batch
-        on_state("the run has ended" + (f"; {lost} events came too fast to be shown" if lost else ""))
+        on_state("the run has ended, or is out of reach" + (f"; {lost} events came too fast to be shown" if lost else ""))
 
 
 class _Presence:
@@ -94,19 +94,28 @@ class _Presence:
     def __init__(self, session: zenoh.Session, endpoint: str, bundle: "Bundle | None") -> None:
         self._session, self._endpoint, self._bundle = session, endpoint, bundle
         self._hub = self._present()
-        self._gone_at: float | None = None
+        self._gone_at: float | None = None  # its token
+        self._cut_at: float | None = None  # its session
         changes = Callback(self._on_token, indirect=False)
         session.liveliness().declare_subscriber(security.HUB_ALIVE, changes, history=True)
 
     def is_over(self) -> bool:
         """Whether the run has ended, or is out of reach for good."""
-        if self._present() not in (self._hub, ""):
+        present = self._present()
+        if present not in (self._hub, ""):
             return True  # another one listens there now
-        since = self._gone_at
+        if present:
+            self._cut_at = None
+        elif self._cut_at is None:
+            self._cut_at = time.monotonic()
+        since = self._gone_at or self._cut_at
         if since is None:
             return False
-        hopeless = security.diagnose(self._endpoint, self._bundle) is not None or time.monotonic() > since + PATIENCE_S
-        return hopeless and self._gone_at is not None  # it may have come back meanwhile
+        refusal = security.diagnose(self._endpoint, self._bundle)
+        hopeless = (refusal is not None and refusal.final) or time.monotonic() > since + PATIENCE_S
+        if not hopeless:
+            time.sleep(POLL_S)
+        return hopeless and (self._gone_at or self._cut_at) is not None  # it may have come back meanwhile
 
     def _present(self) -> str:
         return "".join(str(each) for each in self._session.info.routers_zid()[:1])

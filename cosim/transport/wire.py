@@ -25,6 +25,10 @@ PROTOCOL = 5
 """Version of this table; a host of another version is refused."""
 
 
+Machine = tuple[str, str]
+"""The name of a machine, from its certificate, and the id of its session."""
+
+
 class Hello(msgspec.Struct, frozen=True, tag=True):
     """A host introduces itself: the vehicles whose agents it wants to run, and what it was told on its command line."""
 

@@ -9,6 +9,7 @@ Callbacks are always direct (no thread per callback) and only hand over to a que
 
 import contextlib
 import json
+import math
 import queue
 import time
 from collections import deque
@@ -21,6 +22,7 @@ from zenoh.handlers import Callback
 from cosim.errors import UsageError
 from cosim.transport import checking, security, wire
 from cosim.transport.crew import LateError, LinkError
+from cosim.transport.wire import Machine
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
@@ -46,6 +48,8 @@ QUEUES: dict[str, Any] = {
 }
 """Of the hub, so that an observer that takes no more pictures holds the run up for 5 ms, not 50."""
 _RETRY_S = 0.02
+_DOOR = 64  # who may wait at the door
+_SPARE = 10  # answers that may wait beyond those that were asked for: some are given twice
 _SLICE_S = 1.0  # after so long without an answer a question is asked again: a link that breaks may lose one in silence
 
 
@@ -71,9 +75,9 @@ class Hub:
         self.endpoint = self._locator()
         self._keys, self._patience_s = keys, patience_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
-        self._wanted = {"to begin"}  # why somebody may come in; nothing: nobody is missing
-        self.gone: set[str] = set()  # sessions of hosts that have left
-        self._links: dict[str, ZenohLink] = {}
+        self._missing = True  # the run has no host yet for one of its agents, or has lost one
+        self.gone: dict[Machine, float] = {}  # hosts whose token has gone, and when
+        self._links: dict[Machine, ZenohLink] = {}
         session = self.session
         self._watch = session.liveliness().declare_subscriber(security.ALIVE, Callback(self._on_token, indirect=False))
         self._door = session.declare_queryable(security.JOIN, Callback(self._on_join, indirect=False))
@@ -88,7 +92,8 @@ class Hub:
         speaker = security.speaker(str(query.key_expr))
         try:
             hello = wire.hellos.decode(query.payload.to_bytes() if query.payload else b"")
-            key = security.host_key(speaker[0] if speaker else "", hello.host, "ask")
+            machine = speaker[0] if speaker else "", hello.host
+            key = security.host_key(*machine, "ask")
             checking.greeting(hello)
         except ValueError:
             self._reply(query, "that was no greeting of a vcmvsp host")
@@ -97,28 +102,26 @@ class Hub:
         denied = None
         if hello.protocol != wire.PROTOCOL:
             denied = f"this run speaks protocol {wire.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
-        elif self._keys is not None and speaker is not None:
+        elif self._keys is not None:
             from cosim import certificates
 
             current = certificates.load(self._keys.folder)  # somebody may have been shut out since the run began to listen
-            denied = security.admission(current, speaker[0], hello.vehicles)
+            denied = security.admission(current, machine[0], hello.vehicles)
 
         def answer(refused: str | None) -> ZenohLink | None:
             self._reply(query, denied or refused)
-            return None if denied or refused else self._linked(hello.host, key)
+            return None if denied or refused else self._linked(machine, key)
 
-        return Knock(hello, speaker[0] if speaker else "", denied, answer)
+        return Knock(hello, machine, denied, answer)
 
     def open(self) -> None:
         """Somebody is missing: let those who come wait to be heard (`next_hello`)."""
-        self._wanted.add("to replace")
+        self._missing = True
 
     def shut(self) -> None:
-        """Nobody is missing any more: refuse whoever still comes."""
-        self._wanted.clear()
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self._refuse(self._joins.get_nowait())
+        """Nobody is missing any more: refuse whoever comes while all are within reach."""
+        self._missing = False
+        self._send_away()
 
     def close(self) -> None:
         """Leave; hosts see the hub's token go."""
@@ -128,25 +131,38 @@ class Hub:
         speaker = security.speaker(str(sample.key_expr))
         if speaker is None:
             return
-        host, there = speaker[1], sample.kind == zenoh.SampleKind.PUT
-        (self.gone.discard if there else self.gone.add)(host)
-        link = self._links.get(host)
-        if link is None or link.leaving:
-            return
-        (self._wanted.discard if there else self._wanted.add)(host)
-        if not self._wanted:
-            self.shut()
-        link.there(there)
+        there = sample.kind == zenoh.SampleKind.PUT
+        if there:
+            self.gone.pop(speaker, None)
+        else:
+            self.gone[speaker] = time.monotonic()
+        link = self._links.get(speaker)
+        if link is not None and not link.leaving:
+            link.there(there)
+            self._send_away()
 
-    def _linked(self, host: str, key: str) -> "ZenohLink":
-        link = self._links[host] = ZenohLink(self.session, key)
+    def _linked(self, machine: Machine, key: str) -> "ZenohLink":
+        link = self._links[machine] = ZenohLink(self.session, key)
         return link
 
+    def _is_open(self) -> bool:
+        """Whether somebody may be needed: who is out of reach may have been killed, and be back under another id."""
+        gone = (self._links.get(machine) for machine in list(self.gone))
+        return self._missing or any(link is not None and not link.leaving for link in gone)
+
+    def _send_away(self) -> None:
+        """Refuse those who wait, if nobody is needed."""
+        with contextlib.suppress(queue.Empty):
+            while not self._is_open():
+                self._refuse(self._joins.get_nowait())
+
     def _on_join(self, query: zenoh.Query) -> None:
-        if self._wanted:
+        if not self._is_open():
+            self._refuse(query)
+        elif self._joins.qsize() < _DOOR:
             self._joins.put(query)
         else:
-            self._refuse(query)
+            self._reply(query, "too many knock at once; try again")
 
     def _refuse(self, query: zenoh.Query) -> None:
         self._reply(query, "it has begun, and nobody is missing")
@@ -169,7 +185,7 @@ class Knock(NamedTuple):
     """A host that wants to join."""
 
     hello: wire.Hello
-    name: str  # of its certificate
+    machine: Machine
     denied: str | None  # why its version or its certificate does not let it; None: they do
     answer: "Callable[[str | None], ZenohLink | None]"  # with why it is refused, or None to let it in
 
@@ -185,6 +201,7 @@ class ZenohLink:
         why_lost: says how the host has ended; an empty answer: that is not known, and it may come back.
         noticed: told by Zenoh's thread, and at once, when the host is out of reach (False), and when it is back.
         released: lets go of whatever runs the host; told whether it has answered to the last.
+        cut_deadline_s: for how long it may be out of reach, whatever it was asked.
         cuts_s: for how long it was out of reach, each time that the run waited for it.
     """
 
@@ -192,23 +209,29 @@ class ZenohLink:
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
+        self._open: deque[_Question] = deque()
         self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
         self._answers = zenoh.KeyExpr(security.answer_key(key))
-        self._hears = session.declare_subscriber(self._answers, Callback(self._news.put, indirect=False))
-        self._open: deque[_Question] = deque()
+        self._hears = session.declare_subscriber(self._answers, Callback(self._on_answer, indirect=False))
         self._number = 0
         self._asked_at = 0.0  # when all that is open was last asked
+        self._there = True
         self._cut: float | None = None  # since when nobody is there
         self._failed = False
         self.why_lost: Callable[[], str] = lambda: ""
         self.noticed: Callable[[bool], None] = lambda _: None
         self.released: Callable[[bool], None] = lambda _: None
         self.cuts_s: list[float] = []
+        self.cut_deadline_s = math.inf
 
     def there(self, there: bool) -> None:
         """Told by Zenoh's thread whether the host can be reached."""
         self._news.put(there)
         self.noticed(there)
+
+    def _on_answer(self, sample: zenoh.Sample) -> None:
+        if self._news.qsize() < len(self._open) + _SPARE:
+            self._news.put(sample)
 
     def ask(self, question: bytes, deadline_s: float) -> None:
         """Send a question; a host that is out of reach is asked again as soon as it is back."""
@@ -223,17 +246,15 @@ class ZenohLink:
     def answer(self) -> bytes:
         """Wait for the answer to the oldest open question."""
         while True:  # a question stays open if Ctrl-C ends the waiting
-            oldest = self._open[0]
-            left_s, wait_s = oldest.last - time.monotonic(), _SLICE_S if self._cut is None else _RETRY_S
+            now, oldest = time.monotonic(), self._open[0]
+            waits_s = min(oldest.last - now, _SLICE_S if self._there else _RETRY_S)
+            if waits_s <= 0.0 or (not self._there and self._cut is not None and now - self._cut > self.cut_deadline_s):
+                return self._last_look(oldest)
             try:
-                answer = self._taken(self._news.get(timeout=max(0.0, min(left_s, wait_s))))
+                answer = self._taken(self._news.get(timeout=waits_s))
             except queue.Empty:
                 answer = None
-                if left_s <= 0.0:
-                    self._failed = True
-                    gone = "" if self._cut is None else ": it left the run, or is cut off from it"
-                    raise LateError(f"did not answer within the deadline of {oldest.deadline_s:g} s{gone}") from None
-                if self._cut is None:
+                if self._there:
                     self._ask_again()
                 else:
                     self._check_whether_ended()
@@ -242,28 +263,40 @@ class ZenohLink:
 
     def look(self) -> bytes | None:
         """The answer to the oldest open question, if it is there, however late."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                if (answer := self._taken(self._news.get_nowait())) is not None:
-                    return answer
+        for _ in range(self._news.qsize()):
+            if (answer := self._taken(self._news.get())) is not None:
+                return answer
         if time.monotonic() - self._asked_at > _SLICE_S:
             self._ask_again()
         return None
 
+    def _last_look(self, oldest: "_Question") -> bytes:
+        """The answer, if it came while others were waited for."""
+        answer = self.look()
+        if answer is None:
+            self._failed = True
+            deadline_s = oldest.deadline_s if self._there else min(oldest.deadline_s, self.cut_deadline_s)
+            gone = "" if self._cut is None else ": it left the run, or is cut off from it"
+            raise LateError(f"did not answer within the deadline of {deadline_s:g} s{gone}")
+        return answer
+
     def close(self) -> None:
         """Let go of whatever runs the host."""
-        with contextlib.suppress(zenoh.ZError):  # the session may be closed
-            self._hears.undeclare()  # type: ignore[no-untyped-call]
+        self.leaving = True
+        for handle in (self._hears, self._ask):
+            with contextlib.suppress(zenoh.ZError):  # the session may be closed
+                handle.undeclare()  # type: ignore[no-untyped-call]
         self.released(not self._failed)
 
     def _taken(self, news: "zenoh.Sample | bool") -> bytes | None:
         """The answer to the oldest question, if this is it."""
-        if news is False:  # nobody is there who could answer
-            self._cut = self._cut or time.monotonic()
-            self._check_whether_ended()
-            return None
-        if news is True:
-            self._ask_again()
+        if isinstance(news, bool):  # whether anybody is there who could answer
+            self._there = news
+            if news:
+                self._ask_again()
+            else:
+                self._cut = self._cut or time.monotonic()
+                self._check_whether_ended()
             return None
         content = news.payload.to_bytes()
         if len(content) < wire.number.size or news.key_expr != self._answers:

@@ -137,7 +137,8 @@ def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand)
     time.sleep(2.0)
     early.kill()
     later, leader = stage.host(), stage.host(vehicle="car1")
-    assert [ended(each)[0] for each in (run, later, leader)] == [0, 0, 0]
+    ends = [ended(each) for each in (run, later, leader)]
+    assert [code for code, _ in ends] == [0, 0, 0], ends
 
 
 def test_a_run_that_nobody_joins_ends(stage: ByHand) -> None:
@@ -157,7 +158,7 @@ def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
     code, said = ended(run)
     assert code == 3
     assert "agent leader_follower of vehicle car2: did not answer within the deadline of 2 s: it left the run" in said
-    assert time.monotonic() - begin < 10.0
+    assert time.monotonic() - begin < 40.0  # far less than the hour that the run was to last
     assert (stage.out / "states.parquet").exists()
 
 

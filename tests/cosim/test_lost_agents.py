@@ -246,7 +246,7 @@ def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
 def test_a_host_may_come_late(stage: ByHand) -> None:
     run = stage.run("agents.join_timeout_s=0.1")
     heard(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run begins without")
-    heard(run, "car2 has lost its agent: no host has joined for it yet")
+    heard(run, "car2 has lost its agent: it has no host yet")
     code, said = ended(stage.host("--set", "at=7.0"))
     assert (code, "takes no other parameters: leave out --set" in said) == (2, True)
     late = stage.host()
@@ -317,3 +317,54 @@ def test_what_was_missed_is_counted_to_the_tick(changes: list[int], end: int, pe
     assert found["late"] == found["reconnects"] == len(changes) // 2
     gone = [*changes, end] if len(changes) % 2 else changes
     assert found["lost_s"] == sum(back - lost for lost, back in zip(gone[::2], gone[1::2], strict=True))
+
+
+def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand) -> None:
+    """Another one may come, with the same class from a folder of its own."""
+    run, bad = stage.run(), stage.host("nobody.py:Nobody")
+    code, said = ended(bad)
+    assert (code, "nobody.py" in said) == (2, True)
+    heard(run, "the run begins without")
+    heard(run, "car2 has lost its agent")
+    elsewhere = stage.folder / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "failing.py").write_text(AGENTS)
+    good = subprocess.Popen(
+        [sys.executable, "-m", "cosim.cli", "agent", "failing.py:Failing", "--vehicle", "car2", "--connect", stage.endpoint],
+        cwd=elsewhere,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    stage.processes.append(good)
+    heard(run, "car2 has its agent again")
+    _, metrics, _ = stage.finish(run)
+    assert ended(good)[0] == 0
+    assert metrics["reconnects"] == 1
+
+
+def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> None:
+    run, host = stage.run("agents.join_timeout_s=3.0"), stage.host()
+    wait_for(stage.out / "run.mcap")
+    host.send_signal(signal.SIGSTOP)
+    stage.finish(run)
+    time.sleep(2.0)
+    host.send_signal(signal.SIGCONT)
+    code, said = ended(host)
+    assert (code, "is gone" in said) == (3, True)
+
+
+def test_an_agent_that_failed_is_not_back_when_its_host_is(stage: ByHand) -> None:
+    """It failed; later its host hung for a while, and came back: the agent has not."""
+    run = stage.run("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3")
+    host = stage.host()
+    heard(run, "car2 has lost its agent: raised RuntimeError: lost my way")
+    host.send_signal(signal.SIGSTOP)
+    time.sleep(3.0)
+    host.send_signal(signal.SIGCONT)
+    time.sleep(2.0)
+    _, metrics, said = stage.finish(run)
+    assert ended(host)[0] == 0
+    assert [each[2]["state"] for each in said] == ["lost"]
+    assert metrics["reconnects"] == 0
+    assert metrics["missed"] - round(metrics["lost_s"] / 0.1) in (0, 1)  # the run may end at a tick
+    assert metrics["missed"] > 40

@@ -234,7 +234,7 @@ WORDS = [
     ("scan", {"ranges": [None]}, "1 beams, all free"),
     ("message", {"sender": "car1", "to": None, "size_bytes": 40, "body": {"x": 1.5}}, "car1 to all, 40 bytes: x 1.5"),
     ("frame", {"sender": "a", "size_bytes": 4, "receivers": ["b"], "outcome": ["fading"]}, "of a, 4 bytes: b fading"),
-    ("note", {"values": {"mode": "\x1b[2J", "x": 1 / 3}}, "mode ?[2J  x 0.3333"),
+    ("note", {"values": {"mode": "\x1b[2J", "x": 1 / 3}}, "mode   x 0.3333"),
     ("of tomorrow", {"x": [1, None]}, '{"x":[1,null]}'),
     ("state", {"position": None}, '{"position":null}'),
     ("velocity", None, "null"),
