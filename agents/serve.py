@@ -3,6 +3,7 @@
 import argparse
 import io
 import os
+import re
 import signal
 import sys
 import threading
@@ -14,7 +15,9 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from agents.federate import AgentHost
+from cosim import table
 from cosim.errors import UsageError, VcmvspError
+from cosim.scenario import AgentTable
 from cosim.transport.desk import Desk
 from cosim.transport.dialling import serve
 from cosim.transport.security import endpoint_rules
@@ -48,6 +51,11 @@ def host(
         insecure: do without one, although the run is on another machine.
         on_state: told what is being waited for.
     """
+    for vehicle in vehicles:
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
+            raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -")
+    if strange := [name for name in params or {} if name in table.parameters(AgentTable)]:
+        raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
     bundle = None
     if keys is not None:
         from cosim import certificates

@@ -227,6 +227,8 @@ class Hosts:
             except (AgentError, ScenarioError) as error:
                 asked_for = [self._wanted.get(vehicle) for vehicle in crew.vehicles]
                 if not all(spec is not None and not _indispensable(spec) for spec in asked_for):
+                    for other in crews:
+                        other.release(f"the run cannot begin: {error}")
                     raise
                 self._tell(f"{error}; the run begins without")
                 crew.dismiss(str(error))

@@ -175,7 +175,7 @@ class Crew:
         if answer is not None:
             self.open -= 1
         if isinstance(answer, wire.Failed):
-            self.alive = False
+            self.alive, self.link.leaving = False, True  # it has said why it goes
             raise checking.failed(answer, self.vehicles).error(self.vehicles)
         return answer
 

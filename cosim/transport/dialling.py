@@ -65,7 +65,7 @@ def serve(
         welcome = _join(session, name, hello(host))
         on_state("joined; waiting for the run to begin")
         try:
-            _answer(questions, desk, says, session, welcome.patience_s)
+            _answer(questions, desk, says, session, welcome.patience_s, on_state)
             if desk.failure is not None:
                 raise desk.failure
             return desk.ended or ""
@@ -81,6 +81,7 @@ def _answer(
     says: zenoh.Publisher,
     session: zenoh.Session,
     patience_s: float,
+    on_state: Callable[[str], None],
 ) -> None:
     """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again.
 
@@ -92,15 +93,14 @@ def _answer(
     hub = _hub(session)
     there = True
     while desk.ended is None:
-        try:
-            question = questions.get(timeout=_LOOK_S if there else patience_s)
-        except queue.Empty:
-            if not there:
-                raise FederateError("the run", "is gone: its process ended or the connection broke") from None
-            there = _hub(session) != ""  # a host that was stopped for a while may have missed that its run went
-            continue
-        if isinstance(question, bool):  # whether the hub is there
-            there = question
+        question = _next(questions, _LOOK_S if there else patience_s)
+        if question is None and not there:
+            raise FederateError("the run", "is gone: its process ended or the connection broke")
+        if question is None or isinstance(question, bool):
+            # Whether the hub is there; a host that was stopped for a while may have missed that.
+            was, there = there, _hub(session) != "" if question is None else question
+            if was and not there:
+                on_state(f"the run is out of reach; waiting for at most {patience_s:g} s")
             if there and _hub(session) not in (hub, ""):
                 raise FederateError("the run", "is gone: another one listens there now; start this host again")
             continue
@@ -115,6 +115,14 @@ def _answer(
             last = number
         if number in answers:
             says.put(answers[number])
+
+
+def _next(questions: "queue.SimpleQueue[zenoh.Sample | bool]", seconds: float) -> "zenoh.Sample | bool | None":
+    """What comes within so long; None: nothing."""
+    try:
+        return questions.get(timeout=seconds)
+    except queue.Empty:
+        return None
 
 
 def _hub(session: zenoh.Session) -> str:

@@ -117,7 +117,7 @@ class Failed(msgspec.Struct, frozen=True, tag=True):
             return ScenarioError(self.cause, key=self.key, source=self.source)
         if self.vehicles:
             return AgentError(self.vehicles, self.agent, self.cause, details=self.details)
-        return FederateError(f"the host of {', '.join(vehicles)}", self.cause, details=self.details)
+        return AgentError(tuple(vehicles), "host", self.cause, details=self.details)
 
 
 Question = Build | Begin | Act | End

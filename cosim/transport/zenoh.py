@@ -137,9 +137,13 @@ class Hub:
         else:
             self.gone[speaker] = time.monotonic()
         link = self._links.get(speaker)
-        if link is not None and not link.leaving:
+        if link is None:
+            return
+        if not link.leaving:
             link.there(there)
             self._send_away()
+        elif there:
+            link.repeat()
 
     def _linked(self, machine: Machine, key: str) -> "ZenohLink":
         link = self._links[machine] = ZenohLink(self.session, key)
@@ -283,9 +287,8 @@ class ZenohLink:
     def close(self) -> None:
         """Let go of whatever runs the host."""
         self.leaving = True
-        for handle in (self._hears, self._ask):
-            with contextlib.suppress(zenoh.ZError):  # the session may be closed
-                handle.undeclare()  # type: ignore[no-untyped-call]
+        with contextlib.suppress(zenoh.ZError):  # the session may be closed
+            self._hears.undeclare()  # type: ignore[no-untyped-call]
         self.released(not self._failed)
 
     def _taken(self, news: "zenoh.Sample | bool") -> bytes | None:
@@ -314,6 +317,11 @@ class ZenohLink:
         if ended := self.why_lost():
             self._failed = True
             raise LinkError(ended)
+
+    def repeat(self) -> None:
+        """Tell a host that was let go while it was out of reach, and is back, why it is not needed any more."""
+        for each in self._open:
+            self._send(each)
 
     def _ask_again(self) -> None:
         """Ask all that is open once more."""

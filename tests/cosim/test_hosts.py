@@ -216,7 +216,7 @@ def test_whatever_is_asked_again_and_in_whatever_order_each_question_is_worked_o
     session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: ["hub"]))
     says = types.SimpleNamespace(put=said.append)
     with pytest.raises(FederateError, match="is gone"):
-        dialling._answer(inbox, Desk(), says, session, 0.001)  # type: ignore[arg-type]
+        dialling._answer(inbox, Desk(), says, session, 0.001, lambda _: None)  # type: ignore[arg-type]
     assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
     expected, done, kept = list[bytes](), 0, set[int]()
     for number, oldest in asked:
