@@ -1,1 +1,1 @@
-"""Real robots as federates: this part holds no driver yet; see its README."""
+"""Real robots in a run: the protocol of their drivers, drivers, and robots in software to try them on."""

@@ -1,0 +1,145 @@
+"""Parameters of the robots that speak the protocol. Lengths in metres, as the vehicle's; factors are of the line's counts.
+
+Sources: robot parameter files p2dx.p, amigo.p, amigo-sh.p of ARIA and robot parameters of Player, which agree; speeds and
+accelerations that the firmware starts with are those of MobileSim, angular accelerations are assumed.
+"""
+
+import math
+from typing import Literal
+
+import msgspec
+
+Kind = Literal["p2dx", "amigo", "amigo-sh"]
+
+
+class Sonar(msgspec.Struct, frozen=True):
+    """Where a sonar sits and looks, in the robot's frame (x forward, y left)."""
+
+    x: float  # m
+    y: float  # m
+    angle: float  # rad
+
+
+class Robot(msgspec.Struct, frozen=True, kw_only=True):
+    """A kind of robot.
+
+    Factors make mm, mm/s of the counts of information packets; commands are in mm/s and deg/s already. ``diff_factor`` is
+    2 / effective track in mm: a turn on the spot makes the wheels of a skidding robot go further than the true track says.
+    """
+
+    name: str
+    kind: Kind  # subclass that the robot tells when it is connected; clients choose parameters by it
+    radius_m: float
+    width_m: float
+    front_m: float  # from the reference point to the foremost point
+    rear_m: float  # from the reference point to the rearmost point
+    max_speed: float  # m/s, more is never done
+    max_yaw_rate: float  # rad/s
+    speed: float  # m/s, that the firmware allows itself until SETV
+    yaw_rate: float  # rad/s, until SETRV
+    accel: float  # m/s2, until SETA
+    decel: float  # m/s2
+    yaw_accel: float  # rad/s2, until SETRA
+    dist_factor: float  # mm per count of x and y
+    vel_factor: float  # mm/s per count of wheel speed
+    range_factor: float  # mm per count of a sonar's range
+    diff_factor: float  # rad per mm of the wheels' difference / 2
+    angle_factor: float = 2.0 * math.pi / 4096  # rad per count of heading
+    vel2_divisor: float = 20.0  # mm/s per count of VEL2
+    watchdog_s: float = 2.0  # without a command, the robot stops
+    period_s: float = 0.1  # from information packet to information packet
+    baud: int = 9600  # 8N1
+    sonar_max_m: float = 5.0  # what a sonar says that hears no echo
+    sonars: tuple[Sonar, ...]
+
+    @property
+    def track_m(self) -> float:
+        """Effective track, m."""
+        return 2e-3 / self.diff_factor
+
+
+def _ring(*places: tuple[int, int, int]) -> tuple[Sonar, ...]:
+    """Sonars by x mm, y mm, degrees."""
+    return tuple(Sonar(x / 1000, y / 1000, math.radians(degrees)) for x, y, degrees in places)
+
+
+def _mirrored(*left: tuple[int, int, int]) -> tuple[tuple[int, int, int], ...]:
+    """These places and then those on the other side, backwards: as the numbers of sonars go round the robot."""
+    return left + tuple((x, -y, -degrees) for x, y, degrees in reversed(left))
+
+
+_P2DX = Robot(
+    name="Pioneer 2-DX",
+    kind="p2dx",
+    radius_m=0.250,
+    width_m=0.425,
+    front_m=0.210,
+    rear_m=0.301,
+    max_speed=2.2,
+    max_yaw_rate=math.radians(500),
+    speed=0.75,
+    yaw_rate=1.74,
+    accel=0.3,
+    decel=0.6,
+    yaw_accel=math.radians(100),
+    dist_factor=0.84,
+    vel_factor=1.0,
+    range_factor=0.268,
+    diff_factor=0.0056,
+    sonars=_ring(
+        *_mirrored((69, 136, 90), (114, 119, 50), (148, 78, 30), (166, 27, 10)),
+        *_mirrored((-157, -136, -90), (-203, -119, -130), (-237, -78, -150), (-255, -27, -170)),
+    ),
+)
+_AMIGO = Robot(
+    name="AmigoBot",
+    kind="amigo",
+    radius_m=0.180,
+    width_m=0.279,
+    front_m=0.160,
+    rear_m=0.170,
+    max_speed=1.0,
+    max_yaw_rate=math.radians(300),
+    speed=0.5,
+    yaw_rate=0.87,
+    accel=0.3,
+    decel=0.75,
+    yaw_accel=math.radians(100),
+    dist_factor=0.5083,
+    vel_factor=0.6154,
+    range_factor=1.0,  # ARIA's; the AmigoBot manual of 2002 says 0.555
+    diff_factor=0.011,
+    sonars=_ring(*_mirrored((76, 100, 90), (125, 75, 41), (150, 30, 15)), (-140, -58, -145), (-140, 58, 145)),
+)
+_AMIGO_SH = msgspec.structs.replace(
+    _AMIGO,
+    name="AmigoBot SH",
+    kind="amigo-sh",
+    speed=0.75,
+    dist_factor=1.0,
+    vel_factor=1.0,
+    sonars=_ring(
+        (70, 100, 90),
+        (125, 75, 41),
+        (144, 30, 15),
+        (144, -30, -15),
+        (120, -75, -41),
+        (70, -100, -90),
+        (-146, -58, -145),
+        (-146, 58, 145),
+    ),
+)
+
+ROBOTS: dict[str, Robot] = {each.kind: each for each in (_P2DX, _AMIGO, _AMIGO_SH)}
+
+
+def robot_of(subclass: str) -> Robot:
+    """Parameters by the subclass that a robot tells, whatever its case.
+
+    Raises:
+        ValueError: there is no such robot.
+    """
+    robot = ROBOTS.get(subclass.lower())
+    if robot is None:
+        raise ValueError(f"unknown kind of robot {subclass!r}: known are {', '.join(ROBOTS)}")
+    return robot

@@ -1,0 +1,34 @@
+"""What stands between a command and a real robot, after everything else: limits, fence, distance, deadman; see `Supervisor`.
+
+::
+
+    limits       how fast, and how fast to become so
+    braking      how far a robot moves until it stands, and how fast it may be so that this fits
+    sector       how far it is to walls and discs, over all directions in which a robot may come to move
+    geofence     a polygon or a circle that it stays inside
+    separation   other vehicles, real or simulated, that it keeps away from
+    deadman      who must have been heard lately, else it stops
+    supervisor   all of them, once a control period
+"""
+
+from hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
+from hardware.safety.geofence import Circle, Fence, Polygon
+from hardware.safety.limits import Limits, clamp
+from hardware.safety.separation import Others
+from hardware.safety.supervisor import Decision, Parameters, Supervisor
+
+__all__ = [
+    "Cause",
+    "Circle",
+    "Deadman",
+    "Decision",
+    "Fence",
+    "Heard",
+    "Limits",
+    "Others",
+    "Parameters",
+    "Polygon",
+    "Supervisor",
+    "TimeOuts",
+    "clamp",
+]

@@ -1,0 +1,31 @@
+"""Other vehicles, real or simulated, that a robot keeps away from."""
+
+import msgspec
+import numpy as np
+
+from cosim.types import Array
+from hardware.safety.sector import Around, Stadiums
+
+
+class Others(msgspec.Struct, frozen=True):
+    """The other vehicles as they are known now, a row each, seen from above."""
+
+    position: Array  # (n, 2) m, world
+    velocity: Array  # (n, 2) m/s, world
+    radius: Array  # (n,) m, of a circle around the body
+
+    def finite(self) -> bool:
+        """Whether all of it is numbers."""
+        return all(bool(np.isfinite(each).all()) for each in (self.position, self.velocity, self.radius))
+
+    def around(self, x: float, y: float, margin: float) -> Around:
+        """The others as they are seen from (x, y) by a robot whose centre keeps ``margin`` m away from their bodies.
+
+        Each counts with the speed at which it comes nearer; none is credited with going away.
+        """
+        position = np.asarray(self.position, float).reshape(-1, 2)
+        to = position - (x, y)
+        distance = np.hypot(to[:, 0], to[:, 1])
+        approach = -np.einsum("ij,ij->i", to, np.asarray(self.velocity, float).reshape(-1, 2))
+        closing = np.maximum(approach, 0.0) / np.where(distance > 0.0, distance, 1.0)
+        return Stadiums(x, y, position, position, np.asarray(self.radius, float) + margin, closing)
