@@ -23,15 +23,30 @@ from bench.peers import ours
 ROUNDS = 7
 HERE = Path(sys.executable)
 PYTHON = Path(".peers/bin/python")
-PEERS = {"bare": "bare Zenoh", "helics_star": "HELICS 3.6.1 (zmq)", "mosaik_star": "mosaik 3.6.0"}
+
+
+class Peer(NamedTuple):
+    """A program of `bench.peers`, and the way in which it does it."""
+
+    module: str
+    name: str
+    way: str = ""
+
+
+QUERY = Peer("bare", "a bare Zenoh query and its reply", "query")
+PUBLISH = Peer("bare", "bare Zenoh, a publication each way", "publish")
+EACH = Peer("helics_star", "HELICS 3.6.1 (zmq), a federate per agent", "each")
+ALL = Peer("helics_star", "HELICS 3.6.1 (zmq), one federate for all agents", "all")
+MOSAIK = Peer("mosaik_star", "mosaik 3.6.0")
+NONE = math.inf
 
 
 class Star(NamedTuple):
-    """A row's workload, and who does the same, with the largest share of his time that ours may take."""
+    """A row's workload, and who does the same, with the largest share of its time that ours may take."""
 
     agents: int
     processes: int
-    beside: dict[str, float]
+    beside: dict[Peer, float]
     scans: bool = False
     latency_s: float = 0.0
 
@@ -48,14 +63,14 @@ class Star(NamedTuple):
 
 
 STARS = (
-    Star(8, 8, {"bare": 1.5, "helics_star": 1 / 3, "mosaik_star": 1 / 2.5}),
-    Star(8, 8, {"bare": 1.5, "helics_star": 1 / 3, "mosaik_star": 1 / 2.5}, scans=True),
-    Star(8, 8, {"helics_star": math.inf}, latency_s=0.1),
-    Star(32, 1, {"bare": 2.0, "helics_star": 1 / 10, "mosaik_star": 1 / 2}),
-    Star(32, 1, {"bare": 2.0, "helics_star": 1 / 10, "mosaik_star": 1 / 20}, scans=True),
-    Star(32, 1, {"helics_star": math.inf}, latency_s=0.1),
-    Star(32, 0, {"mosaik_star": 1.0}),
-    Star(32, 0, {"mosaik_star": 1.0}, scans=True),
+    Star(8, 8, {QUERY: 1.5, PUBLISH: NONE, EACH: 1 / 3, MOSAIK: 1 / 2.5}),
+    Star(8, 8, {QUERY: 1.5, PUBLISH: NONE, EACH: 1 / 3, MOSAIK: 1 / 2.5}, scans=True),
+    Star(8, 8, {EACH: NONE}, latency_s=0.1),
+    Star(32, 1, {QUERY: 2.0, PUBLISH: NONE, EACH: 1 / 10, ALL: NONE, MOSAIK: 1 / 2}),
+    Star(32, 1, {QUERY: 2.0, PUBLISH: NONE, EACH: 1 / 10, ALL: NONE, MOSAIK: 1 / 20}, scans=True),
+    Star(32, 1, {EACH: NONE, ALL: NONE}, latency_s=0.1),
+    Star(32, 0, {MOSAIK: 1.0}),
+    Star(32, 0, {MOSAIK: 1.0}, scans=True),
 )
 
 
@@ -111,12 +126,12 @@ def beside(star: Star) -> Iterator[Row]:
     same |= {"scans": star.scans, "latency_s": star.latency_s}
     with program("ours", HERE, **same) as mine:
         for peer, share in star.beside.items():
-            print(f"measuring: federation, {star.name}, beside {PEERS[peer]} ...", file=sys.stderr, flush=True)
-            name = f"agents elsewhere: {star.name}; beside it {PEERS[peer]}"
-            demand = "none" if math.isinf(share) else f"<= {share:.2g}x"
+            print(f"measuring: federation, {star.name}, beside {peer.name} ...", file=sys.stderr, flush=True)
+            name = f"agents elsewhere: {star.name}; beside it {peer.name}"
+            demand = "none" if share == NONE else f"<= {share:.2g}x"
             try:
-                python = HERE if peer == "bare" else installed()
-                with program(peer, python, **same, asked=asked, answered=answered) as its:
+                python = HERE if peer.module == "bare" else installed()
+                with program(peer.module, python, **same, way=peer.way, asked=asked, answered=answered) as its:
                     one, other, ratio = in_turn(mine, its, ROUNDS)
             except SilentError as error:
                 yield Row(name, "", f"not measured: {error}", math.nan, demand, True)

@@ -1,7 +1,8 @@
 """Zenoh without us: a hub and its clients exchange the same bytes, and do nothing with them.
 
-A declared publisher each way: of the ways that Zenoh's Python API offers the quickest here (a query and its reply takes a third
-longer). Direct callbacks, which hand over to a queue.
+``--way query``: a query and its reply, which is Zenoh's own request and answer (a declared queryable; all are asked, by
+`Session.get` with its default handler, before any is awaited). ``--way publish``: a declared publisher each way, which is what
+our own transport uses. Direct callbacks, which hand over to a queue.
 """
 
 import json
@@ -39,20 +40,26 @@ def hub(wanted: Options) -> None:
         endpoint = json.loads(replies[0].payload.to_string())["locators"][0]
         session.declare_subscriber("bench/*/answer", Callback(answers.put, indirect=False))
         asks = [session.declare_publisher(f"bench/{n}/ask", congestion_control=BLOCK) for n in range(groups)]
-        common = ["--answered", str(wanted.answered * wanted.agents // groups)]
+        common = ["--way", wanted.way, "--answered", str(wanted.answered * wanted.agents // groups)]
         children = [child("bench.peers.bare", "--at", f"{endpoint} bench/{n}", *common) for n in range(groups)]
         for _ in asks:
             answers.get(timeout=WAIT_S)
         while pace.step():
-            for ask in asks:
-                ask.put(question)
-            for _ in asks:
-                answers.get(timeout=WAIT_S).payload.to_bytes()
+            if wanted.way == "query":
+                for handler in [session.get(ask.key_expr, payload=question, timeout=WAIT_S) for ask in asks]:
+                    (reply,) = handler
+                    assert reply.ok
+                    reply.ok.payload.to_bytes()
+            else:
+                for ask in asks:
+                    ask.put(question)
+                for _ in asks:
+                    answers.get(timeout=WAIT_S).payload.to_bytes()
         for each in children:
             each.communicate()
 
 
-def leave(questions: "queue.SimpleQueue[zenoh.Sample | None]") -> None:
+def leave(questions: "queue.SimpleQueue[zenoh.Sample | zenoh.Query | None]") -> None:
     """No more questions when the hub is gone."""
     sys.stdin.buffer.read()
     questions.put(None)
@@ -62,15 +69,20 @@ def client(wanted: Options) -> None:
     """Answer until nobody asks any more; an answer to nobody says that it is there."""
     endpoint, _, key = wanted.at.partition(" ")
     answer = bytes(wanted.answered)
-    questions: queue.SimpleQueue[zenoh.Sample | None] = queue.SimpleQueue()
+    questions: queue.SimpleQueue[zenoh.Sample | zenoh.Query | None] = queue.SimpleQueue()
     with opened(mode="client", connect={"endpoints": [endpoint]}, listen={"endpoints": []}) as session:
-        session.declare_subscriber(f"{key}/ask", Callback(questions.put, indirect=False))
+        declare = session.declare_queryable if wanted.way == "query" else session.declare_subscriber
+        declare(f"{key}/ask", Callback(questions.put, indirect=False))
         answers = session.declare_publisher(f"{key}/answer", congestion_control=BLOCK)
         threading.Thread(target=leave, args=(questions,), daemon=True).start()
         answers.put(answer)
         while question := questions.get():
-            question.payload.to_bytes()
-            answers.put(answer)
+            bytes(question.payload or b"")
+            if isinstance(question, zenoh.Query):
+                with question:
+                    question.reply(question.key_expr, answer)
+            else:
+                answers.put(answer)
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ class Options(argparse.Namespace):
     world_s: float  # CPU time that the world takes
     latency_s: float  # from what an agent sees to what its command does, for those that can overlap both
     stretch_s: float  # wall-clock time of a stretch
+    way: str  # how it is done, of those that are measured in two ways
     at: str  # where a program's children find it
 
 
@@ -44,6 +45,7 @@ def options(arguments: Sequence[str] | None = None) -> Options:
         parser.add_argument(f"--{name}", type=float, default=0.0)
     parser.add_argument("--stretch_s", type=float, default=0.3)
     parser.add_argument("--scans", action="store_true")
+    parser.add_argument("--way", default="")
     parser.add_argument("--at", default="")
     return parser.parse_args(arguments, namespace=Options())
 
