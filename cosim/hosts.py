@@ -146,10 +146,11 @@ class Hosts:
 
         def missing() -> list[str]:
             last = time.monotonic() - self._agents.deadline_s  # until then it may come back
-            give_up({host for host, since in list(hub.gone.items()) if host in joined and since < last})
+            gone = {host: since for host, since in list(hub.gone.items()) if host in joined}
+            give_up({host for host, since in gone.items() if since < last})
             if self._watch is not None and (why := self._watch()):
                 raise AgentError(tuple(waiting), "host", why)
-            return list(waiting)
+            return [*waiting, *(spec.vehicle for host in gone if host in joined for spec in joined[host][1])]
 
         for knock in self._knocking(hub, missing, indispensable=lambda vehicle: _indispensable(wanted[vehicle])):
             hello = knock.hello

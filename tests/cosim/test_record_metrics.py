@@ -129,7 +129,7 @@ def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
     assert result["control"] == {**control, "per_vehicle": {"a": control}}
     assert result["connectivity"] == dict.fromkeys(("mean", "min", "connected_share"))
     assert result["safety"] == {"collisions": 0, "min_separation_m": None}
-    parts = ["formation", "radio", "control", "connectivity", "safety"]
+    parts = ["formation", "radio", "control", "connectivity", "agents", "safety"]
     assert list(result) == ["schema", "scenario", "seed", "duration_s", *parts, "digest"]
     assert (result["schema"], result["scenario"], result["seed"], result["duration_s"]) == ("vcmvsp.metrics/1", "test", 3, 1.0)
     json.dumps(result, allow_nan=False)
