@@ -287,6 +287,7 @@ from cosim.transport import security
 zenoh.init_log_from_env_or(security.LOG)
 folder, endpoint = sys.argv[1:]
 own = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"delay": 0, "multicast": {"enabled": False}}}
+own["transport"] = {"shared_memory": {"enabled": False}}
 rules = security.hub_security(certificates.load(Path(folder)))
 with zenoh.open(zenoh.Config.from_json5(json.dumps(security.merge(own, rules)))) as session:
     door = session.declare_queryable(security.JOIN)

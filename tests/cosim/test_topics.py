@@ -306,7 +306,8 @@ def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitS
 OBSERVER = """
 import json, sys, time, zenoh
 config = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [sys.argv[1]]},
-          "scouting": {"multicast": {"enabled": False}}, "transport": {"link": {"tx": {"lease": 600000}}}}
+          "scouting": {"multicast": {"enabled": False}},
+          "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": 600000}}}}
 with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
     session.declare_subscriber("vcmvsp/topic/**", zenoh.handlers.Callback(lambda sample: None, indirect=False))
     print("up", flush=True)
