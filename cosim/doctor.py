@@ -5,14 +5,15 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cosim.errors import VcmvspError
 
-Check = tuple[str, bool, str]
-"""What was tried, whether it works, and what there is to say about it."""
+if TYPE_CHECKING:
+    from cosim.transport.examining import Check
 
 
-def report(checks: Iterable[Check], *, as_json: bool = False) -> int:
+def report(checks: "Iterable[Check]", *, as_json: bool = False) -> int:
     """Print a line per check as soon as it is known; 0 if all is well, else 1."""
     found = []
     for name, ok, words in checks:
@@ -27,7 +28,7 @@ def report(checks: Iterable[Check], *, as_json: bool = False) -> int:
     return 0 if all(check["ok"] for check in found) else 1
 
 
-def installation() -> Iterator[Check]:
+def installation() -> "Iterator[Check]":
     """Whether everything is here, and two short runs."""
     checks: list[tuple[str, Callable[[], str]]] = [
         ("python", _python),
@@ -44,7 +45,7 @@ def installation() -> Iterator[Check]:
             yield name, False, f"{error}"
 
 
-def connection(endpoint: str, keys: Path | None = None, *, insecure: bool = False) -> Iterator[Check]:
+def connection(endpoint: str, keys: Path | None = None, *, insecure: bool = False) -> "Iterator[Check]":
     """How well the run at an endpoint can be reached with this certificate.
 
     Raises:

@@ -265,22 +265,26 @@ class Hosts:
 
     def _absent(self) -> list[str]:
         """Who has no agent at the moment, as Zenoh's thread may ask at any time."""
-        lost = (vehicle for vehicle in list(self._specs) if any(each.wants(vehicle) for each in list(self._elsewhere)))
-        return list(dict.fromkeys((*self._waiting, *lost)))
+        return list(dict.fromkeys((*self._waiting, *self._lost())))
+
+    def _lost(self) -> list[str]:
+        """Who may have another host."""
+        return [vehicle for vehicle in list(self._specs) if any(each.wants(vehicle) for each in list(self._elsewhere))]
 
     def _answer_door(self) -> None:
         """While somebody is away, a host that knocks may take its place."""
         hub = self.hub
         if hub is None:
             return
-        if any(each.wants() for each in self._elsewhere):
+        lost = self._lost()
+        if lost:
             hub.open()
         else:
             hub.shut()
         if knock := hub.next_hello(0.0):  # one a tick: nobody can keep the run at the door
             hello = knock.hello
             places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
-            link = self._let_in(knock, joining.late_refusal(hello, self._specs, self._elsewhere, places))
+            link = self._let_in(knock, joining.late_refusal(hello, self._specs, lost, together=bool(places)))
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")
                 specs = [joining.at_its_place(self._specs[vehicle], hello) for vehicle in hello.vehicles]

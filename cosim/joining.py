@@ -2,8 +2,8 @@
 
 import contextlib
 import os
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import msgspec
 
@@ -11,13 +11,6 @@ from cosim import registry, table
 from cosim.agent import AgentSpec
 from cosim.errors import VcmvspError
 from cosim.transport.wire import Hello
-
-
-class Place(Protocol):
-    """Where hosts may be replaced."""
-
-    def wants(self, vehicle: str) -> bool:
-        """Whether this vehicle may have another host."""
 
 
 def refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection[str]) -> str | None:
@@ -34,18 +27,16 @@ def refusal(hello: Hello, waiting: Mapping[str, AgentSpec], expected: Collection
     return None if hello.vehicles else "it names no vehicle"
 
 
-def late_refusal(
-    hello: Hello, specs: Mapping[str, AgentSpec], all_places: Sequence[Place], places: Sequence[Place]
-) -> str | None:
+def late_refusal(hello: Hello, specs: Mapping[str, AgentSpec], lost: Collection[str], *, together: bool) -> str | None:
     """Why a host that comes when the run has begun may not come in; None: it may.
 
     Args:
         hello: its greeting.
         specs: the agents that are hosted elsewhere.
-        all_places: where.
-        places: those of them that want all its vehicles.
+        lost: vehicles that may have another host.
+        together: whether all that it names were at one host.
     """
-    free = {vehicle: spec for vehicle, spec in specs.items() if any(place.wants(vehicle) for place in all_places)}
+    free = {vehicle: spec for vehicle, spec in specs.items() if vehicle in lost}
     if why := refusal(hello, free, specs):
         return why
     for vehicle in hello.vehicles:
@@ -54,7 +45,7 @@ def late_refusal(
             return f"the run has begun with {spec.kind} for '{vehicle}', and takes no other agent"
         if any(spec.params.get(name) != value for name, value in hello.params.items()):
             return "the run has begun, and takes no other parameters: leave out --set"
-    return None if places else f"the run has begun with {', '.join(hello.vehicles)} at several hosts: start one for each"
+    return None if together else f"the run has begun with {', '.join(hello.vehicles)} at several hosts: start one for each"
 
 
 def at_its_place(spec: AgentSpec, hello: Hello) -> AgentSpec:

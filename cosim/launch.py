@@ -19,6 +19,7 @@ from cosim.hosts import Tell
 from cosim.hosts_file import HostsTable, HostTable
 from cosim.scenario import AgentsTable, Scenario
 from cosim.transport import ssh
+from cosim.transport.process import ending
 from cosim.transport.security import endpoint_rules, is_loopback
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ class Fleet:
 
 def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
     """How a host ended too early, in a line."""
-    how = f"{ssh.ending(code)} before the run began"
+    how = f"{ending(code)} before the run began"
     if host.ssh and code == ssh.SSH_FAILED:
         how = f"ssh cannot reach it, or has lost it (exit code {code})"
     elif code == ssh.NOT_FOUND:

@@ -90,7 +90,7 @@ def _answer(
     """
     answers: dict[int, bytes] = {}  # to questions that the run may ask again
     last = 0
-    hub = _hub(session)
+    hub = hub_of(session)
     there = True
     while desk.ended is None:
         question = _next(questions, _LOOK_S if there else patience_s)
@@ -98,10 +98,10 @@ def _answer(
             raise FederateError("the run", "is gone: its process ended or the connection broke")
         if question is None or isinstance(question, bool):
             # Whether the hub is there; a host that was stopped for a while may have missed that.
-            was, there = there, _hub(session) != "" if question is None else question
+            was, there = there, hub_of(session) != "" if question is None else question
             if was and not there:
                 on_state(f"the run is out of reach; waiting for at most {patience_s:g} s")
-            if there and _hub(session) not in (hub, ""):
+            if there and hub_of(session) not in (hub, ""):
                 raise FederateError("the run", "is gone: another one listens there now; start this host again")
             continue
         content = question.payload.to_bytes()
@@ -125,7 +125,7 @@ def _next(questions: "queue.SimpleQueue[zenoh.Sample | bool]", seconds: float) -
         return None
 
 
-def _hub(session: zenoh.Session) -> str:
+def hub_of(session: zenoh.Session) -> str:
     """The id of the hub's session; empty: it is out of reach."""
     return "".join(str(each) for each in session.info.routers_zid()[:1])
 

@@ -50,9 +50,7 @@ class HostProcess:
     def why_ended(self) -> str:
         """How it ended, in words; empty: it has not."""
         code = self._process.poll()
-        if code is None:
-            return ""
-        return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        return "" if code is None else ending(code)
 
     def close(self, patient: bool = True) -> None:
         """Let it leave, or make it; at once if it has been waited for already."""
@@ -66,3 +64,8 @@ class HostProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def ending(code: int) -> str:
+    """How a process ended, in words."""
+    return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"

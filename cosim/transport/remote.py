@@ -114,7 +114,7 @@ class RemoteHost:
                 if self._may_go_on:
                     self._note(given, crew)
         for vehicle, absence in self._away.items():
-            events += absence.go_on(now_ns + self._infos[vehicle].latency_ns)
+            events += absence.go_on(now_ns + self._latency_ns[vehicle])
         return events
 
     def _due(self, now_ns: int) -> frozenset[str]:
@@ -150,11 +150,10 @@ class RemoteHost:
 
     # --- hosts that are lost, and those that come back or instead -------------------------------------------------------------
 
-    def wants(self, vehicle: str | None = None) -> bool:
-        """Whether this vehicle may have another host, or any may."""
-        away = dict(self._away)  # as it is now: Zenoh's thread may ask, too
-        named = away if vehicle is None else [vehicle]
-        return any(each in away and not away[each].final for each in named)
+    def wants(self, vehicle: str) -> bool:
+        """Whether this vehicle may have another host. Zenoh's thread may ask, too."""
+        absence = self._away.get(vehicle)
+        return absence is not None and not absence.final
 
     def welcome(self, crew: Crew) -> None:
         """Take a host in place of the one that was lost; it is asked as soon as its agents stand."""
@@ -169,9 +168,10 @@ class RemoteHost:
         self._crews.remove(crew)
         for asked in self._asked:
             asked.crews = [each for each in asked.crews if each is not crew]
-        self._others.append(crew)
-        if not crew.alive or all(spec.on_lost == "remove" for spec in crew.specs):
-            self._dismiss(crew, error.cause)
+        if crew.alive and any(spec.on_lost == "hold" for spec in crew.specs):
+            self._others.append(crew)
+        else:
+            crew.dismiss(error.cause)
         return self._leave([spec for spec in crew.specs if spec.vehicle not in self._away], now_ns, error.cause)
 
     def _leave(self, specs: Sequence[AgentSpec], now_ns: int, why: str) -> list[Event]:

@@ -9,13 +9,14 @@ was killed or because the connection broke, the other machine ends the host, and
 import contextlib
 import re
 import shlex
-import signal
 import subprocess
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO
+
+from cosim.transport.process import ending
 
 CONNECT_S = 10  # for ssh to reach a machine
 ALIVE_S, ALIVE_COUNT = 5, 3  # a machine that does not answer so often is given up
@@ -178,8 +179,3 @@ class Far:
         code = self._process.wait()
         if code and not self._released:
             self._hear(ending(code))
-
-
-def ending(code: int) -> str:
-    """How a process ended, in words."""
-    return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"

@@ -11,7 +11,7 @@ from zenoh.handlers import Callback
 
 from cosim.errors import UsageError
 from cosim.transport import security
-from cosim.transport.dialling import dial
+from cosim.transport.dialling import dial, hub_of
 from cosim.transport.topics import About, stamp
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class _Presence:
 
     def __init__(self, session: zenoh.Session, endpoint: str, bundle: "Bundle | None") -> None:
         self._session, self._endpoint, self._bundle = session, endpoint, bundle
-        self._hub = self._present()
+        self._hub = hub_of(session)
         self._gone_at: float | None = None  # its token
         self._cut_at: float | None = None  # its session
         changes = Callback(self._on_token, indirect=False)
@@ -101,7 +101,7 @@ class _Presence:
 
     def is_over(self) -> bool:
         """Whether the run has ended, or is out of reach for good."""
-        present = self._present()
+        present = hub_of(self._session)
         if present not in (self._hub, ""):
             return True  # another one listens there now
         if present:
@@ -116,9 +116,6 @@ class _Presence:
         if not hopeless:
             time.sleep(POLL_S)
         return hopeless and (self._gone_at or self._cut_at) is not None  # it may have come back meanwhile
-
-    def _present(self) -> str:
-        return "".join(str(each) for each in self._session.info.routers_zid()[:1])
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         self._gone_at = None if sample.kind == zenoh.SampleKind.PUT else time.monotonic()

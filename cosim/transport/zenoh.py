@@ -319,15 +319,13 @@ class ZenohLink:
             raise LinkError(ended)
 
     def repeat(self) -> None:
-        """Tell a host that was let go while it was out of reach, and is back, why it is not needed any more."""
+        """Ask once more all that is open; a host that was let go while it was out of reach is told so when it is back."""
         for each in self._open:
             self._send(each)
 
     def _ask_again(self) -> None:
-        """Ask all that is open once more."""
         self._asked_at = time.monotonic()
-        for each in self._open:
-            self._send(each)
+        self.repeat()
 
     def _send(self, asked: "_Question") -> None:
         self._ask.put(wire.numbers.pack(asked.number, self._open[0].number) + asked.content)
