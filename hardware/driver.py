@@ -1,4 +1,4 @@
-"""What a run asks of the driver of a ground robot: newest samples out, velocities in, and never a long wait.
+"""What a run asks of the driver of a robot: newest samples out, velocities in, and never a long wait.
 
 **Threads.** A driver that talks to something outside has one thread of its own, which alone touches the line. It hands over
 the newest sample; the caller leaves the newest command. So `read`, `write` and `stop` never wait for the robot, and a robot
@@ -19,7 +19,7 @@ hangs. Whoever gives the commands watches for the operator; the robot watches fo
 from typing import Literal, Protocol, runtime_checkable
 
 from cosim.errors import FederateError
-from cosim.types import Odometry, Value, Vec3, Velocity
+from cosim.types import Odometry, Value, Vec3, VehicleState, Velocity
 
 COMMAND_TIMEOUT_S = 0.5  # five periods of 10 Hz: short beside the 2 s of a robot's own watchdog
 ORIGIN: Vec3 = (0.0, 0.0, 0.0)
@@ -53,7 +53,8 @@ class Sample(Value, frozen=True, kw_only=True):
     arrived_ns: int
     measured_ns: int  # estimated
     odometry: Odometry  # from the start pose that `open` was given
-    wheels: tuple[float, float]  # m/s, left and right
+    state: VehicleState | None = None  # in the world, of a robot that knows it by itself: an autopilot, motion capture
+    wheels: tuple[float, float] | None = None  # m/s, left and right, of a robot that tells them
     sonar: tuple[tuple[int, float], ...] = ()  # (number, range in m): the newest of each that is new since the last `read`
     battery_v: float | None = None
     motors: bool = True  # they are enabled
@@ -73,7 +74,7 @@ class Notice(Value, frozen=True, kw_only=True):
 
 @runtime_checkable
 class Driver(Protocol):
-    """A ground robot that takes a forward speed and a yaw rate."""
+    """A robot that takes velocities: forward speed and yaw rate on the ground, all three axes of the world in the air."""
 
     device: str  # for messages
     open_deadline_s: float  # `open` takes no longer than about this
@@ -86,7 +87,8 @@ class Driver(Protocol):
         """The newest sample, or None if there was none since the last call; raises what ended the connection."""
 
     def write(self, velocity: Velocity) -> None:
-        """Move like this until the next command (linear[0] and yaw_rate), or until `COMMAND_TIMEOUT_S` have passed."""
+        """Move like this until the next command, or until `COMMAND_TIMEOUT_S` have passed; robots on the ground look at
+        linear[0] and yaw_rate alone."""
 
     def stop(self, cause: str) -> None:
         """Zero speed at once, ahead of all else; the next `write` moves the robot again."""
