@@ -18,7 +18,7 @@ from cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, Vehicle
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import AgentError, ScenarioError, place_of
 from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.scenario import AgentTable
+from cosim.scenario_tables import AgentTable
 from cosim.text import plain
 from cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from agents.federate import AgentHost
 from cosim import table
 from cosim.errors import UsageError, VcmvspError
-from cosim.scenario import AgentTable
+from cosim.scenario_tables import AgentTable
 from cosim.transport.desk import Desk
 from cosim.transport.dialling import serve
 from cosim.transport.security import endpoint_rules

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from cosim import component, radio, registry, table
+from cosim import component, radio, real, registry, table
 from cosim.agent import Agent, AgentSpec
 from cosim.clock import Ticks, seconds_to_ns
 from cosim.errors import ScenarioError, VcmvspError
@@ -15,14 +15,17 @@ from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
 from cosim.kernel import Kernel
 from cosim.resolve import Resolution
-from cosim.scenario import AgentsTable, AgentTable, Scenario, VehicleTable
+from cosim.scenario_tables import AgentsTable, AgentTable, Scenario, VehicleTable
 from cosim.source import Source
 
 if TYPE_CHECKING:
+    from cosim.outside import Vehicles
     from cosim.transport.topics import Topics
 
-TOPICS = ("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host")  # of every vehicle
-_NOT_SHARED = {"name", "pose", "position", "agent", "params"}  # keys of a vehicle for which [vehicles] has no default
+TOPICS = ("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host", "real", "incident")
+"""Of every vehicle."""
+_NOT_SHARED = {"name", "pose", "position", "agent", "driver", "localisation", "params"}
+"""Keys of a vehicle for which [vehicles] has no default."""
 
 
 class Assembly:
@@ -38,6 +41,9 @@ class Assembly:
             ``"here"`` in this process as far as the scenario names their classes.
         listen: where hosts started by hand dial in, instead of the scenario's ``agents.listen``.
         keys, insecure: who may dial in there from other machines (`cosim.hosts.Hosts`).
+        robots: drive the real vehicles of the scenario; else nothing is connected, which serves to check it.
+        playback: gives what real vehicles did in an earlier run, in their place.
+        recorded_radio: a table of frames which fare again as they did in an earlier run.
         tell: takes lines for the user.
         watch: asked while hosts are waited for; an answer is why there is no use in it.
     """
@@ -52,11 +58,15 @@ class Assembly:
         listen: str | None = None,
         keys: Path | None = None,
         insecure: bool = False,
+        robots: bool = False,
+        playback: "Vehicles | None" = None,
+        recorded_radio: Path | None = None,
         tell: Tell = lambda _: None,
         watch: Callable[[], str | None] | None = None,
     ) -> None:
         registry.guard()
         self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
+        self.clock = scenario.clock
         self.where: dict[str, str] = {}  # vehicle -> where its agent runs
         self._classes: dict[str, Any] = {}  # of vehicles, by kind
         self._sensors: dict[str, dict[str, Any]] = {}  # of each vehicle, by name
@@ -67,7 +77,14 @@ class Assembly:
         agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)
         self._resolution = Resolution(scenario, source)
         world = self.world = self._build_world()
-        air, physics = self._build_radio(world), self._build_physics(world)
+        air = self._build_radio(world, recorded_radio, tell)
+        models = {each.name: self._model(each) for each in scenario.vehicle}
+        described = real.of_scenario(scenario, source, self._resolution, models)
+        self.robots: Any = None  # the federate that drives real vehicles, if there are any to drive
+        if described and playback is None:
+            self.robots = registry.piece("hardware")(described, run=scenario.name, tell=tell, connect=robots)
+        self._outside = playback or self.robots
+        physics = self._build_physics(world, models)
         self.radius_m: Mapping[str, float] = physics.radius_m
         about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s}
         about["vehicles"] = [each.name for each in scenario.vehicle]
@@ -82,6 +99,10 @@ class Assembly:
             self._hosts.close()
             raise
         self.federates: list[Federate] = [physics, air, *self._hosts.federates]
+        if self._outside is not None:
+            self.federates.append(self._outside)
+        if self.robots is not None:
+            self.robots.radius_m = self.radius_m
         self.record_ticks = Ticks.every(scenario.record.period_s)
         self.recorded_sensors = scenario.record.sensors
         fitted = {name for each in self._sensors.values() for name in each}
@@ -146,6 +167,10 @@ class Assembly:
         """Python files that the scenario uses, by the name under which they are kept beside the resolved one."""
         return self._resolution.files
 
+    def keep(self, path: Path) -> None:
+        """Keep a file with the others."""
+        self._resolution.keep(path)
+
     # --- parts --------------------------------------------------------------------------------------------------------------
 
     def _component(
@@ -162,18 +187,20 @@ class Assembly:
         self._resolution.tables["world"] = resolved
         return world
 
-    def _build_radio(self, world: Any) -> Federate:
+    def _build_radio(self, world: Any, recorded: Path | None, tell: Tell) -> Federate:
+        portable, keep = self._resolution.portable, self._resolution.keep
         built = radio.of_scenario(
-            self._scenario, self._source, solids=world.solids, portable=self._resolution.portable, keep=self._resolution.keep
+            self._scenario, self._source, solids=world.solids, portable=portable, keep=keep, recorded=recorded, tell=tell
         )
         self._resolution.tables["radio"] = built.resolved
         federate: Federate = built.federate
         return federate
 
-    def _build_physics(self, world: Any) -> Any:
-        specs = [self._vehicle_spec(each) for each in self._scenario.vehicle]
+    def _build_physics(self, world: Any, models: Mapping[str, Any]) -> Any:
+        specs = [self._vehicle_spec(each, models[each.name]) for each in self._scenario.vehicle]
         content = {"kind": "bullet", **self._scenario.physics}
-        physics, resolved = self._component("physics", content, "physics", world=world, vehicles=specs)
+        given = {"world": world, "vehicles": specs, "outside": self._outside}
+        physics, resolved = self._component("physics", content, "physics", **given)
         self._resolution.tables["physics"] = resolved
         known = {key for each in self._scenario.vehicle for key in table.parameters(self._vehicle_class(each))}
         for name in self._scenario.vehicles:
@@ -198,17 +225,23 @@ class Assembly:
         params = self._source.kept(vehicle.params, f"vehicle.{vehicle.name}", known)
         return {n: v for n, v in params.items() if n in known or n not in defaults}
 
-    def _vehicle_spec(self, vehicle: VehicleTable) -> Any:
-        key, kind, own = f"vehicle.{vehicle.name}", self._vehicle_class(vehicle), self._own(vehicle)
-        also = {*table.parameters(VehicleTable)} - {"params"}
-        own = component.found(own, self._source)
-        model = table.call(kind, own, key=key, origin=self._source, also=also)
+    def _model(self, vehicle: VehicleTable) -> Any:
+        """What a vehicle is."""
+        key, kind = f"vehicle.{vehicle.name}", self._vehicle_class(vehicle)
+        own, also = component.found(self._own(vehicle), self._source), {*table.parameters(VehicleTable)} - {"params"}
         self._resolution.vehicles[vehicle.name] = component.kept(table.complete(kind, own), self._resolution.keep)
-        sensor = None
+        return table.call(kind, own, key=key, origin=self._source, also=also)
+
+    def _vehicle_spec(self, vehicle: VehicleTable, model: Any) -> Any:
+        key, sensor, fusion = f"vehicle.{vehicle.name}", None, None
         if vehicle.positioning is not None:
             positioning = registry.piece("positioning")
             sensor = table.call(positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
         position, heading = vehicle.start
+        if vehicle.pose_source == "fusion" and vehicle.driver is None:
+            kind, at = registry.piece("fusion"), {"start": (position[0], position[1], heading)}
+            fusion = table.call(kind, vehicle.fusion, key=f"{key}.fusion", origin=self._source, given=at)
+            self._resolution.real[vehicle.name] = {"fusion": table.complete(kind, vehicle.fusion, without=at)}
         given = {
             "name": vehicle.name,
             "model": model,
@@ -216,6 +249,7 @@ class Assembly:
             "heading": heading,
             "pose_source": vehicle.pose_source,
             "positioning": sensor,
+            "fusion": fusion,
             "sensors": self._fit(vehicle, model),
         }
         return table.call(registry.piece("vehicle spec"), {}, key=key, origin=self._source, given=given)
@@ -231,7 +265,9 @@ class Assembly:
                 raise ScenarioError(problem, key=where, source=self._source.of(where))
             fitted[name], tables[name] = self._component("sensor", content, where, offered=wheels)
         self._sensors[vehicle.name], self._resolution.sensors[vehicle.name] = fitted, tables
-        return fitted
+        if vehicle.driver is None:
+            return fitted
+        return {name: each for name, each in fitted.items() if name != "sonar"}  # a real robot has its own
 
     # --- agents -------------------------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim.cli_calibrate import calibrate_command
+from cosim.cli_emulate import emulate_app
 from cosim.cli_explain import radio_command
 from cosim.cli_figure import figure_command
 from cosim.cli_keys import keys_app
@@ -16,6 +17,7 @@ from cosim.cli_kinds import list_command, show_command, world_command
 from cosim.cli_launch import launch_command
 from cosim.cli_options import AsJson
 from cosim.cli_radio import register
+from cosim.cli_replay import replay_command
 from cosim.cli_run import ScenarioName, Sets, run_command
 from cosim.cli_study import study_command
 from cosim.cli_watch import watch_command
@@ -142,14 +144,17 @@ def drive_command(
 
     Example: vcmvsp drive lab-patrol --vehicle ugv1 --command "v=0.3,w=0.5" --seconds 5
     """
-    from cosim import api, drive
+    from cosim import drive
     from cosim import scenario as scenarios
+    from cosim.files import to_json
 
     with stdout_to_stderr():
         about = drive.drive(scenario, vehicle, command, seconds, scenarios.settings_of(set_ or []))
-    sys.stdout.write(api.to_json(about) if json else drive.summary(about))
+    sys.stdout.write(to_json(about) if json else drive.summary(about))
 
 
+app.command("replay")(replay_command)
+app.add_typer(emulate_app)
 app.command("launch")(launch_command)
 app.command("study")(study_command)
 app.command("figure")(figure_command)

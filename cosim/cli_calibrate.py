@@ -33,7 +33,7 @@ def calibrate_command(
     import msgspec
 
     from cosim import registry
-    from cosim.api import to_json
+    from cosim.files import to_json
 
     registry.guard()
     for option, value in (

@@ -62,7 +62,7 @@ def radio_command(
                 raise UsageError(f"--{name} {value}: must be a {'positive' if name == 'resolution' else 'finite'} number")
         answer, text = _drawn(what, coverage, given, json=json)
     if json:
-        from cosim.api import to_json
+        from cosim.files import to_json
 
         sys.stdout.write(to_json(_plain(answer)))
     else:

@@ -66,7 +66,7 @@ def _list(*, json: bool) -> None:
 
     about = {name: words for name, (_, words) in figures.NAMES.items()}
     if json:
-        from cosim.api import to_json
+        from cosim.files import to_json
 
         sys.stdout.write(to_json(about))
         return

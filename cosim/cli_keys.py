@@ -110,7 +110,7 @@ def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
     rows = [("hub", "run", ", ".join(held.names), held.until, certificates.state_of(held.until))]
     rows += [(each.name, each.role, ", ".join(each.vehicles), each.until, each.state) for each in held.index.issued]
     if json:
-        from cosim.api import to_json
+        from cosim.files import to_json
 
         fields = ("name", "role", "for", "until", "state")
         sys.stdout.write(to_json([dict(zip(fields, (*row[:3], row[3].isoformat(), row[4]), strict=True)) for row in rows]))

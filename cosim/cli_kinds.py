@@ -9,6 +9,7 @@ import typer
 
 from cosim.cli_options import AsJson
 from cosim.errors import UsageError
+from cosim.files import to_json
 from cosim.streams import stdout_to_stderr
 
 GROUPS = {"worlds": "world", "vehicles": "vehicle", "sensors": "sensor", "agents": "agent"}
@@ -38,8 +39,6 @@ def list_command(
     else:
         raise UsageError(f"vcmvsp list {what}: {table.unknown('word', what, ['scenarios', *GROUPS])}")
     if json:
-        from cosim.api import to_json
-
         sys.stdout.write(to_json(about))
     else:
         width = max(map(len, about))
@@ -64,14 +63,14 @@ def show_command(
         if set_ or resolved:
             raise UsageError("--set and --resolved go with a scenario")
         about = parameters_of(what, kind)
-        sys.stdout.write(api.to_json(about) if json else _text(about))
+        sys.stdout.write(to_json(about) if json else _text(about))
         return
     if resolved or set_ or json:
         import tomli_w
 
         with stdout_to_stderr():
             full = api.check(what, set=scenarios.settings_of(set_ or []))
-        sys.stdout.write(api.to_json(full) if json else tomli_w.dumps(full))
+        sys.stdout.write(to_json(full) if json else tomli_w.dumps(full))
     else:
         sys.stdout.write(scenarios.text_of(what))
 
@@ -91,15 +90,15 @@ def world_command(
 
     Examples: vcmvsp world urban --set seed=3 --png city.png; vcmvsp world plant.geojson
     """
-    from cosim import api, worlds
     from cosim import scenario as scenarios
+    from cosim import worlds
 
     built, name = worlds.world_of(world, scenarios.settings_of(set_ or []))
     about = worlds.describe(built, name)
     target = png or Path(f"{name}.png")
     worlds.draw(built, target)
     if json:
-        sys.stdout.write(api.to_json({**about, "png": str(target)}))
+        sys.stdout.write(to_json({**about, "png": str(target)}))
     else:
         sys.stdout.writelines(f"{key:<10} {value}\n" for key, value in {**about, "picture": target}.items())
 

@@ -52,7 +52,7 @@ def channel_command(
     """
     from cosim import registry, table
     from cosim.progress import Progress
-    from cosim.scenario import Duration
+    from cosim.scenario_tables import Duration
     from cosim.types import Rate, Seed
 
     trial = registry.piece("channel trial")

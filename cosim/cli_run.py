@@ -75,8 +75,8 @@ def conduct(
     **options: Any,
 ) -> None:
     """Call `cosim.run`, or what takes its place, and show how far it is and what came out."""
-    from cosim import api
     from cosim import scenario as scenarios
+    from cosim.files import to_json
     from cosim.progress import Progress, summary
 
     if out is not None and str(out) == ".":
@@ -97,7 +97,7 @@ def conduct(
             **options,
         )
     if json:
-        sys.stdout.write(api.to_json(result.metrics))
+        sys.stdout.write(to_json(result.metrics))
     elif not quiet:
         sys.stdout.write(summary(result))
 

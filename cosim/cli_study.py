@@ -47,7 +47,7 @@ def study_command(
     Example: vcmvsp study formation-slalom --vary radio.loss.probability=0:0.8:0.2 --vary agents.estimator=hold,dr --seeds 5
     """
     from cosim import scenario as scenarios
-    from cosim.api import to_json
+    from cosim.files import to_json
     from cosim.streams import stdout_to_stderr
     from cosim.studies import engine, grid
     from cosim.studies.progress import StudyProgress

@@ -84,7 +84,15 @@ class SimClock:
 
 
 class WallClock:
-    """Logical time follows the wall clock at ``speed`` simulated seconds per second."""
+    """Logical time follows the wall clock at ``speed`` simulated seconds per second.
+
+    Every instant has its own place on the wall clock, which no lateness moves: who was late catches up, and nothing drifts.
+
+    Args:
+        speed: simulated seconds per second.
+        now: the clock, ns.
+        sleep: waits for so many seconds.
+    """
 
     def __init__(
         self,
@@ -101,9 +109,17 @@ class WallClock:
         """Let logical time 0 be now."""
         self._origin = self._now()
 
+    def logical_ns(self, monotonic_ns: int) -> int:
+        """The logical time at which this machine's monotonic clock shows so much; any time may be asked for."""
+        return round((monotonic_ns - self._origin) * self.speed)
+
+    def monotonic_ns(self, logical_ns: int) -> int:
+        """What this machine's monotonic clock shows at a logical time."""
+        return self._origin + round(logical_ns / self.speed)
+
     def wait_until(self, due_ns: int) -> int:
         """Sleep until ``due_ns``; if that has passed already, go on at once and say by how much."""
-        wall_due = self._origin + round(due_ns / self.speed)
+        wall_due = self.monotonic_ns(due_ns)
         while (left := wall_due - self._now()) > 0:
             self._sleep(left / SECOND_NS)
         return -left

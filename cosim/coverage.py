@@ -13,7 +13,7 @@ from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from cosim.record.metrics import motion
 from cosim.record.tables import load
-from cosim.scenario import Scenario
+from cosim.scenario_tables import Scenario
 from cosim.source import Source
 from cosim.types import Array, Vec3
 

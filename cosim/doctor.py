@@ -22,7 +22,7 @@ def report(checks: "Iterable[Check]", *, as_json: bool = False) -> int:
             sys.stdout.write(f"{'ok' if ok else 'FAILS':<6} {name}: {words}\n")
             sys.stdout.flush()
     if as_json:
-        from cosim.api import to_json
+        from cosim.files import to_json
 
         sys.stdout.write(to_json(found))
     return 0 if all(check["ok"] for check in found) else 1

@@ -16,7 +16,7 @@ from cosim.errors import UsageError
 from cosim.federate import Event
 from cosim.frames import yaw_of
 from cosim.kernel import Kernel
-from cosim.scenario import AgentsTable
+from cosim.scenario_tables import AgentsTable
 from cosim.types import Array, States, Velocity, Waypoint
 
 SCHEMA = "vcmvsp.drive/1"

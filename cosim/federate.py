@@ -92,7 +92,15 @@ class Federate(Protocol):
 
 
 @runtime_checkable
-class RemoteFederate(Federate, Protocol):
+class Releasable(Protocol):
+    """A federate with something elsewhere, which goes on until it is told that the run is over."""
+
+    def release(self) -> None:
+        """Say that there will be no more, without waiting: called of all before any is closed."""
+
+
+@runtime_checkable
+class RemoteFederate(Federate, Releasable, Protocol):
     """A federate elsewhere: all that are due in a slot are asked before any is awaited.
 
     With a lookahead the kernel awaits the answer to a question asked at t only at t + lookahead: nothing in that answer
@@ -106,6 +114,3 @@ class RemoteFederate(Federate, Protocol):
 
     def answer(self) -> Sequence[Event]:
         """Wait for the answer to the oldest open question."""
-
-    def release(self) -> None:
-        """Say that there will be no more questions, without waiting; `close` waits."""

@@ -15,7 +15,7 @@ from cosim import joining, registry
 from cosim.agent import Agent, AgentInfo, AgentSpec
 from cosim.errors import AgentError, ScenarioError, UsageError
 from cosim.federate import Federate
-from cosim.scenario import AgentsTable
+from cosim.scenario_tables import AgentsTable
 from cosim.transport.crew import Crew, Link, MemoryLink
 from cosim.transport.desk import Desk, HostFederate
 from cosim.transport.remote import RemoteHost
@@ -105,11 +105,11 @@ class Hosts:
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
         from cosim.transport.process import HostProcess
-        from cosim.transport.zenoh import Hub
+        from cosim.transport.zenoh import UNIX, Hub
 
         # A socket in a folder that is this user's alone: whoever else is on this machine cannot ask the children anything.
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))
-        hub = Hub(f"unixsock-stream/{folder}/hub", patience_s=self._patience_s(specs))
+        hub = Hub(f"{UNIX}{folder}/hub", patience_s=self._patience_s(specs))
         self._stack.callback(hub.close)
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}

@@ -21,9 +21,9 @@ from typing import TypeVar
 import simpy
 from threadpoolctl import threadpool_limits
 
-from cosim.clock import Clock, SimClock
+from cosim.clock import SECOND_NS, Clock, SimClock
 from cosim.errors import FederateError, VcmvspError
-from cosim.federate import Event, Federate, RemoteFederate, RunInfo, Slot
+from cosim.federate import Event, Federate, Releasable, RemoteFederate, RunInfo, Slot
 from cosim.keys import matches
 
 T = TypeVar("T")
@@ -44,15 +44,18 @@ class Kernel:
         run: what every federate is told.
         federates: with names that differ.
         clock: what paces the run; default: as fast as possible.
+        tolerance_ns: an instant that begins later than this on the wall clock ends the run; None: lateness is only counted.
     """
 
-    def __init__(self, run: RunInfo, federates: Sequence[Federate], *, clock: Clock | None = None) -> None:
+    def __init__(
+        self, run: RunInfo, federates: Sequence[Federate], *, clock: Clock | None = None, tolerance_ns: int | None = None
+    ) -> None:
         self.run_info, self.now_ns = run, 0
         self.late_ns: list[int] = []  # how late each instant began, in the order of the instants
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
-        self._clock = clock or SimClock()
+        self._clock, self._tolerance_ns = clock or SimClock(), tolerance_ns
         self._observe: Observer = lambda _: None
         self.waiting = False  # for the clock or for an answer: an interruption may strike at once
         self.stop = False  # set it to have the run end, as by Ctrl-C, before the next slot
@@ -104,6 +107,9 @@ class Kernel:
         self.now_ns = when
         if not isinstance(self._clock, SimClock):
             self.late_ns.append(late_ns)
+        if self._tolerance_ns is not None and late_ns > self._tolerance_ns:
+            late = f"{when / SECOND_NS:.3f} s began {late_ns / SECOND_NS:.3f} s late, more than clock.tolerance_s"
+            raise FederateError("clock", f"{late}; use fewer or quicker agents, a quicker machine, or clock.late = 'slip'")
 
     def _await(self, wait: Callable[[], T]) -> T:
         self.waiting = True
@@ -115,7 +121,7 @@ class Kernel:
     def close(self) -> None:
         """Close every federate, even if one of them fails; the first failure is raised at the end."""
         failure: VcmvspError | None = None
-        farewells = [(each, each.release) for each in self._remote.values()]
+        farewells = [(each, each.release) for each in self._federates if isinstance(each, Releasable)]
         for federate, farewell in [*farewells, *((each, each.close) for each in self._federates)]:
             try:
                 with _blame(federate):

@@ -15,9 +15,10 @@ import msgspec
 from cosim import api, hosts_file, table
 from cosim import scenario as scenarios
 from cosim.errors import UsageError, VcmvspError
+from cosim.files import writing
 from cosim.hosts import Tell
 from cosim.hosts_file import HostsTable, HostTable
-from cosim.scenario import AgentsTable, Scenario
+from cosim.scenario_tables import AgentsTable, Scenario
 from cosim.transport import ssh
 from cosim.transport.process import ending
 from cosim.transport.security import endpoint_rules, is_loopback
@@ -143,7 +144,7 @@ class Fleet:
 
     def save(self, folder: Path) -> None:
         """Keep what they said, a file for each."""
-        with api.writing(folder):
+        with writing(folder):
             folder.mkdir(exist_ok=True)
             for name, log in self._logs.items():
                 log.seek(0)

@@ -7,6 +7,7 @@ with where they are; nothing that happens in the simulation moves them.
 from collections.abc import Sequence
 from typing import Protocol
 
+from cosim.federate import Federate
 from cosim.types import VehicleState
 
 
@@ -21,3 +22,7 @@ class Outside(Protocol):
         Times that are asked for never go back, and asking for one again gives the same. Between two instants physics goes on
         with the velocities of the former.
         """
+
+
+class Vehicles(Federate, Outside, Protocol):
+    """Speaks for such vehicles in a run: gives their estimates and readings, takes their commands."""

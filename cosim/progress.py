@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -111,6 +111,8 @@ def summary(result: "Result") -> str:
         chain = formation["hop_gain"] is not None  # errors of links add up
         shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
         lines.append(f"formation: error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}")
+    for name, real in metrics.get("hardware", {}).items():
+        lines.append(f"{name + ':':<10} {_of_real(real)}")
     if late := about["lateness"]:
         lines.append(
             f"lateness:  {1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "
@@ -118,3 +120,15 @@ def summary(result: "Result") -> str:
         )
     lines.append(f"results:   {result.folder}")
     return "\n".join(lines) + "\n"
+
+
+def _of_real(real: Mapping[str, Any]) -> str:
+    """How a real vehicle was known and driven, in a line."""
+    age_s, fixes = real["age_s"]["p50"], real["fixes"]
+    words = [f"real, {1000 * age_s:.0f} ms old" if age_s is not None else "real, never heard"]
+    if fixes:
+        words.append(f"{fixes} positions ({real['gated']} did not fit)")
+    words += [f"stopped {count} x: {cause}" for cause, count in real["stops"].items()]
+    if real["frames_too_early"]:
+        words.append(f"{real['frames_too_early']} frames were received after less than that: no real link is so quick")
+    return ", ".join(words)

@@ -1,6 +1,7 @@
 """From ``[radio]`` to a channel: a preset, and what is changed of its layers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -8,7 +9,7 @@ import numpy as np
 
 from cosim import component, registry, table
 from cosim.errors import ScenarioError
-from cosim.scenario import Scenario
+from cosim.scenario_tables import Scenario
 from cosim.source import Source
 
 
@@ -28,8 +29,16 @@ def of_scenario(
     solids: Any,
     portable: component.Portable = str,
     keep: component.Keep = component.name_of,
+    recorded: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Built:
-    """Build the radio of a scenario; arguments as for `build`."""
+    """Build the radio of a scenario.
+
+    Args:
+        scenario, source, solids, portable, keep: as for `build`.
+        recorded: ``radio.parquet`` of an earlier run: its frames fare as they did then.
+        tell: takes lines for the user.
+    """
     kind, federate = registry.piece("vehicle radio"), registry.piece("radio")
     radios = {
         each.name: table.call(kind, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle
@@ -40,7 +49,8 @@ def of_scenario(
     channel, resolved = build(
         layers, source, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
     )
-    built = table.call(federate, own, key="radio", origin=source, given={"channel": channel})
+    air = channel if recorded is None else registry.piece("recorded radio")(channel, recorded, tell)
+    built = table.call(federate, own, key="radio", origin=source, given={"channel": air})
     return Built(built, channel, radios, {**table.complete(federate, own, without=("channel",)), **resolved})
 
 

@@ -26,7 +26,7 @@ from cosim.scenario import BUILT_IN
 
 PAGE = BUILT_IN / "README.md"
 UPDATE = "python -m cosim.reference --write"
-OFFERED = ("sightline", "noise_dbm", "world", "vehicles")
+OFFERED = ("sightline", "noise_dbm", "world", "vehicles", "outside")
 """Parameters that come from the rest of the scenario (`cosim.radio.build`, `cosim.assemble`), not from a key."""
 
 VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {

@@ -41,6 +41,8 @@ VERBS: Mapping[str, str] = {
     "trace": "level_dbm(frame)",
     "jammer": "interference_mw(start_ns, end_ns, rx, loss_db, where)",
     "delivery": "deliver(sender_row, rows, received_ns, size_bytes, draw)",
+    "driver": "write(velocity)",
+    "localisation": "read(now_ns)",
 }
 """What a class of each group must have."""
 
@@ -53,6 +55,7 @@ PIECES: Mapping[str, str] = {
     "world": "physics.world:World",
     "world pictures": "physics.draw",
     "radio": "netsim.federate:RadioFederate",
+    "recorded radio": "netsim.recorded:RecordedChannel",
     "channel": "netsim.channel:Channel",
     "radio presets": "netsim.presets",
     "radio paths": "netsim.layers:Paths",
@@ -66,6 +69,14 @@ PIECES: Mapping[str, str] = {
     "row file": "netsim.trial_rows:RowFile",
     "vehicle radio": "netsim.radios:Radio",
     "sightline": "physics.sightline:Sightline",
+    "hardware": "hardware.federate:Hardware",
+    "playback": "hardware.playback:Playback",
+    "emulate options": "hardware.emulate.options",
+    "emulated robot": "hardware.emulate.robot:emulate",
+    "emulated vehicle": "hardware.emulate.scenario:emulate",
+    "emulated tag": "hardware.emulate.robot:emulate_tag",
+    "emulated autopilot": "hardware.emulate.autopilot:emulate",
+    "fusion": "hardware.positioning.fusion:Fusion",
 }
 """Pieces of parts that are no kinds of a scenario, for `piece`."""
 
@@ -158,6 +169,19 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "gilbert_elliott": "netsim.burst:GilbertElliott",
         "bursts": "netsim.bursts:Bursts",
         "none": "netsim.loss:NoLoss",
+    },
+    "driver": {
+        "arcos": "hardware.arcos.driver:ArcosDriver",
+        "bench": "hardware.bench:Bench",
+        "zenoh": "hardware.onboard.driver:ZenohDriver",
+        "ros2": "hardware.ros2.driver:Ros2Driver",
+        "mavlink": "hardware.mavlink.driver:MavlinkDriver",
+    },
+    "localisation": {
+        "ubisense": "hardware.positioning.sources:Ubisense",
+        "dwm1001": "hardware.positioning.sources:Dwm1001",
+        "nmea": "hardware.positioning.sources:Nmea",
+        "zenoh": "hardware.positioning.sources:ExternalPose",
     },
     "delivery": {"delivery": "netsim.delivery:Delivery", "none": NOTHING},
     "delay": {

@@ -11,7 +11,7 @@ from typing import Any
 from cosim import registry, table
 from cosim.agent import AgentInfo
 from cosim.clock import SECOND_NS
-from cosim.scenario import Scenario, VehicleTable
+from cosim.scenario_tables import ClockTable, Scenario, VehicleTable
 from cosim.source import Source
 
 
@@ -22,6 +22,7 @@ class Resolution:
         tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
         vehicles: the parameters of each vehicle's kind, complete.
         sensors: the tables of each vehicle's sensors, complete.
+        real: the tables of each real vehicle, complete.
         files: files that the scenario uses as they are now, by the name under which they are kept beside it.
     """
 
@@ -30,6 +31,7 @@ class Resolution:
         self.tables: dict[str, Any] = {}
         self.vehicles: dict[str, dict[str, Any]] = {}
         self.sensors: dict[str, dict[str, Any]] = {}
+        self.real: dict[str, dict[str, Any]] = {}
         self.files: dict[str, bytes] = {}
         self._paths: dict[str, Path] = {}
 
@@ -76,6 +78,8 @@ class Resolution:
                 **_present(period_s=agents.period_s, latency_s=agents.latency_s, on_lost=agents.on_lost, hold_s=agents.hold_s),
                 **{name: self._kept(value) for name, value in of_agents.items()},
             },
+            **({"clock": table.plain(scenario.clock)} if scenario.clock != ClockTable() else {}),
+            **({"safety": table.plain(scenario.safety)} if any("driver" in each for each in self.real.values()) else {}),
             "vehicles": shared,
             "record": table.plain(scenario.record),
             "metrics": table.plain(scenario.metrics),
@@ -119,7 +123,7 @@ class Resolution:
             radio=table.complete(registry.piece("vehicle radio"), vehicle.radio),
             sensors=self.sensors[vehicle.name] or None,
         )
-        full |= self.vehicles[vehicle.name]
+        full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
 
     def _agent(

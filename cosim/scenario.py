@@ -1,125 +1,33 @@
-"""Scenarios: TOML files parsed once, at the edge, into checked tables. Every key stands in a class here, with its default.
-
-Tables that configure one of several kinds (``physics``, ``world``, the layers of ``radio``, a vehicle, an agent) stay mappings:
-their keys are the constructor parameters of the kind, checked when it is built (`cosim.assemble`).
-"""
+"""Scenarios: TOML files parsed once, at the edge, into checked tables (`cosim.scenario_tables`)."""
 
 import copy
 import itertools
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from cosim import table
 from cosim.errors import ScenarioError, UsageError
 from cosim.repeat import names_copy, repeated
+from cosim.scenario_tables import (
+    AgentsTable,
+    AgentTable,
+    ClockTable,
+    MetricsTable,
+    RecordTable,
+    SafetyTable,
+    Scenario,
+    StudyTable,
+    VehicleTable,
+)
 from cosim.source import Source
-from cosim.types import Count, Name, NonNegative, OnLost, Period, Seconds, Seed, Vec3
 
 RESERVED = ("world", "radio", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = Path(__file__).resolve().parent.parent / "scenarios"
-Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
-Runs = Literal["inprocess", "process", "zenoh"]
-PoseSource = Literal["truth", "odometry", "positioning"]
 T = TypeVar("T")
-
-
-class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[agents]``: where agents run and how fast; every other key is a default for agents that take such a parameter."""
-
-    runs: Runs = "inprocess"  # inprocess | process (child processes) | zenoh (hosts that are started by hand)
-    processes: Count | None = None  # with runs = "process": how many share the agents; default: one each
-    listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": the endpoint that hosts dial
-    deadline_s: Period = 2.0  # wall-clock time within which a remote agent must answer
-    join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
-    period_s: Period | None = None  # s between ticks; default: the agent's own period
-    latency_s: Seconds = 0.0  # s from an observation to the effect of the command
-    on_lost: OnLost = "stop"  # when an agent fails or its host is lost: stop (the run) | hold (its last command) | remove (it)
-    hold_s: Seconds = 1.0  # with on_lost = "hold": for so long, then the vehicle stands still
-    defaults: Mapping[str, Any] = {}
-
-
-class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
-    """A vehicle's ``agent``; every key not listed is a parameter of the agent, and wins over ``[agents]``."""
-
-    kind: str | None = None  # short name | module:Class | file.py:Class; default: agents.kind
-    runs: Runs | None = None  # default: agents.runs
-    period_s: Period | None = None
-    latency_s: Seconds | None = None
-    fails_s: Seconds | None = None  # from then on it is dead: its vehicle stands still and sends nothing
-    on_lost: OnLost | None = None  # default: agents.on_lost
-    hold_s: Seconds | None = None  # s; default: agents.hold_s
-    params: Mapping[str, Any] = {}
-
-
-class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
-    """A ``[[vehicle]]``; every key not listed is a parameter of its kind. ``[vehicles]`` holds defaults for all of them."""
-
-    name: Name
-    kind: str
-    pose: tuple[float, float, float] | None = None  # x m, y m, yaw rad; or, in its place:
-    position: Vec3 = (0.0, 0.0, 0.0)  # x, y, z m
-    heading: float = 0.0  # rad, counter-clockwise from east
-    pose_source: PoseSource = "truth"  # what its agent takes for its own pose
-    positioning: Mapping[str, Any] | None = None  # the positioning sensor, if it carries one
-    sensors: Mapping[str, Mapping[str, Any]] = {}  # what else it carries, by names of one's own: a table with a kind each
-    radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
-    agent: AgentTable | None = None  # None: it has no agent and stands still
-    params: Mapping[str, Any] = {}
-
-    def __post_init__(self) -> None:
-        if self.pose is not None and (any(self.position) or self.heading):
-            raise ValueError("either pose, or position and heading: not both")
-
-    @property
-    def start(self) -> tuple[Vec3, float]:
-        """Where it starts: position m, heading rad."""
-        if self.pose is None:
-            return self.position, self.heading
-        x, y, yaw = self.pose
-        return (x, y, 0.0), yaw
-
-
-class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[record]``."""
-
-    period_s: Period = 0.1  # s between recorded states
-    sensors: tuple[str, ...] = ()  # names of scanners and cameras whose readings are recorded; "*": all. Others always are
-
-
-class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[metrics]``: the window of the formation error and the age of information."""
-
-    from_s: NonNegative = 0.0
-    to_s: NonNegative | None = None  # default: the end
-
-
-class StudyTable(msgspec.Struct, frozen=True, kw_only=True):
-    """``[study]``: what ``vcmvsp study`` does with this scenario unless told otherwise."""
-
-    vary: Mapping[str, tuple[Any, ...]] = {}  # key path -> its values
-    seeds: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 20  # runs of each combination of values
-    metrics: tuple[str, ...] = ()  # what is drawn and summarised, e.g. "formation.rms_m"
-
-
-class Scenario(msgspec.Struct, frozen=True, kw_only=True):
-    """A whole scenario. ``duration_s`` is simulated time; agents act at 0 <= t < duration."""
-
-    name: Name
-    duration_s: Duration
-    seed: Seed = 0
-    physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic"
-    world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
-    radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
-    agents: AgentsTable = AgentsTable()
-    vehicles: Mapping[str, Any] = {}
-    record: RecordTable = RecordTable()
-    metrics: MetricsTable = MetricsTable()
-    study: StudyTable = StudyTable()
-    vehicle: tuple[VehicleTable, ...]
 
 
 def load(
@@ -156,7 +64,7 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     listed = raw.get("vehicle", [])
     if not isinstance(listed, list) or not listed:
         raise ScenarioError("needs at least one [[vehicle]]", key="vehicle", source=source.of("vehicle"))
-    if own := {"name", "pose", "position", "agent"} & {*defaults}:
+    if own := {"name", "pose", "position", "agent", "driver", "localisation"} & {*defaults}:
         problem = f"may not hold {' or '.join(sorted(own))}, which each vehicle has its own"
         raise ScenarioError(problem, key="vehicles", source=source.of("vehicles"))
     listed = repeated(listed, source)
@@ -170,7 +78,13 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
         **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio") if name in raw},
         **{
             name: table.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
-            for name, kind in (("record", RecordTable), ("metrics", MetricsTable), ("study", StudyTable))
+            for name, kind in (
+                ("clock", ClockTable),
+                ("safety", SafetyTable),
+                ("record", RecordTable),
+                ("metrics", MetricsTable),
+                ("study", StudyTable),
+            )
             if name in raw
         },
     }

@@ -219,6 +219,28 @@ class Presence(Value, frozen=True, kw_only=True, tag="presence"):
     late: int = 0  # back: answers that came too late to count
 
 
+class RealStatus(Value, frozen=True, kw_only=True, tag="real"):
+    """How a real vehicle and the run that it is part of stand, at an instant of the run."""
+
+    link: int  # which connection since the start: greater than 1 after one was lost
+    age_s: float | None  # of the newest that its driver told; None: nothing yet
+    fix_age_s: float | None = None  # of the newest position that counted
+    sigma_m: float | None = None  # standard deviation of the estimated position, along its worse axis
+    prediction_m: float | None = None  # how far off dead reckoning since the last instant was
+    gated: int = 0  # positions that did not fit, so far
+    sent: Velocity | None = None  # what the robot was told last
+    causes: tuple[str, ...] = ()  # why that is not what its agent wanted
+    battery_v: float | None = None
+
+
+class Incident(Value, frozen=True, kw_only=True, tag="incident"):
+    """Something that befell a real vehicle."""
+
+    what: Literal["connected", "lost", "stopped", "warned"]
+    cause: str
+    happened_ns: int  # in the run's time; may lie before 0
+
+
 class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     """What became of one frame at every receiver it was meant for; the rows of ``radio.parquet``."""
 
@@ -269,6 +291,8 @@ AnyValue = (
     | Note
     | Follows
     | Presence
+    | RealStatus
+    | Incident
     | FrameReport
     | Contact
 )

@@ -68,7 +68,7 @@ class Notice(Value, frozen=True, kw_only=True):
     """Something that a recording should tell: a connection, a loss or a stop, with its cause."""
 
     time_ns: int  # of this machine's monotonic clock
-    what: Literal["connected", "lost", "stopped"]
+    what: Literal["connected", "lost", "stopped", "warned"]
     cause: str
 
 
@@ -87,8 +87,10 @@ class Driver(Protocol):
         """The newest sample, or None if there was none since the last call; raises what ended the connection."""
 
     def write(self, velocity: Velocity) -> None:
-        """Move like this until the next command, or until `COMMAND_TIMEOUT_S` have passed; robots on the ground look at
-        linear[0] and yaw_rate alone."""
+        """Move like this until the next command, or until `COMMAND_TIMEOUT_S` have passed.
+
+        Robots on the ground look at ``linear[0]`` and ``yaw_rate`` alone.
+        """
 
     def stop(self, cause: str) -> None:
         """Zero speed at once, ahead of all else; the next `write` moves the robot again."""

@@ -130,6 +130,12 @@ class Channel:
         end_ns = start_ns + air_ns
         return [self._report(sent, OnAir(self._endure(sent, heard), start_ns, end_ns, heard.snr_db, heard.snr_db))]
 
+    def skip(self, sender: str) -> int:
+        """Count a frame of which somebody else says what becomes of it, and give its number; it is never on the air here."""
+        self._senders.setdefault(sender, Sender()).frames += 1
+        self._frames += 1
+        return self._frames - 1
+
     def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
         """For many broadcasts of vehicles that stand still; None if layers have a say in single frames."""
         if self._frames:
@@ -169,6 +175,9 @@ class Channel:
         waiting, self._waiting, self._coming, self._answers = list(self._waiting.values()), {}, [], {}
         self._medium, self._names = None, ()
         return [self._outcomes.unfinished(sent) for sent in waiting]
+
+    def close(self) -> None:
+        """Nothing to release."""
 
     def _meet(self, names: tuple[str, ...]) -> None:
         if self._waiting:

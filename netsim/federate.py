@@ -9,6 +9,7 @@ from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.rng import stream
 from cosim.types import FrameReport, Message, Reception, Seconds, States
 from netsim.channel import Channel
+from netsim.recorded import RecordedChannel
 
 
 class RadioFederate:
@@ -20,7 +21,8 @@ class RadioFederate:
     ``world/states``      in         `States`: where everybody is; the newest counts
     ``<vehicle>/send``    in         `Message`: enters the channel at the event's time
     ``radio/frame``       out        `FrameReport`: what became of a frame, as soon as that is known: at its sending where
-                                     nobody contends for the air, else when it ends; at the end of the run for the rest
+                                     nobody contends for the air, or a recording tells it (`netsim.recorded`), else when
+                                     it ends; at the end of the run for the rest
     ``<vehicle>/heard``   out        `Reception`, at the time at which it arrives
     ====================  =========  ===============================================================================
 
@@ -38,7 +40,7 @@ class RadioFederate:
     latest: tuple[str, ...] = ("world/states",)
     wakes: tuple[str, ...] = ("*/send",)
 
-    def __init__(self, channel: Channel, handover_s: Seconds = 0.002) -> None:
+    def __init__(self, channel: Channel | RecordedChannel, handover_s: Seconds = 0.002) -> None:
         self._channel = channel
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
@@ -71,7 +73,8 @@ class RadioFederate:
         return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Release the channel."""
+        self._channel.close()
 
     def _send(self, sent_ns: int, message: Message, *, alone: bool) -> list[FrameReport]:
         if self._states is None:

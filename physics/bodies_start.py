@@ -1,11 +1,13 @@
-"""What is refused before time 0: equal names, sensors that do not fit, bodies outside the world or inside each other."""
+"""What is refused before time 0: equal names, unfit sensors and instants, bodies outside the world or inside each other."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from cosim.clock import Ticks
 from cosim.errors import ScenarioError
+from cosim.federate import RunInfo
 from cosim.types import Array
 from physics.bodies import heading_of, hull_of, outline
 from physics.polygons import overlap_m
@@ -50,6 +52,22 @@ def check_lift(vehicles: Sequence[VehicleSpec], gravity: float) -> None:
                 spec.model.check_lift(gravity)
             except ValueError as error:
                 raise ScenarioError(str(error), key=f"vehicle.{spec.name}") from error
+
+
+def check_instants(run: RunInfo, rate_hz: float, trains: Sequence[tuple[str, Ticks]]) -> None:
+    """Refuse instants between two steps of physics, naming both numbers; ``trains`` are those of sensors, by their keys."""
+    step, end_ns = Ticks.rate(rate_hz), run.duration_ns
+    needed = [("duration_s", f"the duration {end_ns / 1e9:.9g} s", step.hits(end_ns))]
+    for each in run.instants:
+        period_ok = each.ticks.is_multiple_of(step)
+        needed.append((each.key, f"the period {float(each.ticks.period) / 1e9:.9g} s", period_ok))
+        needed.append((each.key, f"the offset {each.offset_ns / 1e9:.9g} s", step.hits(each.offset_ns)))
+    for key, ticks in trains:
+        needed.append((key, f"the period {float(ticks.period) / 1e9:.9g} s", ticks.is_multiple_of(step)))
+    for key, what, fits in needed:
+        if not fits:
+            problem = f"{what} is not a whole number of physics steps (1/{rate_hz:g} s); "
+            raise ScenarioError(problem + "use a multiple, or set physics.rate_hz", key=key or "physics.rate_hz")
 
 
 def check_places(world: World, vehicles: Sequence[VehicleSpec]) -> None:

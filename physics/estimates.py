@@ -1,10 +1,46 @@
 """What a vehicle takes for its own state, by its pose source."""
 
+import math
+from typing import Protocol
+
 import msgspec
 
-from cosim.frames import Quaternion, quaternion_from_yaw, yaw_of
-from cosim.types import Fix, Odometry, VehicleState
+from cosim.frames import Quaternion, quaternion_from_yaw, wrap, yaw_of
+from cosim.types import Fix, Odometry, Vec3, VehicleState
 from physics.engine import Motion
+
+
+class Fused(Protocol):
+    """A pose that was made of odometry and positions."""
+
+    @property
+    def x(self) -> float:
+        """World, m."""
+
+    @property
+    def y(self) -> float:
+        """World, m."""
+
+    @property
+    def heading(self) -> float:
+        """Rad; meaningless unless known."""
+
+    @property
+    def heading_known(self) -> bool:
+        """Whether the vehicle has moved far enough to tell it."""
+
+
+class Fuser(Protocol):
+    """Makes one pose of odometry and positions: the same on a real robot and on a simulated one."""
+
+    def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> object:
+        """The vehicle has gone and turned so much since the last call; the first call only marks the time."""
+
+    def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> object:
+        """The vehicle was there at that time, give or take ``sigma_m``, which is positive, in x and in y."""
+
+    def estimate(self, now_ns: int) -> Fused | None:
+        """The pose at a time; None while nothing is known."""
 
 
 def state_of(motion: Motion, row: int) -> VehicleState:
@@ -13,21 +49,36 @@ def state_of(motion: Motion, row: int) -> VehicleState:
     return VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
 
 
-def estimate(pose_source: str, truth: VehicleState, odometry: Odometry | None, fix: Fix | None) -> VehicleState:
+def travelled(before: Vec3, after: Vec3) -> tuple[float, float]:
+    """How far along its path, m, and by how much a vehicle turned, rad, that went from pose to pose on an arc.
+
+    The inverse of `cosim.frames.arc`; the chord of an arc of length d and angle a is ``d sin(a/2) / (a/2)``, in the direction
+    ``yaw + a/2``. Turns of more than half a circle cannot be told from their remainders.
+    """
+    dx, dy, turn = after[0] - before[0], after[1] - before[1], wrap(after[2] - before[2])
+    half = 0.5 * turn
+    chord = dx * math.cos(before[2] + half) + dy * math.sin(before[2] + half)
+    return chord * (half / math.sin(half) if half else 1.0), turn
+
+
+def estimate(
+    pose_source: str, truth: VehicleState, odometry: Odometry | None, fix: Fix | None, fused: Fused | None = None
+) -> VehicleState:
     """What a vehicle takes for its own state.
 
     The pose comes from its pose source; speeds come from its wheels, unless it is told the truth. Without wheels, all that is
-    not in a fix is the truth.
+    not in a fix is the truth. Until the first fix, and as long as a fused pose has no heading, odometry stands in.
     """
     if pose_source == "truth" or (odometry is None and fix is None):
         return truth
     if odometry is None:
         assert fix is not None  # noqa: S101  # else it is the truth
         return msgspec.structs.replace(truth, position=fix.position, attitude=_turned_to(fix.yaw, truth.attitude))
-    if pose_source == "odometry" or fix is None:
-        (x, y, yaw), z = odometry.pose, 0.0
-    else:
-        (x, y, z), yaw = fix.position, odometry.pose[2] if fix.yaw is None else fix.yaw
+    (x, y, yaw), z = odometry.pose, 0.0
+    if pose_source == "fusion" and fused is not None:
+        x, y, yaw = fused.x, fused.y, fused.heading if fused.heading_known else yaw
+    elif pose_source == "positioning" and fix is not None:
+        (x, y, z), yaw = fix.position, yaw if fix.yaw is None else fix.yaw
     w, _, _, s = attitude = quaternion_from_yaw(yaw)
     velocity = (odometry.v * (w * w - s * s), odometry.v * 2.0 * w * s, 0.0)
     return VehicleState(position=(x, y, z), velocity=velocity, attitude=attitude, angular_velocity=(0.0, 0.0, odometry.w))

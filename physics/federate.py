@@ -13,10 +13,13 @@ Published at every instant that somebody asked for (`RunInfo.instants`, the star
 ======================  ============  =======================================================================
 
 and what sensors say, at their own ticks: ``<vehicle>/fix`` of a positioning sensor, ``<vehicle>/<sensor>`` of all others.
+
+Vehicles that something else moves (`cosim.outside`) are in all of this, but for ``estimate``, ``odometry`` and ``fix``: these
+are published by whoever moves them.
 """
 
 from collections.abc import Sequence
-from math import isfinite, isnan
+from math import isfinite
 from typing import Annotated
 
 import msgspec
@@ -25,15 +28,16 @@ import numpy as np
 from cosim.clock import Ticks
 from cosim.errors import FederateError, ScenarioError
 from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.rng import stream
-from cosim.types import Array, Contact, Fix, NonNegative, Odometry, Rate, States, VehicleState, Velocity, Waypoint
+from cosim.outside import Outside
+from cosim.types import Array, Contact, NonNegative, Rate, States, Velocity, Waypoint
 from physics.aerial import AerialEngine
 from physics.bodies_scene import Stage
-from physics.bodies_start import check_lift, check_names, check_overlaps, check_places, check_sensors
+from physics.bodies_start import check_instants, check_lift, check_names, check_overlaps, check_places, check_sensors
 from physics.engine import Engine, Motion, Touch, gathered
-from physics.estimates import estimate, state_of
 from physics.instruments import Instruments
 from physics.motion import MotionEngine
+from physics.outside import Reflected, check_shown
+from physics.pose_sources import PoseSources
 from physics.quadrotor import Quadrotor
 from physics.urdf import UrdfDrive
 from physics.vehicles import DifferentialDrive, GroundVehicle, Point, VehicleSpec, flies
@@ -54,6 +58,8 @@ class Physics:
         rate_hz: Bullet steps a second. Every instant at which states or readings are needed must fall on one.
         iterations: of Bullet's constraint solver in each step; fewer are quicker, and drift more.
         gravity: m/s2.
+        outside: moves the vehicles that it names; they are shown, and nothing moves them here. It comes from the program, not
+            from the scenario.
     """
 
     name = "physics"
@@ -71,45 +77,51 @@ class Physics:
         rate_hz: Rate = 120.0,
         iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
         gravity: NonNegative = 9.81,
+        outside: Outside | None = None,
     ) -> None:
         self.rate_hz, self.iterations, self.gravity = rate_hz, iterations, gravity
         self.world, self.vehicles = world, tuple(vehicles)
         self.radius_m = {spec.name: spec.model.radius_m for spec in self.vehicles}
         self._names = tuple(spec.name for spec in self.vehicles)
         self._stage = Stage(world, self.vehicles, gravity)
-        self._fixes: list[Fix | None] = [None] * len(self.vehicles)
+        self._outside = outside
+        names = () if outside is None else outside.names
+        self._shown = [number for number, name in enumerate(self._names) if name in names]
+        self._moved = [number for number, name in enumerate(self._names) if name not in names]
+        self._reflected: Reflected | None = None
         self._touching: frozenset[tuple[int, int | None]] = frozenset()
         self._engines: list[tuple[Engine, Array]] = []
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """Engines at time 0, and the numbers of the vehicles that each of them moves."""
+        """Engines at time 0, and the numbers of the vehicles that each of them moves or shows."""
         raise NotImplementedError
 
     def start(self, run: RunInfo) -> int:
         """Build the engines; the first publication is at 0."""
         self._run, self._now_ns = run, 0
-        self._sensors = [
-            (number, spec.positioning, Ticks.rate(spec.positioning.rate_hz), stream(run.seed, f"{spec.name}/positioning"))
-            for number, spec in enumerate(self.vehicles)
-            if spec.positioning is not None
-        ]
+        shown = [self.vehicles[number] for number in self._shown]
+        self._reflected = Reflected(self._outside, shown) if self._outside and self._outside.names else None
+        self._sources = PoseSources(self.vehicles, self._moved, run.seed)
         fitted = {spec.name: spec.sensors for spec in self.vehicles}
         self._instruments = Instruments(fitted, run.seed, wanted=frozenset(run.wanted))
         self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))  # equal ones once, in order
         check_names(self.world, self.vehicles)
         check_places(self.world, self.vehicles)
         check_sensors(self.vehicles)
+        check_shown(shown)
         self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
         self._mover = {
             self._names[number]: (engine, row, flies(self.vehicles[number].model))
             for engine, numbers in self._engines
             for row, number in enumerate(numbers.tolist())
+            if number in self._moved
         }
-        for spec in self.vehicles:
+        for spec in (self.vehicles[number] for number in self._moved):
             if spec.name not in self._mover:
                 problem = f"{spec.name} is a {type(spec.model).__name__}, which physics cannot move: "
                 problem += "derive it from GroundVehicle, Point or Quadrotor"
                 raise ScenarioError(problem, key=f"vehicle.{spec.name}.kind")
+        self._sources.feed(0, self._motion())
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
@@ -143,10 +155,21 @@ class Physics:
             engine.go_to(row, command.position, command.yaw, command.speed)
 
     def _advance(self, to_ns: int) -> None:
+        """Move on, and feed the estimators on the way."""
+        while (fed_ns := self._sources.next_fed_ns(self._now_ns)) is not None and fed_ns <= to_ns:
+            self._move(fed_ns)
+            self._sources.feed(fed_ns, self._motion())
+        self._move(to_ns)
+
+    def _move(self, to_ns: int) -> None:
         if to_ns > self._now_ns:
             self._now_ns = to_ns
             for engine, _ in self._engines:
                 engine.advance(to_ns)
+
+    def _motion(self) -> Motion:
+        """How all vehicles move now."""
+        return gathered([(engine.read(), rows) for engine, rows in self._engines], len(self.vehicles))
 
     def _next(self, now_ns: int) -> int | None:
         """The first instant after now at which anything is to be published; the end of the run is one."""
@@ -154,7 +177,7 @@ class Physics:
         if now_ns >= end_ns:
             return None
         due = [end_ns, *(ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)]
-        due += [ticks.after(now_ns) for _, _, ticks, _ in self._sensors]
+        due += [ticks.after(now_ns) for _, ticks in self._sources.trains]
         if (reading_ns := self._instruments.next_ns(now_ns)) is not None:
             due.append(reading_ns)
         return min(due)
@@ -162,11 +185,13 @@ class Physics:
     def _publish(self, now_ns: int) -> list[Event]:
         """Everything of this instant, vehicles in the scenario's order."""
         asked = now_ns in (0, self._run.duration_ns) or any(ticks.hits(now_ns - offset) for ticks, offset in self._trains)
-        fixes = [each for each in self._sensors if each[2].hits(now_ns)]
+        fixing = any(ticks.hits(now_ns) for _, ticks in self._sources.trains)
         sensing = self._instruments.next_ns(now_ns - 1) == now_ns
-        if not (asked or fixes or sensing):
+        if not (asked or fixing or sensing):
             return []
-        motion = gathered([(engine.read(), rows) for engine, rows in self._engines], len(self.vehicles))
+        if self._reflected:
+            self._reflected.ask(now_ns)
+        motion = self._motion()
         events = []
         if asked:
             states = States(
@@ -177,29 +202,13 @@ class Physics:
                 angular_velocity=motion.angular_velocity,
             )
             events.append(Event("world/states", now_ns, states))
-        for number, sensor, _, rng in fixes:
-            fix = self._fixes[number] = sensor.measure(now_ns, state_of(motion, number), rng)
-            events.append(Event(f"{self._names[number]}/fix", now_ns, fix))
+        events += self._sources.measure(now_ns, motion)
         if sensing:
             movables = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
             scene = self._stage.scene(now_ns, motion, movables[0] if movables else None, self._touches(passing=False))
             events += self._instruments.read(scene)
         if asked:
-            events += self._estimates(now_ns, motion) + self._contacts(now_ns, self._touches(passing=True))
-        return events
-
-    def _estimates(self, now_ns: int, motion: Motion) -> list[Event]:
-        """What each vehicle takes for its own state, and what its wheels say."""
-        truths = zip(*(each.tolist() for each in motion[:4]), strict=True)
-        events = []
-        for spec, fix, truth, wheels in zip(self.vehicles, self._fixes, truths, motion.odometry.tolist(), strict=True):
-            x, y, yaw, v, w = wheels
-            odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            position, velocity, attitude, spin = map(tuple, truth)
-            state = VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
-            events.append(Event(f"{spec.name}/estimate", now_ns, estimate(spec.pose_source, state, odometry, fix)))
-            if odometry is not None:
-                events.append(Event(f"{spec.name}/odometry", now_ns, odometry))
+            events += self._sources.estimates(now_ns, motion) + self._contacts(now_ns, self._touches(passing=True))
         return events
 
     def _touches(self, *, passing: bool) -> list[Touch]:
@@ -231,8 +240,9 @@ class KinematicPhysics(Physics):
     """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        """One engine on the ground, one in the air."""
-        return _riders(self.vehicles, range(len(self.vehicles)))
+        """One engine on the ground, one in the air, one for what is only shown."""
+        riders = _riders(self.vehicles, self._moved)
+        return [*riders, (self._reflected, self._shown)] if self._reflected else riders
 
 
 def _riders(vehicles: Sequence[VehicleSpec], numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
@@ -256,13 +266,13 @@ class BulletPhysics(Physics):
         """Bullet for those with a body, the others as without it."""
         from physics.bullet.engine import BulletEngine  # loads PyBullet: 0.4 s that a kinematic run need not wait
 
-        self._check_instants()
-        bodies = [
-            n for n, spec in enumerate(self.vehicles) if isinstance(spec.model, DifferentialDrive | UrdfDrive | Quadrotor)
-        ]
+        check_instants(self._run, self.rate_hz, self._sources.trains)
+        self._instruments.check(Ticks.rate(self.rate_hz))
+        solid = DifferentialDrive | UrdfDrive | Quadrotor
+        bodies = [n for n, spec in enumerate(self.vehicles) if n in self._shown or isinstance(spec.model, solid)]
         specs = [self.vehicles[n] for n in bodies]
         check_overlaps(self.world, specs)
-        check_lift(specs, self.gravity)
+        check_lift([self.vehicles[n] for n in bodies if n not in self._shown], self.gravity)
         bullet = BulletEngine(
             world=self.world,
             models=[spec.model for spec in specs],
@@ -274,22 +284,6 @@ class BulletPhysics(Physics):
             iterations=self.iterations,
             gravity=self.gravity,
             accelerations=any(spec.sensors for spec in specs),
+            reflected=self._reflected,
         )
         return [(bullet, bodies), *_riders(self.vehicles, [n for n in range(len(self.vehicles)) if n not in bodies])]
-
-    def _check_instants(self) -> None:
-        """Refuse instants between two steps of Bullet, naming both numbers."""
-        step, end_ns = Ticks.rate(self.rate_hz), self._run.duration_ns
-        needed = [("duration_s", f"the duration {end_ns / 1e9:.9g} s", step.hits(end_ns))]
-        for each in self._run.instants:
-            period_ok = each.ticks.is_multiple_of(step)
-            needed.append((each.key, f"the period {float(each.ticks.period) / 1e9:.9g} s", period_ok))
-            needed.append((each.key, f"the offset {each.offset_ns / 1e9:.9g} s", step.hits(each.offset_ns)))
-        for number, _, ticks, _ in self._sensors:
-            key = f"vehicle.{self._names[number]}.positioning.rate_hz"
-            needed.append((key, f"the period {float(ticks.period) / 1e9:.9g} s", ticks.is_multiple_of(step)))
-        for key, what, fits in needed:
-            if not fits:
-                problem = f"{what} is not a whole number of physics steps (1/{self.rate_hz:g} s); "
-                raise ScenarioError(problem + "use a multiple, or set physics.rate_hz", key=key or "physics.rate_hz")
-        self._instruments.check(step)

@@ -19,6 +19,7 @@ class Positioning:
         rate_hz: fixes a second.
         sigma_m: standard deviation of x and of y, m.
         sigma_rad: standard deviation of the yaw, rad.
+        heading: whether a fix tells the yaw; that of a single tag does not.
         outlier_probability: of a fix to be displaced (a reflection taken for the direct path).
         outlier_m: how far an outlier is displaced, m, in a random direction.
     """
@@ -26,6 +27,7 @@ class Positioning:
     rate_hz: Rate = 10.0
     sigma_m: NonNegative = 0.15
     sigma_rad: NonNegative = 0.05
+    heading: bool = True
     outlier_probability: Probability = 0.0
     outlier_m: NonNegative = 2.0
 
@@ -42,7 +44,7 @@ class Positioning:
                 y + self.sigma_m * dy + far * math.sin(math.tau * direction),
                 z,
             ),
-            yaw=wrap(truth.yaw + self.sigma_rad * turn),
+            yaw=wrap(truth.yaw + self.sigma_rad * turn) if self.heading else None,
             sigma_m=self.sigma_m,
-            sigma_rad=self.sigma_rad,
+            sigma_rad=self.sigma_rad if self.heading else 0.0,
         )

@@ -17,12 +17,13 @@ from typing import NamedTuple, Protocol
 
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative, Positive, Value, Vec3
+from physics.estimates import Fuser
 from physics.positioning import Positioning
 from physics.quadrotor import Quadrotor
 from physics.scene import Hull
 from physics.sensor import Sensor
 
-POSE_SOURCES = ("truth", "odometry", "positioning")
+POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
 
 
 class Vehicle(Protocol):
@@ -234,8 +235,9 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
     model: Vehicle
     position: Vec3 = (0.0, 0.0, 0.0)  # m, world; on the ground z does not count; too low to fly: it stands on the floor
     heading: float = 0.0  # rad
-    pose_source: str = "truth"  # "truth" | "odometry" | "positioning"
+    pose_source: str = "truth"  # "truth" | "odometry" | "positioning" | "fusion"
     positioning: Positioning | None = None  # the sensor, if fitted
+    fusion: Fuser | None = None  # makes one pose of odometry and fixes, if that is its source; every run has its own copy
     sensors: Mapping[str, Sensor] = {}  # others, by name
 
     def __post_init__(self) -> None:
@@ -244,8 +246,10 @@ class VehicleSpec(Value, frozen=True, kw_only=True):
             raise ScenarioError(f'"{self.pose_source}" is none of {", ".join(POSE_SOURCES)}', key=key)
         if self.pose_source == "positioning" and self.positioning is None:
             raise ScenarioError('"positioning" needs the sensor of that name to be fitted to the vehicle', key=key)
-        if self.pose_source == "odometry" and flies(self.model):
-            raise ScenarioError('"odometry" needs wheels, which a vehicle that flies has none of', key=key)
+        if self.fusion is not None and self.positioning is None:
+            raise ScenarioError('"fusion" needs the sensor "positioning" to be fitted to the vehicle', key=key)
+        if (self.pose_source == "odometry" or self.fusion is not None) and flies(self.model):
+            raise ScenarioError(f'"{self.pose_source}" needs wheels, which a vehicle that flies has none of', key=key)
 
     @property
     def start(self) -> Vec3:

@@ -8,7 +8,7 @@ import pytest
 
 from agents.formation.formation import Formation
 from agents.formation.sending import Sending
-from cosim import reference, registry, repeat, scenario, table
+from cosim import reference, registry, repeat, scenario, scenario_tables, table
 from netsim.jammer import Source
 from netsim.materials import ITU_MATERIALS
 from netsim.script import Change
@@ -89,14 +89,16 @@ def assert_documents(documented: dict[str, str], target: Any, without: set[str])
 @pytest.mark.parametrize(
     ("heading", "target", "rest"),
     [
-        ("Top level", scenario.Scenario, ""),
-        ("`[agents]`", scenario.AgentsTable, "defaults"),
-        ("`[[vehicle]]` and `[vehicles]`", scenario.VehicleTable, "params"),
+        ("Top level", scenario_tables.Scenario, ""),
+        ("`[agents]`", scenario_tables.AgentsTable, "defaults"),
+        ("`[[vehicle]]` and `[vehicles]`", scenario_tables.VehicleTable, "params"),
         ("Many at once", repeat.Repeat, ""),
-        ("`agent = { ... }` of a vehicle", scenario.AgentTable, "params"),
-        ("`[record]`", scenario.RecordTable, ""),
-        ("`[metrics]`", scenario.MetricsTable, ""),
-        ("`[study]`", scenario.StudyTable, ""),
+        ("`agent = { ... }` of a vehicle", scenario_tables.AgentTable, "params"),
+        ("`[clock]`", scenario_tables.ClockTable, ""),
+        ("`[safety]`", scenario_tables.SafetyTable, ""),
+        ("`[record]`", scenario_tables.RecordTable, ""),
+        ("`[metrics]`", scenario_tables.MetricsTable, ""),
+        ("`[study]`", scenario_tables.StudyTable, ""),
     ],
 )
 def test_every_key_of_a_table_is_documented(heading: str, target: Any, rest: str) -> None:

@@ -5,8 +5,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from cosim.api import to_json, writing
 from cosim.figures.kit import Figure, Row
+from cosim.files import to_json, writing
 
 
 def as_json(name: str, figure: Figure) -> str:

@@ -13,6 +13,7 @@ An event is handled by the type of its value; one of another type is written as 
 import hashlib
 import math
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -38,12 +39,14 @@ from cosim.types import (
     FrameReport,
     Image,
     Imu,
+    Incident,
     Later,
     Measured,
     Message,
     Note,
     Odometry,
     Presence,
+    RealStatus,
     Scan,
     States,
     Value,
@@ -91,6 +94,9 @@ class Recorder:
             name: array("d") for name in run.vehicles
         }  # time ns, velocity m/s, yaw rate rad/s, one after the other
         self._presences: list[tuple[str, Presence]] = []
+        self._statuses: dict[str, list[tuple[int, RealStatus]]] = {}  # of real vehicles
+        self._incidents: list[tuple[str, Incident]] = []
+        self._fixes: Counter[str] = Counter()
         self._collisions = 0
         self._others = hashlib.sha256()  # what is in no table, for the digest
         self._pack = msgspec.msgpack.Encoder(enc_hook=foxglove.to_json).encode
@@ -114,6 +120,8 @@ class Recorder:
             Odometry: self._remember,
             Contact: self._on_contact,
             Presence: self._on_presence,
+            RealStatus: self._on_status,
+            Incident: self._on_incident,
             Fix: self._on_fix,
             Scan: self._on_scan,
             Image: self._on_image,
@@ -164,6 +172,7 @@ class Recorder:
         moved, got = metrics.motion(states), metrics.receptions(radio)
         end_ns, vehicles = self._facts().end_ns, self._run.vehicles
         ages = metrics.age_metrics(got, self._follows, self._ticks, window, end_ns)
+        hardware = metrics.hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         commands = {name: np.array(rows).reshape(-1, 5) for name, rows in self._commands.items()}
         return {
             "schema": metrics.SCHEMA,
@@ -175,6 +184,7 @@ class Recorder:
             "control": metrics.control_metrics(commands, vehicles, window, end_ns),
             "connectivity": metrics.connectivity_metrics(got, vehicles, window, end_ns),
             "agents": metrics.agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
+            **({"hardware": hardware} if self._statuses else {}),
             "safety": {"collisions": self._collisions, "min_separation_m": metrics.min_separation_m(moved)},
             "digest": digest([states, radio], self._others.digest()),
         }
@@ -236,7 +246,19 @@ class Recorder:
         self.log("info" if presence.state == "back" else "warning", text, time_ns)
         self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
 
+    def _on_status(self, key: str, time_ns: int, status: RealStatus) -> None:
+        self._statuses.setdefault(_vehicle(key), []).append((time_ns, status))
+        self._remember(key, time_ns, status)
+
+    def _on_incident(self, key: str, time_ns: int, incident: Incident) -> None:
+        self._incidents.append((_vehicle(key), incident))
+        self._remember(key, time_ns, incident)
+        text = f"{_vehicle(key)} {incident.what}: {incident.cause}"
+        self.log("info" if incident.what == "connected" else "warning", text, time_ns)
+        self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
+
     def _on_fix(self, key: str, time_ns: int, fix: Fix) -> None:
+        self._fixes[_vehicle(key)] += 1
         self._others.update(self._pack((key, time_ns, fix)))
         if self._log is not None:
             qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cosim.api import Folder, to_json, writing
 from cosim.errors import Interrupted, UsageError
+from cosim.files import Folder, to_json, writing
 from cosim.studies import plan as plans
 from cosim.studies import rows
 from cosim.studies.examine import examined, where

@@ -14,6 +14,7 @@ from cosim import scenario as scenarios
 from cosim.assemble import Assembly
 from cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from cosim.kernel import Kernel
+from cosim.scenario_tables import Scenario
 from cosim.studies.plan import Base, Plan
 from cosim.studies.rows import flat
 
@@ -52,7 +53,7 @@ def where(plan: Plan, base: Base) -> Literal["inprocess"] | None:
     return "inprocess" if _by_hand(parsed) else None
 
 
-def _by_hand(parsed: scenarios.Scenario) -> bool:
+def _by_hand(parsed: Scenario) -> bool:
     return "zenoh" in {parsed.agents.runs, *(each.agent.runs for each in parsed.vehicle if each.agent)}
 
 

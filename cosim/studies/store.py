@@ -23,8 +23,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cosim.api import Folder, writing
 from cosim.errors import UsageError
+from cosim.files import Folder, writing
 from cosim.record.tables import write_table
 from cosim.studies import rows
 from cosim.studies.plan import Plan, check_same

@@ -15,7 +15,7 @@ import tomli_w
 from cosim.agent import LARGEST_MESSAGE_BYTES, AgentInfo, AgentSpec, check_body
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.federate import Event
-from cosim.scenario import AgentTable
+from cosim.scenario_tables import AgentTable
 from cosim.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 from cosim.types import Follows, Message, Note, Presence, Velocity, Waypoint
 

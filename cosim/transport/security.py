@@ -10,6 +10,13 @@ Keys of the protocol, with a machine's name NAME from its certificate and ZID, t
     vcmvsp/hub/alive             liveliness token of the hub
     vcmvsp/topic/...             what the run shows to observers
 
+Where a driver of the run waits for the robot of its vehicle, which has a program of its own aboard (`hardware.onboard`)::
+
+    vcmvsp/robot/NAME/greet              queryable of the driver: a robot that wants to be driven
+    vcmvsp/robot/NAME/VEHICLE/ZID/down   the driver publishes velocities to a robot
+    vcmvsp/robot/NAME/VEHICLE/ZID/up     the robot publishes what it knows of itself
+    vcmvsp/robot/NAME/VEHICLE/ZID/alive  liveliness token of a robot
+
 A machine's name stands in each key that it may use, and the hub lets it use no other (Zenoh compares with the certificate). So
 the key says for certain who speaks, and what a payload says of it is worth nothing. All else is denied, both ways. Zenoh denies
 in silence: a query on a denied key ends at once without a reply, and a put goes nowhere.
@@ -34,10 +41,12 @@ OPEN = "anyone"
 
 JOIN, ABOUT, HUB_ALIVE = "vcmvsp/join/*", "vcmvsp/about/*", "vcmvsp/hub/alive"
 TOPIC, TOPICS = "vcmvsp/topic/", "vcmvsp/topic/**"
+GREET = "vcmvsp/robot/*/greet"
 ALIVE = "vcmvsp/host/*/*/alive"
 
 MAX_MESSAGE = 16 * 2**20  # bytes of an answer
 MAX_JOIN = 64 * 2**10  # bytes of a greeting, which anybody may send who is let in at all
+MAX_ROBOT = 64 * 2**10  # bytes of anything that a robot says
 LEASE_MS = 1000  # who says nothing for so long is gone; the lease of the silent one counts
 ACCEPT_MS = 3000  # who dials and then says nothing holds a place for so long
 OPEN_MS = 2000  # who dials something that does not answer tries for so long
@@ -46,14 +55,20 @@ PROBE_S = 1.0
 LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE}}}}
 """Of any hub; Zenoh's own is 1 GiB."""
 
+ROBOT_LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_ROBOT}}}}
+"""The same, where a driver waits for a robot."""
+
 LOG = "error,zenoh_link_tls=warn"
 """What Zenoh is to log in a hub with certificates: why it turned somebody away at the door is said nowhere else."""
 
 _KEY = re.compile(r"vcmvsp/(?:(?:join|about)/([A-Za-z0-9_-]+)|host/([A-Za-z0-9_-]+)/([0-9a-f]{1,32})/(?:ask|alive))")
+_ROBOT = re.compile(r"vcmvsp/robot/([A-Za-z0-9_-]+)/(?:greet|([A-Za-z0-9_-]+)/([0-9a-f]{1,32})/(?:up|down|alive))")
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#\s]+):(\d{1,5})")
 
-Side = Literal["run", "host", "observer"]
+Side = Literal["run", "host", "observer", "driver", "robot"]
 Config = dict[str, Any]
+Allow = Callable[[str, str, list[str], str], None]
+"""Takes a rule: what it is called, its flow, messages and key."""
 
 
 class Shown(NamedTuple):
@@ -106,8 +121,34 @@ def speaker(key: str) -> tuple[str, str] | None:
     return (found[1] or found[2], found[3] or "") if found else None
 
 
+def greet_key(name: str) -> str:
+    """Where a robot greets the driver that waits for it."""
+    return f"vcmvsp/robot/{name}/greet"
+
+
+def robot_key(name: str, vehicle: str, zid: str, what: Literal["up", "down", "alive"]) -> str:
+    """A key of a robot.
+
+    Raises:
+        ValueError: one of these has characters that could make it another robot's key.
+    """
+    key = f"vcmvsp/robot/{name}/{vehicle}/{zid}/{what}"
+    if robot_speaker(key) is None:
+        raise ValueError(f"no key of a robot: {key!r}")
+    return key
+
+
+def robot_speaker(key: str) -> tuple[str, str, str] | None:
+    """Name of the machine, vehicle and session id (empty where it greets) of the robot that a key belongs to.
+
+    None: the key is none, or is for many.
+    """
+    found = _ROBOT.fullmatch(key)
+    return (found[1], found[2] or "", found[3] or "") if found else None
+
+
 def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
-    """Why a machine of this name may not run the agents of these vehicles; None: it may."""
+    """Why a machine of this name may not speak for these vehicles; None: it may."""
     entry = keys.index.find(name)
     if entry is None:
         return f"no certificate was given to '{name}'"
@@ -127,10 +168,7 @@ def silence(name: str) -> str:
 
 def hub_security(keys: "Keys") -> Config:
     """What the hub's configuration needs: certificates on both ends, limits, and an access rule for each machine."""
-    tls = {"listen_private_key_base64": _base64(keys.key_pem), "listen_certificate_base64": _base64(keys.certificate_pem)}
-    config = _transport(keys.ca_pem, tls)
-    config["transport"]["unicast"] = {"accept_timeout": ACCEPT_MS}
-    config = merge(config, LIMITS)
+    config = merge(_listening(keys), LIMITS)
     asked = {"id": "asked", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN, ABOUT], "size_limit": MAX_JOIN}
     config["low_pass_filter"] = [asked]
     hosts = [entry.name for entry in keys.members if entry.role == "host"]
@@ -139,8 +177,18 @@ def hub_security(keys: "Keys") -> Config:
     return config
 
 
+def driver_security(keys: "Keys", vehicle: str) -> Config:
+    """The same where a driver waits for the robot of this vehicle: who has no certificate for it may greet, and no more."""
+    config = merge(_listening(keys), ROBOT_LIMITS)
+    rules = _Rules()
+    for entry in keys.members:
+        if entry.role == "host":
+            _robot_policy(rules.of(entry.name), entry.name, vehicle if vehicle in entry.vehicles else None)
+    return config | {"access_control": rules.config()}
+
+
 def machine_security(bundle: "Bundle") -> Config:
-    """What the configuration of a host or an observer needs."""
+    """What the configuration of a host, an observer or a robot needs."""
     tls = {
         "connect_private_key_base64": _base64(bundle.key_pem),
         "connect_certificate_base64": _base64(bundle.certificate_pem),
@@ -187,17 +235,21 @@ def endpoint_rules(endpoint: str, keys: "Keys | Bundle | None" = None, *, insecu
         "run": ("--keys DIR", "make it with: vcmvsp keys init DIR"),
         "host": ("--keys FILE", "made on the run's machine with: vcmvsp keys vehicle NAME --keys DIR"),
         "observer": ("--keys FILE", "made on the run's machine with: vcmvsp keys observer NAME --keys DIR"),
+        "driver": ('keys = "DIR"', "make it with: vcmvsp keys init DIR"),
+        "robot": ("--keys FILE", "made on the run's machine with: vcmvsp keys vehicle NAME --keys DIR"),
     }[side]
+    listens = side in ("run", "driver")
+    without, anyway = ("keys", "insecure = true") if side == "driver" else ("--keys", "--insecure")
     tls = endpoint.replace("tcp/", "tls/", 1)
     if protocol == "tls" and keys is None:
         raise UsageError(f"{endpoint}: TLS needs certificates: add {how} ({command})")
-    if protocol == "tls" and side != "run" and ":" in host:
+    if protocol == "tls" and not listens and ":" in host:
         raise UsageError(f"{endpoint}: Zenoh dials no IPv6 address with TLS: use a host name (vcmvsp keys hub --name adds it)")
     if protocol == "tcp" and keys is not None:
-        raise UsageError(f"{endpoint}: plain TCP uses no certificates: write {tls}, or leave out --keys")
+        raise UsageError(f"{endpoint}: plain TCP uses no certificates: write {tls}, or leave out {without}")
     if protocol == "tcp" and not insecure and not is_loopback(host):
         problem = "plain TCP lets in everybody who can reach that address"
-        raise UsageError(f"{endpoint}: {problem}: use {tls} {how} ({command}), or add --insecure where you trust everybody")
+        raise UsageError(f"{endpoint}: {problem}: use {tls} {how} ({command}), or add {anyway} where you trust everybody")
 
 
 def is_loopback(host: str) -> bool:
@@ -309,24 +361,48 @@ def _transport(ca_pem: str, own: Mapping[str, str]) -> Config:
     return {"transport": {"link": {"protocols": ["tls"], "tls": tls, "tx": {"lease": LEASE_MS}}}}
 
 
-def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
-    """Deny all but this; "ingress" is what a machine says, "egress" what it hears. The hub's own session is not asked."""
-    rules: list[Config] = []
-    policies: list[Config] = []
+def _listening(keys: "Keys") -> Config:
+    """TLS for those who dial in."""
+    tls = {"listen_private_key_base64": _base64(keys.key_pem), "listen_certificate_base64": _base64(keys.certificate_pem)}
+    config = _transport(keys.ca_pem, tls)
+    config["transport"]["unicast"] = {"accept_timeout": ACCEPT_MS}
+    return config
 
-    def policy(name: str) -> Callable[[str, str, list[str], str], None]:
+
+class _Rules:
+    """Deny all but this; "ingress" is what a machine says, "egress" what it hears. The hub's own session is not asked."""
+
+    def __init__(self) -> None:
+        self._rules: list[Config] = []
+        self._policies: list[Config] = []
+
+    def of(self, name: str) -> Allow:
+        """Takes rules for the machine of this name."""
         own: list[str] = []
-        policies.append({"subjects": [name], "rules": own})
+        self._policies.append({"subjects": [name], "rules": own})
 
         def allow(rule: str, flow: str, messages: list[str], key: str) -> None:
             rule = f"{name}/{rule}"  # no name has a slash
-            rules.append({"id": rule, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
+            self._rules.append({"id": rule, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
             own.append(rule)
 
+        return allow
+
+    def config(self) -> Config:
+        """As Zenoh wants it."""
+        subjects = [{"id": name, "cert_common_names": [name]} for each in self._policies for name in each["subjects"]]
+        default = {"enabled": True, "default_permission": "deny"}
+        return {**default, "rules": self._rules, "subjects": subjects, "policies": self._policies}
+
+
+def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
+    rules = _Rules()
+
+    def policy(name: str) -> Allow:
+        allow = rules.of(name)
         allow("inquires", "ingress", ["query"], about_key(name))
         allow("is told", "egress", ["reply"], about_key(name))
-        allow("watches", "ingress", ["declare_liveliness_subscriber"], HUB_ALIVE)
-        allow("sees", "egress", ["liveliness_token"], HUB_ALIVE)
+        _sees_hub(allow)
         return allow
 
     for name in hosts:
@@ -342,9 +418,26 @@ def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
         allow = policy(name)
         allow("listens", "ingress", ["declare_subscriber"], TOPICS)
         allow("hears", "egress", ["put"], TOPICS)
-    subjects = [{"id": name, "cert_common_names": [name]} for each in policies for name in each["subjects"]]
-    default = {"enabled": True, "default_permission": "deny"}
-    return {**default, "rules": rules, "subjects": subjects, "policies": policies}
+    return rules.config()
+
+
+def _robot_policy(allow: Allow, name: str, vehicle: str | None) -> None:
+    """Of a machine that may be a robot, if it is for the vehicle that is waited for."""
+    _sees_hub(allow)
+    allow("greets", "ingress", ["query"], greet_key(name))
+    allow("is answered", "egress", ["reply"], greet_key(name))
+    if vehicle is not None:
+        own = f"vcmvsp/robot/{name}/{vehicle}/*"
+        allow("listens", "ingress", ["declare_subscriber"], f"{own}/down")
+        allow("is driven", "egress", ["put"], f"{own}/down")
+        allow("is heard", "egress", ["declare_subscriber"], f"{own}/up")
+        allow("tells", "ingress", ["put"], f"{own}/up")
+        allow("is alive", "ingress", ["liveliness_token"], f"{own}/alive")
+
+
+def _sees_hub(allow: Allow) -> None:
+    allow("watches", "ingress", ["declare_liveliness_subscriber"], HUB_ALIVE)
+    allow("sees", "egress", ["liveliness_token"], HUB_ALIVE)
 
 
 def _parts(endpoint: str) -> tuple[str, str, int]:

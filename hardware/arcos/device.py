@@ -35,6 +35,8 @@ class Device:
     Attributes:
         motion: set points and limits, as commands have set them.
         heard: the last commands: time ns, number, argument.
+        commands: how many it has heard.
+        packets: how many information packets it has sent.
         reader: counts what was lost on the way here.
         baud: what the client has set, as HOSTBAUD does.
         battery_v: what it says of its battery.
@@ -57,6 +59,7 @@ class Device:
         self.robot, self.name = robot, name
         self.motion, self.reader = Motion(robot), Reader()
         self.heard: deque[tuple[int, int, int | bytes | None]] = deque(maxlen=1000)
+        self.commands = self.packets = 0
         self.baud, self.battery_v = robot.baud, 12.6
         self.watchdog_stopped = self.estop_pressed = False
         self._wheels = Wheels(start) if start is not None else None
@@ -67,6 +70,7 @@ class Device:
         self._ranges: tuple[float, ...] = (robot.sonar_max_m,) * len(robot.sonars)
         self._pinged: dict[int, float] = {}
         self._ping_ns, self._period_ns = ping_ms * 1_000_000, seconds_to_ns(robot.period_s)
+        self._watchdog_ns = seconds_to_ns(robot.watchdog_s)
         self._time_ns = self._heard_ns = self._bytes_ns = 0
         self._stage = 0
         self._enabled = False
@@ -148,6 +152,11 @@ class Device:
             self._ranges = tuple(ranges)
 
     @property
+    def pose(self) -> Pose | None:
+        """Where it is, in the frame of its start or of `moved`; None: nobody has said so yet."""
+        return self._pose
+
+    @property
     def odometry(self) -> Pose:
         """Pose since the start or the last SETO: x m, y m, yaw rad."""
         return relative(self._pose or self._origin, self._origin)
@@ -158,7 +167,7 @@ class Device:
         now, sent = self._time_ns, b""
         if self.reader.waiting and now - self._bytes_ns >= GAP_NS:
             sent += self._obey(self.reader.give_up(), now)
-        if self.is_open and now - self._heard_ns >= seconds_to_ns(self.robot.watchdog_s):
+        if self._watchdog_ns and self.is_open and now - self._heard_ns >= self._watchdog_ns:
             self.watchdog_stopped = True
         if self._wheels is not None:
             self._wheels.step(self.commanded(), self.motion, TICK_NS / SECOND_NS)
@@ -168,6 +177,7 @@ class Device:
             self._pinged |= {each: self._ranges[each] for each in range(turn, len(self._ranges), PINGS)}
         if self.is_open and now >= self._next_sip_ns:
             self._sips += 1
+            self.packets += 1
             sent += frame(sip.encode(self._sip()))
         return sent
 
@@ -213,6 +223,7 @@ class Device:
             except ValueError:
                 continue  # right checksum, wrong form: a robot says nothing
             self.heard.append((now_ns, number, argument))
+            self.commands += 1
             sent += self._serve(number, argument, now_ns) if self.is_open else self._shake_hands(number, now_ns)
         return sent
 

@@ -15,6 +15,7 @@ import os
 import pty
 import select
 import socket
+import termios
 import threading
 import time
 import tty
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from cosim.rng import stream
+from hardware.arcos.commands import BAUDS
 from hardware.arcos.device import Device
 from hardware.arcos.wire import Faults, Wire
 
@@ -29,6 +31,7 @@ TCP_PORT = 8101  # of the first simulated robot, by the custom of MobileSim and 
 
 _PAUSE_NS = 100_000_000  # the longest sleep
 _CLOSE_S = 5.0  # the thread ends within one sleep
+_SPEEDS: dict[int, int] = {baud: getattr(termios, f"B{baud}") for baud in BAUDS}  # as terminals call them
 
 
 class Line(Protocol):
@@ -45,6 +48,9 @@ class Line(Protocol):
     def write(self, data: bytes) -> int:
         """Send as much as goes without waiting; how many bytes went."""
 
+    def baud(self) -> int | None:
+        """The rate that the client has set; None: this line has none."""
+
     def close(self) -> None:
         """Unplug it."""
 
@@ -57,17 +63,19 @@ class Served:
         device: the robot; look at it and move it while holding ``lock``.
         lock: guards the device.
         unsent: bytes that nobody took.
+        misread: bytes that became noise because the client was at another baud rate, where bytes are paced.
         error: what ended the thread before its time, if anything did; `close` raises it.
     """
 
     def __init__(self, device: Device, line: Line, faults: Faults, *, paced: bool) -> None:
         self.url, self.device, self.lock = line.url, device, threading.Lock()
-        self.unsent = 0
+        self.unsent = self.misread = 0
         self.error: Exception | None = None
         self._line, self._paced = line, paced
         baud = device.baud if paced else None
         self.up = Wire(faults, stream(faults.seed, "arcos/up"), baud)  # robot to client
         self.down = Wire(faults, stream(faults.seed, "arcos/down"), baud)
+        self._noise = stream(faults.seed, "arcos/rate")
         self._origin_ns = time.monotonic_ns() - device.now_ns
         self._wake_read, self._wake_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name=f"serve {self.url}", daemon=True)
@@ -119,22 +127,34 @@ class Served:
     def _exchange(self) -> None:
         """Bytes in, bytes out."""
         now = self.now_ns
-        self.down.push(self._line.read(), now)
+        self.down.push(self._at_rate(self._line.read()), now)
         with self.lock:
             sent = self.device.receive(heard, now) if (heard := self.down.pop(now)) else self.device.advance(now)
             if self._paced:
                 self.up.baud = self.down.baud = self.device.baud
         self.up.push(sent, now)
-        if data := self.up.pop(now):
+        if data := self._at_rate(self.up.pop(now)):
             self.unsent += len(data) - self._line.write(data)
 
+    def _at_rate(self, data: bytes) -> bytes:
+        """What is read of these bytes: noise where both ends are at different rates."""
+        if not data or not self._paced or self._line.baud() in (None, self.device.baud):
+            return data
+        self.misread += len(data)
+        return self._noise.bytes(len(data))
 
-class _Pty:
+
+class Pty:
     """A pseudo-terminal; its far end stays open here too, so that clients may come and go."""
 
-    def __init__(self, link: Path | None) -> None:
+    def __init__(self, link: Path | None, baud: int | None = None) -> None:
+        """A link that shall lead to it; the rate until a client sets one."""
         self._here, self._there = pty.openpty()
         tty.setraw(self._there)
+        if baud is not None:
+            settings = termios.tcgetattr(self._there)
+            settings[4] = settings[5] = _SPEEDS[baud]
+            termios.tcsetattr(self._there, termios.TCSANOW, settings)
         os.set_blocking(self._here, False)
         self.url, self._link = os.ttyname(self._there), link
         if link is not None:
@@ -146,24 +166,34 @@ class _Pty:
             self.url = str(link)
 
     def waits_on(self) -> int:
+        """The end that is here."""
         return self._here
 
     def read(self) -> bytes:
+        """What a client has written, or nothing."""
         with contextlib.suppress(BlockingIOError):
             return os.read(self._here, 4096)
         return b""
 
     def write(self, data: bytes) -> int:
+        """As much as goes without waiting; how many bytes went."""
         with contextlib.suppress(BlockingIOError):
             return os.write(self._here, data)
         return 0
 
+    def baud(self) -> int | None:
+        """The rate that the client has set."""
+        speed = termios.tcgetattr(self._here)[5]
+        return next((baud for baud, each in _SPEEDS.items() if each == speed), 0)
+
     def close(self) -> None:
+        """Unplug it: the link goes, too."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         self.close_ends()
 
     def close_ends(self) -> None:
+        """Free the pseudo-terminal alone."""
         os.close(self._there)
         os.close(self._here)
 
@@ -208,6 +238,9 @@ class _Tcp:
             self._hang_up()
             return 0
 
+    def baud(self) -> int | None:
+        return None
+
     def _hang_up(self) -> None:
         if self._client is not None:
             self._client.close()
@@ -225,9 +258,9 @@ def serve_pty(device: Device, *, link: Path | None = None, faults: Faults | None
         device: the robot; its time goes on from where it is.
         link: a path that shall lead to the terminal as long as it is there, for clients that come back.
         faults: of the line, both ways.
-        paced: whether bytes take as long as the device's baud rate says.
+        paced: whether bytes take as long as the device's baud rate says, and become noise where the client has set another one.
     """
-    return Served(device, _Pty(link), faults or Faults(), paced=paced)
+    return Served(device, Pty(link, device.baud), faults or Faults(), paced=paced)
 
 
 def serve_tcp(

@@ -8,16 +8,22 @@
     geofence     a polygon or a circle that it stays inside
     separation   other vehicles, real or simulated, that it keeps away from
     deadman      who must have been heard lately, else it stops
-    supervisor   all of them, once a control period
+    rounds       what a supervisor's step begins and ends with
+    supervisor   all of them, once a control period, for a robot with two driven wheels
+    aerial       the same for a vehicle that flies, with floor and ceiling
 """
 
+from hardware.safety.aerial import AerialParameters, AerialSupervisor
 from hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
 from hardware.safety.geofence import Circle, Fence, Polygon
 from hardware.safety.limits import Limits, clamp
+from hardware.safety.rounds import Decision
 from hardware.safety.separation import Others
-from hardware.safety.supervisor import Decision, Parameters, Supervisor
+from hardware.safety.supervisor import Parameters, Supervisor
 
 __all__ = [
+    "AerialParameters",
+    "AerialSupervisor",
     "Cause",
     "Circle",
     "Deadman",

@@ -10,8 +10,8 @@ from hardware.safety.sector import Around, Stadiums
 class Others(msgspec.Struct, frozen=True):
     """The other vehicles as they are known now, a row each, seen from above."""
 
-    position: Array  # (n, 2) m, world
-    velocity: Array  # (n, 2) m/s, world
+    position: Array  # (n, 2) or (n, 3) m, world
+    velocity: Array  # of the same shape, m/s, world
     radius: Array  # (n,) m, of a circle around the body
 
     def finite(self) -> bool:
@@ -23,9 +23,15 @@ class Others(msgspec.Struct, frozen=True):
 
         Each counts with the speed at which it comes nearer; none is credited with going away.
         """
-        position = np.asarray(self.position, float).reshape(-1, 2)
+        position, velocity = _plane(self.position), _plane(self.velocity)
         to = position - (x, y)
         distance = np.hypot(to[:, 0], to[:, 1])
-        approach = -np.einsum("ij,ij->i", to, np.asarray(self.velocity, float).reshape(-1, 2))
+        approach = -np.einsum("ij,ij->i", to, velocity)
         closing = np.maximum(approach, 0.0) / np.where(distance > 0.0, distance, 1.0)
         return Stadiums(x, y, position, position, np.asarray(self.radius, float) + margin, closing)
+
+
+def _plane(vectors: Array) -> Array:
+    """East and north of each, (n, 2)."""
+    rows: Array = np.asarray(vectors, float)
+    return rows[:, :2] if rows.size else np.empty((0, 2))

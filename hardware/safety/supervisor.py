@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from cosim.clock import SECOND_NS
 from cosim.types import NonNegative, Positive, Vec3, Velocity
 from hardware.safety.braking import fastest, stops_within, swept
-from hardware.safety.deadman import LATCHED, Cause, Deadman, Heard, TimeOuts
+from hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
 from hardware.safety.geofence import Fence
 from hardware.safety.limits import Limits, clamp, slowest
+from hardware.safety.rounds import Decision, Rounds, unusable
 from hardware.safety.sector import Around
 from hardware.safety.separation import Others
 
@@ -31,16 +31,6 @@ class Parameters(msgspec.Struct, frozen=True, kw_only=True):
     disable_after_s: Positive | None = 2.0  # a stop that has lasted so long asks for the motors to be switched off
 
 
-class Decision(msgspec.Struct, frozen=True, kw_only=True):
-    """What to send, and why it is not what was asked for."""
-
-    command: Velocity
-    causes: tuple[Cause, ...] = ()  # all that act now
-    began: tuple[Cause, ...] = ()  # those that did not act at the step before: what is worth recording
-    stop: bool = False  # the robot must stop; one with a deceleration of its own may be told zero at once
-    disable: bool = False  # it has been stopped for long: switch the motors off
-
-
 class Supervisor:
     """Stands last before a robot with two driven wheels. It knows no clock: time is an argument.
 
@@ -50,15 +40,13 @@ class Supervisor:
     """
 
     def __init__(self, parameters: Parameters) -> None:
-        self._p, self._deadman = parameters, Deadman(parameters.time_outs, parameters.latched)
+        self._p = parameters
+        self._rounds = Rounds(parameters.time_outs, parameters.latched, parameters.reaction_s, parameters.disable_after_s)
         self.last = (0.0, 0.0)  # m/s, rad/s
-        self._last_ns: int | None = None
-        self._stopped_ns: int | None = None
-        self._causes: tuple[Cause, ...] = ()
 
     def reset(self) -> None:
         """Let latched stops end (an operator's deed); one whose cause still holds is back at the next step."""
-        self._deadman.reset()
+        self._rounds.reset()
 
     def step(self, now_ns: int, command: Velocity | None, pose: Vec3 | None, others: Others | None, heard: Heard) -> Decision:
         """Decide what is sent at ``now_ns``.
@@ -70,29 +58,16 @@ class Supervisor:
             others: vehicles to keep away from; None: there are none.
             heard: when each that must be heard was heard last.
         """
-        elapsed_ns = 0 if self._last_ns is None else max(0, now_ns - self._last_ns)
-        self._last_ns = now_ns
-        dt = min(elapsed_ns / SECOND_NS, self._p.reaction_s)  # whoever was late may not jump in speed
-        stops = list(self._deadman.check(now_ns, heard))
-        stops += [cause for cause in _unusable(command, pose, others, self._p.fence) if cause not in stops]
+        problems = unusable(command, pose, others, self._p.fence is not None)
+        dt, stops = self._rounds.begin(now_ns, heard, problems)
         slowed: tuple[Cause, ...] = ()
         if stops:
             self.last = slowest(self.last, dt, self._p.limits)
         else:
             assert command is not None  # noqa: S101  else it would be among the causes
             self.last, slowed = self._safe(command, pose, others, dt)
-        causes = (*stops, *slowed)
-        began = tuple(cause for cause in causes if cause not in self._causes)
-        self._causes = causes
-        self._stopped_ns = None if not stops else now_ns if self._stopped_ns is None else min(self._stopped_ns, now_ns)
-        limit = self._p.disable_after_s
-        return Decision(
-            command=Velocity(linear=(self.last[0], 0.0, 0.0), yaw_rate=self.last[1]),
-            causes=causes,
-            began=began,
-            stop=bool(stops),
-            disable=limit is not None and self._stopped_ns is not None and now_ns - self._stopped_ns >= limit * SECOND_NS,
-        )
+        sent = Velocity(linear=(self.last[0], 0.0, 0.0), yaw_rate=self.last[1])
+        return self._rounds.decide(now_ns, sent, stops, slowed)
 
     def _safe(
         self, command: Velocity, pose: Vec3 | None, others: Others | None, dt: float
@@ -175,16 +150,3 @@ def _nearest(sure: float, wanted: float, fits: Callable[[float], bool]) -> float
         middle = 0.5 * (sure + wanted)
         sure, wanted = (middle, wanted) if fits(middle) else (sure, middle)
     return sure
-
-
-def _unusable(command: Velocity | None, pose: Vec3 | None, others: Others | None, fence: Fence | None) -> list[Cause]:
-    """What is missing, or is not a number, of what a decision needs."""
-    causes = []
-    if command is None:
-        causes.append(Cause.COMMAND)
-    if pose is None and (fence is not None or others is not None):
-        causes.append(Cause.POSITIONING)
-    numbers = (*(() if command is None else (*command.linear, command.yaw_rate)), *(pose or ()))
-    if not all(map(math.isfinite, numbers)) or (others is not None and not others.finite()):
-        causes.append(Cause.NOT_FINITE)
-    return causes

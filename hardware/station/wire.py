@@ -10,6 +10,9 @@ from cosim.codec import Decoder
 from cosim.types import Array, Fix, Odometry, Value, Vec3, VehicleState, Velocity
 from hardware.driver import Notice
 
+OPERATOR_STOP = "operator's stop"
+"""Among the causes of a report: ``vcmvsp stop`` was called, and counts until the station ends."""
+
 
 class Part(Value, frozen=True, kw_only=True):
     """Something that the station builds: a driver, or what tells where the robot is."""

@@ -10,9 +10,11 @@ from physics.bullet import p
 from physics.bullet.clearance import REACH_M
 from physics.bullet.flyers import Flyers
 from physics.bullet.robots import Robots
+from physics.bullet.shown import Shown
 from physics.bullet.things import Things
 from physics.bullet.touch import Touches
 from physics.engine import Motion, Touch, gathered
+from physics.outside import Reflected
 from physics.quadrotor import Quadrotor
 from physics.urdf import UrdfDrive
 from physics.vehicles import DifferentialDrive, Vehicle
@@ -36,6 +38,7 @@ class BulletEngine:
         iterations: of the constraint solver in each step.
         gravity: m/s2, downwards.
         accelerations: whether anybody wants those of robots; they are zero otherwise.
+        reflected: those of the vehicles that something else moves, whatever their model.
     """
 
     def __init__(
@@ -51,13 +54,16 @@ class BulletEngine:
         iterations: int,
         gravity: float,
         accelerations: bool = False,
+        reflected: Reflected | None = None,
     ) -> None:
         self._ticks, self._step, self._step_s = Ticks.rate(rate_hz), 0, 1.0 / rate_hz
         self._encoder_steps = max(1, round(rate_hz / _ENCODER_HZ))
         self._world, self._count = world, len(models)
         names = names or [str(row) for row in range(len(models))]
-        drives = {row: model for row, model in enumerate(models) if isinstance(model, DifferentialDrive | UrdfDrive)}
-        quadrotors = {row: model for row, model in enumerate(models) if isinstance(model, Quadrotor)}
+        self._showing = [names.index(each) for each in reflected.names] if reflected else []
+        moved = {row: model for row, model in enumerate(models) if row not in self._showing}
+        drives = {row: model for row, model in moved.items() if isinstance(model, DifferentialDrive | UrdfDrive)}
+        quadrotors = {row: model for row, model in moved.items() if isinstance(model, Quadrotor)}
         self._driving, self._flying = list(drives), list(quadrotors)
         self._robot_of = {row: k for k, row in enumerate(self._driving)}
         self._flyer_of = {row: k for k, row in enumerate(self._flying)}
@@ -87,11 +93,15 @@ class BulletEngine:
                 gusts=Gusts(world.wind, len(self._flying), seed, [names[row] for row in self._flying]),
                 shapes=world.shapes,
             )
+            hulls = [models[row].hull for row in self._showing]
+            self._shown = Shown(self._client, reflected, hulls, gravity=gravity, step_s=self._step_s) if reflected else None
         except BaseException:
             self.close()
             raise
         bodies = {row: self._robots.bodies[k] for k, row in enumerate(self._driving)}
         bodies |= {row: self._flyers.bodies[k] for k, row in enumerate(self._flying)}
+        if self._shown:
+            bodies |= dict(zip(self._showing, self._shown.bodies, strict=True))
         others = [*self._things.movables, *self._things.moving]
         jointed = [row for row, model in drives.items() if isinstance(model, UrdfDrive)]
         self._touches = Touches(self._client, bodies, others, jointed)
@@ -115,15 +125,14 @@ class BulletEngine:
         """Step on to the Bullet step nearest to ``to_ns``."""
         ticks = self._ticks
         until = (to_ns * ticks.per + ticks.ns // 2) // ticks.ns
-        robots, flyers, things = self._robots, self._flyers, self._things
+        robots, flyers = self._robots, self._flyers
         step, client, drive, fly = p.stepSimulation, self._client, bool(self._driving), bool(self._flying)
         while self._step < until:
             if drive:
                 robots.cycle()
                 if self._accelerations and self._step + 1 == until:
                     robots.note()
-            if things.moving:
-                things.place(ticks.at(self._step))
+            self._place()
             if fly:
                 if flyers.look_is_due:
                     self._look()
@@ -136,6 +145,15 @@ class BulletEngine:
                     self._hits += self._touches.now([self._flying[k] for k in flyers.hits])
             if drive and self._step % self._encoder_steps == 0:
                 robots.encode()
+        if self._shown:
+            self._shown.advance(to_ns)
+
+    def _place(self) -> None:
+        """Put whatever moves by itself where it belongs before a step."""
+        now_ns = self._ticks.at(self._step)
+        self._things.place(now_ns)
+        if self._shown:
+            self._shown.place(now_ns)
 
     def _look(self) -> None:
         """Have the quadrotors look around for whatever else moves."""
@@ -143,6 +161,9 @@ class BulletEngine:
         if self._driving and float(self._flyers.fleet.position[:, 2].min()) < self._robot_top + REACH_M:
             at = [p.getBasePositionAndOrientation(body, self._client)[0] for body in self._robots.bodies]
             places, reach = np.concatenate([places, at]), np.concatenate([reach, self._robot_reach])
+        if self._shown:
+            shown, around = self._shown.spheres(self._ticks.at(self._step), self._flyers.look_s)
+            places, reach = np.concatenate([places, shown]), np.concatenate([reach, around])
         self._flyers.look(places, reach)
 
     def read(self) -> Motion:
@@ -152,6 +173,8 @@ class BulletEngine:
             parts.append((self._robots.read(), np.array(self._driving)))
         if self._flying:
             parts.append((self._flyers.read(), np.array(self._flying)))
+        if self._shown:
+            parts.append((self._shown.read(), np.array(self._showing)))
         return gathered(parts, self._count)
 
     def movables(self) -> Motion:
@@ -161,7 +184,7 @@ class BulletEngine:
     def touching(self, *, passing: bool) -> list[Touch]:
         """What presses against each other in this step; with ``passing`` also what quadrotors have bounced off since then."""
         near = [self._flying[k] for k in np.flatnonzero(self._flyers.near).tolist()]
-        found = self._touches.now([*self._driving, *near])
+        found = self._touches.now([*self._driving, *near, *self._showing])
         if passing:
             found, self._hits = sorted(found + self._hits, key=lambda each: each.key), []
         return found

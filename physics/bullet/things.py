@@ -11,7 +11,7 @@ from physics.engine import NO_BODIES, Motion, side_by_side
 from physics.solids import Box, Cylinder
 from physics.world import World
 
-_HEAVY_KG = 1e6  # an obstacle with a time-table: nothing holds it up, and unlike a body without mass it wakes what it meets
+HEAVY_KG = 1e6  # an obstacle with a time-table: nothing holds it up, and unlike a body without mass it wakes what it meets
 _LEAST_FRICTION = 1e-6  # as good as none
 _FALLS_ASLEEP = 0.01  # m2/s2: a movable slower than this for 2 s is left out of the steps until something touches it
 
@@ -31,7 +31,7 @@ class Things:
         self.solids = self._build_solids(world) if world.solids else -1
         self.movables = [self._build(each.solid, each.mass_kg, each.friction) for each in world.movables]
         self._asleep()
-        self.moving = [self._build(each.solid, _HEAVY_KG, 0.5) for each in world.moving]
+        self.moving = [self._build(each.solid, HEAVY_KG, 0.5) for each in world.moving]
         for body in self.moving:  # they do not mind the floor
             p.setCollisionFilterGroupMask(body, -1, SOLID, SOLID, physicsClientId=client)
         self._sizes = np.array(

@@ -43,6 +43,16 @@ is None, never NaN::
       lost_s                        simulated time for which it was lost
       reconnects                    how often it came back, or another host in its place
       late                          answers that came too late to count
+    hardware.<vehicle>              each real vehicle, of the whole run (`hardware`); only where there are any
+      age_s                         of what its driver told last, at the instants of the run: p50, p99, max
+      fix_age_s                     the same of the last position that counted
+      sigma_m                       standard deviation of the estimated position, along its worse axis; likewise
+      prediction_m                  how far off dead reckoning from one instant to the next was; likewise
+      fixes, gated                  positions that came, and those of them that did not fit
+      reconnects                    how often its link was lost and came back
+      stops.<cause>                 how often it was stopped
+      limited_s                     time in which it was told something else than its agent wanted
+      frames_too_early              receptions of its frames after a delay below its own median age: no real link is so quick
     safety
       collisions                    touches that began
       min_separation_m              smallest distance of two centres at a recorded instant
@@ -54,6 +64,7 @@ from cosim.record.metrics.ages import Link, age_metrics, ages_s, links
 from cosim.record.metrics.connectivity import connectivity_metrics
 from cosim.record.metrics.control import control_metrics
 from cosim.record.metrics.formation import SETTLED_M, formation_errors, formation_metrics
+from cosim.record.metrics.hardware import hardware_metrics
 from cosim.record.metrics.motion import Motion, min_separation_m, motion
 from cosim.record.metrics.radio import Receptions, radio_metrics, receptions
 from cosim.record.metrics.window import Window
@@ -74,6 +85,7 @@ __all__ = [
     "control_metrics",
     "formation_errors",
     "formation_metrics",
+    "hardware_metrics",
     "links",
     "min_separation_m",
     "motion",

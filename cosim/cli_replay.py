@@ -1,0 +1,52 @@
+"""``vcmvsp replay``: a recorded run again."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cosim.cli_options import AsJson
+from cosim.cli_run import Force, Insecure, KeysOfRun, Listen, Quiet, Seed, Sets, conduct
+from cosim.errors import UsageError
+
+if TYPE_CHECKING:
+    from cosim.api import Result
+
+
+def replay_command(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")],
+    seed: Seed = None,
+    set_: Sets = None,
+    agents: Annotated[
+        str | None,
+        typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand)."),
+    ] = None,
+    twin: Annotated[bool, typer.Option("--twin", help="Simulate the vehicles that were real.")] = False,
+    radio: Annotated[
+        str, typer.Option(metavar="HOW", help="What becomes of frames: drawn anew, or recorded: as it was then.")
+    ] = "drawn",
+    listen: Listen = None,
+    keys: KeysOfRun = None,
+    insecure: Insecure = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [RUN_DIR-replay].")] = None,
+    force: Force = False,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a recorded run again, changed or not: real vehicles do what they did then, algorithms run anew.
+
+    Unchanged it gives the same numbers. Classes out of Python files are the copies that the run has kept in RUN_DIR.
+
+    Example: vcmvsp replay runs/formation-circle-1 --set agents.estimator=hold
+    """
+    from cosim.replay import beside, replay
+
+    if agents not in (None, "inprocess", "process", "zenoh"):
+        raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
+
+    def again(_: str, **options: Any) -> "Result":
+        return replay(run_dir, **{**options, "numbered": out is None}, twin=twin, radio=radio)
+
+    where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
+    folder = beside(run_dir) if out is None else out
+    conduct(again, str(run_dir), set_ or [], folder, seed=seed, realtime=None, force=force, json=json, quiet=quiet, **where)

@@ -1,0 +1,139 @@
+"""The real vehicles of a scenario: their tables checked, and handed to the part that knows robots."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from cosim import component, registry, table
+from cosim.errors import ScenarioError
+from cosim.resolve import Resolution
+from cosim.scenario_tables import SafetyTable, Scenario, VehicleTable
+from cosim.source import Source
+from cosim.types import Value, Vec3
+
+MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, of a robot among people unless somebody says otherwise; assumed
+ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that does not say its own: an AmigoBot's; assumed
+
+OF_DRIVER = ("driver", "localisation", "fusion", "safety")
+"""Keys of a vehicle that only a real one has."""
+
+
+class RealVehicle(Value, frozen=True, kw_only=True):
+    """A real vehicle as the scenario describes it."""
+
+    name: str
+    folder: str  # of the scenario
+    driver: str  # its kind, as written
+    driver_params: dict[str, Any]
+    localisation: str | None  # its kind, as written
+    localisation_params: dict[str, Any]
+    fusion: dict[str, Any]
+    safety: SafetyTable  # nothing in it is left to a default
+    pose_source: str
+    start: Vec3  # x m, y m, yaw rad
+    height_m: float  # of its reference point above the ground
+    flies: bool
+    positioning: dict[str, Any] | None  # of its simulated twin, complete
+    seed: int
+
+
+def of_scenario(
+    scenario: Scenario, source: Source, resolution: Resolution, models: Mapping[str, Any]
+) -> tuple[RealVehicle, ...]:
+    """Those vehicles of the scenario that have a driver, checked.
+
+    Args:
+        scenario: the scenario.
+        source: where it came from.
+        resolution: takes the tables with everything filled in.
+        models: what each vehicle is, by name (`physics.vehicles.Vehicle`).
+    """
+    found = []
+    for vehicle in scenario.vehicle:
+        if vehicle.driver is None:
+            _check_nothing_lost(vehicle, source)
+            continue
+        key = f"vehicle.{vehicle.name}"
+        model = models[vehicle.name]
+        build = _builder(source, resolution)
+        kind, params = build("driver", vehicle.driver, f"{key}.driver")
+        tables: dict[str, Any] = {"driver": {"kind": kind, **params}}
+        where, known = None, dict[str, Any]()
+        if vehicle.localisation is not None:
+            where, known = build("localisation", vehicle.localisation, f"{key}.localisation")
+            tables["localisation"] = {"kind": where, **known}
+        position, yaw = vehicle.start
+        start = (position[0], position[1], yaw)
+        fusion = registry.piece("fusion")
+        table.call(fusion, vehicle.fusion, key=f"{key}.fusion", origin=source, given={"start": start})
+        tables["fusion"] = table.complete(fusion, vehicle.fusion, without=("start",))
+        safety = _safety(scenario.safety, vehicle, model, source)
+        tables["safety"] = table.plain(safety)
+        resolution.real[vehicle.name] = tables
+        found.append(
+            RealVehicle(
+                name=vehicle.name,
+                folder=str(source.folder.resolve()),
+                driver=vehicle.driver["kind"],
+                driver_params=params,
+                localisation=where and (vehicle.localisation or {})["kind"],
+                localisation_params=known,
+                fusion=tables["fusion"],
+                safety=safety,
+                pose_source=vehicle.pose_source,
+                start=start,
+                height_m=position[2],
+                flies=registry.piece("flies")(model),
+                positioning=_twin(vehicle),
+                seed=scenario.seed,
+            )
+        )
+    return tuple(found)
+
+
+def _builder(source: Source, resolution: Resolution) -> Callable[[str, Mapping[str, Any], str], tuple[str, dict[str, Any]]]:
+    """Checks a table by building what it describes, which does nothing yet; its kind and complete parameters."""
+
+    def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
+        _, full = component.build(group, content, key=key, source=source, portable=resolution.portable, keep=resolution.keep)
+        return full.pop("kind"), full
+
+    return build
+
+
+def _check_nothing_lost(vehicle: VehicleTable, source: Source) -> None:
+    """Keys that only a real vehicle has are errors at a simulated one, where nobody would look at them."""
+    for name in OF_DRIVER[1:]:
+        if name == "fusion" and vehicle.pose_source == "fusion":
+            continue
+        if getattr(vehicle, name):
+            key = f"vehicle.{vehicle.name}.{name}"
+            problem = "counts for a real vehicle only: give it a driver, or leave this out"
+            raise ScenarioError(problem, key=key, source=source.of(key))
+
+
+def _safety(shared: SafetyTable, vehicle: VehicleTable, model: Any, source: Source) -> SafetyTable:
+    """``[safety]``, what the vehicle has of its own, and what its kind knows."""
+    key = f"vehicle.{vehicle.name}.safety"
+    own = table.call(SafetyTable, vehicle.safety, key=key, origin=source)
+    given = {name: getattr(own if name in vehicle.safety else shared, name) for name in SafetyTable.__struct_fields__}
+    length, width, _ = model.hull.size
+    ahead, aside, _ = model.hull.offset
+    at_most = {
+        "max_speed": min(getattr(model, "max_speed", MOST_SPEED), MOST_SPEED),
+        "max_yaw_rate": min(getattr(model, "max_yaw_rate", MOST_YAW_RATE), MOST_YAW_RATE),
+        "accel": getattr(model, "accel", ACCEL),
+        "decel": getattr(model, "decel", ACCEL),
+        "yaw_accel": getattr(model, "yaw_accel", YAW_ACCEL),
+        "radius_m": math.hypot(0.5 * length + abs(ahead), 0.5 * width + abs(aside)),
+    }
+    full = {name: at_most.get(name) if value is None else value for name, value in given.items()}
+    return msgspec.convert(table.plain(full), SafetyTable)
+
+
+def _twin(vehicle: VehicleTable) -> dict[str, Any] | None:
+    if vehicle.positioning is None:
+        return None
+    return table.complete(registry.piece("positioning"), vehicle.positioning)

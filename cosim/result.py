@@ -1,0 +1,119 @@
+"""What a run gave, in memory and as files."""
+
+import io
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tomli_w
+
+from cosim import worlds
+from cosim.errors import UsageError
+from cosim.files import Folder, to_json, writing
+from cosim.record.inputs import FILE
+from cosim.record.metrics import Window
+from cosim.record.recorder import Recorder
+from cosim.record.tables import Placement
+from cosim.types import Array
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.figure import Figure
+
+
+class Result:
+    """What a run gave.
+
+    Attributes:
+        metrics: the numbers, as in ``metrics.json`` (schema ``vcmvsp.metrics/1``).
+        about: host, versions and wall times; the only part that differs between two equal runs.
+        scenario: the resolved scenario as TOML; running it gives the same result again.
+        folder: where it was written, if it was.
+    """
+
+    folder: Path | None = None
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        metrics: dict[str, Any],
+        about: dict[str, Any],
+        resolved: dict[str, Any],
+        files: Mapping[str, bytes],
+        mcap: io.BytesIO | None,
+        world: Any,
+    ) -> None:
+        self.metrics, self.about = metrics, about
+        self.scenario = tomli_w.dumps(resolved)
+        self._recorder, self._files = recorder, dict(files)
+        self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
+        self._mcap, self._world = mcap, world
+
+    @property
+    def states(self) -> "pa.Table":
+        """True states, a row per vehicle and recorded instant."""
+        return self._recorder.states
+
+    @property
+    def radio(self) -> "pa.Table":
+        """Frames, a row per frame and receiver."""
+        return self._recorder.radio
+
+    @property
+    def files(self) -> Mapping[str, bytes]:
+        """Files that the run depends on, as they were used, by the name under which they are kept beside the scenario."""
+        return self._files
+
+    @property
+    def follows(self) -> Sequence[Placement]:
+        """Who meant to keep which place, and from when on."""
+        return self._recorder.follows
+
+    def plot(self) -> "dict[str, Figure]":
+        """The run's figures, by name: ``trajectory`` and ``formation_error``."""
+        recorder = self._recorder
+        return figures_of(recorder.states, recorder.radio, recorder.follows, self._window, worlds.outlines(self._world))
+
+    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+        """Write everything that a run leaves into a folder."""
+        if self._mcap is None and self.folder is None:
+            raise UsageError("a run with mcap = False cannot be saved: it has no recording")
+        with writing(Path(folder)):
+            path = Folder(Path(folder), force=force).claim()
+            if self._mcap is not None:
+                (path / "run.mcap").write_bytes(self._mcap.getvalue())
+            elif self.folder is not None and not path.samefile(self.folder):
+                if to_json(self.about) != (self.folder / "about.json").read_text("utf-8"):
+                    raise UsageError(f"{self.folder} holds another run by now, and the recording of this one was there")
+                for name in ("run.mcap", FILE):
+                    if (self.folder / name).is_file():
+                        shutil.copyfile(self.folder / name, path / name)
+            self.write(path)
+        return path
+
+    def write(self, folder: Path) -> None:
+        """Everything but the MCAP file, which is written as the run goes on."""
+        from cosim.record import plots
+
+        self.folder = folder
+        (folder / "scenario.toml").write_text(self.scenario, "utf-8")
+        for name, content in self._files.items():
+            (folder / name).write_bytes(content)
+        self._recorder.write_tables(folder)
+        (folder / "metrics.json").write_text(to_json(self.metrics), "utf-8")
+        (folder / "about.json").write_text(to_json(self.about), "utf-8")
+        for name, figure in self.plot().items():
+            plots.save_png(figure, folder / f"{name}.png")
+
+
+def figures_of(
+    states: "pa.Table", radio: "pa.Table", follows: Sequence[Placement], window: Window, outlines: Sequence[Array]
+) -> "dict[str, Figure]":
+    """The figures of a run, by name: ``trajectory`` and ``formation_error``."""
+    from cosim.record import plots
+
+    return {
+        "trajectory": plots.trajectory(states, follows, outlines),
+        "formation_error": plots.formation_error(states, radio, follows, window),
+    }

@@ -1,0 +1,146 @@
+"""The tables of a scenario: every key stands in a class here, with its default.
+
+Tables that configure one of several kinds (``physics``, ``world``, the layers of ``radio``, a vehicle, an agent, a driver) stay
+mappings: their keys are the constructor parameters of the kind, checked when it is built (`cosim.assemble`).
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Vec3
+
+Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
+Runs = Literal["inprocess", "process", "zenoh"]
+PoseSource = Literal["truth", "odometry", "positioning", "fusion"]
+
+
+class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[agents]``: where agents run and how fast; every other key is a default for agents that take such a parameter."""
+
+    runs: Runs = "inprocess"  # inprocess | process (child processes) | zenoh (hosts that are started by hand)
+    processes: Count | None = None  # with runs = "process": how many share the agents; default: one each
+    listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": the endpoint that hosts dial
+    deadline_s: Period = 2.0  # wall-clock time within which a remote agent must answer
+    join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
+    period_s: Period | None = None  # s between ticks; default: the agent's own period
+    latency_s: Seconds = 0.0  # s from an observation to the effect of the command
+    on_lost: OnLost = "stop"  # when an agent fails or its host is lost: stop (the run) | hold (its last command) | remove (it)
+    hold_s: Seconds = 1.0  # with on_lost = "hold": for so long, then the vehicle stands still
+    defaults: Mapping[str, Any] = {}
+
+
+class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
+    """A vehicle's ``agent``; every key not listed is a parameter of the agent, and wins over ``[agents]``."""
+
+    kind: str | None = None  # short name | module:Class | file.py:Class; default: agents.kind
+    runs: Runs | None = None  # default: agents.runs
+    period_s: Period | None = None
+    latency_s: Seconds | None = None
+    fails_s: Seconds | None = None  # from then on it is dead: its vehicle stands still and sends nothing
+    on_lost: OnLost | None = None  # default: agents.on_lost
+    hold_s: Seconds | None = None  # s; default: agents.hold_s
+    params: Mapping[str, Any] = {}
+
+
+class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
+    """A ``[[vehicle]]``; every key not listed is a parameter of its kind. ``[vehicles]`` holds defaults for all of them."""
+
+    name: Name
+    kind: str
+    pose: tuple[float, float, float] | None = None  # x m, y m, yaw rad; or, in its place:
+    position: Vec3 = (0.0, 0.0, 0.0)  # x, y, z m
+    heading: float = 0.0  # rad, counter-clockwise from east
+    pose_source: PoseSource = "truth"  # what its agent takes for its own pose
+    positioning: Mapping[str, Any] | None = None  # the positioning sensor, if it carries one
+    driver: Mapping[str, Any] | None = None  # of the real vehicle in the place of the simulated one: a table with a kind
+    localisation: Mapping[str, Any] | None = None  # what tells where the real one is: a table with a kind; None: its odometry
+    fusion: Mapping[str, Any] = {}  # how both become a pose
+    safety: Mapping[str, Any] = {}  # keys of [safety] that are this vehicle's own
+    sensors: Mapping[str, Mapping[str, Any]] = {}  # what else it carries, by names of one's own: a table with a kind each
+    radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
+    agent: AgentTable | None = None  # None: it has no agent and stands still
+    params: Mapping[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        if self.pose is not None and (any(self.position) or self.heading):
+            raise ValueError("either pose, or position and heading: not both")
+
+    @property
+    def start(self) -> tuple[Vec3, float]:
+        """Where it starts: position m, heading rad."""
+        if self.pose is None:
+            return self.position, self.heading
+        x, y, yaw = self.pose
+        return (x, y, 0.0), yaw
+
+
+class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[safety]``: what every real vehicle keeps to, whatever it is told."""
+
+    max_speed: Positive | None = None  # m/s; default: the kind's, and at most 1
+    max_yaw_rate: Positive | None = None  # rad/s; default: the kind's, and at most 2
+    accel: Positive | None = None  # m/s2; default: the kind's, else 0.3
+    decel: Positive | None = None  # m/s2, that it is sure to reach when it brakes; default: the kind's, else 0.3
+    yaw_accel: Positive | None = None  # rad/s2, also of slowing down; default: the kind's, else 1.5
+    max_climb: Positive = 1.0  # m/s, up and down, of what flies
+    radius_m: Positive | None = None  # of a circle around the body; default: around its hull
+    fence: tuple[tuple[float, float], ...] | None = None  # corners (x, y), m: none is left; default: no fence
+    fence_margin_m: NonNegative = 0.1  # between body and fence: for the error of the pose
+    floor_m: float | None = None  # least height of what flies
+    ceiling_m: float | None = None  # and the greatest
+    separation_m: NonNegative = 0.3  # between bodies
+    reaction_s: Positive = 0.25  # from a command to when the next one acts: with the delays of pose and link
+    operator_s: Positive | None = None  # for how long `vcmvsp operator` may be silent; default: nobody waits for it
+    command_s: Positive = 0.5  # ... commands
+    positioning_s: Positive = 1.5  # ... what tells where it is
+    federation_s: Positive = 0.5  # ... the run
+
+
+class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[clock]``: how a run keeps to the wall clock, with real vehicles or ``--realtime``."""
+
+    late: Literal["slip", "stop"] = "slip"  # when an instant begins too late: slip (count it, and catch up) | stop (the run)
+    tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
+
+
+class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[record]``."""
+
+    period_s: Period = 0.1  # s between recorded states
+    sensors: tuple[str, ...] = ()  # names of scanners and cameras whose readings are recorded; "*": all. Others always are
+
+
+class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[metrics]``: the window of the formation error and the age of information."""
+
+    from_s: NonNegative = 0.0
+    to_s: NonNegative | None = None  # default: the end
+
+
+class StudyTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[study]``: what ``vcmvsp study`` does with this scenario unless told otherwise."""
+
+    vary: Mapping[str, tuple[Any, ...]] = {}  # key path -> its values
+    seeds: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 20  # runs of each combination of values
+    metrics: tuple[str, ...] = ()  # what is drawn and summarised, e.g. "formation.rms_m"
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole scenario. ``duration_s`` is simulated time; agents act at 0 <= t < duration."""
+
+    name: Name
+    duration_s: Duration
+    seed: Seed = 0
+    physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic"
+    world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
+    radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
+    agents: AgentsTable = AgentsTable()
+    clock: ClockTable = ClockTable()
+    safety: SafetyTable = SafetyTable()
+    vehicles: Mapping[str, Any] = {}
+    record: RecordTable = RecordTable()
+    metrics: MetricsTable = MetricsTable()
+    study: StudyTable = StudyTable()
+    vehicle: tuple[VehicleTable, ...]

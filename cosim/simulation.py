@@ -1,0 +1,225 @@
+"""One run from its first event to its files: kernel, recording, interruption, and what is known of the machine."""
+
+import contextlib
+import functools
+import io
+import platform
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from importlib import metadata
+from typing import Any, BinaryIO
+
+import numpy as np
+import tomli_w
+
+from cosim.assemble import Assembly
+from cosim.clock import Clock, WallClock, seconds_to_ns
+from cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
+from cosim.federate import Event
+from cosim.files import Folder, finite
+from cosim.hosts import Tell
+from cosim.kernel import Kernel, Observer
+from cosim.record.inputs import FILE, InputLog
+from cosim.record.recorder import Recorder
+from cosim.result import Result
+from cosim.text import plain
+from cosim.types import Presence
+
+Progress = Callable[[int, int], None]
+ABOUT_SCHEMA = "vcmvsp.about/1"
+
+
+class Simulation:
+    """One run: kernel and recording, from the first event to the files."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        clock: Clock,
+        folder: Folder | None,
+        progress: Progress | None,
+        tell: Tell,
+        *,
+        mcap: bool,
+    ) -> None:
+        self._assembly, self._clock, self._folder = assembly, clock, folder
+        self._progress, self._tell, self._over = progress, tell, False
+        self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
+        self._kernel = Kernel(assembly.run_info, assembly.federates, clock=clock, tolerance_ns=self._tolerance_ns())
+        self._mcap = io.BytesIO() if mcap and folder is None else None
+        self._recorder: Recorder | None = None
+        self._kept: InputLog | None = None
+
+    def run(self) -> VcmvspError | None:
+        """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
+        kernel = self._kernel
+        self._assembly.start(kernel)
+        try:
+            with self._recording() as recorder:
+                failure = self._go(recorder)
+        except BaseException:
+            with contextlib.suppress(VcmvspError):
+                kernel.close()
+            raise
+        try:
+            kernel.close()
+        except FederateError as error:
+            failure = failure or error
+        return failure
+
+    @contextlib.contextmanager
+    def calm(self) -> Iterator[None]:
+        """Let Ctrl-C strike only where it breaks nothing: while waiting, or between two slots. A second one strikes at once."""
+        kernel, saved = self._kernel, {}
+
+        def on_signal(number: int, frame: Any) -> None:
+            if kernel.waiting or kernel.stop:
+                signal.default_int_handler(number, frame)
+            kernel.stop = True
+
+        if threading.current_thread() is threading.main_thread():  # elsewhere signals do not arrive
+            for number in (signal.SIGINT, signal.SIGTERM):
+                if signal.getsignal(number) is signal.default_int_handler:  # else somebody has plans of their own
+                    saved[number] = signal.signal(number, on_signal)
+        try:
+            yield
+        finally:
+            for number, handler in saved.items():
+                signal.signal(number, handler)
+
+    def _go(self, recorder: Recorder) -> VcmvspError | None:
+        kernel, progress, end_ns = self._kernel, self._progress, self._assembly.run_info.duration_ns
+        failure: VcmvspError | None = None
+        begin = time.monotonic()
+        try:
+            kernel.run(self._observer(recorder), on_instant=None if progress is None else lambda now: progress(now, end_ns))
+        except KeyboardInterrupt:
+            failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
+        except VcmvspError as error:
+            failure = error
+        self._simulating_s, self._over = time.monotonic() - begin, True
+        if isinstance(failure, AgentError):
+            gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
+            for vehicle in failure.vehicles:
+                recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
+        recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
+        recorder.close(kernel.now_ns)
+        return failure
+
+    def _observer(self, recorder: Recorder) -> Observer:
+        topics = self._assembly.topics
+        if topics is None:
+            return recorder.on
+
+        def on(event: Event) -> None:
+            recorder.on(event)
+            topics.on(event)
+
+        return on
+
+    @contextlib.contextmanager
+    def _recording(self) -> Iterator[Recorder]:
+        with contextlib.ExitStack() as stack:
+            stream: BinaryIO | None = self._mcap
+            if self._folder is not None:
+                stream = stack.enter_context((self._folder.claim() / "run.mcap").open("wb" if self._folder.force else "xb"))
+            assembly = self._assembly
+            self._recorder = Recorder(
+                assembly.run_info,
+                record_ticks=assembly.record_ticks,
+                mcap=stream,
+                agents=assembly.infos,
+                radius_m=assembly.radius_m,
+                sensors=assembly.recorded_sensors,
+                tell=lambda text: None if self._over else self._tell(text),
+            )
+            with self._inputs(stack):
+                yield self._recorder
+
+    @contextlib.contextmanager
+    def _inputs(self, stack: contextlib.ExitStack) -> Iterator[None]:
+        """Keep what real vehicles say, for a replay."""
+        robots = self._assembly.robots
+        if robots is None or (self._folder is None and self._mcap is None):
+            yield
+            return
+        stream: BinaryIO | None = None
+        if self._folder is not None:
+            stream = stack.enter_context((self._folder.path / FILE).open("wb" if self._folder.force else "xb"))
+            (self._folder.path / "scenario.toml").write_text(tomli_w.dumps(self._resolved), "utf-8")  # should the run be killed
+            for name, content in self._assembly.files.items():
+                (self._folder.path / name).write_bytes(content)
+        self._kept = InputLog(stream)
+        robots.log = self._kept.on
+        try:
+            yield
+        finally:
+            self._kept.close()
+
+    def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> Result:
+        """The result, written to the folder if there is one."""
+        assembly, recorder = self._assembly, self._recorder
+        if recorder is None:
+            raise failure or VcmvspError("the run did not begin")
+        resolved = self._resolved
+        metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
+        wall_s = (datetime.now(UTC) - started).total_seconds()
+        about = {
+            "schema": ABOUT_SCHEMA,
+            "started": started.isoformat(),
+            "wall_s": wall_s,
+            "simulating_s": self._simulating_s,
+            "cpu_s": cpu_s,
+            "simulated_s": self._kernel.now_ns / 1e9,
+            "agents": assembly.where,
+            "lateness": self._lateness(),
+            "cuts_s": assembly.cuts_s,
+            "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
+            "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
+            "versions": _versions(),
+        }
+        files = dict(assembly.files)
+        if self._kept is not None and self._folder is None:
+            files[FILE] = self._kept.content
+        result = Result(recorder, metrics, about, resolved, files, self._mcap, assembly.world)
+        if self._folder is not None:
+            result.write(self._folder.path)
+        return result
+
+    def _tolerance_ns(self) -> int | None:
+        """How late an instant may begin on the wall clock; None: as late as it gets."""
+        wanted = self._assembly.clock
+        if wanted.late == "slip" or not isinstance(self._clock, WallClock):
+            return None
+        return seconds_to_ns(self._period_s() if wanted.tolerance_s is None else wanted.tolerance_s)
+
+    def _period_s(self) -> float:
+        """Of the quickest agent, on the wall clock."""
+        speed = self._clock.speed if isinstance(self._clock, WallClock) else 1.0
+        return min([float(info.ticks.period) / 1e9 for info in self._assembly.infos], default=0.1) / speed
+
+    def _lateness(self) -> dict[str, Any] | None:
+        """How late instants began, at wall pace."""
+        if not isinstance(self._clock, WallClock) or not self._kernel.late_ns:
+            return None
+        late_s = np.maximum(self._kernel.late_ns, 0) / 1e9
+        p50, p99 = np.percentile(late_s, [50, 99])
+        return {
+            "speed": self._clock.speed,
+            "instants": len(late_s),
+            "p50_s": float(p50),
+            "p99_s": float(p99),
+            "max_s": float(late_s.max()),
+            "over_one_period": int((late_s > self._period_s()).sum()),
+        }
+
+
+_PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet", "eclipse-zenoh", "matplotlib")
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
+    return {name: metadata.version(name) for name in _PACKAGES}

@@ -1,0 +1,129 @@
+"""The federate `hardware`: real vehicles take the place of simulated ones, under the same names and keys.
+
+Events of a real vehicle, at the instants at which physics publishes those of simulated ones:
+
+========================  ============  ===================================================================================
+``<vehicle>/estimate``    VehicleState  where it is, as far as anybody knows
+``<vehicle>/odometry``    Odometry      what its wheels say, gone on with to this instant
+``<vehicle>/fix``         Fix           positions that are new
+``<vehicle>/sonar``       Measured      ranges that are new, m, by the numbers of the sonars
+``<vehicle>/real``        RealStatus    how old and how sure all this is, what the robot was told, and why
+``<vehicle>/incident``    Incident      connected, lost, stopped: with its cause
+========================  ============  ===================================================================================
+
+Commands go to the robot at once. Physics shows the vehicle where `states` says that it is (`cosim.outside`).
+"""
+
+import contextlib
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from cosim.clock import Ticks, WallClock
+from cosim.errors import FederateError, Interrupted
+from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.real import RealVehicle
+from cosim.types import AnyValue, Array, States, VehicleState
+from hardware.connecting import Connections
+from hardware.seat import Seat
+
+HEARTBEAT = Ticks.every(0.05)
+"""Orders are said again so often: stations stop their robots when they hear none."""
+
+Log = Callable[[str, int, AnyValue], None]
+"""Takes what a replay needs: key, time, value."""
+
+
+class Hardware:
+    """All real vehicles of a run.
+
+    Args:
+        vehicles: what they are.
+        run: name of the run.
+        tell: takes lines for the user.
+        connect: to the robots; else they only stand where they start, as long as a scenario is being checked.
+    """
+
+    name = "hardware"
+    slot = Slot.WORLD
+    wake_slot = Slot.APPLY
+    latest: tuple[str, ...] = ("world/states",)
+
+    def __init__(self, vehicles: Sequence[RealVehicle], *, run: str, tell: Callable[[str], None], connect: bool) -> None:
+        self.names = tuple(each.name for each in vehicles)
+        self.reads = self.wakes = tuple(f"{name}/command" for name in self.names)
+        self.clock = WallClock()
+        self.log: Log = lambda *_: None
+        self.radius_m: dict[str, float] = {}  # of all vehicles, told by whoever knows
+        self._seats = {each.name: Seat(each, self.clock) for each in vehicles}
+        self._run, self._tell, self._connect = run, tell, connect
+        self._connections: Connections | None = None
+        self._world: States | None = None
+        self._published_ns = -1
+
+    def start(self, run: RunInfo) -> int:
+        """Connect to all robots at once; they stand still until their first command."""
+        self._info = run
+        self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))
+        if self._connect:
+            self._connections = Connections([seat.vehicle for seat in self._seats.values()], self._run, self._tell)
+            for name, station in self._connections.open().items():
+                self._seats[name].station = station
+        return 0
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """Take commands and reports, publish where it is time, and say what is wanted."""
+        for event in inbox:
+            if isinstance(event.value, States):
+                self._world = event.value
+            else:
+                self._seats[event.key.partition("/")[0]].command(event)
+        events: list[Event] = []
+        for seat in self._seats.values():
+            if seat.over:
+                raise Interrupted(seat.over)
+            seat.hear()
+        if now_ns != self._published_ns and self._is_asked(now_ns):
+            self._published_ns = now_ns
+            events = [event for seat in self._seats.values() for event in seat.publish(now_ns)]
+        for event in events:
+            self.log(event.key, event.time_ns, event.value)
+        for name, seat in self._seats.items():
+            seat.order(self._others(name))
+        return Step(events, self._next(now_ns))
+
+    def states(self, now_ns: int) -> list[VehicleState]:
+        """How the vehicles move, for physics."""
+        found = [seat.state(now_ns) for seat in self._seats.values()]
+        for name, state in zip(self.names, found, strict=True):
+            self.log(f"{name}/reflected", now_ns, state)
+        return found
+
+    def release(self) -> None:
+        """Stop all robots at once."""
+        for seat in self._seats.values():
+            with contextlib.suppress(FederateError):  # whose station is gone has a watchdog
+                seat.order(None, stop="the run is over")
+
+    def close(self) -> None:
+        """Let go of all robots, which stand then."""
+        if self._connections is not None:
+            self._connections.close()
+
+    def _is_asked(self, now_ns: int) -> bool:
+        return now_ns in (0, self._info.duration_ns) or any(ticks.hits(now_ns - offset) for ticks, offset in self._trains)
+
+    def _next(self, now_ns: int) -> int | None:
+        end_ns = self._info.duration_ns
+        if now_ns >= end_ns:
+            return None
+        published = (ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)
+        return min(end_ns, HEARTBEAT.after(now_ns), *published) if self._connect else min(end_ns, *published)
+
+    def _others(self, name: str) -> Array | None:
+        """All other vehicles as they were shown last: x y z m, vx vy vz m/s, radius m."""
+        if self._world is None:
+            return None
+        rows = [number for number, each in enumerate(self._world.names) if each != name]
+        radii = [self.radius_m.get(self._world.names[row], 0.0) for row in rows]
+        return np.column_stack([self._world.position[rows], self._world.velocity[rows], radii])

@@ -1,0 +1,1 @@
+"""Robots with a computer aboard: there `vcmvsp robot` drives, here `ZenohDriver` is the driver, Eclipse Zenoh lies between."""

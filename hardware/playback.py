@@ -1,0 +1,153 @@
+"""Real vehicles as they were recorded: in place of robots and their stations, as fast as the rest of the run goes."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from math import sqrt
+
+import msgspec
+
+from cosim.clock import SECOND_NS
+from cosim.errors import UsageError
+from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.frames import Quaternion
+from cosim.record.inputs import REFLECTED, Input
+from cosim.types import Odometry, Vec3, VehicleState
+
+STILL: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Playback:
+    """The federate ``hardware`` (`cosim.outside.Vehicles`) out of ``hardware.mcap``. Nothing that is commanded moves anybody.
+
+    Each event is given again at its time. Physics is told at each instant what it was told then; between two of these, where
+    it asks because a period was changed, in a straight line from the one to the other: both are known, which is better than
+    dead reckoning from the first (at 0.5 m/s, 0.5 rad/s and 10 Hz a straight line is off by v w dt^2 / 8 = 0.3 mm at most).
+
+    A recording that ends before the run does, because that was interrupted or lasts longer now: vehicles stand where they
+    were last, and their last estimates and odometry are given once more, at rest. That is said once.
+
+    Args:
+        names: whose recording counts; all others in it are left out.
+        inputs: what `cosim.record.inputs.read_inputs` gives.
+        tell: takes lines for the user.
+
+    Raises:
+        UsageError: the recording says of somebody not where he was.
+    """
+
+    name = "hardware"
+    slot = Slot.WORLD
+    wake_slot = Slot.APPLY
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(
+        self, names: tuple[str, ...], inputs: Sequence[Input], *, tell: Callable[[str], None] = lambda _: None
+    ) -> None:
+        self.names, self._tell = names, tell
+        self._tracks = {name: _Track() for name in names}
+        self._recorded: list[Event] = []
+        self._end_ns = 0
+        for key, time_ns, value in inputs:
+            vehicle, _, topic = key.partition("/")
+            if vehicle not in self._tracks:
+                continue
+            self._end_ns = max(self._end_ns, time_ns)
+            if topic == REFLECTED and isinstance(value, VehicleState):
+                self._tracks[vehicle].add(time_ns, value)
+            else:
+                self._recorded.append(Event(key, time_ns, value))
+        if missing := [name for name, track in self._tracks.items() if not track.times_ns]:
+            there = ", ".join(sorted({key.partition("/")[0] for key, _, _ in inputs})) or "nobody"
+            raise UsageError(f"the recording does not say where {', '.join(missing)} was; it has {there}")
+
+    def start(self, run: RunInfo) -> int | None:
+        """The first event's time."""
+        self._given, self._duration_ns = 0, run.duration_ns
+        self._events = [*self._recorded]
+        if self._end_ns < run.duration_ns:
+            self._events += [Event(key, self._end_ns + 1, value) for key, value in self._at_rest().items()]
+        return self._events[0].time_ns if self._events else None
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """The events of this instant."""
+        first, events = self._given, self._events
+        while self._given < len(events) and events[self._given].time_ns <= now_ns:
+            self._given += 1
+        if now_ns > self._end_ns:
+            who, verb = ", ".join(self.names), "stands" if len(self.names) == 1 else "stand"
+            self._tell(f"the recording ends at {self._end_ns / SECOND_NS:.3f} s: {who} {verb} still from then on")
+        return Step(events[first : self._given], events[self._given].time_ns if self._given < len(events) else None)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def states(self, now_ns: int) -> list[VehicleState]:
+        """How the vehicles moved then, in the order of ``names``."""
+        return [track.at(now_ns) for track in self._tracks.values()]
+
+    def _at_rest(self) -> dict[str, VehicleState | Odometry]:
+        """The last estimate and odometry of each vehicle, without their speeds."""
+        last: dict[str, VehicleState | Odometry] = {}
+        for event in self._recorded:
+            if isinstance(event.value, VehicleState):
+                last[event.key] = at_rest(event.value)
+            elif isinstance(event.value, Odometry):
+                last[event.key] = msgspec.structs.replace(event.value, v=0.0, w=0.0)
+        return last
+
+
+class _Track:
+    """Where one vehicle was."""
+
+    def __init__(self) -> None:
+        self.times_ns: list[int] = []
+        self._states: list[VehicleState] = []
+
+    def add(self, time_ns: int, state: VehicleState) -> None:
+        """Times increase."""
+        self.times_ns.append(time_ns)
+        self._states.append(state)
+
+    def at(self, now_ns: int) -> VehicleState:
+        """Where it was then; before the first of all instants where it was at that, after the last at rest there."""
+        following = bisect_right(self.times_ns, now_ns)
+        if following == 0:
+            return self._states[0]
+        before_ns, before = self.times_ns[following - 1], self._states[following - 1]
+        if before_ns == now_ns:
+            return before
+        if following == len(self.times_ns):
+            return at_rest(before)
+        share = (now_ns - before_ns) / (self.times_ns[following] - before_ns)
+        return between(before, self._states[following], share)
+
+
+def at_rest(state: VehicleState) -> VehicleState:
+    """The same place, without speed."""
+    return msgspec.structs.replace(state, velocity=STILL, angular_velocity=STILL)
+
+
+def between(before: VehicleState, after: VehicleState, share: float) -> VehicleState:
+    """A part of the way from one state to another, 0 to 1, in a straight line; attitudes along the shorter arc."""
+    return VehicleState(
+        position=_mixed(before.position, after.position, share),
+        velocity=_mixed(before.velocity, after.velocity, share),
+        attitude=_turned(before.attitude, after.attitude, share),
+        angular_velocity=_mixed(before.angular_velocity, after.angular_velocity, share),
+    )
+
+
+def _mixed(a: Vec3, b: Vec3, share: float) -> Vec3:
+    x, y, z = (one + share * (other - one) for one, other in zip(a, b, strict=True))
+    return x, y, z
+
+
+def _turned(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
+    """Linear and normalised: the angle is off by less than 1e-4 of a turn by 0.3 rad."""
+    sign = 1.0 if sum(p * q for p, q in zip(a, b, strict=True)) >= 0.0 else -1.0  # q and -q are the same attitude
+    mixed = [p + share * (sign * q - p) for p, q in zip(a, b, strict=True)]
+    norm = sqrt(sum(each * each for each in mixed))
+    w, x, y, z = (each / norm for each in mixed)
+    return w, x, y, z

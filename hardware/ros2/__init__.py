@@ -1,0 +1,1 @@
+"""Robots that run ROS 2, reached over Eclipse Zenoh by `rmw_zenoh` or by a bridge from DDS; no ROS 2 is needed on this side."""

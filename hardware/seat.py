@@ -1,0 +1,216 @@
+"""One real vehicle's place in a run: reports of its station become events of logical time, commands become its orders."""
+
+import cmath
+import math
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import msgspec
+import numpy as np
+
+from cosim.clock import SECOND_NS, WallClock
+from cosim.errors import FederateError
+from cosim.federate import Event
+from cosim.frames import arc, quaternion_from_yaw
+from cosim.real import RealVehicle
+from cosim.types import Array, Fix, Incident, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
+from hardware.driver import ORIGIN
+from hardware.station.wire import OPERATOR_STOP, Order, Report
+
+KEPT_NS = 2 * SECOND_NS  # of reports: a run that is later than this on the wall clock is told of newer ones
+LONGEST_NS = SECOND_NS // 2  # that dead reckoning goes on for; then the vehicle is taken to stand
+
+
+class Station(Protocol):
+    """What a seat asks of `hardware.station.process.Station`."""
+
+    def order(self, order: Order) -> bool:
+        """Send an order, without waiting; whether it went."""
+
+    def reports(self) -> list[Report]:
+        """All that have come since the last call; raises what has become of the station."""
+
+
+class Seat:
+    """Turns reports into events and commands into orders.
+
+    Args:
+        vehicle: what it is.
+        clock: of the run.
+    """
+
+    def __init__(self, vehicle: RealVehicle, clock: WallClock) -> None:
+        self.vehicle, self._clock = vehicle, clock
+        self.station: Station | None = None  # None: not connected
+        self.over = ""  # why the run is to end, once that is recorded
+        x, y, yaw = vehicle.start
+        place = (x, y, vehicle.height_m)
+        self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
+        self._history: deque[Report] = deque()  # those with a state, oldest first
+        self._newest: Report | None = None
+        self._fresh: list[Report] = []  # heard since the last publication
+        self._command: tuple[Velocity | None, int] = (None, 0)  # and when it was given, ns of the monotonic clock
+        self._orders, self._shown = 0, (0, self._still)
+        self._asked = (-1, self._still)
+
+    # --- orders -------------------------------------------------------------------------------------------------------------
+
+    def command(self, event: Event) -> None:
+        """Take the command of an agent."""
+        if isinstance(event.value, Waypoint):
+            problem = "was given a Waypoint, which real vehicles do not take: send Velocity"
+            raise FederateError(self.vehicle.name, problem)
+        if isinstance(event.value, Velocity):
+            self._command = event.value, self._clock.monotonic_ns(event.time_ns)
+
+    def order(self, others: Array | None, stop: str = "") -> None:
+        """Say what is wanted now: that this is said, and when, is what the station waits for."""
+        if self.station is None:
+            return
+        self._orders += 1
+        command, given_ns = self._command
+        self.station.order(
+            Order(
+                number=self._orders,
+                sent_ns=time.monotonic_ns(),
+                command=command,
+                command_ns=given_ns if command is not None else None,
+                others=others,
+                stop=stop,
+            )
+        )
+
+    # --- reports ------------------------------------------------------------------------------------------------------------
+
+    def hear(self) -> None:
+        """Take what the station has said."""
+        for report in self.station.reports() if self.station is not None else ():
+            self._newest = report
+            self._fresh.append(report)
+            if report.state is not None:
+                self._history.append(report)
+            if OPERATOR_STOP in report.causes:
+                self.over = f"{self.vehicle.name} stands: {OPERATOR_STOP}"
+        while len(self._history) > 1 and self._history[-1].time_ns - self._history[0].time_ns > KEPT_NS:
+            self._history.popleft()
+
+    def state(self, now_ns: int) -> VehicleState:
+        """Where the vehicle is at a logical time, by dead reckoning from the report that is next before it."""
+        if self._asked[0] != now_ns:
+            self._asked = now_ns, self._state(self._clock.monotonic_ns(now_ns))
+        return self._asked[1]
+
+    def _state(self, at_ns: int) -> VehicleState:
+        report = next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
+        if report is None:
+            report = self._history[0] if self._history else None
+        if report is None or report.state is None:
+            return self._still
+        return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
+
+    def publish(self, now_ns: int) -> Iterator[Event]:
+        """What there is to tell at an instant."""
+        name, newest, fresh = self.vehicle.name, self._newest, self._fresh
+        self._fresh = []
+        state = self.state(now_ns)
+        estimate = state
+        if newest is not None and newest.odometry is not None:
+            odometry = self._odometry(newest, now_ns)
+            yield Event(f"{name}/odometry", now_ns, odometry)
+            if self.vehicle.pose_source == "odometry":
+                estimate = self._by_wheels(odometry)
+        yield Event(f"{name}/estimate", now_ns, estimate)
+        yield from self._readings(now_ns, fresh)
+        yield Event(f"{name}/real", now_ns, self._status(now_ns, fresh))
+        for notice in (each for report in fresh for each in report.notices):
+            happened_ns = self._clock.logical_ns(notice.time_ns)
+            yield Event(f"{name}/incident", now_ns, Incident(what=notice.what, cause=notice.cause, happened_ns=happened_ns))
+        self._shown = now_ns, state
+
+    def _odometry(self, report: Report, now_ns: int) -> Odometry:
+        """The newest, gone on with to this instant."""
+        told = report.odometry
+        assert told is not None  # noqa: S101  asked for before
+        since_ns = self._clock.monotonic_ns(now_ns) - report.measured_ns
+        seconds = max(0, min(since_ns, LONGEST_NS)) / SECOND_NS
+        return Odometry(pose=arc(told.pose, told.v, told.w, seconds), v=told.v, w=told.w)
+
+    def _by_wheels(self, odometry: Odometry) -> VehicleState:
+        x, y, yaw = odometry.pose
+        velocity = (odometry.v * math.cos(yaw), odometry.v * math.sin(yaw), 0.0)
+        place = (x, y, self.vehicle.height_m)
+        turning = (0.0, 0.0, odometry.w)
+        return VehicleState(position=place, velocity=velocity, attitude=quaternion_from_yaw(yaw), angular_velocity=turning)
+
+    def _readings(self, now_ns: int, fresh: Sequence[Report]) -> Iterator[Event]:
+        """Positions and ranges that are new. What was measured before the run began is no part of it."""
+        name, logical_ns = self.vehicle.name, self._clock.logical_ns
+        for report in fresh:
+            for fix in report.fixes:
+                if (measured_ns := logical_ns(fix.time_ns)) >= 0:
+                    yield Event(f"{name}/fix", now_ns, _timed(fix, measured_ns))
+        ranges = {str(number): range_m for report in fresh for number, range_m in report.sonar}
+        if ranges:
+            yield Event(f"{name}/sonar", now_ns, Measured(time_ns=now_ns, values=dict(sorted(ranges.items(), key=_number))))
+
+    def _status(self, now_ns: int, fresh: Sequence[Report]) -> RealStatus:
+        newest = self._newest
+        if newest is None:
+            return RealStatus(link=0, age_s=None)
+        sigma_m = None
+        if newest.covariance is not None:
+            sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(newest.covariance[:2, :2])[-1]), 0.0))
+        causes = tuple(dict.fromkeys(cause for report in fresh or [newest] for cause in report.causes))
+        age_s = None
+        if newest.sample:
+            age_s = (self._clock.monotonic_ns(now_ns) - newest.measured_ns) / SECOND_NS
+        return RealStatus(
+            link=newest.link,
+            age_s=age_s,
+            fix_age_s=newest.fix_age_s,
+            sigma_m=sigma_m,
+            prediction_m=self._prediction_m(now_ns),
+            gated=newest.gated,
+            sent=newest.sent,
+            causes=causes,
+            battery_v=newest.battery_v,
+        )
+
+    def _prediction_m(self, now_ns: int) -> float | None:
+        """How far from where it is the vehicle would be, had it gone on as it was shown last."""
+        since_ns, shown = self._shown
+        if not self._history or since_ns == 0:
+            return None
+        expected = ahead(shown, now_ns - since_ns, flies=self.vehicle.flies)
+        return math.dist(expected.position, self.state(now_ns).position)
+
+
+def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
+    """The state some time later, or a little earlier, at constant speed and yaw rate; it stands once that is long ago.
+
+    On the ground the velocity turns with the body, in the air it does not.
+    """
+    seconds = max(-LONGEST_NS, min(time_ns, LONGEST_NS)) / SECOND_NS
+    (x, y, z), (vx, vy, vz), turn = state.position, state.velocity, state.angular_velocity[2] * seconds
+    chord = 1.0 if flies else cmath.rect(1.0, 0.5 * turn)
+    moved = complex(vx, vy) * chord
+    velocity = moved * chord
+    w, i, j, k = state.attitude
+    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    stands = abs(time_ns) > LONGEST_NS
+    return VehicleState(
+        position=(x + moved.real * seconds, y + moved.imag * seconds, z + vz * seconds),
+        velocity=ORIGIN if stands else (velocity.real, velocity.imag, vz),
+        attitude=(c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w),
+        angular_velocity=ORIGIN if stands else state.angular_velocity,
+    )
+
+
+def _timed(fix: Fix, time_ns: int) -> Fix:
+    return msgspec.structs.replace(fix, time_ns=time_ns)
+
+
+def _number(item: tuple[str, float]) -> int:
+    return int(item[0])

@@ -1,0 +1,254 @@
+"""A station's process: ``python -P -m hardware.station FD``, where FD is the inherited end of the link to its run.
+
+It turns at a steady rate, on deadlines that do not drift. When the run ends, however it does, the robot is stopped within a
+turn. Ctrl-C is the run's affair, and is not heard here; SIGTERM stops the robot and ends the station.
+"""
+
+import contextlib
+import gc
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Literal
+
+from cosim import registry, table
+from cosim.clock import SECOND_NS
+from cosim.codec import encode
+from cosim.errors import ScenarioError, place_of
+from hardware.driver import Driver, DriverError
+from hardware.station import wire
+from hardware.station.control import Answer, Ear
+from hardware.station.guarded import within
+from hardware.station.link import Link
+from hardware.station.onboard import Onboard
+from hardware.station.wire import Mission, Order, Part, Report
+
+if TYPE_CHECKING:
+    from hardware.positioning.sources import Localisation
+
+MISSION_S = 10.0  # from the start to the mission
+HANG_S = 3.0  # for a turn, which should take a millisecond
+GRACE_S = 2.0  # for drivers, beyond what they say of themselves
+OPEN_S = 10.0  # for a localisation, which says nothing of itself
+STAND_S = 5.0  # for a robot to be seen standing, at most
+NICE = -5  # where the system allows it
+FAILED = 3  # exit code
+
+
+class Serving:
+    """What the process does with its `Onboard`."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._onboard: Onboard | None = None
+        self._ear: Ear | None = None
+        self._driver: Driver | None = None
+        self._localisation: Localisation | None = None
+        self._order: tuple[Order, int] | None = None  # the newest that no turn has seen, and when it came
+        self._ending = ""  # why there will be no more turns
+        self._leaves = False  # the run has asked for it
+        self._early = ""  # why it was told to stop before it was open
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, self._told_to_end)
+
+    def serve(self) -> int:
+        """All of it; the exit code."""
+        failed = advice = ""
+        try:
+            mission = self._mission()
+            self._open(mission)
+            self._turn(mission)
+        except DriverError as error:
+            failed, advice = f"{error.device}: {error.happened}", error.advice
+        except ScenarioError as error:
+            failed, advice = str(error), "correct the scenario"
+        except Exception as error:
+            failed, advice = f"{type(error).__name__}: {error}{place_of(error)}", "report this to who wrote the driver"
+        finally:
+            halted = self._onboard.halted if self._onboard is not None else ""
+            for problem in self._close(failed or halted or self._ending or "the station ends"):
+                failed, advice = failed or problem, advice or "look after the robot"
+        if self._leaves and self._onboard is None:
+            failed = ""  # it was not to be opened any more
+        elif not failed and not self._leaves:
+            failed, advice = self._ending, "start the run again"
+        with contextlib.suppress(Exception):  # nobody may be there any more
+            self._link.send(encode(self._last_words(failed, advice)))
+        return FAILED if failed else 0
+
+    # The beginning
+
+    def _mission(self) -> Mission:
+        self._link.wait(MISSION_S)
+        messages = self._link.receive()
+        if not messages:
+            raise DriverError("station", "nobody told it what to do", "stations are started by runs")
+        mission = wire.missions.decode(messages[0])
+        self._vehicle, self._run = mission.vehicle, mission.run
+        for message in messages[1:]:
+            self._obey(message)
+        return mission
+
+    def _open(self, mission: Mission) -> None:
+        vehicle = self._vehicle
+        self._ear = Ear(vehicle)
+        localisation: Localisation | None = None
+        with within(OPEN_S, vehicle, "building its driver", self._given_up):
+            driver: Driver = _built(mission.driver, mission.folder)
+            if mission.localisation is not None:
+                localisation = _built(mission.localisation, mission.folder)
+            onboard = Onboard(mission, driver, localisation, time.monotonic_ns)
+        self._driver = driver
+        with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", self._given_up):
+            driver.open(mission.start)
+        if localisation is not None:
+            self._localisation = localisation
+            with within(OPEN_S, localisation.device, "opening it", self._given_up):
+                localisation.open()
+        self._onboard = onboard
+        self._halt(self._early)
+
+    def _given_up(self) -> str:
+        """Why a robot that is being connected is not needed any more."""
+        self._hear_run()
+        self._hear_operator()
+        return self._ending or ("its run is over" if self._leaves else "")
+
+    def _told_to_end(self, _number: int, _frame: FrameType | None) -> None:
+        self._ending = "its station was told to end (SIGTERM)"
+
+    # Turning
+
+    def _turn(self, mission: Mission) -> None:
+        """Turn after turn, until there is a reason not to."""
+        onboard = self._onboard
+        assert onboard is not None  # noqa: S101  it is open
+        _settle()
+        period_ns = round(SECOND_NS / mission.rate_hz)
+        due_ns = time.monotonic_ns()
+        leave_by_ns: int | None = None
+        with within(HANG_S, self._vehicle, "a turn of its station") as turned:
+            while not self._ending:
+                turned()
+                now_ns = time.monotonic_ns()
+                late_ns = now_ns - due_ns
+                order, heard_ns = self._order or (None, None)
+                self._order = None
+                report = onboard.turn(now_ns, order, heard_ns=heard_ns, late_s=late_ns / SECOND_NS)
+                if self._link.send(encode(report)):
+                    onboard.delivered()
+                if self._leaves:
+                    leave_by_ns = leave_by_ns or now_ns + round(STAND_S * SECOND_NS)
+                    if onboard.stands or now_ns >= leave_by_ns:
+                        return
+                due_ns += period_ns * (1 + late_ns // period_ns)  # turns that were missed are not made up for
+                self._wait(due_ns)
+
+    def _wait(self, until_ns: int) -> None:
+        """Listen until the next turn; once, at least, however late it is."""
+        assert self._ear is not None  # noqa: S101  it is open
+        sources: list[Link | Ear] = [self._link, self._ear]
+        left_s = 1.0
+        while not self._ending and left_s > 0.0:
+            left_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
+            ready, _, _ = select.select(sources, [], [], left_s)
+            if self._link in ready:
+                self._hear_run()
+            if self._ear in ready:
+                self._hear_operator()
+
+    def _hear_run(self) -> None:
+        for message in self._link.receive():
+            self._obey(message)
+        if self._link.ended and not self._ending:
+            self._ending = "its run has ended without a word"
+            self._halt(self._ending)
+
+    def _obey(self, message: bytes) -> None:
+        """Take an order: the newest counts, but no stop is lost."""
+        try:
+            order = wire.orders.decode(message)
+        except ValueError as error:
+            raise DriverError(self._vehicle, f"the run gave an order that cannot be read ({error})", "report this") from None
+        self._halt(order.stop)
+        if order.leave:
+            self._leaves = True
+            self._halt("the run is over")
+        self._order = order, time.monotonic_ns()
+
+    def _halt(self, cause: str) -> None:
+        if self._onboard is None:
+            self._early = self._early or cause
+        elif cause:
+            self._onboard.halt(cause)
+
+    def _hear_operator(self) -> str:
+        """Obey at once, also while the robot is being connected or let go of; no reason to give up that."""
+        if (ear := self._ear) is None:
+            return ""
+        for verb, address in ear.hear():
+            if verb == "stop":
+                self._halt(wire.OPERATOR_STOP)
+            if verb == "alive":
+                if self._onboard is not None:
+                    self._onboard.operator_heard()
+                continue
+            cause = self._early if self._onboard is None else self._onboard.halted
+            state: Literal["stopped", "driving"] = "stopped" if cause else "driving"
+            ear.answer(address, Answer(vehicle=self._vehicle, run=self._run, pid=os.getpid(), state=state, cause=cause))
+        return ""
+
+    # The end
+
+    def _close(self, cause: str) -> list[str]:
+        """Stop the robot, whatever has happened, and free what is held; what went wrong with that."""
+        problems = []
+
+        def tried(what: Callable[[], None], seconds: float, doing: str) -> None:
+            try:
+                with within(seconds, self._vehicle, doing, self._hear_operator):
+                    what()
+            except Exception as error:
+                problems.append(f"{doing}: {error}")
+
+        if (driver := self._driver) is not None:
+            tried(lambda: driver.stop(cause), GRACE_S, "stopping it")
+            tried(driver.close, driver.close_deadline_s + GRACE_S, "closing it")
+        if self._localisation is not None:
+            tried(self._localisation.close, OPEN_S, "closing its localisation")
+        if self._ear is not None:
+            self._ear.close()
+        return problems
+
+    def _last_words(self, failed: str, advice: str) -> Report:
+        now_ns = time.monotonic_ns()
+        if self._onboard is None:
+            return Report(number=1, time_ns=now_ns, failed=failed, advice=advice)
+        return self._onboard.last_words(now_ns, failed, advice)
+
+
+def _built(part: Part, folder: str) -> Any:
+    """What a scenario names, with its parameters."""
+    with registry.looking_in(Path(folder)):
+        kind = registry.find(part.group, part.kind, folder=Path(folder), key=f"{part.group}.kind")
+        return table.call(kind, part.params, key=part.group)
+
+
+def _settle() -> None:
+    """What was made until now stays, so that nobody need look through it for garbage; and others have to wait for us."""
+    gc.collect()
+    gc.freeze()
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+
+
+if __name__ == "__main__":
+    code = Serving(Link(socket.socket(fileno=int(sys.argv[1])))).serve()
+    sys.stderr.flush()
+    os._exit(code)  # a driver's thread that hangs must not keep the process

@@ -1,0 +1,221 @@
+"""``vcmvsp stop`` and ``vcmvsp operator``, against stations that drive robots in software."""
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from hardware.station import control
+from hardware.station.control import Caller, Ear
+from hardware.station.process import Station
+from hardware.station.wire import OPERATOR_STOP, Part
+from tests.hardware.stationed import Run, driven, mission
+
+FOLDERS = control.folders
+COMMANDS = """
+import os, typer
+from pathlib import Path
+from cosim.cli_stop import register
+from hardware.station import control
+control.folders = lambda: [Path(os.environ["XDG_RUNTIME_DIR"]) / "vcmvsp"]
+app = typer.Typer()
+register(app)
+app()
+"""
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Nobody else's robots are stopped by these tests."""
+    with tempfile.TemporaryDirectory(prefix="vcmvsp-", dir="/tmp") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        monkeypatch.setattr(control, "folders", lambda: [Path(folder) / "vcmvsp"])
+        yield Path(folder) / "vcmvsp"
+
+
+def vcmvsp(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", COMMANDS, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def drive(run: Run) -> None:
+    run.until(lambda each: each.odometry is not None and each.odometry.v > 0.15, v=0.4)
+
+
+def test_all_are_stopped_and_stay_so() -> None:
+    with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
+        drive(first)
+        drive(second)
+        done = vcmvsp("stop")
+        assert (done.stdout, done.stderr, done.returncode) == (
+            "car1: stopped (run test)\ncar2: stopped (run test)\n" if first.station.pid < second.station.pid else done.stdout,
+            "",
+            0,
+        )
+        for run in (first, second):
+            report = run.until(
+                lambda each: each.odometry is not None and each.odometry.v == 0.0 and OPERATOR_STOP in each.causes, v=0.4
+            )
+            assert report.sent is not None
+            assert report.sent.linear[0] == 0.0
+            assert run.notices.count(("stopped", OPERATOR_STOP)) == 1
+
+
+def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
+    with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
+        done = vcmvsp("stop", "car2", "car9", "--json")
+        assert done.returncode == 1
+        assert "as car9" in done.stderr
+        answers = json.loads(done.stdout)
+        assert [(each["vehicle"], each["state"], each["pid"]) for each in answers] == [("car2", "stopped", second.station.pid)]
+        drive(first)
+        with Caller() as caller:
+            states = {each.vehicle: each.state for each in caller.answers(caller.say("who"))}
+        assert states == {"car1": "driving", "car2": "stopped"}
+
+
+def test_there_is_none() -> None:
+    done = vcmvsp("stop")
+    assert (done.stdout, done.returncode) == ("", 1)
+    assert done.stderr == "vcmvsp: no robot is driven on this machine by you\n"
+
+
+def test_what_a_killed_station_left_behind_is_removed(alone: Path) -> None:
+    station = Station.start(mission())
+    station.wait_ready()
+    os.kill(station.pid, signal.SIGKILL)
+    station.close()
+    assert len(list(alone.iterdir())) == 1
+    assert vcmvsp("stop").returncode == 1
+    assert list(alone.iterdir()) == []
+
+
+def test_a_station_that_hangs_is_said_not_to_answer() -> None:
+    with driven(mission()) as run:
+        os.kill(run.station.pid, signal.SIGSTOP)
+        done = vcmvsp("stop")
+        os.kill(run.station.pid, signal.SIGCONT)
+        assert done.returncode == 1
+        assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in done.stdout
+        run.until(lambda each: OPERATOR_STOP in each.causes)  # it was told all the same
+
+
+def test_robots_drive_while_there_is_an_operator() -> None:
+    with ExitStack() as stack:
+        run = stack.enter_context(driven(mission(operator_s=1.0)))
+        report = run.until(lambda each: each.order > 3, v=0.4)
+        assert report.causes == ("operator",)
+        operator = stack.enter_context(
+            subprocess.Popen([sys.executable, "-c", COMMANDS, "operator"], stdout=subprocess.PIPE, text=True)
+        )
+        stack.callback(operator.kill)
+        drive(run)
+        operator.send_signal(signal.SIGSTOP)  # as Ctrl-Z does
+        report = run.until(lambda each: "operator" in each.causes, v=0.4)
+        assert ("stopped", "nothing was heard of the operator for 1 s") in run.notices
+        operator.send_signal(signal.SIGCONT)
+        end = time.monotonic() + 0.4
+        report = run.until(lambda _: time.monotonic() > end, v=0.4)
+        assert report.causes == ("operator",)  # it stays so
+        operator.send_signal(signal.SIGINT)
+        said, _ = operator.communicate(timeout=20)
+        assert operator.returncode == 0
+        assert said.splitlines() == ["robots drive while this runs; Ctrl-C stops them", "car1", "car1: stopped (run test)"]
+        run.until(lambda each: OPERATOR_STOP in each.causes, v=0.4)
+
+
+def test_a_robot_that_is_still_being_connected_is_stopped_too(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(
+        "import time\n"
+        "from hardware.bench import Bench\n"
+        "class Slow(Bench):\n"
+        "    def open(self, start):\n"
+        "        time.sleep(1.5)\n"
+        "        super().open(start)\n"
+    )
+    told = msgspec.structs.replace(mission(Part(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path))
+    station = Station.start(told)
+    try:
+        end = time.monotonic() + 10.0
+        with Caller() as caller:
+            while not caller.say("who"):
+                assert time.monotonic() < end
+                time.sleep(0.02)
+        done = vcmvsp("stop")
+        assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
+        station.wait_ready()
+        report = Run(station).until(lambda each: each.number > 5, v=0.4)
+        assert OPERATOR_STOP in report.causes
+    finally:
+        station.close()
+
+
+RUN = """
+import sys, time
+from tests.hardware.stationed import *
+with driven(mission(federation_s=None, command_s=None)) as run:
+    run.until(lambda each: each.odometry is not None and each.odometry.v > 0.15, v=0.4)
+    print("drives", flush=True)
+    time.sleep(100)
+"""
+
+
+def test_it_works_while_the_run_is_frozen(alone: Path) -> None:
+    run = subprocess.Popen([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+    try:
+        assert run.stdout is not None
+        assert select.select([run.stdout], [], [], 30.0)[0]
+        assert run.stdout.readline() == "drives\n"
+        run.send_signal(signal.SIGSTOP)
+        done = vcmvsp("stop")
+        assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
+    finally:
+        run.kill()
+        run.communicate(timeout=10)
+    end = time.monotonic() + 10.0
+    while list(alone.iterdir()):  # its station ends with it
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_folder_of_somebody_else_is_refused(alone: Path) -> None:
+    alone.mkdir(mode=0o755)
+    alone.chmod(0o755)
+    with pytest.raises(Exception, match=r"robot at car1: 'vcmvsp stop' could not reach it.*set XDG_RUNTIME_DIR"):
+        Ear("car1")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(str(alone / "1-car1.sock"))
+        with Caller() as caller:
+            assert caller.say("who") == []
+
+
+def test_words_that_are_no_verbs_are_not_heard(alone: Path) -> None:
+    ear = Ear("a" * 200)
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as somebody:
+            for words in (b"", b"STOP", b"stop now", b"\xff" * 4000):
+                somebody.sendto(words, str(next(alone.iterdir())))
+        assert ear.hear() == []
+        with Caller() as caller:
+            assert len(caller.say("stop", ["a" * 200])) == 1
+        assert [verb for verb, _ in ear.hear()] == ["stop"]
+    finally:
+        ear.close()
+    assert list(alone.iterdir()) == []
+
+
+def test_sockets_are_looked_for_where_somebody_who_logs_in_would(alone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert FOLDERS()[0] == alone
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert alone not in FOLDERS()
+    assert FOLDERS()[-1] == Path(f"/tmp/vcmvsp-{os.getuid()}")

@@ -1,0 +1,280 @@
+"""The driver over real UDP and TCP sockets, against the emulated vehicle at the pace of the wall clock."""
+
+import math
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from cosim.errors import ScenarioError
+from cosim.types import Velocity
+from hardware.driver import Driver, HandshakeError, LinkLost, PortError, Sample
+from hardware.mavlink.codec import mavlink
+from hardware.mavlink.driver import MavlinkDriver
+from hardware.mavlink.serve import Served, serve_tcp, serve_udp
+from hardware.mavlink.vehicle import SITE, Vehicle
+
+FLYING = (0.0, 0.0, 10.0, 0.0)
+QUICK: dict[str, Any] = {"heartbeat_s": 0.1}  # so that nobody waits for them here
+GUIDED: dict[str, Any] = {"autopilot": "ardupilot", "mode": "GUIDED", "armed": True, **QUICK}
+
+
+@contextmanager
+def connected(address: str, start: tuple[float, float, float] = (0.0, 0.0, 0.0), **options: Any) -> Iterator[MavlinkDriver]:
+    driver = MavlinkDriver(address=address, **{"system_id": 1, **options})
+    driver.open(start)
+    try:
+        yield driver
+    finally:
+        driver.close()
+        driver.close()
+
+
+def fly(driver: Driver, seconds: float, *linear: float, yaw_rate: float = 0.0) -> list[Sample]:
+    """Command this every 20 ms; what was heard meanwhile."""
+    samples, end = [], time.monotonic() + seconds
+    while time.monotonic() < end:
+        driver.write(Velocity(linear=(linear[0], linear[1], linear[2]), yaw_rate=yaw_rate))
+        time.sleep(0.02)
+        if (sample := driver.read()) is not None:
+            samples.append(sample)
+    return samples
+
+
+def eventually(what: Callable[[], object], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+def newest(driver: Driver) -> Sample:
+    kept: list[Sample] = []
+    eventually(lambda: (sample := driver.read()) is not None and not kept.append(sample))  # type: ignore[func-returns-value]
+    return kept[-1]
+
+
+def commands(served: Served, number: int) -> list[Any]:
+    with served.lock:
+        heard = [each for _, each in served.vehicle.heard]
+    return [each for each in heard if each.get_type() == "COMMAND_LONG" and each.command == number]
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def test_px4_is_switched_armed_lifted_flown_east_and_left_holding() -> None:
+    port = free_port()
+    with serve_udp(Vehicle(start=(3.0, 4.0, 0.0, 0.5 * math.pi), **QUICK), to=("127.0.0.1", port)) as served:
+        options: dict[str, Any] = {"switch_mode": True, "arm": True, "takeoff_m": 0.4, "connect_s": 30.0}
+        with connected(f"udpin:127.0.0.1:{port}", start=(0.0, 0.0, 0.0), **options) as driver:
+            assert isinstance(driver, Driver)
+            first = newest(driver)
+            assert first.state is not None
+            assert first.state.position[2] > 0.3
+            began, t0 = first.state.position, first.measured_ns
+            samples = fly(driver, 2.0, 1.0, 0.0, 0.0)
+            last = samples[-1]
+            assert last.state is not None
+            seconds = 1e-9 * (last.measured_ns - t0)
+            assert last.state.position[0] - began[0] == pytest.approx(seconds, abs=0.3 + 0.2 * seconds)  # it lags by 0.3 s
+            assert last.state.position[1] == pytest.approx(4.0, abs=0.05)
+            assert last.state.velocity[0] == pytest.approx(1.0, abs=0.1)
+            assert last.state.yaw == pytest.approx(0.5 * math.pi, abs=0.01)
+            assert last.motors
+            assert last.stopped == ""
+            assert last.battery_v == pytest.approx(15.8)
+            # Odometry began at the pose that `open` was given, and looks east where the vehicle looks north.
+            x, y, _ = last.odometry.pose
+            assert y < -0.8
+            assert abs(x) < 0.05
+            assert [each.number for each in samples] == sorted({each.number for each in samples})
+        with served.lock:
+            assert served.vehicle.mode == "HOLD"
+            assert served.vehicle.armed  # never disarmed in the air
+    arming = commands(served, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    assert {(each.param1, each.param2) for each in arming} == {(1.0, 0.0)}  # never by force
+
+
+def test_nothing_is_armed_or_switched_that_was_not_asked_for() -> None:
+    with serve_udp(Vehicle(**QUICK)) as served, connected(served.address) as driver:
+        samples = fly(driver, 0.5, 1.0, 0.0, 1.0)
+        assert samples[-1].stopped == "it is in POSITION: it follows commands in OFFBOARD"
+        assert not samples[-1].motors
+        assert not commands(served, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+        assert not commands(served, mavlink.MAV_CMD_DO_SET_MODE)
+        with served.lock:
+            assert served.vehicle.state.position == (0.0, 0.0, 0.0)
+            points = [each for _, each in served.vehicle.heard if each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+        assert {(each.vx, each.vy, each.vz) for each in points} == {(0.0, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize("options", [{"arm": True}, {"switch_mode": True, "takeoff_m": 1.0}, {"system_id": 245}])
+def test_parameters_that_do_not_fit(options: dict[str, Any]) -> None:
+    with pytest.raises(ScenarioError, match=r"needs|differ"):
+        MavlinkDriver(address="udpin:127.0.0.1:14540", **options)
+
+
+def test_arming_that_is_refused_says_why() -> None:
+    with serve_udp(Vehicle(autopilot="ardupilot", can_arm=False, **QUICK)) as served:
+        driver = MavlinkDriver(address=served.address, system_id=1, switch_mode=True, arm=True, connect_s=1.0)
+        with pytest.raises(HandshakeError, match=r"waited for it to arm \(COMPONENT_ARM_DISARM: refused for now") as caught:
+            driver.open()
+        assert "Arming denied: no position estimate, no valid heading and no battery to speak of" in str(caught.value)
+        eventually(lambda: served.vehicle.mode == "BRAKE")
+        assert not served.vehicle.armed
+
+
+def test_the_pilot_takes_over_and_gives_back() -> None:
+    with serve_udp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.address) as driver:
+        eventually(lambda: newest(driver).stopped != "it is not armed")
+        assert fly(driver, 0.3, 1.0, 0.0, 0.0)[-1].stopped == ""
+        with served.lock:
+            served.vehicle.pilot_switches("LOITER")
+        eventually(lambda: "LOITER" in fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped)
+        causes = [each.cause for each in driver.notices() if each.what == "stopped"]
+        assert any("it was switched to LOITER" in each for each in causes)
+        fly(driver, 0.5, 1.0, 0.0, 0.0)
+        assert served.vehicle.mode == "LOITER"  # it was not fought
+        assert not commands(served, mavlink.MAV_CMD_DO_SET_MODE)
+        with served.lock:
+            served.vehicle.pilot_switches("GUIDED")
+        eventually(lambda: fly(driver, 0.1, 0.0, 1.0, 0.0)[-1].stopped == "")
+        eventually(lambda: fly(driver, 0.1, 0.0, 1.0, 0.0)[-1].state.velocity[1] > 0.8)  # type: ignore[union-attr]
+        with served.lock:
+            served.vehicle.pilot_switches("LOITER")
+        eventually(lambda: "LOITER" in newest(driver).stopped)
+    assert served.vehicle.mode == "LOITER"  # and at the end it is left to the pilot
+
+
+def test_stop_is_at_once_and_silence_of_the_caller_stops_too() -> None:
+    with serve_tcp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.address) as driver:
+        eventually(lambda: newest(driver).stopped != "it is not armed")
+        fly(driver, 0.6, 0.0, 1.0, 0.0, yaw_rate=0.3)
+        driver.stop("somebody shouted")
+        eventually(lambda: served.vehicle.commanded() == Velocity())
+        assert newest(driver).stopped == "somebody shouted"
+        fly(driver, 0.2, 0.0, 1.0, 0.0)
+        eventually(lambda: newest(driver).stopped == "no command for 0.5 s")
+        eventually(lambda: served.vehicle.commanded() == Velocity())
+        with pytest.raises(ValueError, match="finite"):
+            driver.write(Velocity(linear=(math.nan, 0.0, 0.0)))
+    assert served.vehicle.mode == "BRAKE"
+    assert served.vehicle.armed
+
+
+def test_a_vehicle_that_falls_silent_and_comes_back_gets_zero_first() -> None:
+    with (
+        serve_udp(Vehicle(start=FLYING, **GUIDED)) as served,
+        connected(served.address, silence_s=0.5, reconnect_s=30.0) as driver,
+    ):
+        fly(driver, 0.3, 1.0, 0.0, 0.0)
+        served.mute = True
+        seen: list[str] = []
+
+        def lost() -> bool:
+            seen.extend(f"{each.what} {each.cause}" for each in driver.notices())
+            return any("lost nothing was heard for 0.5 s" in each for each in seen)
+
+        eventually(lost)
+        with served.lock:
+            served.vehicle.heard.clear()
+        served.mute = False
+        eventually(lambda: (sample := driver.read()) is not None and sample.link == 2)
+        with served.lock:
+            points = [each for _, each in served.vehicle.heard if each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+        assert {(each.vx, each.vy, each.vz) for each in points} == {(0.0, 0.0, 0.0)}
+        eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped == "")
+
+
+def test_a_vehicle_that_stays_silent_is_an_error() -> None:
+    with serve_udp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.address, silence_s=0.4) as driver:
+        served.mute = True
+
+        def reads() -> bool:
+            driver.read()
+            return False
+
+        with pytest.raises(LinkLost, match=r"nothing was heard for 0.4 s"):
+            eventually(reads)
+
+
+def test_a_position_that_is_no_number_is_no_sample() -> None:
+    with serve_udp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.address, silence_s=0.5) as driver:
+        newest(driver)
+        with served.lock:
+            served.vehicle.blind = True
+
+        def reads() -> bool:
+            sample = driver.read()
+            assert sample is None or all(map(math.isfinite, sample.state.position))  # type: ignore[union-attr]
+            return False
+
+        with pytest.raises(LinkLost, match=r"it told no position for 0.5 s; look at its GPS"):
+            eventually(reads)
+
+
+def test_garbage_and_strangers_on_the_port_change_nothing() -> None:
+    port = free_port()
+    noise = bytes(range(256)) * 4
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        serve_udp(Vehicle(start=FLYING, **GUIDED), to=("127.0.0.1", port)),
+    ):
+        stranger.connect(("127.0.0.1", port))
+        with connected(f"udpin:127.0.0.1:{port}") as driver:
+            false = mavlink.MAVLink_local_position_ned_message(1, 999.0, 999.0, 999.0, 0.0, 0.0, 0.0)
+            forged = false.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
+            for _ in range(30):
+                stranger.send(noise)
+                stranger.send(forged)
+                for sample in fly(driver, 0.01, 1.0, 0.0, 0.0):
+                    assert abs(sample.state.position[0]) < 10.0  # type: ignore[union-attr]
+            eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].state.velocity[0] > 0.5)  # type: ignore[union-attr]
+
+
+def test_wrong_ids_and_addresses() -> None:
+    with serve_udp(Vehicle(system_id=3, **QUICK)) as served:
+        with pytest.raises(HandshakeError, match=r"system 1 was not heard within 0.8 s, only system 3"):
+            MavlinkDriver(address=served.address, system_id=1, connect_s=0.8).open()
+        with pytest.raises(HandshakeError, match=r"nothing was heard within 0.2 s; let the autopilot"):
+            MavlinkDriver(address=f"udpin:127.0.0.1:{free_port()}", connect_s=0.2).open()
+    for address, message in {
+        "udp:1.2.3.4:5": "this is no address; write udpin",
+        "udpin:127.0.0.1:99999": "there is no port 99999",
+        f"tcp:127.0.0.1:{free_port()}": "nothing listens",
+        "/dev/no-such-port": "there is no such port",
+    }.items():
+        with pytest.raises(PortError, match=message):
+            MavlinkDriver(address=address).open()
+
+
+def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
+    rover = Vehicle(kind="rover", start=(5.0, 6.0, 0.0, 0.5 * math.pi), old=True, **GUIDED)
+    with serve_tcp(rover) as served:
+        options: dict[str, Any] = {
+            "geodetic_origin": SITE,
+            "origin": (100.0, 200.0, 0.0),
+            "connect_s": 20.0,
+            "telemetry_hz": 20.0,
+        }
+        with connected(served.address, **options) as driver:
+            first = newest(driver)
+            assert first.state is not None
+            assert first.state.position == pytest.approx((105.0, 206.0, 0.0), abs=0.05)
+            eventually(lambda: newest(driver).motors)
+            last = fly(driver, 1.1, 0.8, 0.0, 0.0)[-1]
+            assert last.state is not None
+            assert last.state.velocity[1] == pytest.approx(0.8, abs=0.15)  # it looks north
+            assert last.odometry.v == pytest.approx(0.8, abs=0.1)
+            turning = fly(driver, 0.6, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1]
+            assert turning.odometry.w == pytest.approx(0.5, abs=0.08)
+            with pytest.raises(RuntimeError, match="open already"):
+                driver.open()
+    assert served.vehicle.mode == "HOLD"
