@@ -113,8 +113,7 @@ def run(
 
 def _playback(folder: Path, scenario: scenario_tables.Scenario, tell: Tell) -> Any:
     """What the real vehicles of a scenario did in the run that left this folder."""
-    real = tuple(each.name for each in scenario.vehicle if each.driver is not None)
-    return registry.piece("playback")(real, inputs.read_inputs(folder / inputs.FILE, tell=tell), tell=tell)
+    return registry.piece("playback")(scenario.real, inputs.read_inputs(folder / inputs.FILE, tell=tell), tell=tell)
 
 
 def _clock(assembly: Assembly, realtime: float | None) -> Clock:

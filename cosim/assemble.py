@@ -238,7 +238,7 @@ class Assembly:
             positioning = registry.piece("positioning")
             sensor = table.call(positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
         position, heading = vehicle.start
-        if vehicle.pose_source == "fusion" and vehicle.driver is None:
+        if vehicle.pose_source == "fusion" and not vehicle.is_real:
             kind, at = registry.piece("fusion"), {"start": (position[0], position[1], heading)}
             fusion = table.call(kind, vehicle.fusion, key=f"{key}.fusion", origin=self._source, given=at)
             self._resolution.real[vehicle.name] = {"fusion": table.complete(kind, vehicle.fusion, without=at)}
@@ -265,7 +265,7 @@ class Assembly:
                 raise ScenarioError(problem, key=where, source=self._source.of(where))
             fitted[name], tables[name] = self._component("sensor", content, where, offered=wheels)
         self._sensors[vehicle.name], self._resolution.sensors[vehicle.name] = fitted, tables
-        if vehicle.driver is None:
+        if not vehicle.is_real:
             return fitted
         return {name: each for name, each in fitted.items() if name != "sonar"}  # a real robot has its own
 

@@ -208,7 +208,6 @@ def _show_tag(tags: Any, pose: str | None, circle: str | None, duration_s: float
     _show(lambda ready: emulate(tags, ready, pose=start, circle=way, duration_s=read.duration_of(duration_s)), as_json=as_json)
 
 
-
 def _show(emulate: Callable[[Callable[[Mapping[str, Any]], None]], Mapping[str, Any]], *, as_json: bool) -> None:
     """Emulate; what to connect to is said as soon as it is there, what has happened in the end."""
     import json

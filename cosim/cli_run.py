@@ -28,6 +28,7 @@ Insecure = Annotated[bool, typer.Option("--insecure", help="Let anybody who can 
 Realtime = Annotated[
     float | None, typer.Option(metavar="[SPEED]", help="Keep to the wall clock: SPEED simulated seconds per second (1).")
 ]
+Twin = Annotated[bool, typer.Option("--twin", help="Simulate the scenario's real vehicles.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-SEED].")]
 Force = Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
@@ -49,6 +50,7 @@ def run_command(
     force: Force = False,
     json: AsJson = False,
     quiet: Quiet = False,
+    twin: Twin = False,
 ) -> None:
     """Run a scenario; leaves recording, tables, metrics, figures.
 
@@ -59,7 +61,19 @@ def run_command(
     if agents not in (None, "inprocess", "process", "zenoh"):
         raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
     where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
-    conduct(api.run, scenario, set_ or [], out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, **where)
+    conduct(
+        api.run,
+        scenario,
+        set_ or [],
+        out,
+        twin=twin,
+        seed=seed,
+        realtime=realtime,
+        force=force,
+        json=json,
+        quiet=quiet,
+        **where,
+    )
 
 
 def conduct(
@@ -72,6 +86,7 @@ def conduct(
     realtime: float | None,
     json: bool,
     quiet: bool,
+    twin: bool = False,
     **options: Any,
 ) -> None:
     """Call `cosim.run`, or what takes its place, and show how far it is and what came out."""
@@ -84,6 +99,8 @@ def conduct(
     if realtime is not None and not 0.0 < realtime < float("inf"):
         raise UsageError(f"--realtime {realtime}: must be a positive number")
     settings = scenarios.settings_of(sets)
+    if twin:
+        settings = {**scenarios.load(scenario, settings=settings)[0].twins, **settings}
     with Progress(quiet=quiet) as progress, stdout_to_stderr():
         result = run(
             scenario,

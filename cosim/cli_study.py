@@ -39,6 +39,7 @@ def study_command(
         bool, typer.Option("--resume", help="Go on with the study in DIR; values and seeds may be added.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")] = False,
+    twin: Annotated[bool, typer.Option("--twin", help="Simulate the scenario's real vehicles.")] = False,
     json: AsJson = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
 ) -> None:
@@ -55,13 +56,16 @@ def study_command(
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")
+    settings = scenarios.settings_of(set_ or [])
+    if twin:
+        settings = {**scenarios.load(scenario, settings=settings)[0].twins, **settings}
     with StudyProgress(quiet=quiet) as progress, stdout_to_stderr():
         studied = engine.conduct(
             scenario,
             vary=grid.vary_of(vary or []),
             seeds=seeds,
             seed=seed,
-            settings=scenarios.settings_of(set_ or []),
+            settings=settings,
             metrics=metric,
             jobs=jobs,
             cluster=cluster,

@@ -54,6 +54,7 @@ def of_scenario(
     for vehicle in scenario.vehicle:
         if vehicle.driver is None:
             _check_nothing_lost(vehicle, source)
+        if vehicle.driver is None or not vehicle.is_real:
             continue
         key = f"vehicle.{vehicle.name}"
         model = models[vehicle.name]

@@ -23,10 +23,11 @@ from cosim import registry, table
 from cosim.meanings import meanings, summary
 from cosim.reference_range import RANGE_BYTES, params, reach_m
 from cosim.scenario import BUILT_IN
+from cosim.scenario_tables import ClockTable, SafetyTable
 
 PAGE = BUILT_IN / "README.md"
 UPDATE = "python -m cosim.reference --write"
-OFFERED = ("sightline", "noise_dbm", "world", "vehicles", "outside")
+OFFERED = ("sightline", "noise_dbm", "world", "vehicles", "outside", "start", "now")
 """Parameters that come from the rest of the scenario (`cosim.radio.build`, `cosim.assemble`), not from a key."""
 
 VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
@@ -134,6 +135,18 @@ def agents(*names: str) -> str:
     return kinds({name: registry.find("agent", name) for name in names})
 
 
+def apart(group: str) -> str:
+    """The kinds of a group that have little in common: a table each, and the tables that they hold."""
+    classes = {kind: registry.find(group, kind) for kind in registry.KINDS[group]}
+    return "\n\n".join([*(kinds({kind: each}) for kind, each in classes.items()), *lists(classes.values())])
+
+
+def own(piece: str) -> str:
+    """The parameters of something that there is one of, and the tables that it holds."""
+    target = registry.piece(piece)
+    return "\n\n".join([parameter_table({"default": target}), *lists([target])])
+
+
 def team() -> str:
     """The tables that agents of a team hold."""
     return "\n\n".join(lists([registry.find("agent", "leader_follower")]))
@@ -151,6 +164,11 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "consensus": lambda: agents("consensus"),
     "team": team,
     "patrol": lambda: agents("patrol"),
+    "drivers": lambda: apart("driver"),
+    "localisation": lambda: apart("localisation"),
+    "fusion": lambda: own("fusion"),
+    "safety": lambda: parameter_table({"default": SafetyTable}),
+    "clock": lambda: parameter_table({"default": ClockTable}),
 }
 
 

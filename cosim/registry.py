@@ -173,7 +173,6 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "driver": {
         "arcos": "hardware.arcos.driver:ArcosDriver",
         "bench": "hardware.bench:Bench",
-        "zenoh": "hardware.onboard.driver:ZenohDriver",
         "ros2": "hardware.ros2.driver:Ros2Driver",
         "mavlink": "hardware.mavlink.driver:MavlinkDriver",
     },
@@ -181,7 +180,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "ubisense": "hardware.positioning.sources:Ubisense",
         "dwm1001": "hardware.positioning.sources:Dwm1001",
         "nmea": "hardware.positioning.sources:Nmea",
-        "zenoh": "hardware.positioning.sources:ExternalPose",
+        "zenoh": "hardware.positioning.pose_topic:ExternalPose",
     },
     "delivery": {"delivery": "netsim.delivery:Delivery", "none": NOTHING},
     "delay": {

@@ -14,7 +14,6 @@ from cosim import api
 from cosim import scenario as scenarios
 from cosim.errors import UsageError
 from cosim.record.inputs import FILE
-from cosim.scenario_tables import VehicleTable
 
 RADIO_FILE = "radio.parquet"
 
@@ -52,17 +51,17 @@ def replay(
     _check(folder, out, radio)
     scenario = folder / "scenario.toml"
     parsed, _ = scenarios.load(scenario)
-    real = [vehicle for vehicle in parsed.vehicle if vehicle.driver is not None]
+    real = parsed.real
     if twin and not real:
         raise UsageError(f"--twin: no vehicle of {folder} was real: leave it out")
     if real and not twin and not (folder / FILE).is_file():
-        names = ", ".join(vehicle.name for vehicle in real)
-        raise UsageError(f"{folder} has no {FILE}, which says what {names} did: replay with simulated ones instead (--twin)")
-    changed = {key: value for vehicle in real for key, value in _twin_of(vehicle).items()} if twin else {}
+        raise UsageError(
+            f"{folder} has no {FILE}, which says what {', '.join(real)} did: replay with simulated ones instead (--twin)"
+        )
     return api.run(
         scenario,
         seed=seed,
-        set={**changed, **(set or {})},
+        set={**(parsed.twins if twin else {}), **(set or {})},
         agents=agents,  # type: ignore[arg-type]  # it says itself what is wrong with them
         out=out,
         force=force,
@@ -93,11 +92,3 @@ def _check(folder: Path, out: str | Path | None, radio: str) -> None:
         raise UsageError(f"{folder} has no {RADIO_FILE}, which says what became of its frames: replay with --radio drawn")
     if out is not None and Path(out).resolve() == folder.resolve():
         raise UsageError(f"--out {out}: is the run that is replayed; give another folder")
-
-
-def _twin_of(vehicle: VehicleTable) -> dict[str, Any]:
-    """What makes a real vehicle a simulated one; one that takes fused positions for its pose goes on to do so."""
-    gone: dict[str, Any] = {"driver": None, "localisation": None, "safety": {}}
-    if vehicle.pose_source != "fusion":
-        gone["fusion"] = {}
-    return {f"vehicle.{vehicle.name}.{name}": value for name, value in gone.items()}

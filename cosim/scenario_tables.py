@@ -13,6 +13,7 @@ from cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seco
 
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Runs = Literal["inprocess", "process", "zenoh"]
+SIMULATED = "none"  # the kind of a driver that is left out: the simulated twin takes part
 PoseSource = Literal["truth", "odometry", "positioning", "fusion"]
 
 
@@ -68,6 +69,11 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("either pose, or position and heading: not both")
 
     @property
+    def is_real(self) -> bool:
+        """Whether a real vehicle takes the place of the simulated one."""
+        return self.driver is not None and self.driver.get("kind") != SIMULATED
+
+    @property
     def start(self) -> tuple[Vec3, float]:
         """Where it starts: position m, heading rad."""
         if self.pose is None:
@@ -93,15 +99,17 @@ class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
     separation_m: NonNegative = 0.3  # between bodies
     reaction_s: Positive = 0.25  # from a command to when the next one acts: with the delays of pose and link
     operator_s: Positive | None = None  # for how long `vcmvsp operator` may be silent; default: nobody waits for it
-    command_s: Positive = 0.5  # ... commands
-    positioning_s: Positive = 1.5  # ... what tells where it is
-    federation_s: Positive = 0.5  # ... the run
+    command_s: Positive = 0.5  # for how long there may be no command
+    positioning_s: Positive = 1.5  # for how long nothing may tell where it is
+    federation_s: Positive = 0.5  # for how long the run may be silent
 
 
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[clock]``: how a run keeps to the wall clock, with real vehicles or ``--realtime``."""
 
-    late: Literal["slip", "stop"] = "slip"  # when an instant begins too late: slip (count it, and catch up) | stop (the run)
+    late: Literal["slip", "stop"] = (
+        "slip"  # when an instant begins too late: "slip" counts it and catches up, "stop" ends the run
+    )
     tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
 
 
@@ -144,3 +152,13 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     metrics: MetricsTable = MetricsTable()
     study: StudyTable = StudyTable()
     vehicle: tuple[VehicleTable, ...]
+
+    @property
+    def real(self) -> tuple[str, ...]:
+        """Names of the vehicles that are real."""
+        return tuple(each.name for each in self.vehicle if each.is_real)
+
+    @property
+    def twins(self) -> dict[str, str]:
+        """Settings that have all of them simulated."""
+        return {f"vehicle.{name}.driver.kind": SIMULATED for name in self.real}

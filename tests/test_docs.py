@@ -50,6 +50,8 @@ HEADINGS = {
     "world": ("`[world]`",),
     "vehicle": tuple(reference.VEHICLES),
     "sensor": ("`sensors = { NAME = { kind = ... }, ... }`",),
+    "driver": ("`driver = { kind = ... }` of a vehicle",),
+    "localisation": ("`localisation = { kind = ... }` of a vehicle",),
     "agent": ("Leaders", "Followers", "Consensus", "Patrols"),
     **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
 }

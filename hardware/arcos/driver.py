@@ -53,7 +53,7 @@ class ArcosDriver:
         silence_s: without an information packet, the robot counts as lost.
         reconnect_s: for so long a robot that was lost is looked for; 0: losing it is an error at once.
         command_timeout_s: without a command, the robot is stopped.
-        max_speed: m/s, told to the robot, as are the following; None: as it is set. It enforces them itself.
+        max_speed: m/s, told to the robot, which enforces it, as are the following; None: as it is set.
         accel: m/s2.
         decel: m/s2.
         max_yaw_rate: rad/s.

@@ -76,6 +76,7 @@ class Up(Value, frozen=True, kw_only=True):
     notices: tuple[Notice, ...] = ()  # those that were not heard yet
     noticed: int = 0  # how many came before these
     failure: Failure | None = None
+    left: bool = False  # it was told that the run is over, and has closed its driver
 
 
 hellos: Decoder[Hello] = Decoder(Hello)

@@ -20,11 +20,13 @@ A stop in the air is zero velocity: the autopilot holds its place. Motors are ne
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.types import NonNegative, Positive, Velocity
 from hardware.safety.braking import TOLERANCE_M, fastest, stops_within
@@ -37,9 +39,18 @@ from hardware.safety.separation import Others
 
 Pose = tuple[float, float, float, float]  # x, y, z m, yaw rad; world
 Plane = tuple[float, float]  # m/s, east and north
-Layer = tuple[Cause, float, float]  # how far away it is, m, and how fast it comes nearer, m/s
 
 _HALVINGS = 12  # of a horizontal velocity that does not fit
+
+
+class _Level(NamedTuple):
+    """Another vehicle that is above or below."""
+
+    row: int
+    above: bool  # of us
+    room: float  # m between the cylinders; 0 if not clear
+    closing: float  # m/s at which it comes nearer
+    clear: bool  # there is room, also if we brake
 
 
 class AerialParameters(msgspec.Struct, frozen=True, kw_only=True):
@@ -112,13 +123,20 @@ class AerialSupervisor:
         arounds: list[tuple[Cause, Around]] = []
         if p.fence is not None:
             arounds.append((Cause.GEOFENCE, p.fence.around(pose[0], pose[1], p.radius_m + p.fence_margin_m)))
-        clear: list[tuple[int, bool, float, float]] = []
+        levels: list[_Level] = []
         if others is not None and len(others.position):
-            clear = self._clear(pose[2], others)
-            beside = _chosen(others, np.setdiff1d(np.arange(len(others.position)), [each[0] for each in clear]))
-            arounds.append((Cause.SEPARATION, beside.around(pose[0], pose[1], p.radius_m + p.separation_m)))
+            levels = self._levels(pose[2], others)
+            beside = np.setdiff1d(np.arange(len(others.position)), [each.row for each in levels if each.clear])
+            arounds.append((Cause.SEPARATION, self._around(pose, others, beside)))
         across, slowed = self._slow_down(target, across, dt, arounds)
-        vz, stopped = self._bounded(vz, dt, self._layers(pose, across, others, clear))
+
+        def in_the_way(level: _Level) -> bool:
+            assert others is not None  # noqa: S101
+            one = self._around(pose, others, np.array([level.row]))
+            # Who is clear of it in no way, by rounding or a false pose, may not come nearer in any way.
+            return one.clearance <= 0.0 or (level.clear and not self._fits(across, one))
+
+        vz, stopped = self._bounded(vz, dt, pose, levels, in_the_way)
         return (*across, vz, w), (*causes, *dict.fromkeys((*slowed, *stopped)))
 
     def _slow_down(
@@ -149,8 +167,13 @@ class AerialSupervisor:
         needs: Floats = length + around.closing * (hold + v / decel) - TOLERANCE_M
         return v <= around.speed and bool((needs <= around.free(*_cone(before, velocity))).all())
 
-    def _clear(self, z: float, others: Others) -> list[tuple[int, bool, float, float]]:
-        """Whom the vehicle is above or below of, and stays so if it brakes: row, whether above us, room m, closing m/s."""
+    def _around(self, pose: Pose, others: Others, rows: NDArray[np.intp]) -> Around:
+        """Some of the others, seen from above."""
+        some = Others(others.position[rows], others.velocity[rows], others.radius[rows])
+        return some.around(pose[0], pose[1], self._p.radius_m + self._p.separation_m)
+
+    def _levels(self, z: float, others: Others) -> list[_Level]:
+        """Where the others are above and below the vehicle, of those that tell it."""
         if np.shape(others.position)[1] < 3:
             return []
         found, vz = [], self.last[2]
@@ -159,36 +182,29 @@ class AerialSupervisor:
             above = height >= z
             room = abs(height - z) - (self._p.radius_m + radius + self._p.separation_m)
             toward, closing = (max(0.0, vz), max(0.0, -climbs)) if above else (max(0.0, -vz), max(0.0, climbs))
-            if room >= 0.0 and stops_within(room, toward, closing, self._p.limits.stop_mps2):
-                found.append((row, above, room, closing))
+            clear = room >= 0.0 and stops_within(room, toward, closing, self._p.limits.stop_mps2)
+            found.append(_Level(row, above, room if clear else 0.0, closing, clear))
         return found
 
-    def _layers(
-        self, pose: Pose, across: Plane, others: Others | None, clear: list[tuple[int, bool, float, float]]
-    ) -> tuple[list[Layer], list[Layer]]:
-        """What is below and above: floor, ceiling, and those that are not clear horizontally as well."""
-        p, z = self._p, pose[2]
-        below: list[Layer] = [] if p.floor_m is None else [(Cause.GEOFENCE, max(0.0, z - p.floor_m), 0.0)]
-        above: list[Layer] = [] if p.ceiling_m is None else [(Cause.GEOFENCE, max(0.0, p.ceiling_m - z), 0.0)]
-        for row, is_above, room, closing in clear:
-            assert others is not None  # noqa: S101
-            one = _chosen(others, np.array([row])).around(pose[0], pose[1], p.radius_m + p.separation_m)
-            if one.clearance <= 0.0 or not self._fits(across, one):
-                (above if is_above else below).append((Cause.SEPARATION, room, closing))
-        return below, above
-
-    def _bounded(self, vz: float, dt: float, layers: tuple[list[Layer], list[Layer]]) -> tuple[float, list[Cause]]:
+    def _bounded(
+        self, vz: float, dt: float, pose: Pose, levels: list[_Level], in_the_way: Callable[[_Level], bool]
+    ) -> tuple[float, list[Cause]]:
         """The vertical speed that lets the vehicle stop in time, and what slowed it."""
         last, p = self.last[2], self._p
         up = vz > 0.0 or last > 0.0  # the limits let it stand before it turns back
         speed, causes = abs(vz), []
-        for cause, room, closing in layers[1] if up else layers[0]:
-            most = fastest(room, abs(last), closing, p.reaction_s, p.limits.stop_mps2)
-            if most < abs(vz):
-                causes.append(cause)
-            speed = min(speed, most)
-        least = abs(clamp(0.0, 0.0, (last, 0.0), dt, self._upright)[0])
-        speed = max(least, speed)
+
+        def most(room: float, closing: float) -> float:
+            return fastest(max(0.0, room), abs(last), closing, p.reaction_s, p.limits.stop_mps2)
+
+        edge = p.ceiling_m if up else p.floor_m
+        if edge is not None and (fits := most(edge - pose[2] if up else pose[2] - edge, 0.0)) < speed:
+            speed, causes = fits, [Cause.GEOFENCE]
+        for each in levels:
+            if each.above == up and (fits := most(each.room, each.closing)) < speed and in_the_way(each):
+                speed = fits
+                causes.append(Cause.SEPARATION)
+        speed = max(speed, abs(clamp(0.0, 0.0, (last, 0.0), dt, self._upright)[0]))
         return speed if up else 0.0 - speed, causes
 
 
@@ -228,7 +244,3 @@ def _cone(u: Plane, v: Plane) -> tuple[float, float]:
     start = math.atan2(u[1], u[0])
     turn = math.atan2(u[0] * v[1] - u[1] * v[0], u[0] * v[0] + u[1] * v[1])
     return min(start, start + turn), max(start, start + turn)
-
-
-def _chosen(others: Others, rows: Floats) -> Others:
-    return Others(others.position[rows], others.velocity[rows], others.radius[rows])

@@ -15,7 +15,7 @@ from cosim import types
 from cosim.codec import Decoder, encode
 from cosim.federate import Event
 from cosim.frames import Quaternion
-from cosim.types import AnyValue, Array, Vec3
+from cosim.types import AnyValue, Array, Vec3, Velocity
 
 FLOATS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 TEXT = st.text(max_size=8)
@@ -44,12 +44,12 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     float: FLOATS,
     float | None: FLOATS | st.none(),
     int: TIMES,
-    Literal["lost", "removed", "back"]: st.sampled_from(["lost", "removed", "back"]),
     str: TEXT,
     str | None: TEXT | st.none(),
     tuple[str, ...]: st.lists(TEXT, max_size=3).map(tuple),
     tuple[str, ...] | None: st.lists(TEXT, max_size=3).map(tuple) | st.none(),
     tuple[float, float]: st.tuples(FLOATS, FLOATS),
+    Velocity | None: st.builds(Velocity, linear=VEC3, yaw_rate=FLOATS) | st.none(),
     dict[str, Any] | bytes: st.dictionaries(TEXT, PLAIN, max_size=3) | st.binary(max_size=16),
     dict[str, float]: st.dictionaries(TEXT, FLOATS, max_size=3),
     dict[str, float | str | bool]: st.dictionaries(TEXT, FLOATS | TEXT | st.booleans(), max_size=3),
@@ -59,6 +59,8 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
 def instances(kind: Any) -> st.SearchStrategy[Any]:
     if isinstance(kind, type) and issubclass(kind, types.Value):
         return st.builds(kind, **{name: instances(hint) for name, hint in typing.get_type_hints(kind).items()})
+    if typing.get_origin(kind) is Literal:
+        return st.sampled_from(typing.get_args(kind))
     return BY_ANNOTATION[kind]
 
 
