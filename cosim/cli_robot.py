@@ -37,7 +37,8 @@ def robot_command(
 ) -> None:
     """Drive a robot from its own computer for runs elsewhere, whose driver of it is of the kind zenoh.
 
-    It waits for runs and serves one after the other, until Ctrl-C. Without a velocity for 0.5 s, or without its run, the robot stands.
+    It waits for runs and serves one after the other, until Ctrl-C. Without a velocity for 0.5 s, or without its run, the
+    robot stands.
 
     Example: vcmvsp robot --vehicle car3 --driver arcos:/dev/ttyUSB0 --connect tls/192.168.1.10:7448 --keys car3.keys
     """

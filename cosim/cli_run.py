@@ -61,19 +61,16 @@ def run_command(
     if agents not in (None, "inprocess", "process", "zenoh"):
         raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
     where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
-    conduct(
-        api.run,
-        scenario,
-        set_ or [],
-        out,
-        twin=twin,
-        seed=seed,
-        realtime=realtime,
-        force=force,
-        json=json,
-        quiet=quiet,
-        **where,
-    )
+    sets = simulated(scenario, set_ or []) if twin else set_ or []
+    conduct(api.run, scenario, sets, out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, **where)
+
+
+def simulated(scenario: str, sets: Sequence[str]) -> list[str]:
+    """The same ``--set`` arguments, and those that have real vehicles simulated."""
+    from cosim import scenario as scenarios
+
+    parsed, _ = scenarios.load(scenario, settings=scenarios.settings_of(sets))
+    return [*sets, *(f"{key}={value}" for key, value in parsed.twins.items())]
 
 
 def conduct(
@@ -86,7 +83,6 @@ def conduct(
     realtime: float | None,
     json: bool,
     quiet: bool,
-    twin: bool = False,
     **options: Any,
 ) -> None:
     """Call `cosim.run`, or what takes its place, and show how far it is and what came out."""
@@ -99,8 +95,6 @@ def conduct(
     if realtime is not None and not 0.0 < realtime < float("inf"):
         raise UsageError(f"--realtime {realtime}: must be a positive number")
     settings = scenarios.settings_of(sets)
-    if twin:
-        settings = {**scenarios.load(scenario, settings=settings)[0].twins, **settings}
     with Progress(quiet=quiet) as progress, stdout_to_stderr():
         result = run(
             scenario,

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim.cli_options import AsJson
+from cosim.cli_run import simulated
 from cosim.errors import UsageError, VcmvspError
 
 SHOWN = 40  # points
@@ -56,9 +57,7 @@ def study_command(
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")
-    settings = scenarios.settings_of(set_ or [])
-    if twin:
-        settings = {**scenarios.load(scenario, settings=settings)[0].twins, **settings}
+    settings = scenarios.settings_of(simulated(scenario, set_ or []) if twin else set_ or [])
     with StudyProgress(quiet=quiet) as progress, stdout_to_stderr():
         studied = engine.conduct(
             scenario,

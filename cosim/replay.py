@@ -55,9 +55,8 @@ def replay(
     if twin and not real:
         raise UsageError(f"--twin: no vehicle of {folder} was real: leave it out")
     if real and not twin and not (folder / FILE).is_file():
-        raise UsageError(
-            f"{folder} has no {FILE}, which says what {', '.join(real)} did: replay with simulated ones instead (--twin)"
-        )
+        what = f"{folder} has no {FILE}, which says what {', '.join(real)} did"
+        raise UsageError(f"{what}: replay with simulated ones instead (--twin)")
     return api.run(
         scenario,
         seed=seed,

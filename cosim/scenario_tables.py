@@ -107,9 +107,7 @@ class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[clock]``: how a run keeps to the wall clock, with real vehicles or ``--realtime``."""
 
-    late: Literal["slip", "stop"] = (
-        "slip"  # when an instant begins too late: "slip" counts it and catches up, "stop" ends the run
-    )
+    late: Literal["slip", "stop"] = "slip"  # when an instant begins too late: "slip" counts it, "stop" ends the run
     tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
 
 

@@ -233,9 +233,4 @@ def changes_of(parsed: Scenario, own: VehicleTable, robot: Robot, period_s: floa
 
 def _without_hardware(parsed: Scenario) -> dict[str, Any]:
     """Vehicles that are real ones in the scenario are simulated here, and know where they are."""
-    changes: dict[str, Any] = {}
-    gone: dict[str, Any] = {"driver": None, "localisation": None, "fusion": {}, "safety": {}, "pose_source": "truth"}
-    for each in parsed.vehicle:
-        if each.driver is not None:
-            changes |= {f"vehicle.{each.name}.{key}": value for key, value in gone.items()}
-    return changes
+    return {**parsed.twins, **{f"vehicle.{name}.pose_source": "truth" for name in parsed.real}}

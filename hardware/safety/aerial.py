@@ -165,7 +165,9 @@ class AerialSupervisor:
             return True
         length = v * hold + (v * v + math.dist(velocity, before) * max(0.0, u - v)) / (2.0 * decel)
         needs: Floats = length + around.closing * (hold + v / decel) - TOLERANCE_M
-        return v <= around.speed and bool((needs <= around.free(*_cone(before, velocity))).all())
+        if v > around.speed or needs.max(initial=0.0) <= around.clearance:
+            return v <= around.speed
+        return bool((needs <= around.free(*_cone(before, velocity))).all())
 
     def _around(self, pose: Pose, others: Others, rows: NDArray[np.intp]) -> Around:
         """Some of the others, seen from above."""

@@ -286,7 +286,7 @@ def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: Serv
 
 
 def test_when_the_run_is_frozen_the_robot_stops(robot: Served) -> None:
-    run = another_run(mission(arcos(robot), federation_s=0.5))
+    run = another_run(mission(arcos(robot), federation_s=1.5))
     try:
         assert run.stdout is not None
         assert select.select([run.stdout], [], [], 30.0)[0]
@@ -297,7 +297,7 @@ def test_when_the_run_is_frozen_the_robot_stops(robot: Served) -> None:
         eventually(lambda: zero_ns(robot, frozen_ns) is not None)
         told_ns = zero_ns(robot, frozen_ns)
         assert told_ns is not None
-        assert 300_000_000 < told_ns - frozen_ns < 3_000_000_000  # 0.5 s, and a turn
+        assert 500_000_000 < told_ns - frozen_ns < 8_000_000_000  # 1.5 s and a turn, on a machine that is not loaded
         run.send_signal(signal.SIGCONT)
         time.sleep(0.5)
         assert not is_driving(robot)  # it stays so
