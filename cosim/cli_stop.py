@@ -1,7 +1,6 @@
 """``vcmvsp stop`` and ``vcmvsp operator``: stop the robots that are driven on this machine, whatever their runs do."""
 
 import contextlib
-import importlib
 import json as jsons
 import sys
 import time
@@ -10,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim import registry
 from cosim.cli_options import AsJson
 
-STATIONS = "hardware.station.control"
 NOBODY = "no robot is driven on this machine by you"
 
 
@@ -50,7 +49,7 @@ def operator_command(
 
     Example: vcmvsp operator
     """
-    stations = _stations()
+    stations = registry.piece("stations")
     sys.stdout.write("robots drive while this runs; Ctrl-C stops them\n")
     with contextlib.suppress(KeyboardInterrupt), stations.Caller() as caller:
         shown, due = None, time.monotonic()
@@ -70,7 +69,7 @@ def operator_command(
 
 def stopped(vehicles: Sequence[str]) -> tuple[list[Any], list[str]]:
     """Stop them (none named: all); what each answered, and what there was none of."""
-    stations = _stations()
+    stations = registry.piece("stations")
     with stations.Caller() as caller:
         asked = caller.say("stop", vehicles)
         answers = caller.answers(asked)
@@ -91,7 +90,3 @@ def line(answer: Any) -> str:
 
 def _told(answer: Any) -> dict[str, Any]:
     return {name: getattr(answer, name) for name in answer.__struct_fields__}
-
-
-def _stations() -> Any:
-    return importlib.import_module(STATIONS)

@@ -70,6 +70,7 @@ PIECES: Mapping[str, str] = {
     "vehicle radio": "netsim.radios:Radio",
     "sightline": "physics.sightline:Sightline",
     "hardware": "hardware.federate:Hardware",
+    "stations": "hardware.station.control",
     "playback": "hardware.playback:Playback",
     "emulate options": "hardware.emulate.options",
     "emulated robot": "hardware.emulate.robot:emulate",

@@ -10,6 +10,7 @@ from hardware.safety.aerial import AerialParameters, AerialSupervisor
 from hardware.station.wire import Mission, Safety
 
 SLOWING = (Cause.LIMITS, Cause.GEOFENCE, Cause.SEPARATION)  # these change a command; all others stop the robot
+LATCHED = (Cause.OPERATOR,)  # a person has to see to it; once a run or a clock is well again, the robot goes on
 KNOWN_S = 1.0  # others are taken to go on for so long
 NOBODY = frozen(np.empty((0, 7)))
 
@@ -38,6 +39,7 @@ class Ground:
             fence_margin_m=safety.fence_margin_m,
             separation_m=safety.separation_m,
             time_outs=_time_outs(safety),
+            latched=LATCHED,
         )
         self._supervisor = Supervisor(parameters)
 
@@ -62,6 +64,7 @@ class Air:
             ceiling_m=safety.ceiling_m,
             separation_m=safety.separation_m,
             time_outs=_time_outs(safety),
+            latched=LATCHED,
         )
         self._supervisor = AerialSupervisor(parameters)
 

@@ -285,7 +285,7 @@ def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: Serv
         again.until(drives, v=0.2)
 
 
-def test_when_the_run_is_frozen_the_robot_stops(robot: Served) -> None:
+def test_when_the_run_is_frozen_the_robot_stops_until_it_is_back(robot: Served) -> None:
     run = another_run(mission(arcos(robot), federation_s=1.5))
     try:
         assert run.stdout is not None
@@ -299,8 +299,7 @@ def test_when_the_run_is_frozen_the_robot_stops(robot: Served) -> None:
         assert told_ns is not None
         assert 500_000_000 < told_ns - frozen_ns < 8_000_000_000  # 1.5 s and a turn, on a machine that is not loaded
         run.send_signal(signal.SIGCONT)
-        time.sleep(0.5)
-        assert not is_driving(robot)  # it stays so
+        eventually(lambda: is_driving(robot))  # the run is back, and says so
     finally:
         run.kill()
         run.communicate(timeout=10)

@@ -169,7 +169,7 @@ def test_others_go_on_between_orders_for_a_second() -> None:
     assert len(others_at(None, 0.0).position) == 0
 
 
-def test_without_a_word_of_the_run_the_robot_stops_for_good() -> None:
+def test_without_a_word_of_the_run_the_robot_stops_until_it_is_back() -> None:
     station = Station(mission(federation_s=0.5, command_s=None))
     station.drive(1.0, v=0.4)
     before_ns = station.ns
@@ -178,8 +178,7 @@ def test_without_a_word_of_the_run_the_robot_stops_for_good() -> None:
     assert stopped.sent == Velocity()
     assert stopped.time_ns - before_ns <= 500 * MS + TURN_MS * MS
     assert station.driver.pose[0] < 0.4 * 1.0 + 0.4 * 0.52 + 0.4**2 / 4.0 + 0.02
-    report = station.drive(1.0, v=0.4)
-    assert report.causes == ("federation",)
+    assert station.drive(1.0, v=0.4).causes == ()
     assert station.stops == ["nothing was heard of the run for 0.5 s"]
 
 
@@ -232,12 +231,12 @@ def test_a_number_that_is_none_stops_it_and_passes() -> None:
     assert station.drive(0.5, v=0.4).causes == ()
 
 
-def test_a_station_that_was_held_up_stops_its_robot_for_good() -> None:
+def test_a_station_that_was_held_up_stops_its_robot_first() -> None:
     station = Station(mission())
     station.drive(1.0, v=0.4)
     station.ns += 2_000 * MS
-    station.drive(0.5, v=0.4)
-    assert station.drive(0.5, v=0.4).causes == ("clock",)
+    assert "clock" in station.drive(0.02, v=0.4).causes
+    assert station.drive(0.5, v=0.4).causes == ()
     assert station.stops.count("the station was held up, or its clock jumped") == 1
 
 
