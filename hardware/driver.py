@@ -65,7 +65,7 @@ class Sample(Value, frozen=True, kw_only=True):
 
 
 class Notice(Value, frozen=True, kw_only=True):
-    """Something that a recording should tell: a connection, a loss or a stop, with its cause."""
+    """Something that a recording should tell: a connection, a loss, a stop or something odd, with its cause."""
 
     time_ns: int  # of this machine's monotonic clock
     what: Literal["connected", "lost", "stopped", "warned"]

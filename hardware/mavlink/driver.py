@@ -363,7 +363,7 @@ class MavlinkDriver:
         except LinkLost:
             return  # it has gone by itself
         if not pilot.ready:
-            self._notice("lost", f"it was left while we waited for {pilot.waits_for}: take it over")
+            self._notice("warned", f"it was left while we waited for {pilot.waits_for}: take it over")
 
     def _hang_up(self) -> None:
         """Free the port, with zero speed as the last words to whoever still listens."""

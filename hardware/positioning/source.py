@@ -80,7 +80,7 @@ class Source:
                 jumps = self._placing.jumps
                 fix = self._placing.place(located, arrived_ns)
                 if self._placing.jumps > jumps:
-                    self._notice("lost", "the clock that stamps the positions has jumped; their times are estimated anew")
+                    self._notice("warned", "the clock that stamps the positions has jumped; their times are estimated anew")
                 if fix is not None and self._is_ours(arrived_ns):
                     self._fixes.append(fix)
                     self._good(arrived_ns)
@@ -151,7 +151,7 @@ class Source:
             return
         why = self._why()
         if why != self._told_why:
-            self._notice("lost", f"no position for {PATIENCE_S:g} s: {why}")
+            self._notice("warned", f"no position for {PATIENCE_S:g} s: {why}")
             self._told_why, self._silent = why, True
 
     def _why(self) -> str:
@@ -171,7 +171,7 @@ class Source:
             return f"tag {placing.tag} is not among those that are heard: {_listed(placing.tags)}"
         return "the system says that it has none; is there an anchor, or a satellite, that is not in sight?"
 
-    def _notice(self, what: Literal["connected", "lost"], cause: str) -> None:
+    def _notice(self, what: Literal["connected", "lost", "warned"], cause: str) -> None:
         self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))
 
 

@@ -88,7 +88,7 @@ class Onboard:
             here = None
         if self._where.jumps > self._jumps:
             self._jumps = self._where.jumps
-            self._note("lost", "its position jumped: the estimate begins again from what the fixes say")
+            self._note("warned", "its position jumped: the estimate begins again from what the fixes say")
         sent, causes = self._decide(now_ns, here)
         self._turns += 1
         report = self._report(now_ns, here)
@@ -167,7 +167,7 @@ class Onboard:
         if self._released:
             self._note("stopped", cause)
 
-    def _note(self, what: Literal["lost", "stopped"], cause: str) -> None:
+    def _note(self, what: Literal["stopped", "warned"], cause: str) -> None:
         self._notices.append(Notice(time_ns=self._now(), what=what, cause=cause))
 
     def _gathered(self) -> Iterable[Notice]:

@@ -383,7 +383,7 @@ def test_a_position_that_jumps_is_left_out_and_then_believed_with_a_notice() -> 
     assert report.state is not None
     assert report.state.position[0] == pytest.approx(guided.station.driver.pose[0] + 5.0, abs=0.15)
     assert report.state.yaw == pytest.approx(0.0, abs=0.3)
-    assert [what for what, cause in guided.station.notices if "jumped" in cause] == ["lost"]
+    assert [what for what, cause in guided.station.notices if "jumped" in cause] == ["warned"]
 
 
 def test_what_the_robot_did_while_it_was_not_heard_is_not_taken_for_standing_still() -> None:

@@ -137,7 +137,8 @@ def program(folder: Path, port: int, *options: str, **more: Any) -> Iterator[Pro
     finally:
         if started.process.poll() is None:
             started.process.kill()
-        started.process.communicate(timeout=PATIENCE_S)
+        with contextlib.suppress(ValueError):  # it was asked before
+            started.process.communicate(timeout=PATIENCE_S)
 
 
 @contextlib.contextmanager
@@ -213,12 +214,11 @@ def test_it_is_driven_stopped_and_let_go_run_after_run(tmp_path: Path, port: int
 def test_where_it_stands_may_be_told_at_the_robot(tmp_path: Path, port: int) -> None:
     with program(tmp_path, port, "--pose", "5,-1,0") as robot, driver(port) as made:
         assert drive(made, lambda each: each.odometry.v > 0.1).odometry.pose[1] == -1.0
-        with contextlib.suppress(DriverError):
-            assert robot.end(signal.SIGTERM) == 0  # with the run still there
-            assert robot.told()[-1][1] == "close"
-            error = lost(made)
-            assert isinstance(error, LinkLost)
-            assert "ended by SIGTERM" in str(error) or "program has ended" in str(error)
+        assert robot.end(signal.SIGTERM) == 0  # with the run still there
+        assert robot.told()[-1][1] == "close"
+        error = lost(made)
+        assert isinstance(error, LinkLost)
+        assert "its program was ended by SIGTERM" in str(error)
 
 
 def test_a_robot_whose_program_dies_is_lost_by_name(tmp_path: Path, port: int) -> None:
@@ -252,7 +252,8 @@ def driven_alone(folder: Path, port: int) -> Iterator[tuple[Program, ZenohDriver
 
 
 @pytest.mark.parametrize(
-    ("number", "cause"), [(signal.SIGKILL, "the link to the run is lost"), (signal.SIGSTOP, "no velocity from the run for 0.5 s")]
+    ("number", "cause"),
+    [(signal.SIGKILL, "the link to the run is lost"), (signal.SIGSTOP, "no velocity from the run for 0.5 s")],
 )
 def test_a_run_that_dies_or_hangs_leaves_a_robot_that_stands(tmp_path: Path, port: int, number: int, cause: str) -> None:
     with program(tmp_path, port) as robot:
@@ -335,18 +336,18 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
             proxy.freeze()
             robot.when(lambda told: told[-1][1] == "stop")
             frozen = len(robot.told())
-            heard: list[str] = []
-            until(lambda: made.write(Velocity(linear=(0.3, 0.0, 0.0))) or heard.extend(n.what for n in made.notices()) or "lost" in heard)
-            assert made.read() is not None or made.read() is None  # it raises nothing while the robot is waited for
+            until(lambda: "lost" in [each.what for each in made.notices()])
+            made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # it is dropped: nobody is there to follow it
+            made.read()
             proxy.thaw()
             again = drive(made, lambda each: each.link == 2 and each.odometry.v > 0.1)
             assert again.odometry.pose[0] > 1.0
             told = robot.told()
             assert "open" not in [each[1] for each in told[1:]]  # its own driver stayed open
-            assert [each[1] for each in told[frozen:]].index("write") > 0
-            assert told[frozen][1] == "stop"
-            lines = robot.told()[frozen:]
-        assert all(each[2] == 0.3 for each in lines if each[1] == "write")
+            anew = [each[1] for each in told[frozen:]]
+            assert anew[0] == "stop"
+            assert anew[-1] == "write"
+            assert {each[2] for each in told if each[1] == "write"} == {0.3}
         assert robot.end() == 0
 
 
@@ -370,7 +371,6 @@ def test_a_second_program_waits_its_turn(tmp_path: Path, port: int) -> None:
             drive(made, lambda each: each.odometry.v > 0.1)
             first.process.kill()
             drive(made, lambda each: each.link == 2)
-            assert not second.told()[0][1] == "write"
             made.close()
             second.until("the run is over")
 
@@ -385,9 +385,18 @@ def test_what_its_own_driver_says_reaches_the_run_and_it_waits_for_the_next(tmp_
         assert robot.end() == 0
 
 
+def test_a_robot_that_its_own_driver_has_lost_may_come_back(tmp_path: Path, port: int) -> None:
+    with program(tmp_path, port, "--set", "unplugged_s=0.5") as robot, driver(port, reconnect_s=PATIENCE_S) as made:
+        drive(made, lambda each: each.link == 2)
+        assert [each[1] for each in robot.told()].count("open") == 2
+        assert "bench aboard car3: the link is lost" in " ".join(each.cause for each in made.notices())
+
+
 def test_who_is_missing_is_said_with_what_starts_it(port: int) -> None:
     made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3", open_deadline_s=0.2)
-    with pytest.raises(HandshakeError, match=rf"robot of car3 did not come within 0.2 s; .*vcmvsp robot --vehicle car3 .*:{port}"):
+    with pytest.raises(
+        HandshakeError, match=rf"robot of car3 did not come within 0.2 s; .*vcmvsp robot --vehicle car3 .*:{port}"
+    ):
         made.open()
     made.close()
     made.close()
@@ -414,21 +423,16 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_with_its_certificate_it_is_driven_and_another_is_refused_at_both_ends(tmp_path: Path, port: int, keys: Path) -> None:
-    with program(tmp_path / "wrong", port, "--keys", str(keys / "car2.keys"), protocol="tls") as wrong:
+def test_with_its_certificate_it_is_driven(tmp_path: Path, port: int, keys: Path) -> None:
+    with program(tmp_path, port, "--keys", str(keys / "car3.keys"), protocol="tls") as robot:
         made = ZenohDriver(listen=f"tls/127.0.0.1:{port}", keys=keys.name, folder=str(keys.parent), vehicle="car3")
-        opening = threading.Thread(target=made.open)
-        with program(tmp_path / "right", port, "--keys", str(keys / "car3.keys"), protocol="tls"):
-            opening.start()
-            try:
-                opening.join(PATIENCE_S)
-                drive(made, lambda each: each.odometry.v > 0.1)
-            finally:
-                made.close()
-        said = "\n".join(each.cause for each in made.notices())
-        assert "logged" not in said
-        assert "certificate of 'car3'" in said
-    assert wrong.process.returncode is not None
+        try:
+            made.open()
+            drive(made, lambda each: each.odometry.v > 0.1)
+        finally:
+            made.close()
+        assert any("certificate of 'car3'" in each.cause for each in made.notices())
+        assert robot.end() == 0
 
 
 def test_the_wrong_certificate_is_named_at_both_ends(tmp_path: Path, port: int, keys: Path) -> None:
