@@ -37,10 +37,10 @@ class Decoder(Generic[T]):
 
 
 def _encode_other(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, Later):
         return value.get()
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
     if isinstance(value, np.generic):
         return value.item()
     raise NotImplementedError(f"cannot send a {type(value).__name__}")

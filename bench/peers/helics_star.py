@@ -1,18 +1,23 @@
 """HELICS (helics.org) over its ZeroMQ core: a broker, a world, and processes with a core each, which hold the agents.
 
-``--way each``: a federate per agent, as its users model vehicles. ``--way all``: one federate holds all agents of a process.
-Of threads, asynchronous time requests and callback federates, and of time kept by the broker (``--globaltime``) or not, the
-quickest here: callback federates and the broker.
+``--way plain``: as HELICS's own examples have it. Each agent is a value federate of its own, which blocks in its request for
+the next time; several in a process have a thread each.
 
-Values of bytes, one publication for each agent and way. With a latency all step together and see what was said a step
-before, which takes one time barrier a step; without one, agents step between the steps of the world, which takes two. Agents
-that wait to be woken by values take longer.
+``--way each`` and ``all``: the quickest here of threads, asynchronous time requests and callback federates, and of time kept by
+the broker (``--globaltime``) or not: callback federates and the broker. A federate per agent, or one for all of a process.
+
+With a latency all step together and see what was said a step before, which takes one time barrier a step; without one, agents
+step between the steps of the world, which takes two. Agents that wait to be woken by values take longer; more than one that
+waits for the values of its own time (``wait_for_current_time_update``) HELICS refuses.
+
+Values of bytes, one publication for each agent and way.
 """
 
 import contextlib
 import os
 import socket
 import sys
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -43,8 +48,9 @@ def both(own: Any, numbers: Sequence[int], says: str, hears: str) -> tuple[list[
 def world(wanted: Options) -> None:
     """Publish to all agents, and read what they have said."""
     pace, groups = Pace(wanted), wanted.processes
-    port, federates = free_port(), 1 + (wanted.agents if wanted.way == "each" else groups)
-    h.helicsCreateBroker(CORE, "broker", f"-f {federates} --globaltime --port={port} --loglevel=no_print")
+    port, federates = free_port(), 1 + (groups if wanted.way == "all" else wanted.agents)
+    keeps = "" if wanted.way == "plain" else "--globaltime"
+    h.helicsCreateBroker(CORE, "broker", f"-f {federates} {keeps} --port={port} --loglevel=no_print")
     given = ["--agents", str(wanted.agents), "--processes", str(groups), "--answered", str(wanted.answered)]
     given += ["--latency_s", str(wanted.latency_s), "--busy_s", str(wanted.busy_s), "--way", wanted.way]
     children = [child("bench.peers.helics_star", "--at", f"{port} {n}", *given) for n in range(groups)]
@@ -67,32 +73,53 @@ def world(wanted: Options) -> None:
 def host(wanted: Options) -> None:
     """Answer whatever is seen, until the world is gone."""
     port, number = map(int, wanted.at.split())
-    first = 1.0 if wanted.latency_s else 0.5
-    command = bytes(wanted.answered)
     numbers = range(number, wanted.agents, wanted.processes)
-    groups = [[n] for n in numbers] if wanted.way == "each" else [numbers]
+    groups: list[Sequence[int]] = [numbers] if wanted.way == "all" else [[n] for n in numbers]
+    first = 1.0 if wanted.latency_s else 0.5
     info = told(port, len(groups), first % 1.0)
-
-    def stepping(own: Any, group: Sequence[int]) -> Any:
-        said, heard = both(own, group, "command", "seen")
-
-        def step(now: float, _: Any) -> float:
-            if now >= first:
-                for mine, its in zip(said, heard, strict=True):
-                    h.helicsInputGetBytes(its)
-                    busy(wanted.busy_s)
-                    h.helicsPublicationPublishBytes(mine, command)
-            return max(now + 1.0, first)
-
-        return h.ffi.callback("double(double, void *)", step)
-
-    federates = [h.helicsCreateCallbackFederate(f"agents{group[0]}", info) for group in groups]
-    steps = [stepping(own, group) for own, group in zip(federates, groups, strict=True)]
-    for own, step in zip(federates, steps, strict=True):
-        h.helicsCallbackFederateNextTimeCallback(own, step, h.ffi.NULL)
-        h.helicsFederateEnterInitializingMode(own)
+    create = h.helicsCreateValueFederate if wanted.way == "plain" else h.helicsCreateCallbackFederate
+    federates = [create(f"agents{group[0]}", info) for group in groups]
+    if wanted.way == "plain":
+        for own, group in zip(federates, groups, strict=True):
+            threading.Thread(target=block, args=(own, group, wanted, first), daemon=True).start()
+    else:
+        steps = [stepping(own, group, wanted, first) for own, group in zip(federates, groups, strict=True)]
+        for own, step in zip(federates, steps, strict=True):
+            h.helicsCallbackFederateNextTimeCallback(own, step, h.ffi.NULL)
+            h.helicsFederateEnterInitializingMode(own)
     sys.stdin.buffer.read()
     os._exit(0)
+
+
+def block(own: Any, numbers: Sequence[int], wanted: Options, first: float) -> None:
+    """Ask for one time after the other, for good."""
+    said, heard = both(own, numbers, "command", "seen")
+    h.helicsFederateEnterExecutingMode(own)
+    command, now = bytes(wanted.answered), first - 1.0
+    while True:
+        now = h.helicsFederateRequestTime(own, now + 1.0)
+        answer(said, heard, command, wanted.busy_s)
+
+
+def stepping(own: Any, numbers: Sequence[int], wanted: Options, first: float) -> Any:
+    """What HELICS is to call; it answers with the next time."""
+    said, heard = both(own, numbers, "command", "seen")
+    command = bytes(wanted.answered)
+
+    def step(now: float, _: Any) -> float:
+        if now >= first:
+            answer(said, heard, command, wanted.busy_s)
+        return max(now + 1.0, first)
+
+    return h.ffi.callback("double(double, void *)", step)
+
+
+def answer(said: Sequence[Any], heard: Sequence[Any], command: bytes, busy_s: float) -> None:
+    """Read what these agents see, and publish what they say."""
+    for mine, its in zip(said, heard, strict=True):
+        h.helicsInputGetBytes(its)
+        busy(busy_s)
+        h.helicsPublicationPublishBytes(mine, command)
 
 
 def free_port() -> int:

@@ -29,7 +29,7 @@ class World:
     latest: tuple[str, ...] = ()
     wakes: tuple[str, ...] = ()
 
-    def __init__(self, world: Any, vehicles: Any, busy_s: NonNegative = 0.0) -> None:
+    def __init__(self, world: Any, vehicles: Any, outside: Any = None, busy_s: NonNegative = 0.0) -> None:
         self.radius_m = {each.name: 0.0 for each in vehicles}
         self._busy_s = busy_s
         self._said = [(f"{each.name}/estimate", STATE_SEEN) for each in vehicles]

@@ -12,7 +12,7 @@ from zenoh.handlers import Callback
 from cosim.errors import FederateError, UsageError
 from cosim.transport import security, wire
 from cosim.transport.desk import Desk
-from cosim.transport.zenoh import common_names, opened
+from cosim.transport.zenoh import UNIX, common_names, opened
 
 if TYPE_CHECKING:
     from cosim.certificates import Bundle
@@ -21,9 +21,10 @@ JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door
 _NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 _DIAL_S = 0.1
 _LOOK_S = 1.0
-UNIX = "unixsock-stream/"  # how the children of a run reach it
-ONE_LINK = "(rx: (worker_threads: 1))"
-"""Of Zenoh's threads one listens: more would all be woken by each message of the only link, a tenth of an exchange."""
+THREADS = "(rx: (handover: app))"
+"""Of Zenoh's threads in a host, that which waits for the socket also reads what comes, and calls back: as Zenoh has it, it
+would wake another one for each message, a tenth of an exchange. Callbacks of a host only hand over, so that nothing blocks it.
+Another one writes, so that the link lives while a callback waits for an agent that holds Python's lock."""
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
 
 
@@ -48,6 +49,7 @@ def serve(
         UsageError: the endpoint is none, or the hub refuses this host.
         FederateError: an agent of this host failed, or the run is gone.
     """
+    os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # which Zenoh reads when a process opens its first session
     name = security.OPEN if bundle is None else bundle.name
     with dial(endpoint, bundle, on_state) as session:
         host = str(session.zid())
@@ -132,7 +134,6 @@ def hub_of(session: zenoh.Session) -> str:
 
 def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]) -> zenoh.Session:
     """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
-    os.environ.setdefault("ZENOH_RUNTIME", ONE_LINK)  # which Zenoh reads when a process opens its first session
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     secure = {} if bundle is None else security.machine_security(bundle)

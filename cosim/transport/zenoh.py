@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 LOOPBACK = "tcp/127.0.0.1:0"
 """A free port of this machine."""
 
+UNIX = "unixsock-stream/"
+"""How the children of a run reach it: the endpoint's beginning, before the path of a socket."""
+
 COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": security.LEASE_MS}}},
@@ -74,6 +77,7 @@ class Hub:
         self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
         self._keys, self._patience_s = keys, patience_s
+        self._strangers = not endpoint.startswith(UNIX)
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
         self._missing = True  # the run has no host yet for one of its agents, or has lost one
         self.gone: dict[Machine, float] = {}  # hosts whose token has gone, and when
@@ -146,7 +150,7 @@ class Hub:
             link.repeat()
 
     def _linked(self, machine: Machine, key: str) -> "ZenohLink":
-        link = self._links[machine] = ZenohLink(self.session, key)
+        link = self._links[machine] = ZenohLink(self.session, key, stranger=self._strangers)
         return link
 
     def _is_open(self) -> bool:
@@ -200,6 +204,7 @@ class ZenohLink:
     Args:
         session: the hub's.
         key: under which the host is asked.
+        stranger: it may flood the run with answers to nothing, which are then dropped; children of a run do not.
 
     Attributes:
         why_lost: says how the host has ended; an empty answer: that is not known, and it may come back.
@@ -211,12 +216,14 @@ class ZenohLink:
 
     leaving = False
 
-    def __init__(self, session: zenoh.Session, key: str) -> None:
+    def __init__(self, session: zenoh.Session, key: str, *, stranger: bool = True) -> None:
         self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
         self._open: deque[_Question] = deque()
         self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
         self._answers = zenoh.KeyExpr(security.answer_key(key))
-        self._hears = session.declare_subscriber(self._answers, Callback(self._on_answer, indirect=False))
+        # A callback in Python costs more than it does: in a thread of Zenoh's, each call has memory mapped for its frames.
+        take = self._on_answer if stranger else self._news.put
+        self._hears = session.declare_subscriber(self._answers, Callback(take, indirect=False))
         self._number = 0
         self._asked_at = 0.0  # when all that is open was last asked
         self._there = True
