@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cosim import cli_stop
+from cosim import cli_robot, cli_stop
 from cosim.cli_calibrate import calibrate_command
 from cosim.cli_emulate import emulate_app
 from cosim.cli_explain import radio_command
@@ -167,6 +167,7 @@ app.command("calibrate")(calibrate_command)
 app.command("watch")(watch_command)
 register(app)
 cli_stop.register(app)
+cli_robot.register(app)
 app.add_typer(keys_app)
 
 

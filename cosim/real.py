@@ -58,7 +58,7 @@ def of_scenario(
             continue
         key = f"vehicle.{vehicle.name}"
         model = models[vehicle.name]
-        build = _builder(source, resolution)
+        build = _builder(vehicle.name, source, resolution)
         kind, params = build("driver", vehicle.driver, f"{key}.driver")
         tables: dict[str, Any] = {"driver": {"kind": kind, **params}}
         where, known = None, dict[str, Any]()
@@ -94,11 +94,15 @@ def of_scenario(
     return tuple(found)
 
 
-def _builder(source: Source, resolution: Resolution) -> Callable[[str, Mapping[str, Any], str], tuple[str, dict[str, Any]]]:
+def _builder(
+    vehicle: str, source: Source, resolution: Resolution
+) -> Callable[[str, Mapping[str, Any], str], tuple[str, dict[str, Any]]]:
     """Checks a table by building what it describes, which does nothing yet; its kind and complete parameters."""
+    offered = {"vehicle": vehicle, "folder": str(source.folder.resolve())}
+    portable, keep = resolution.portable, resolution.keep
 
     def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
-        _, full = component.build(group, content, key=key, source=source, portable=resolution.portable, keep=resolution.keep)
+        _, full = component.build(group, content, key=key, source=source, portable=portable, offered=offered, keep=keep)
         return full.pop("kind"), full
 
     return build

@@ -174,6 +174,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "driver": {
         "arcos": "hardware.arcos.driver:ArcosDriver",
         "bench": "hardware.bench:Bench",
+        "zenoh": "hardware.onboard.driver:ZenohDriver",
         "ros2": "hardware.ros2.driver:Ros2Driver",
         "mavlink": "hardware.mavlink.driver:MavlinkDriver",
     },

@@ -221,12 +221,14 @@ def check_hub(identifiers: Iterable[str | None]) -> None:
             raise UsageError(f"what answers there is '{name}', not a run")
 
 
-def endpoint_rules(endpoint: str, keys: "Keys | Bundle | None" = None, *, insecure: bool = False, side: Side = "run") -> None:
+def endpoint_rules(
+    endpoint: str, keys: "Keys | Bundle | str | None" = None, *, insecure: bool = False, side: Side = "run"
+) -> None:
     """Raise `UsageError` if this endpoint may not be used so: beyond this machine certificates are a must.
 
     Args:
         endpoint: ``tcp/HOST:PORT`` or ``tls/HOST:PORT``.
-        keys: certificates that the user has named.
+        keys: certificates that the user has named, or where they are.
         insecure: the user wants to do without them.
         side: who asks, for the message.
     """

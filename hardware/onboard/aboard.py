@@ -9,6 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Literal
 
+import msgspec
+
 from cosim.clock import seconds_to_ns
 from cosim.text import plain
 from cosim.types import Vec3
@@ -19,6 +21,10 @@ from hardware.station.guarded import within
 GRACE_S = 2.0  # beyond what a driver says of itself
 KEPT = 1000  # notices that nobody has heard yet
 _DEADMAN_NS = seconds_to_ns(DEADMAN_S)
+
+
+def _nothing() -> None:
+    """Nobody is there who would want to hear."""
 
 
 class Aboard:
@@ -50,20 +56,23 @@ class Aboard:
         self._late = False
 
     def open(self, run: str, start: Vec3, given_up: Callable[[], str]) -> None:
-        """Open the driver for a run, in which it has stood here; ``given_up`` tells a reason not to, any more."""
+        """Open the driver for a run, where the robot stands here; raises what is wrong.
+
+        Args:
+            run: by which one that comes again is known.
+            start: x m, y m, yaw rad.
+            given_up: is asked now and then for a reason not to go on.
+        """
         self.run, self.failure, self.state = run, None, "opening"
         self._forget()
         self.opened += 1
         driver = self._driver
         x, y, yaw = start if self._pose is None else self._pose
         self._tell(f"opening {driver.device} at x {x:.2f} m, y {y:.2f} m, yaw {yaw:.2f} rad")
-        try:
-            with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", given_up):
-                driver.open((x, y, yaw))
-            self.state = "open"
-            self._gather()
-        except Exception as error:
-            self.fail(error)
+        with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", given_up):
+            driver.open((x, y, yaw))
+        self.state = "open"
+        self._gather()
 
     def meet(self) -> None:
         """The link to the run has come about, or is back: stand until it has said so."""
@@ -100,13 +109,19 @@ class Aboard:
         self._gather()
         return sample
 
-    def fail(self, error: Exception) -> None:
+    def fail(self, error: Exception, meanwhile: Callable[[], None] = _nothing) -> None:
         """It cannot go on: note why, and close the driver."""
         self.failure = _failure(self._driver.device, error)
         self._tell(f"{self.failure.device}: {self.failure.happened}; {self.failure.advice}")
-        self.close(self.failure.happened)
+        self.close(self.failure.happened, meanwhile)
 
-    def close(self, cause: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+    def end(self, why: str, meanwhile: Callable[[], None]) -> None:
+        """Close the driver for good, and have the run hear why."""
+        if self.state != "closed":
+            self.failure = Failure(kind="lost", device=self._driver.device, happened=why, advice="start it again")
+            self.close(why, meanwhile)
+
+    def close(self, cause: str, meanwhile: Callable[[], None] = _nothing) -> None:
         """Stop the robot and close its driver, whatever has happened; ``meanwhile`` is called now and then."""
         if self.state == "closed":
             return
@@ -118,7 +133,8 @@ class Aboard:
             return ""
 
         def stop() -> None:
-            driver.stop(cause)
+            if self._stopped != cause:
+                driver.stop(cause)
 
         seconds = (GRACE_S, "stopping it", stop), (driver.close_deadline_s + GRACE_S, "closing it", driver.close)
         for most_s, doing, what in seconds:
@@ -151,6 +167,7 @@ class Aboard:
         except Exception as error:
             self._tell(f"its driver cannot say what happened: {error}")
             return
+        new = [msgspec.structs.replace(each, cause=plain(each.cause)) for each in new]
         for each in new:
             self._tell(f"{each.what}: {each.cause}")
         self.noticed += max(0, len(self._notices) + len(new) - KEPT)  # the oldest are pushed out
@@ -172,12 +189,10 @@ class Aboard:
 
 def _failure(device: str, error: Exception) -> Failure:
     if not isinstance(error, DriverError):
-        happened = f"its driver failed ({type(error).__name__}: {error})"
-        return Failure(kind="driver", device=device, happened=happened, advice="report this to who wrote the driver")
-    kinds: tuple[tuple[type[DriverError], Literal["port", "handshake", "lost"]], ...] = (
-        (PortError, "port"),
-        (HandshakeError, "handshake"),
-        (LinkLost, "lost"),
-    )
-    kind = next((word for each, word in kinds if isinstance(error, each)), "driver")
-    return Failure(kind=kind, device=error.device, happened=error.happened, advice=error.advice)
+        happened = plain(f"its driver failed ({type(error).__name__}: {error})")
+        return Failure(kind="driver", device=plain(device), happened=happened, advice="report this to who wrote the driver")
+    kinds: dict[type[DriverError], Literal["port", "handshake", "lost"]]
+    kinds = {PortError: "port", HandshakeError: "handshake", LinkLost: "lost"}
+    kind = next((word for each, word in kinds.items() if isinstance(error, each)), None)
+    device, happened, advice = map(plain, (error.device, error.happened, error.advice))
+    return Failure(kind=kind or "driver", device=device, happened=happened, advice=advice)

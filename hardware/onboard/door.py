@@ -90,8 +90,8 @@ class Door:
 
     def follow(self, peer: Peer) -> None:
         """Hear this robot from now on, and speak to it; raises `ValueError` if there can be no such robot."""
-        up = security.robot_key(*peer[:1], self._vehicle, peer.session, "up")
-        down = security.robot_key(*peer[:1], self._vehicle, peer.session, "down")
+        up = security.robot_key(peer.name, self._vehicle, peer.session, "up")
+        down = security.robot_key(peer.name, self._vehicle, peer.session, "down")
         self.leave()
         self._subscriber = self._session.declare_subscriber(up, Callback(self._on_sample, indirect=False))
         drop = zenoh.CongestionControl.DROP  # a robot that does not listen holds nobody up

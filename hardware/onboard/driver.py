@@ -10,6 +10,7 @@ import math
 import queue
 import re
 import secrets
+import sys
 import threading
 import time
 from collections import deque
@@ -24,20 +25,22 @@ from cosim.transport import security
 from cosim.types import NonNegative, Positive, Vec3, Velocity
 from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
 from hardware.onboard import wire
+from hardware.onboard.admission import Admission
 from hardware.onboard.door import Door, Gone, Heard, Knock, News, Peer
 from hardware.onboard.orders import Orders
 from hardware.onboard.track import Track
-from hardware.onboard.wire import SAY_S, Down, Failure, Hello, Up, Welcome
+from hardware.onboard.wire import SAY_S, Down, Failure, Hello, Welcome
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
 
 START_S = 5.0  # for the session
 GRACE_S = 2.0  # for a robot, beyond what its driver says of itself
+INVITE_S = 2.0  # before it is said that the robot is waited for
 FAREWELL_S = 0.5  # for a robot to hear that it is not needed, after a failure
 LONGEST_CLOSE_S = 30.0  # whatever it says
 NOTICES = 1000  # kept for somebody who asks
-WAITING = 256  # messages that may wait for the thread; more are left out
+WAITING, AT_THE_DOOR = 256, 16  # how many messages may wait for the thread, with greetings among them; more are left out
 _FAILURES = {"driver": DriverError, "port": PortError, "handshake": HandshakeError, "lost": LinkLost}
 _ADVICE = "look at the program 'vcmvsp robot' on the robot's computer, and at the network"
 
@@ -79,7 +82,8 @@ class ZenohDriver:
         self.device = f"{listen} ({vehicle})" if vehicle else listen
         self.open_deadline_s = START_S + open_deadline_s
         self.close_deadline_s = GRACE_S  # the robot says more when it comes
-        self._listen, self._vehicle, self._keys = listen, vehicle, Path(folder, keys) if keys else None
+        self._listen, self._vehicle, self._secure = listen, vehicle, bool(keys)
+        self._admission = Admission(vehicle, Path(folder, keys) if keys else None)
         self._open_s, self._silence_s, self._reconnect_s = open_deadline_s, silence_s, reconnect_s
         self._silence_ns, self._timeout_s = seconds_to_ns(silence_s), command_timeout_s
         self._thread: threading.Thread | None = None
@@ -103,8 +107,9 @@ class ZenohDriver:
         self._lost: LinkLost | None = None
         self._lost_ns = self._heard_ns = self._yours_ns = 0
         self._number = 0
-        self._state: Literal["closed", "opening", "open"] = "closed"  # of the robot's own driver
-        self._refused: dict[str, None] = {}  # why robots were sent away, in order
+        self._invited = False  # somebody was told that it waits
+        self._refused = ""  # why a robot was sent away last
+        self._warned = set[str]()
         self._sample: Sample | None = None
         self._failure: DriverError | None = None
         self._closing, self._ready, self._woken = threading.Event(), threading.Event(), threading.Event()
@@ -115,6 +120,13 @@ class ZenohDriver:
             failure = self._failure or HandshakeError(self.device, "the connection hangs", "look at the network")
             self.close()
             raise failure
+
+    @property
+    def invitation(self) -> str:
+        """The command line that starts the robot's program."""
+        keys = f"--keys {self._vehicle}.keys" if self._secure else "--insecure"
+        where = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/HOST:", self._listen)
+        return f"vcmvsp robot --vehicle {self._vehicle} --driver KIND:ADDRESS --connect {where} {keys}"
 
     def read(self) -> Sample | None:
         """The newest sample that was not read yet."""
@@ -138,7 +150,8 @@ class ZenohDriver:
     def stop(self, cause: str) -> None:
         """Zero speed at once; never raises."""
         with self._lock:
-            self._notices.append(Notice(time_ns=time.monotonic_ns(), what="stopped", cause=cause))
+            if self._thread is None or not self._connected:  # else the robot tells of it
+                self._notices.append(Notice(time_ns=time.monotonic_ns(), what="stopped", cause=cause))
             if self._thread is None:
                 return
             self._orders.stop(cause)
@@ -193,13 +206,9 @@ class ZenohDriver:
             self._ready.set()
 
     def _authority(self) -> "Keys | None":
-        if self._keys is None:
-            return None
-        from cosim import certificates
-
         try:
-            keys = certificates.load(self._keys)
-            if warning := keys.check():
+            keys = self._admission.keys()
+            if keys is not None and (warning := keys.check()):
                 self._notice("warned", warning)
         except UsageError as error:
             raise PortError(self.device, str(error), "name the folder of the authority, keys = 'DIR'") from None
@@ -207,7 +216,8 @@ class ZenohDriver:
 
     def _hand_over(self, news: News) -> None:
         """Called by Zenoh. What is left out of news is said again, but for a link's end, which silence shows, too."""
-        if self._news.qsize() < WAITING or isinstance(news, Gone):
+        knocks = isinstance(news, Knock)
+        if isinstance(news, Gone) or self._news.qsize() < (AT_THE_DOOR if knocks else WAITING):
             self._news.put(news)
 
     def _converse(self, open_until_ns: int) -> None:
@@ -228,6 +238,8 @@ class ZenohDriver:
                 due_ns = 0
             else:
                 self._take(news)
+        if not self._ready.is_set():
+            raise HandshakeError(self.device, "it was closed while its robot was waited for", "open it again")
 
     def _take(self, news: News) -> None:
         if isinstance(news, Knock):
@@ -245,6 +257,10 @@ class ZenohDriver:
         if not self._ready.is_set():
             if now_ns >= open_until_ns:
                 raise self._nobody()
+            if self._peer is None and not self._invited and now_ns >= open_until_ns - seconds_to_ns(self._open_s - INVITE_S):
+                self._invited = True
+                sys.stderr.write(f"waiting for the robot of {self._vehicle} at {self._listen}; there: {self.invitation}\n")
+                sys.stderr.flush()
         elif self._lost is not None and now_ns >= self._lost_ns + seconds_to_ns(self._reconnect_s):
             raise self._gone_for_good(self._lost)
 
@@ -259,12 +275,11 @@ class ZenohDriver:
         except ValueError:
             knock.answer(Welcome(refused="that was no greeting of a robot of this version", final=True))
             return
-        refused, final = self._refusal(knock.name, hello)
-        if refused:
-            if refused not in self._refused and len(self._refused) < NOTICES:
-                self._refused[refused] = None
-                self._notice("warned", f"a robot was sent away: {plain(refused)}")
-            knock.answer(Welcome(refused=refused, final=final))
+        final = self._admission.refusal(knock.name, hello)
+        if refused := final or self._waits(knock.name, hello):
+            self._refused = refused
+            self._warn_once(f"a robot was sent away: {refused}")
+            knock.answer(Welcome(refused=refused, final=bool(final)))
             return
         if self._peer is not None and self._peer != peer:
             self._let_go("the robot has dialled anew")
@@ -272,28 +287,14 @@ class ZenohDriver:
             self._admit(peer, hello)
         knock.answer(Welcome(run=self._run_name, start=self._track.pose))
 
-    def _refusal(self, name: str, hello: Hello) -> tuple[str, bool]:
-        """Why this robot is not driven, and whether that is final; empty: it is."""
-        if hello.protocol != wire.PROTOCOL:
-            versions = f"this run speaks protocol {wire.PROTOCOL}, the robot {hello.protocol}"
-            return f"{versions}: use the same vcmvsp version", True
-        if self._keys is not None:
-            from cosim import certificates
-
-            try:
-                current = certificates.load(self._keys)  # somebody may have been shut out since it began to listen
-            except UsageError as error:
-                return f"the run cannot read its certificates ({error})", False
-            if denied := security.admission(current, name, [plain(hello.vehicle)]):
-                return denied, True
-        if hello.vehicle != self._vehicle:
-            return f"this is the port of {self._vehicle}, not of {plain(hello.vehicle)}", True
-        if self._closing.is_set():
-            return "the run is over", False
+    def _waits(self, name: str, hello: Hello) -> str:
+        """Why a robot that may come is not driven now; empty: it is."""
         known = self._hello
+        if self._closing.is_set():
+            return "the run is over"
         if self._peer is not None and known is not None and (self._peer.name, known.robot) != (name, hello.robot):
-            return f"another program drives {self._vehicle} already", False
-        return "", False
+            return f"another program drives {self._vehicle} already"
+        return ""
 
     def _admit(self, peer: Peer, hello: Hello) -> None:
         """Begin to follow it."""
@@ -302,7 +303,7 @@ class ZenohDriver:
         with self._lock:
             self._track.connect(anew=not same)
             self._orders.connect(self._number + 1)
-        self._peer, self._hello, self._state = peer, hello, "closed"
+        self._peer, self._hello = peer, hello
         self._yours_ns, self._heard_ns = 0, time.monotonic_ns()
         longest_s = max(0.0, min(hello.close_s, LONGEST_CLOSE_S))  # also of what is no number
         self.close_deadline_s = 2 * GRACE_S + longest_s
@@ -336,12 +337,9 @@ class ZenohDriver:
         try:
             up = wire.ups.decode(heard.data)
         except ValueError as error:
-            cause = f"a message of the robot is left out: {plain(str(error))}"
-            if cause not in self._refused and len(self._refused) < NOTICES:
-                self._refused[cause] = None
-                self._notice("warned", cause)
+            self._warn_once(f"a message of the robot is left out: {error}")
             return
-        self._heard_ns, self._yours_ns, self._state = heard.arrived_ns, up.said_ns, up.state
+        self._heard_ns, self._yours_ns = heard.arrived_ns, up.said_ns
         with self._lock:
             self._track.hear(up, heard.arrived_ns)
             self._orders.heard(up.heard)
@@ -349,9 +347,16 @@ class ZenohDriver:
             self._sample = sample or self._sample
             self._notices.extend(self._track.notices(up, heard.arrived_ns))
         if up.failure is not None and not self._closing.is_set():
-            raise self._failed_aboard(up.failure)
-        if up.state == "open" and not self._connected and not self._orders.held:
+            self._fail(self._failed_aboard(up.failure))
+        elif up.state == "open" and not self._connected and not self._orders.held:
             self._connect(heard.arrived_ns)
+
+    def _fail(self, error: DriverError) -> None:
+        """The robot's own driver has failed; one that had lost its robot may find it again."""
+        may_come_back = self._ready.is_set() and self._reconnect_s
+        if not may_come_back or not (isinstance(error, LinkLost) or self._lost is not None):
+            raise error
+        self._let_go(f"{error.device}: {error.happened}")
 
     def _connect(self, now_ns: int) -> None:
         """The robot stands, ready to be driven."""
@@ -416,13 +421,9 @@ class ZenohDriver:
             return HandshakeError(
                 self.device, happened, f"look at the robot; it may take {self._hello.open_s:g} s: open_deadline_s"
             )
-        protocol, _, port = self._listen.partition("/")[0], "", self._listen.rpartition(":")[2]
-        keys = f" --keys {self._vehicle}.keys" if self._keys is not None else " --insecure"
-        line = f"vcmvsp robot --vehicle {self._vehicle} --driver KIND:ADDRESS --connect {protocol}/HOST:{port}{keys}"
-        sent_away = "".join(f"; one was sent away: {plain(each)}" for each in list(self._refused)[-1:])
-        return HandshakeError(
-            self.device, f"the robot of {self._vehicle} did not come {within}{sent_away}", f"start on its own computer: {line}"
-        )
+        sent_away = f"; one was sent away: {self._refused}" if self._refused else ""
+        happened = f"the robot of {self._vehicle} did not come {within}{sent_away}"
+        return HandshakeError(self.device, happened, f"start on its own computer: {self.invitation}")
 
     def _gone_for_good(self, lost: LinkLost) -> LinkLost:
         if not self._reconnect_s:
@@ -433,6 +434,12 @@ class ZenohDriver:
         """What the robot's own driver has said."""
         device = f"{plain(failure.device)} aboard {self._vehicle}"
         return _FAILURES[failure.kind](device, plain(failure.happened), plain(failure.advice))
+
+    def _warn_once(self, cause: str) -> None:
+        cause = plain(cause)
+        if cause not in self._warned and len(self._warned) < NOTICES:
+            self._warned.add(cause)
+            self._notice("warned", cause)
 
     def _notice(self, what: Literal["connected", "lost", "stopped", "warned"], cause: str) -> None:
         with self._lock:

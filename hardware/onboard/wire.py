@@ -16,7 +16,7 @@ SAY_S = 0.05
 DEADMAN_S = COMMAND_TIMEOUT_S
 """Aboard: without a velocity for so long, or with one that may be older, the robot is stopped."""
 
-NOTICES_AT_ONCE = 50  # in one message; more wait until these have been heard
+NOTICES_AT_ONCE = 20  # in one message; more wait until these have been heard
 
 NOT_YET = "no command yet"
 

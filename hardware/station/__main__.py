@@ -100,9 +100,9 @@ class Serving:
         self._ear = Ear(vehicle)
         localisation: Localisation | None = None
         with within(OPEN_S, vehicle, "building its driver", self._given_up):
-            driver: Driver = _built(mission.driver, mission.folder)
+            driver: Driver = _built(mission.driver, mission)
             if mission.localisation is not None:
-                localisation = _built(mission.localisation, mission.folder)
+                localisation = _built(mission.localisation, mission)
             onboard = Onboard(mission, driver, localisation, time.monotonic_ns)
         self._driver = driver
         with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", self._given_up):
@@ -233,11 +233,14 @@ class Serving:
         return self._onboard.last_words(now_ns, failed, advice)
 
 
-def _built(part: Part, folder: str) -> Any:
-    """What a scenario names, with its parameters."""
-    with registry.looking_in(Path(folder)):
-        kind = registry.find(part.group, part.kind, folder=Path(folder), key=f"{part.group}.kind")
-        return table.call(kind, part.params, key=part.group)
+def _built(part: Part, mission: Mission) -> Any:
+    """What a scenario names, with its parameters; one that asks for them is told vehicle and folder."""
+    folder = Path(mission.folder)
+    with registry.looking_in(folder):
+        kind = registry.find(part.group, part.kind, folder=folder, key=f"{part.group}.kind")
+        known = table.parameters(kind)
+        offered = {"vehicle": mission.vehicle, "folder": mission.folder}
+        return table.call(kind, part.params, key=part.group, given={n: v for n, v in offered.items() if n in known})
 
 
 def _settle() -> None:

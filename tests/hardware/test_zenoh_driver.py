@@ -144,7 +144,9 @@ def program(folder: Path, port: int, *options: str, **more: Any) -> Iterator[Pro
 @contextlib.contextmanager
 def driver(port: int, **options: Any) -> Iterator[ZenohDriver]:
     """One that is open; it is closed at the end."""
-    made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3", **{"open_deadline_s": PATIENCE_S, **options})
+    made = ZenohDriver(
+        listen=f"tcp/127.0.0.1:{port}", vehicle="car3", **{"open_deadline_s": PATIENCE_S, "silence_s": PATIENCE_S, **options}
+    )
     made.open((1.0, 2.0, 0.0))
     try:
         yield made
@@ -173,7 +175,7 @@ def drive(made: ZenohDriver, found: Callable[[Sample], object], v: float = 0.3) 
 
 def lost(made: ZenohDriver) -> DriverError:
     """What ends a connection."""
-    with pytest.raises(DriverError) as caught:  # noqa: PT012  it is waited for
+    with pytest.raises(DriverError) as caught:
         drive(made, lambda _: False)
     return caught.value
 
@@ -222,7 +224,7 @@ def test_where_it_stands_may_be_told_at_the_robot(tmp_path: Path, port: int) -> 
 
 
 def test_a_robot_whose_program_dies_is_lost_by_name(tmp_path: Path, port: int) -> None:
-    with program(tmp_path, port) as robot, driver(port, silence_s=PATIENCE_S) as made:
+    with program(tmp_path, port) as robot, driver(port) as made:
         drive(made, lambda each: each.odometry.v > 0.1)
         robot.process.kill()
         error = lost(made)  # by its token, long before silence would tell
@@ -237,7 +239,7 @@ def test_a_program_that_is_started_again_goes_on_where_odometry_was(tmp_path: Pa
         before = drive(made, lambda each: each.odometry.pose[0] > 1.1)
         robot.process.kill()
         with program(tmp_path / "second", port) as again:
-            after = drive(made, lambda each: each.link == 2)
+            after = drive(made, lambda each: each.link >= 2)
             assert after.odometry.pose[0] >= before.odometry.pose[0]
             assert after.number > before.number
             assert again.told()[0][2][0] >= before.odometry.pose[0]
@@ -331,7 +333,7 @@ class Proxy:
 
 def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: int) -> None:
     with contextlib.closing(Proxy(port)) as proxy, program(tmp_path, proxy.port) as robot:
-        with driver(port, reconnect_s=PATIENCE_S) as made:
+        with driver(port, silence_s=1.0, reconnect_s=PATIENCE_S) as made:
             drive(made, lambda each: each.odometry.v > 0.1)
             proxy.freeze()
             robot.when(lambda told: told[-1][1] == "stop")
@@ -340,7 +342,7 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
             made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # it is dropped: nobody is there to follow it
             made.read()
             proxy.thaw()
-            again = drive(made, lambda each: each.link == 2 and each.odometry.v > 0.1)
+            again = drive(made, lambda each: each.link >= 2 and each.odometry.v > 0.1)
             assert again.odometry.pose[0] > 1.0
             told = robot.told()
             assert "open" not in [each[1] for each in told[1:]]  # its own driver stayed open
@@ -353,7 +355,7 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
 
 def test_its_clock_may_say_anything(tmp_path: Path, port: int) -> None:
     with program(tmp_path, port, shift_ns=-3600 * 10**9), driver(port) as made:
-        samples = []
+        samples: list[Sample] = []
         while len(samples) < 20:
             before_ns = time.monotonic_ns()
             samples.append(drive(made, lambda _: True))
@@ -365,31 +367,26 @@ def test_its_clock_may_say_anything(tmp_path: Path, port: int) -> None:
 
 
 def test_a_second_program_waits_its_turn(tmp_path: Path, port: int) -> None:
-    with program(tmp_path / "first", port) as first, driver(port, reconnect_s=PATIENCE_S) as made:
-        with program(tmp_path / "second", port) as second:
-            second.until("waiting: another program drives car3 already")
-            drive(made, lambda each: each.odometry.v > 0.1)
-            first.process.kill()
-            drive(made, lambda each: each.link == 2)
-            made.close()
-            second.until("the run is over")
+    with driven_alone(tmp_path / "first", port) as (first, made), program(tmp_path / "second", port) as second:
+        second.until("waiting: another program drives car3 already")
+        drive(made, lambda each: each.odometry.v > 0.1)
+        first.process.kill()
+        drive(made, lambda each: each.link >= 2)
+        made.close()
+        second.until("the run is over")
 
 
-def test_what_its_own_driver_says_reaches_the_run_and_it_waits_for_the_next(tmp_path: Path, port: int) -> None:
-    with program(tmp_path, port, "--set", "unplugged_s=0.5") as robot:
-        for _ in range(2):
-            with driver(port) as made:
-                error = lost(made)
-                assert isinstance(error, LinkLost)
-                assert "bench aboard car3: the link is lost" in str(error)
+def test_a_robot_that_its_own_driver_has_lost_may_come_back_or_ends_the_run(tmp_path: Path, port: int) -> None:
+    with program(tmp_path, port, "--set", "unplugged_s=0.4") as robot:
+        with driver(port, reconnect_s=PATIENCE_S) as made:
+            drive(made, lambda each: each.link >= 2)
+            assert [each[1] for each in robot.told()].count("open") >= 2
+            assert "bench aboard car3: the link is lost" in " ".join(each.cause for each in made.notices())
+        with driver(port) as made:
+            error = lost(made)
+            assert isinstance(error, LinkLost)
+            assert "bench aboard car3: the link is lost" in str(error)
         assert robot.end() == 0
-
-
-def test_a_robot_that_its_own_driver_has_lost_may_come_back(tmp_path: Path, port: int) -> None:
-    with program(tmp_path, port, "--set", "unplugged_s=0.5") as robot, driver(port, reconnect_s=PATIENCE_S) as made:
-        drive(made, lambda each: each.link == 2)
-        assert [each[1] for each in robot.told()].count("open") == 2
-        assert "bench aboard car3: the link is lost" in " ".join(each.cause for each in made.notices())
 
 
 def test_who_is_missing_is_said_with_what_starts_it(port: int) -> None:

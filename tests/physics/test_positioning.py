@@ -1,5 +1,7 @@
 """The positioning sensor: its statistics, its outliers, and draws that nothing else moves."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -48,8 +50,8 @@ def test_yaw_is_wrapped() -> None:
 
 
 def test_outliers_are_as_many_and_as_far_as_stated() -> None:
-    n, quiet = 10_000, {"sigma_m": 0.0, "sigma_rad": 0.0}
-    far = np.hypot(*errors(Positioning(outlier_probability=0.1, outlier_m=2.0, **quiet), n).T[:2])
+    n = 10_000
+    far = np.hypot(*errors(Positioning(sigma_m=0.0, sigma_rad=0.0, outlier_probability=0.1, outlier_m=2.0), n).T[:2])
     hit = far > 0.0
     assert far[hit] == pytest.approx(2.0)
     assert hit.mean() == pytest.approx(0.1, abs=4 * (0.1 * 0.9 / n) ** 0.5)
@@ -66,6 +68,6 @@ def test_parameters_never_move_the_draws() -> None:
 
 
 def test_as_a_sensor_among_others_it_gives_the_same_fixes_from_the_same_draws() -> None:
-    parameters = {"sigma_m": 0.2, "sigma_rad": 0.1, "outlier_probability": 0.3, "outlier_m": 3.0}
+    parameters: Any = {"sigma_m": 0.2, "sigma_rad": 0.1, "outlier_probability": 0.3, "outlier_m": 3.0}
     scenes = [scene_of(TRUTH.position, t=k * 1e-9, yaw=3.1) for k in range(100)]
     assert readings(PositioningSensor(**parameters), scenes, "car/positioning") == fixes(Positioning(**parameters), 100)
