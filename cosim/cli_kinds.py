@@ -12,7 +12,7 @@ from cosim.errors import UsageError
 from cosim.files import to_json
 from cosim.streams import stdout_to_stderr
 
-GROUPS = {"worlds": "world", "vehicles": "vehicle", "sensors": "sensor", "agents": "agent"}
+GROUPS = {f"{name}s": name for name in ("world", "vehicle", "sensor", "agent", "driver", "localisation")}
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. radio.loss.probability=0.3.")
 ]
@@ -20,11 +20,11 @@ Sets = Annotated[
 
 def list_command(
     what: Annotated[
-        str, typer.Argument(metavar="[WHAT]", help="scenarios, worlds, vehicles, sensors or agents.")
+        str, typer.Argument(metavar="[WHAT]", help="scenarios, worlds, vehicles, sensors, agents, drivers or localisations.")
     ] = "scenarios",
     json: AsJson = False,
 ) -> None:
-    """Show the built-in scenarios, or the kinds of worlds, vehicles, sensors, agents.
+    """Show the built-in scenarios, or the kinds of worlds, vehicles, sensors, agents, drivers, localisations.
 
     Example: vcmvsp list vehicles
     """
@@ -46,8 +46,8 @@ def list_command(
 
 
 def show_command(
-    what: Annotated[str, typer.Argument(metavar="SCENARIO | vehicle|world|sensor|agent KIND", help="What to print.")],
-    kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="Of vehicle, world, sensor or agent, e.g. p2dx.")] = None,
+    what: Annotated[str, typer.Argument(metavar="SCENARIO | GROUP KIND", help="What to print.")],
+    kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="Of a vehicle, world, sensor, ..., e.g. p2dx.")] = None,
     set_: Sets = None,
     resolved: Annotated[bool, typer.Option("--resolved", help="With every key and default filled in.")] = False,
     json: AsJson = False,

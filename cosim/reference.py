@@ -27,8 +27,11 @@ from cosim.scenario_tables import ClockTable, SafetyTable
 
 PAGE = BUILT_IN / "README.md"
 UPDATE = "python -m cosim.reference --write"
-OFFERED = ("sightline", "noise_dbm", "world", "vehicles", "outside", "now", "vehicle", "folder")
+OFFERED = ("sightline", "noise_dbm", "world", "vehicles", "outside")
 """Parameters that come from the rest of the scenario (`cosim.radio.build`, `cosim.assemble`), not from a key."""
+
+OF_ROBOTS = ("start", "now", "vehicle", "folder")
+"""The same, of what a station builds (`cosim.real`)."""
 
 VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
     "Vehicles that are points": [["kinematic", "lag", "inertial"]],
@@ -266,7 +269,7 @@ def first_meanings(target: Any) -> dict[str, str]:
 def keys(target: Any, common: Any = None) -> dict[str, table.Parameter]:
     """The parameters that a scenario can give, but for those that are as in a common base class."""
     known = keys(common) if common in getattr(target, "__mro__", ()) and common is not None else {}
-    offered = {*OFFERED, *(["start"] if target is registry.piece("fusion") else [])}  # where the vehicle starts
+    offered = {*OFFERED, *(OF_ROBOTS if target.__module__.startswith("hardware.") else ())}
     own = {name: each for name, each in table.parameters(target).items() if name not in offered}
     return {name: each for name, each in own.items() if each != known.get(name)}
 

@@ -51,7 +51,7 @@ def test_every_kind_is_listed_and_each_of_its_parameters_is_shown_with_a_meaning
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("list", "cars"), "allowed: agents, scenarios, sensors, vehicles, worlds"),
+        (("list", "cars"), "allowed: agents, drivers, localisations, scenarios, sensors, vehicles, worlds"),
         (("show", "vehicle"), "which one? (p2dx,"),
         (("show", "vehicle", "p2dy"), "did you mean 'p2dx'?"),
         (("show", "vehicle", "p2dx", "--resolved"), "go with a scenario"),
