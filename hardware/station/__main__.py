@@ -118,7 +118,7 @@ class Serving:
         """Why a robot that is being connected is not needed any more."""
         self._hear_run()
         self._hear_operator()
-        return self._ending or ("its run is over" if self._leaves else "")
+        return self._ending or self._early or ("its run is over" if self._leaves else "")
 
     def _told_to_end(self, _number: int, _frame: FrameType | None) -> None:
         self._ending = "its station was told to end (SIGTERM)"
@@ -189,7 +189,7 @@ class Serving:
             self._onboard.halt(cause)
 
     def _hear_operator(self) -> str:
-        """Obey at once, also while the robot is being connected or let go of; no reason to give up that."""
+        """Obey at once, also while the robot is being connected (which is given up then: it may be taking off) or let go of."""
         if (ear := self._ear) is None:
             return ""
         for verb, address in ear.hear():

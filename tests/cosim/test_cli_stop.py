@@ -16,6 +16,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from hardware.driver import DriverError
 from hardware.station import control
 from hardware.station.control import Caller, Ear
 from hardware.station.process import Station
@@ -27,6 +28,7 @@ COMMANDS = """
 import os, typer
 from pathlib import Path
 from cosim.cli_stop import register
+from hardware.driver import DriverError
 from hardware.station import control
 control.folders = lambda: [Path(os.environ["XDG_RUNTIME_DIR"]) / "vcmvsp"]
 app = typer.Typer()
@@ -134,7 +136,7 @@ def test_robots_drive_while_there_is_an_operator() -> None:
         run.until(lambda each: OPERATOR_STOP in each.causes, v=0.4)
 
 
-def test_a_robot_that_is_still_being_connected_is_stopped_too(tmp_path: Path) -> None:
+def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(
         "import time\n"
         "from hardware.bench import Bench\n"
@@ -153,9 +155,8 @@ def test_a_robot_that_is_still_being_connected_is_stopped_too(tmp_path: Path) ->
                 time.sleep(0.02)
         done = vcmvsp("stop")
         assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
-        station.wait_ready()
-        report = Run(station).until(lambda each: each.number > 5, v=0.4)
-        assert OPERATOR_STOP in report.causes
+        with pytest.raises(DriverError, match=OPERATOR_STOP):  # it might be taking off
+            station.wait_ready()
     finally:
         station.close()
 
