@@ -9,7 +9,7 @@ import msgspec
 
 from cosim import component, radio, real, registry, table
 from cosim.agent import Agent, AgentSpec
-from cosim.clock import Ticks, seconds_to_ns
+from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError, VcmvspError
 from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
@@ -103,6 +103,7 @@ class Assembly:
             self.federates.append(self._outside)
         if self.robots is not None:
             self.robots.radius_m = self.radius_m
+            self.robots.periods_s = {info.vehicle: float(info.ticks.period) / SECOND_NS for info in self.infos}
         self.record_ticks = Ticks.every(scenario.record.period_s)
         self.recorded_sensors = scenario.record.sensors
         fitted = {name for each in self._sensors.values() for name in each}

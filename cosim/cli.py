@@ -25,6 +25,9 @@ from cosim.cli_watch import watch_command
 from cosim.errors import Interrupted, UsageError, VcmvspError
 from cosim.streams import stdout_to_stderr
 
+HANGS_UP = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+"""The end of a terminal is Ctrl-C too, unless somebody wants it ignored, as nohup does."""
+
 app = typer.Typer(
     name="vcmvsp",
     help="Simulate many vehicles and the radio between them.\n\nStart with: vcmvsp run formation-circle",
@@ -173,7 +176,11 @@ app.add_typer(keys_app)
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: one message and an exit code for whatever goes wrong."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # `kill` ends a run as Ctrl-C does, also one that a script has put aside
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+        *HANGS_UP,
+    ):  # `kill` ends a run as Ctrl-C does, also one that a script has put aside
         signal.signal(number, signal.default_int_handler)
     try:
         app(_with_speed(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)

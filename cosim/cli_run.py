@@ -88,7 +88,7 @@ def conduct(
     """Call `cosim.run`, or what takes its place, and show how far it is and what came out."""
     from cosim import scenario as scenarios
     from cosim.files import to_json
-    from cosim.progress import Progress, summary
+    from cosim.progress import Progress, lateness, summary
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
@@ -111,6 +111,8 @@ def conduct(
         sys.stdout.write(to_json(result.metrics))
     elif not quiet:
         sys.stdout.write(summary(result))
+    elif (late := result.about["lateness"]) and late["over_one_period"]:
+        sys.stderr.write(f"vcmvsp: {lateness(late)}\n")
 
 
 def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:

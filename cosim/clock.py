@@ -71,6 +71,9 @@ class Clock(Protocol):
     def wait_until(self, due_ns: int) -> int:
         """Return when logical time ``due_ns`` may begin; the answer is how late it is, ns (0: not late)."""
 
+    def slip(self, by_ns: int) -> None:
+        """What is late by so much is not to be made up for."""
+
 
 class SimClock:
     """Logical time jumps from event to event: as fast as the machine allows. Never late."""
@@ -82,11 +85,17 @@ class SimClock:
         """Return at once."""
         return 0
 
+    def slip(self, by_ns: int) -> None:
+        """Nothing is ever late."""
+
 
 class WallClock:
     """Logical time follows the wall clock at ``speed`` simulated seconds per second.
 
-    Every instant has its own place on the wall clock, which no lateness moves: who was late catches up, and nothing drifts.
+    Every instant has its own place on the wall clock, so that nothing drifts: who was a little late catches up.
+
+    Attributes:
+        slipped_ns: what was not, in all.
 
     Args:
         speed: simulated seconds per second.
@@ -104,6 +113,7 @@ class WallClock:
         if not 0.0 < speed < float("inf"):
             raise ValueError(f"speed must be a positive number, not {speed}")
         self.speed, self._now, self._sleep, self._origin = speed, now, sleep, 0
+        self.slipped_ns = 0
 
     def start(self) -> None:
         """Let logical time 0 be now."""
@@ -123,3 +133,8 @@ class WallClock:
         while (left := wall_due - self._now()) > 0:
             self._sleep(left / SECOND_NS)
         return -left
+
+    def slip(self, by_ns: int) -> None:
+        """Let all that is still to come begin so much later."""
+        self._origin += by_ns
+        self.slipped_ns += by_ns

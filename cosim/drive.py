@@ -100,6 +100,8 @@ def drive(
         What became of it (schema ``vcmvsp.drive/1``): columns over time and the figures of its response, SI units.
     """
     parsed, source = scenarios.load(what, settings={**(settings or {}), "duration_s": seconds})
+    if parsed.real:
+        parsed, source = scenarios.load(what, settings={**(settings or {}), **parsed.twins, "duration_s": seconds})
     names = [each.name for each in parsed.vehicle]
     if vehicle not in names:
         raise UsageError(f"--vehicle {table.unknown('vehicle', vehicle, names)}")

@@ -68,6 +68,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     vehicles: tuple[str, ...]
     instants: tuple[Instants, ...] = ()  # when states are needed
     wanted: tuple[str, ...] = ()  # keys of readings that are worked out on demand, and that will be asked for
+    paced: bool = False  # by the wall clock: whoever has much to do until an instant may begin before
 
 
 @runtime_checkable

@@ -23,6 +23,18 @@ def arc(pose: tuple[float, float, float], v: float, w: float, dt: float) -> tupl
     return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + w * dt
 
 
+def travelled(before: tuple[float, float, float], after: tuple[float, float, float]) -> tuple[float, float]:
+    """How far along its path, m, and by how much a vehicle turned, rad, that went from pose to pose on an arc.
+
+    The inverse of `arc`; the chord of an arc of length d and angle a is ``d sin(a/2) / (a/2)``, in the direction
+    ``yaw + a/2``. Turns of more than half a circle cannot be told from their remainders.
+    """
+    dx, dy, turn = after[0] - before[0], after[1] - before[1], wrap(after[2] - before[2])
+    half = 0.5 * turn
+    chord = dx * math.cos(before[2] + half) + dy * math.sin(before[2] + half)
+    return chord * (half / math.sin(half) if half else 1.0), turn
+
+
 def quaternion_from_yaw(yaw: float) -> Quaternion:
     """Quaternion (w, x, y, z) of a rotation by ``yaw`` about the z axis."""
     return math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
@@ -38,3 +50,15 @@ def rotate2(x: float, y: float, angle: float) -> tuple[float, float]:
     """The vector (x, y) turned by ``angle``."""
     c, s = math.cos(angle), math.sin(angle)
     return c * x - s * y, s * x + c * y
+
+
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """The rotation ``b`` followed by ``a`` (Hamilton)."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )

@@ -44,19 +44,28 @@ class Kernel:
         run: what every federate is told.
         federates: with names that differ.
         clock: what paces the run; default: as fast as possible.
-        tolerance_ns: an instant that begins later than this on the wall clock ends the run; None: lateness is only counted.
+        tolerance_ns: an instant that begins later than this on the wall clock is too late; None: none is.
+        strict: what is too late ends the run; else the run slips against the wall clock.
     """
 
     def __init__(
-        self, run: RunInfo, federates: Sequence[Federate], *, clock: Clock | None = None, tolerance_ns: int | None = None
+        self,
+        run: RunInfo,
+        federates: Sequence[Federate],
+        *,
+        clock: Clock | None = None,
+        tolerance_ns: int | None = None,
+        strict: bool = False,
     ) -> None:
         self.run_info, self.now_ns = run, 0
-        self.late_ns: list[int] = []  # how late each instant began, in the order of the instants
+        self.late_ns: list[int] = []  # how late instants began at which agents act, and others that were too late, in order
+        self._has_agents = any(each.slot is Slot.AGENT for each in federates)
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
-        self._clock, self._tolerance_ns = clock or SimClock(), tolerance_ns
+        self._clock, self._tolerance_ns, self._strict = clock or SimClock(), tolerance_ns, strict
         self._observe: Observer = lambda _: None
+        self._released, self._parted = False, list[VcmvspError]()  # what went wrong when federates were let go of
         self.waiting = False  # for the clock or for an answer: an interruption may strike at once
         self.stop = False  # set it to have the run end, as by Ctrl-C, before the next slot
         self._env = simpy.Environment(initial_time=0)
@@ -74,7 +83,7 @@ class Kernel:
         """Start all federates: everything that can be wrong with how they are set up comes out here."""
         for index, federate in enumerate(self._federates):
             with self._blames[index]:
-                self._schedule(index, federate.start(self.run_info))
+                self._schedule(index, self._await(lambda: federate.start(self.run_info)))  # noqa: B023  called at once
 
     def run(self, observe: Observer, *, on_instant: Callable[[int], None] | None = None) -> None:
         """Step the started federates until the end; closing them is left to the caller (`close`).
@@ -105,11 +114,18 @@ class Kernel:
     def _wait_until(self, when: int) -> None:
         late_ns = self._await(lambda: self._clock.wait_until(when))
         self.now_ns = when
-        if not isinstance(self._clock, SimClock):
+        too_late = self._tolerance_ns is not None and late_ns > self._tolerance_ns
+        if not isinstance(self._clock, SimClock) and (too_late or self._is_tick(when)):
             self.late_ns.append(late_ns)
-        if self._tolerance_ns is not None and late_ns > self._tolerance_ns:
+        if too_late and not self._strict:
+            self._clock.slip(late_ns)
+        elif too_late:
             late = f"{when / SECOND_NS:.3f} s began {late_ns / SECOND_NS:.3f} s late, more than clock.tolerance_s"
             raise FederateError("clock", f"{late}; use fewer or quicker agents, a quicker machine, or clock.late = 'slip'")
+
+    def _is_tick(self, when: int) -> bool:
+        """Whether agents act at this instant, where there are any."""
+        return not self._has_agents or ((when, Slot.AGENT) in self._due and when < self.run_info.duration_ns)
 
     def _await(self, wait: Callable[[], T]) -> T:
         self.waiting = True
@@ -120,16 +136,26 @@ class Kernel:
 
     def close(self) -> None:
         """Close every federate, even if one of them fails; the first failure is raised at the end."""
-        failure: VcmvspError | None = None
-        farewells = [(each, each.release) for each in self._federates if isinstance(each, Releasable)]
-        for federate, farewell in [*farewells, *((each, each.close) for each in self._federates)]:
-            try:
-                with _blame(federate):
-                    farewell()
-            except VcmvspError as error:
-                failure = failure or error
-        if failure:
-            raise failure
+        self.release()
+        for federate in self._federates:
+            self._part(federate, federate.close)
+        if self._parted:
+            raise self._parted[0]
+
+    def release(self) -> None:
+        """Let all know that the run is over that have something elsewhere: a robot stops before a file is written."""
+        if not self._released:
+            self._released = True
+            for federate in self._federates:
+                if isinstance(federate, Releasable):
+                    self._part(federate, federate.release)
+
+    def _part(self, federate: Federate, farewell: Callable[[], None]) -> None:
+        try:
+            with _blame(federate):
+                farewell()
+        except VcmvspError as error:
+            self._parted.append(error)
 
     # --- what is due when -------------------------------------------------------------------------------------------------
 

@@ -114,12 +114,18 @@ def summary(result: "Result") -> str:
     for name, real in metrics.get("hardware", {}).items():
         lines.append(f"{name + ':':<10} {_of_real(real)}")
     if late := about["lateness"]:
-        lines.append(
-            f"lateness:  {1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "
-            f"{late['over_one_period']} of {late['instants']} instants late by more than a period"
-        )
+        lines.append(f"lateness:  {lateness(late)}")
     lines.append(f"results:   {result.folder}")
     return "\n".join(lines) + "\n"
+
+
+def lateness(late: Mapping[str, Any]) -> str:
+    """How late a run was on the wall clock."""
+    words = (
+        f"{1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "
+        f"{late['over_one_period']} of {late['instants']} ticks late by more than a period"
+    )
+    return words + (f"; the run slipped by {late['slipped_s']:.3f} s" if late["slipped_s"] else "")
 
 
 def _of_real(real: Mapping[str, Any]) -> str:
@@ -128,6 +134,8 @@ def _of_real(real: Mapping[str, Any]) -> str:
     words = [f"real, {1000 * age_s:.0f} ms old" if age_s is not None else "real, never heard"]
     if fixes:
         words.append(f"{fixes} positions ({real['gated']} did not fit)")
+    if real["limited_s"]:
+        words.append(f"held back for {real['limited_s']:.1f} s")
     words += [f"stopped {count} x: {cause}" for cause, count in real["stops"].items()]
     if real["frames_too_early"]:
         words.append(f"{real['frames_too_early']} frames were received after less than that: no real link is so quick")

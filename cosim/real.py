@@ -1,7 +1,7 @@
 """The real vehicles of a scenario: their tables checked, and handed to the part that knows robots."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -9,13 +9,14 @@ import msgspec
 from cosim import component, registry, table
 from cosim.errors import ScenarioError
 from cosim.resolve import Resolution
-from cosim.scenario_tables import SafetyTable, Scenario, VehicleTable
+from cosim.scenario_tables import SIMULATED, SafetyTable, Scenario, VehicleTable
 from cosim.source import Source
 from cosim.types import Value, Vec3
 
 MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, of a robot among people unless somebody says otherwise; assumed
 ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that does not say its own: an AmigoBot's; assumed
 
+ADDRESSES = frozenset({"port", "address", "listen"})  # parameters of drivers and localisations that one vehicle alone may have
 OF_DRIVER = ("driver", "localisation", "fusion", "safety")
 """Keys of a vehicle that only a real one has."""
 
@@ -58,11 +59,12 @@ def of_scenario(
             continue
         key = f"vehicle.{vehicle.name}"
         model = models[vehicle.name]
-        build = _builder(vehicle.name, source, resolution)
+        flies = registry.piece("flies")(model)
+        build = _builder(vehicle.name, source, resolution, flies=flies)
         kind, params = build("driver", vehicle.driver, f"{key}.driver")
         tables: dict[str, Any] = {"driver": {"kind": kind, **params}}
         where, known = None, dict[str, Any]()
-        if vehicle.localisation is not None:
+        if vehicle.localisation is not None and vehicle.localisation.get("kind") != SIMULATED:
             where, known = build("localisation", vehicle.localisation, f"{key}.localisation")
             tables["localisation"] = {"kind": where, **known}
         position, yaw = vehicle.start
@@ -73,36 +75,57 @@ def of_scenario(
         safety = _safety(scenario.safety, vehicle, model, source)
         tables["safety"] = table.plain(safety)
         resolution.real[vehicle.name] = tables
-        found.append(
-            RealVehicle(
-                name=vehicle.name,
-                folder=str(source.folder.resolve()),
-                driver=vehicle.driver["kind"],
-                driver_params=params,
-                localisation=where and (vehicle.localisation or {})["kind"],
-                localisation_params=known,
-                fusion=tables["fusion"],
-                safety=safety,
-                pose_source=vehicle.pose_source,
-                start=start,
-                height_m=position[2],
-                flies=registry.piece("flies")(model),
-                positioning=_twin(vehicle),
-                seed=scenario.seed,
-            )
+        described = RealVehicle(
+            name=vehicle.name,
+            folder=str(source.folder.resolve()),
+            driver=vehicle.driver["kind"],
+            driver_params=params,
+            localisation=where and (vehicle.localisation or {})["kind"],
+            localisation_params=known,
+            fusion=tables["fusion"],
+            safety=safety,
+            pose_source=vehicle.pose_source,
+            start=start,
+            height_m=position[2],
+            flies=flies,
+            positioning=_twin(vehicle),
+            seed=scenario.seed,
         )
+        try:
+            registry.piece("safety check")(described)
+        except ValueError as error:
+            at = f"{key}.safety" if "fence" in vehicle.safety else "safety"
+            raise ScenarioError(str(error), key=at, source=source.of(at)) from error
+        found.append(described)
+    _check_addresses(found, source)
     return tuple(found)
 
 
+def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
+    """No two vehicles at one port."""
+    taken: dict[str, str] = {}
+    for each in found:
+        for table_, params in (("driver", each.driver_params), ("localisation", each.localisation_params)):
+            for name in sorted(ADDRESSES & {*params}):
+                address, key = str(params[name]), f"vehicle.{each.name}.{table_}.{name}"
+                if address in taken and address != "emulated" and not address.endswith(":0"):
+                    problem = f"'{address}' is that of {taken[address]}, too: each vehicle needs one of its own"
+                    raise ScenarioError(problem, key=key, source=source.of(key))
+                taken[address] = each.name
+
+
 def _builder(
-    vehicle: str, source: Source, resolution: Resolution
+    vehicle: str, source: Source, resolution: Resolution, *, flies: bool
 ) -> Callable[[str, Mapping[str, Any], str], tuple[str, dict[str, Any]]]:
     """Checks a table by building what it describes, which does nothing yet; its kind and complete parameters."""
     offered = {"vehicle": vehicle, "folder": str(source.folder.resolve())}
     portable, keep = resolution.portable, resolution.keep
 
     def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
-        _, full = component.build(group, content, key=key, source=source, portable=portable, offered=offered, keep=keep)
+        built, full = component.build(group, content, key=key, source=source, portable=portable, offered=offered, keep=keep)
+        if flies and getattr(built, "ground_only", False):
+            problem = f"drives robots on the ground, and {vehicle} flies"
+            raise ScenarioError(problem, key=f"{key}.kind", source=source.of(f"{key}.kind"))
         return full.pop("kind"), full
 
     return build

@@ -71,12 +71,14 @@ PIECES: Mapping[str, str] = {
     "sightline": "physics.sightline:Sightline",
     "hardware": "hardware.federate:Hardware",
     "stations": "hardware.station.control",
+    "safety check": "hardware.connecting:check_safety",
     "playback": "hardware.playback:Playback",
     "emulate options": "hardware.emulate.options",
     "emulated robot": "hardware.emulate.robot:emulate",
     "emulated vehicle": "hardware.emulate.scenario:emulate",
     "emulated tag": "hardware.emulate.robot:emulate_tag",
     "emulated autopilot": "hardware.emulate.autopilot:emulate",
+    "emulated ros2 robot": "hardware.emulate.ros2:emulate",
     "fusion": "hardware.positioning.fusion:Fusion",
 }
 """Pieces of parts that are no kinds of a scenario, for `piece`."""

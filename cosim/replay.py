@@ -52,6 +52,12 @@ def replay(
     scenario = folder / "scenario.toml"
     parsed, _ = scenarios.load(scenario)
     real = parsed.real
+    settings = {**(parsed.twins if twin else {}), **(set or {})}
+    driven = [name for name in scenarios.load(scenario, settings=settings)[0].real if twin or name not in real]
+    if driven:
+        raise UsageError(
+            f"--set: a replay drives nobody, and {', '.join(driven)} was not real in {folder}: leave its driver out"
+        )
     if twin and not real:
         raise UsageError(f"--twin: no vehicle of {folder} was real: leave it out")
     if real and not twin and not (folder / FILE).is_file():
@@ -60,7 +66,7 @@ def replay(
     return api.run(
         scenario,
         seed=seed,
-        set={**(parsed.twins if twin else {}), **(set or {})},
+        set=settings,
         agents=agents,  # type: ignore[arg-type]  # it says itself what is wrong with them
         out=out,
         force=force,

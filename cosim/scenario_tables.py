@@ -13,7 +13,7 @@ from cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seco
 
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Runs = Literal["inprocess", "process", "zenoh"]
-SIMULATED = "none"  # the kind of a driver that is left out: the simulated twin takes part
+SIMULATED = "none"  # the kind of a driver, or a localisation, that is left out: without a driver, the simulated twin takes part
 PoseSource = Literal["truth", "odometry", "positioning", "fusion"]
 
 
@@ -97,9 +97,10 @@ class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
     floor_m: float | None = None  # least height of what flies
     ceiling_m: float | None = None  # and the greatest
     separation_m: NonNegative = 0.3  # between bodies
+    jump_m: Positive = 1.0  # a position that jumps further, against all odometry, stops it until the run ends
     reaction_s: Positive = 0.25  # from a command to when the next one acts: with the delays of pose and link
     operator_s: Positive | None = None  # for how long `vcmvsp operator` may be silent; default: nobody waits for it
-    command_s: Positive = 0.5  # for how long there may be no command
+    command_s: Positive | None = None  # for how long there may be no command; default: 0.5, or 2.5 periods of its agent
     positioning_s: Positive = 1.5  # for how long nothing may tell where it is
     federation_s: Positive = 0.5  # for how long the run may be silent
 
@@ -107,7 +108,9 @@ class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[clock]``: how a run keeps to the wall clock, with real vehicles or ``--realtime``."""
 
-    late: Literal["slip", "stop"] = "slip"  # when an instant begins too late: "slip" counts it, "stop" ends the run
+    late: Literal["slip", "stop"] = (
+        "slip"  # when an instant is too late: "slip": so are all after it; "stop": the run ends
+    )
     tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
 
 

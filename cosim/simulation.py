@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from importlib import metadata
 from typing import Any, BinaryIO
 
+import msgspec
 import numpy as np
 import tomli_w
 
@@ -48,7 +49,10 @@ class Simulation:
         self._assembly, self._clock, self._folder = assembly, clock, folder
         self._progress, self._tell, self._over = progress, tell, False
         self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
-        self._kernel = Kernel(assembly.run_info, assembly.federates, clock=clock, tolerance_ns=self._tolerance_ns())
+        run = msgspec.structs.replace(assembly.run_info, paced=isinstance(clock, WallClock))
+        self._kernel = Kernel(
+            run, assembly.federates, clock=clock, tolerance_ns=self._tolerance_ns(), strict=assembly.clock.late == "stop"
+        )
         self._mcap = io.BytesIO() if mcap and folder is None else None
         self._recorder: Recorder | None = None
         self._kept: InputLog | None = None
@@ -81,7 +85,7 @@ class Simulation:
             kernel.stop = True
 
         if threading.current_thread() is threading.main_thread():  # elsewhere signals do not arrive
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 if signal.getsignal(number) is signal.default_int_handler:  # else somebody has plans of their own
                     saved[number] = signal.signal(number, on_signal)
         try:
@@ -100,6 +104,7 @@ class Simulation:
             failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
         except VcmvspError as error:
             failure = error
+        kernel.release()
         self._simulating_s, self._over = time.monotonic() - begin, True
         if isinstance(failure, AgentError):
             gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
@@ -190,11 +195,11 @@ class Simulation:
         return result
 
     def _tolerance_ns(self) -> int | None:
-        """How late an instant may begin on the wall clock; None: as late as it gets."""
-        wanted = self._assembly.clock
-        if wanted.late == "slip" or not isinstance(self._clock, WallClock):
+        """How late an instant may begin on the wall clock; None: there is no such clock."""
+        if not isinstance(self._clock, WallClock):
             return None
-        return seconds_to_ns(self._period_s() if wanted.tolerance_s is None else wanted.tolerance_s)
+        wanted = self._assembly.clock.tolerance_s
+        return seconds_to_ns(self._period_s() if wanted is None else wanted)
 
     def _period_s(self) -> float:
         """Of the quickest agent, on the wall clock."""
@@ -202,7 +207,7 @@ class Simulation:
         return min([float(info.ticks.period) / 1e9 for info in self._assembly.infos], default=0.1) / speed
 
     def _lateness(self) -> dict[str, Any] | None:
-        """How late instants began, at wall pace."""
+        """How late instants began at which agents act, at wall pace."""
         if not isinstance(self._clock, WallClock) or not self._kernel.late_ns:
             return None
         late_s = np.maximum(self._kernel.late_ns, 0) / 1e9
@@ -214,6 +219,7 @@ class Simulation:
             "p99_s": float(p99),
             "max_s": float(late_s.max()),
             "over_one_period": int((late_s > self._period_s()).sum()),
+            "slipped_s": self._clock.slipped_ns / 1e9,
         }
 
 

@@ -231,6 +231,8 @@ class RealStatus(Value, frozen=True, kw_only=True, tag="real"):
     sent: Velocity | None = None  # what the robot was told last
     causes: tuple[str, ...] = ()  # why that is not what its agent wanted
     battery_v: float | None = None
+    bumpers: int = 0  # a bit for each segment that is pressed
+    late_s: float = 0.0  # how late a turn of its station began, at most, since the last instant
 
 
 class Incident(Value, frozen=True, kw_only=True, tag="incident"):

@@ -15,12 +15,13 @@ Commands go to the robot at once. Physics shows the vehicle where `states` says 
 """
 
 import contextlib
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from cosim.clock import Ticks, WallClock
-from cosim.errors import FederateError, Interrupted
+from cosim.clock import SECOND_NS, Ticks, WallClock
+from cosim.errors import FederateError
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.real import RealVehicle
 from cosim.types import AnyValue, Array, States, VehicleState
@@ -29,6 +30,9 @@ from hardware.seat import Seat
 
 HEARTBEAT = Ticks.every(0.05)
 """Orders are said again so often: stations stop their robots when they hear none."""
+
+KNOWN_S = 1.0  # other vehicles are taken to go on for so long
+MOST = 500  # others that a station is told of
 
 Log = Callable[[str, int, AnyValue], None]
 """Takes what a replay needs: key, time, value."""
@@ -54,11 +58,12 @@ class Hardware:
         self.reads = self.wakes = tuple(f"{name}/command" for name in self.names)
         self.clock = WallClock()
         self.log: Log = lambda *_: None
-        self.radius_m: dict[str, float] = {}  # of all vehicles, told by whoever knows
+        self.radius_m: Mapping[str, float] = {}  # of all vehicles; like the next, told by whoever knows
+        self.periods_s: Mapping[str, float] = {}  # of their agents
         self._seats = {each.name: Seat(each, self.clock) for each in vehicles}
         self._run, self._tell, self._connect = run, tell, connect
         self._connections: Connections | None = None
-        self._world: States | None = None
+        self._world: tuple[int, States] | None = None  # and when that was
         self._published_ns = -1
 
     def start(self, run: RunInfo) -> int:
@@ -66,7 +71,9 @@ class Hardware:
         self._info = run
         self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))
         if self._connect:
-            self._connections = Connections([seat.vehicle for seat in self._seats.values()], self._run, self._tell)
+            self._connections = Connections(
+                [seat.vehicle for seat in self._seats.values()], self._run, self._tell, self.periods_s
+            )
             for name, station in self._connections.open().items():
                 self._seats[name].station = station
         return 0
@@ -75,17 +82,19 @@ class Hardware:
         """Take commands and reports, publish where it is time, and say what is wanted."""
         for event in inbox:
             if isinstance(event.value, States):
-                self._world = event.value
+                self._world = event.time_ns, event.value
             else:
                 self._seats[event.key.partition("/")[0]].command(event)
         events: list[Event] = []
         for seat in self._seats.values():
-            if seat.over:
-                raise Interrupted(seat.over)
+            if seat.over is not None:
+                raise seat.over
             seat.hear()
         if now_ns != self._published_ns and self._is_asked(now_ns):
             self._published_ns = now_ns
             events = [event for seat in self._seats.values() for event in seat.publish(now_ns)]
+        elif any(seat.over for seat in self._seats.values()):  # raised at the next step, when this is recorded
+            events = [event for seat in self._seats.values() for event in seat.last_words(now_ns)]
         for event in events:
             self.log(event.key, event.time_ns, event.value)
         for name, seat in self._seats.items():
@@ -121,9 +130,13 @@ class Hardware:
         return min(end_ns, HEARTBEAT.after(now_ns), *published) if self._connect else min(end_ns, *published)
 
     def _others(self, name: str) -> Array | None:
-        """All other vehicles as they were shown last: x y z m, vx vy vz m/s, radius m."""
+        """The other vehicles nearest to this one, where they are now on the wall clock: x y z m, vx vy vz m/s, radius m."""
         if self._world is None:
             return None
-        rows = [number for number, each in enumerate(self._world.names) if each != name]
-        radii = [self.radius_m.get(self._world.names[row], 0.0) for row in rows]
-        return np.column_stack([self._world.position[rows], self._world.velocity[rows], radii])
+        seen_ns, world = self._world
+        age_s = min(max(0, self.clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS, KNOWN_S)
+        own = world.names.index(name)
+        distance = np.linalg.norm(world.position - world.position[own], axis=1)
+        rows = [row for row in np.argsort(distance, kind="stable")[: MOST + 1].tolist() if row != own]
+        radii = [self.radius_m.get(world.names[row], 0.0) for row in rows]
+        return np.column_stack([world.position[rows] + age_s * world.velocity[rows], world.velocity[rows], radii])

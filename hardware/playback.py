@@ -12,8 +12,7 @@ from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.frames import Quaternion
 from cosim.record.inputs import REFLECTED, Input
 from cosim.types import Odometry, Vec3, VehicleState
-
-STILL: Vec3 = (0.0, 0.0, 0.0)
+from hardware.driver import ORIGIN
 
 
 class Playback:
@@ -126,7 +125,7 @@ class _Track:
 
 def at_rest(state: VehicleState) -> VehicleState:
     """The same place, without speed."""
-    return msgspec.structs.replace(state, velocity=STILL, angular_velocity=STILL)
+    return msgspec.structs.replace(state, velocity=ORIGIN, angular_velocity=ORIGIN)
 
 
 def between(before: VehicleState, after: VehicleState, share: float) -> VehicleState:

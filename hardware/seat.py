@@ -1,6 +1,5 @@
 """One real vehicle's place in a run: reports of its station become events of logical time, commands become its orders."""
 
-import cmath
 import math
 import time
 from collections import deque
@@ -11,16 +10,17 @@ import msgspec
 import numpy as np
 
 from cosim.clock import SECOND_NS, WallClock
-from cosim.errors import FederateError
+from cosim.errors import FederateError, Interrupted, VcmvspError
 from cosim.federate import Event
 from cosim.frames import arc, quaternion_from_yaw
 from cosim.real import RealVehicle
 from cosim.types import Array, Fix, Incident, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
-from hardware.driver import ORIGIN
+from hardware.driver import DriverError
+from hardware.reckoning import LONGEST_NS, ahead, planar
 from hardware.station.wire import OPERATOR_STOP, Order, Report
 
 KEPT_NS = 2 * SECOND_NS  # of reports: a run that is later than this on the wall clock is told of newer ones
-LONGEST_NS = SECOND_NS // 2  # that dead reckoning goes on for; then the vehicle is taken to stand
+SILENT_NS = SECOND_NS  # a station that says nothing for so long hangs: it has something to say 50 times a second
 
 
 class Station(Protocol):
@@ -44,12 +44,12 @@ class Seat:
     def __init__(self, vehicle: RealVehicle, clock: WallClock) -> None:
         self.vehicle, self._clock = vehicle, clock
         self.station: Station | None = None  # None: not connected
-        self.over = ""  # why the run is to end, once that is recorded
+        self.over: VcmvspError | None = None  # why the run is to end, once that is recorded
+        self._heard_ns = self._looked_ns = 0  # when the station was last heard, and asked, on the monotonic clock
         x, y, yaw = vehicle.start
         place = (x, y, vehicle.height_m)
         self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
-        self._history: deque[Report] = deque()  # those with a state, oldest first
-        self._newest: Report | None = None
+        self._history: deque[Report] = deque()  # oldest first
         self._fresh: list[Report] = []  # heard since the last publication
         self._command: tuple[Velocity | None, int] = (None, 0)  # and when it was given, ns of the monotonic clock
         self._orders, self._shown = 0, (0, self._still)
@@ -86,15 +86,33 @@ class Seat:
 
     def hear(self) -> None:
         """Take what the station has said."""
-        for report in self.station.reports() if self.station is not None else ():
-            self._newest = report
+        if self.station is None or self.over is not None:
+            return
+        try:
+            reports = self.station.reports()
+        except DriverError as error:
+            self.over = error
+            return
+        for report in reports:
             self._fresh.append(report)
-            if report.state is not None:
-                self._history.append(report)
+            self._history.append(report)
             if OPERATOR_STOP in report.causes:
-                self.over = f"{self.vehicle.name} stands: {OPERATOR_STOP}"
+                self.over = Interrupted(f"{self.vehicle.name} stands: {OPERATOR_STOP}")
+        self._look_after(heard=bool(reports))
         while len(self._history) > 1 and self._history[-1].time_ns - self._history[0].time_ns > KEPT_NS:
             self._history.popleft()
+
+    def _look_after(self, *, heard: bool) -> None:
+        """Note that the station has spoken; one that has been silent for long while it was listened to hangs."""
+        now_ns = time.monotonic_ns()
+        if heard or now_ns - self._looked_ns > SILENT_NS // 2:  # it may be this run that was held up
+            self._heard_ns = now_ns
+        self._looked_ns = now_ns
+        if now_ns - self._heard_ns > SILENT_NS:
+            happened = f"its station has said nothing for {SILENT_NS / SECOND_NS:g} s"
+            self.over = FederateError(
+                self.vehicle.name, f"{happened}: it hangs; look after the robot, which its watchdog stops"
+            )
 
     def state(self, now_ns: int) -> VehicleState:
         """Where the vehicle is at a logical time, by dead reckoning from the report that is next before it."""
@@ -103,16 +121,20 @@ class Seat:
         return self._asked[1]
 
     def _state(self, at_ns: int) -> VehicleState:
-        report = next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
-        if report is None:
-            report = self._history[0] if self._history else None
+        known = [each for each in self._history if each.state is not None]
+        report = next((each for each in reversed(known) if each.time_ns <= at_ns), known[0] if known else None)
         if report is None or report.state is None:
             return self._still
         return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
 
+    def _report(self, now_ns: int) -> Report | None:
+        """The newest that there was at an instant: a run that is late has heard more by now."""
+        at_ns = self._clock.monotonic_ns(now_ns)
+        return next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
+
     def publish(self, now_ns: int) -> Iterator[Event]:
         """What there is to tell at an instant."""
-        name, newest, fresh = self.vehicle.name, self._newest, self._fresh
+        name, newest, fresh = self.vehicle.name, self._report(now_ns), self._fresh
         self._fresh = []
         state = self.state(now_ns)
         estimate = state
@@ -120,14 +142,23 @@ class Seat:
             odometry = self._odometry(newest, now_ns)
             yield Event(f"{name}/odometry", now_ns, odometry)
             if self.vehicle.pose_source == "odometry":
-                estimate = self._by_wheels(odometry)
+                estimate = planar(odometry.pose, odometry.v, odometry.w, self.vehicle.height_m)
         yield Event(f"{name}/estimate", now_ns, estimate)
         yield from self._readings(now_ns, fresh)
-        yield Event(f"{name}/real", now_ns, self._status(now_ns, fresh))
+        yield Event(f"{name}/real", now_ns, self._status(now_ns, newest, fresh))
+        yield from self._incidents(now_ns, fresh)
+        self._shown = now_ns, state
+
+    def last_words(self, now_ns: int) -> Iterator[Event]:
+        """What befell the vehicle and was not told yet: the run ends."""
+        fresh, self._fresh = self._fresh, []
+        return self._incidents(now_ns, fresh)
+
+    def _incidents(self, now_ns: int, fresh: Sequence[Report]) -> Iterator[Event]:
         for notice in (each for report in fresh for each in report.notices):
             happened_ns = self._clock.logical_ns(notice.time_ns)
-            yield Event(f"{name}/incident", now_ns, Incident(what=notice.what, cause=notice.cause, happened_ns=happened_ns))
-        self._shown = now_ns, state
+            incident = Incident(what=notice.what, cause=notice.cause, happened_ns=happened_ns)
+            yield Event(f"{self.vehicle.name}/incident", now_ns, incident)
 
     def _odometry(self, report: Report, now_ns: int) -> Odometry:
         """The newest, gone on with to this instant."""
@@ -136,13 +167,6 @@ class Seat:
         since_ns = self._clock.monotonic_ns(now_ns) - report.measured_ns
         seconds = max(0, min(since_ns, LONGEST_NS)) / SECOND_NS
         return Odometry(pose=arc(told.pose, told.v, told.w, seconds), v=told.v, w=told.w)
-
-    def _by_wheels(self, odometry: Odometry) -> VehicleState:
-        x, y, yaw = odometry.pose
-        velocity = (odometry.v * math.cos(yaw), odometry.v * math.sin(yaw), 0.0)
-        place = (x, y, self.vehicle.height_m)
-        turning = (0.0, 0.0, odometry.w)
-        return VehicleState(position=place, velocity=velocity, attitude=quaternion_from_yaw(yaw), angular_velocity=turning)
 
     def _readings(self, now_ns: int, fresh: Sequence[Report]) -> Iterator[Event]:
         """Positions and ranges that are new. What was measured before the run began is no part of it."""
@@ -155,8 +179,7 @@ class Seat:
         if ranges:
             yield Event(f"{name}/sonar", now_ns, Measured(time_ns=now_ns, values=dict(sorted(ranges.items(), key=_number))))
 
-    def _status(self, now_ns: int, fresh: Sequence[Report]) -> RealStatus:
-        newest = self._newest
+    def _status(self, now_ns: int, newest: Report | None, fresh: Sequence[Report]) -> RealStatus:
         if newest is None:
             return RealStatus(link=0, age_s=None)
         sigma_m = None
@@ -165,7 +188,7 @@ class Seat:
         causes = tuple(dict.fromkeys(cause for report in fresh or [newest] for cause in report.causes))
         age_s = None
         if newest.sample:
-            age_s = (self._clock.monotonic_ns(now_ns) - newest.measured_ns) / SECOND_NS
+            age_s = max(0, self._clock.monotonic_ns(now_ns) - newest.measured_ns) / SECOND_NS
         return RealStatus(
             link=newest.link,
             age_s=age_s,
@@ -176,6 +199,8 @@ class Seat:
             sent=newest.sent,
             causes=causes,
             battery_v=newest.battery_v,
+            bumpers=newest.bumpers,
+            late_s=max((report.late_s for report in fresh), default=0.0),
         )
 
     def _prediction_m(self, now_ns: int) -> float | None:
@@ -185,27 +210,6 @@ class Seat:
             return None
         expected = ahead(shown, now_ns - since_ns, flies=self.vehicle.flies)
         return math.dist(expected.position, self.state(now_ns).position)
-
-
-def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
-    """The state some time later, or a little earlier, at constant speed and yaw rate; it stands once that is long ago.
-
-    On the ground the velocity turns with the body, in the air it does not.
-    """
-    seconds = max(-LONGEST_NS, min(time_ns, LONGEST_NS)) / SECOND_NS
-    (x, y, z), (vx, vy, vz), turn = state.position, state.velocity, state.angular_velocity[2] * seconds
-    chord = 1.0 if flies else cmath.rect(1.0, 0.5 * turn)
-    moved = complex(vx, vy) * chord
-    velocity = moved * chord
-    w, i, j, k = state.attitude
-    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
-    stands = abs(time_ns) > LONGEST_NS
-    return VehicleState(
-        position=(x + moved.real * seconds, y + moved.imag * seconds, z + vz * seconds),
-        velocity=ORIGIN if stands else (velocity.real, velocity.imag, vz),
-        attitude=(c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w),
-        angular_velocity=ORIGIN if stands else state.angular_velocity,
-    )
 
 
 def _timed(fix: Fix, time_ns: int) -> Fix:

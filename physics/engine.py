@@ -49,6 +49,8 @@ class Touch(NamedTuple):
 class Engine(Protocol):
     """Moves some vehicles, and what they push about."""
 
+    stepped: bool  # it has steps of its own: moving on in many parts gives the same bits as in one
+
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """Move like this from now on: m/s in the body frame on the ground, in the world frame in the air; rad/s."""
 
@@ -96,6 +98,8 @@ NO_BODIES = still(np.empty((0, 3)), np.empty(0))
 
 class Bodiless:
     """What engines have in common that move vehicles without bodies: nothing collides."""
+
+    stepped = False
 
     def movables(self) -> Motion:
         """Nothing here can push anything."""

@@ -1,12 +1,11 @@
 """What a vehicle takes for its own state, by its pose source."""
 
-import math
 from typing import Protocol
 
 import msgspec
 
-from cosim.frames import Quaternion, quaternion_from_yaw, wrap, yaw_of
-from cosim.types import Fix, Odometry, Vec3, VehicleState
+from cosim.frames import Quaternion, quaternion_from_yaw, yaw_of
+from cosim.types import Fix, Odometry, VehicleState
 from physics.engine import Motion
 
 
@@ -47,18 +46,6 @@ def state_of(motion: Motion, row: int) -> VehicleState:
     """The state of one vehicle."""
     position, velocity, attitude, spin = (tuple(each[row].tolist()) for each in motion[:4])
     return VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
-
-
-def travelled(before: Vec3, after: Vec3) -> tuple[float, float]:
-    """How far along its path, m, and by how much a vehicle turned, rad, that went from pose to pose on an arc.
-
-    The inverse of `cosim.frames.arc`; the chord of an arc of length d and angle a is ``d sin(a/2) / (a/2)``, in the direction
-    ``yaw + a/2``. Turns of more than half a circle cannot be told from their remainders.
-    """
-    dx, dy, turn = after[0] - before[0], after[1] - before[1], wrap(after[2] - before[2])
-    half = 0.5 * turn
-    chord = dx * math.cos(before[2] + half) + dy * math.sin(before[2] + half)
-    return chord * (half / math.sin(half) if half else 1.0), turn
 
 
 def estimate(

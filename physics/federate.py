@@ -44,6 +44,8 @@ from physics.vehicles import DifferentialDrive, GroundVehicle, Point, VehicleSpe
 from physics.world import World
 
 Command = Velocity | Waypoint
+PACE = Ticks.every(1 / 64)
+"""How often an engine with steps of its own moves on where the wall clock paces the run, so that instants begin in time."""
 
 
 class Physics:
@@ -130,6 +132,11 @@ class Physics:
             vehicle = event.key.partition("/")[0]
             if vehicle in self._mover and isinstance(event.value, Command):  # others are moved by another federate
                 self._command(vehicle, event.time_ns, event.value)
+        if not self._is_due(now_ns):  # what is done now need not be done when it is
+            for engine, _ in self._engines:
+                if engine.stepped:
+                    engine.advance(now_ns)
+            return Step((), self._next(now_ns))
         self._advance(now_ns)
         return Step(self._publish(now_ns), self._next(now_ns))
 
@@ -177,18 +184,26 @@ class Physics:
         if now_ns >= end_ns:
             return None
         due = [end_ns, *(ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)]
+        due += [PACE.after(now_ns)] if self._run.paced else []
         due += [ticks.after(now_ns) for _, ticks in self._sources.trains]
         if (reading_ns := self._instruments.next_ns(now_ns)) is not None:
             due.append(reading_ns)
         return min(due)
 
+    def _is_asked(self, now_ns: int) -> bool:
+        return now_ns in (0, self._run.duration_ns) or any(ticks.hits(now_ns - offset) for ticks, offset in self._trains)
+
+    def _is_sensing(self, now_ns: int) -> bool:
+        return self._instruments.next_ns(now_ns - 1) == now_ns
+
+    def _is_due(self, now_ns: int) -> bool:
+        """Whether anything is to be published."""
+        fixing = any(ticks.hits(now_ns) for _, ticks in self._sources.trains)
+        return fixing or self._is_asked(now_ns) or self._is_sensing(now_ns)
+
     def _publish(self, now_ns: int) -> list[Event]:
         """Everything of this instant, vehicles in the scenario's order."""
-        asked = now_ns in (0, self._run.duration_ns) or any(ticks.hits(now_ns - offset) for ticks, offset in self._trains)
-        fixing = any(ticks.hits(now_ns) for _, ticks in self._sources.trains)
-        sensing = self._instruments.next_ns(now_ns - 1) == now_ns
-        if not (asked or fixing or sensing):
-            return []
+        asked = self._is_asked(now_ns)
         if self._reflected:
             self._reflected.ask(now_ns)
         motion = self._motion()
@@ -203,7 +218,7 @@ class Physics:
             )
             events.append(Event("world/states", now_ns, states))
         events += self._sources.measure(now_ns, motion)
-        if sensing:
+        if self._is_sensing(now_ns):
             movables = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
             scene = self._stage.scene(now_ns, motion, movables[0] if movables else None, self._touches(passing=False))
             events += self._instruments.read(scene)

@@ -13,10 +13,11 @@ from math import isnan
 from cosim.clock import Ticks
 from cosim.errors import ScenarioError
 from cosim.federate import Event
+from cosim.frames import travelled
 from cosim.rng import stream
 from cosim.types import Fix, Odometry, Vec3, VehicleState
 from physics.engine import Motion
-from physics.estimates import Fuser, estimate, state_of, travelled
+from physics.estimates import Fuser, estimate, state_of
 from physics.vehicles import VehicleSpec
 
 _FED = Ticks.rate(10.0)

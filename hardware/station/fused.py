@@ -5,11 +5,12 @@ from typing import Any
 
 from cosim import table
 from cosim.clock import SECOND_NS
-from cosim.frames import wrap
+from cosim.frames import travelled, wrap
 from cosim.types import Fix, Vec3
 from hardware.driver import Sample
 from hardware.positioning.fusion import Fusion
-from hardware.station.whereabouts import COAST_S, Estimate, planar
+from hardware.reckoning import LONGEST_NS, planar
+from hardware.station.whereabouts import Estimate
 
 
 class Fused:
@@ -41,7 +42,7 @@ class Fused:
             self._begin_again(now_ns)
             last = None
         told_ns = min(sample.measured_ns, now_ns)
-        self._fusion.odometry(told_ns, *((0.0, 0.0) if last is None else _between(last.odometry.pose, sample.odometry.pose)))
+        self._fusion.odometry(told_ns, *((0.0, 0.0) if last is None else travelled(last.odometry.pose, sample.odometry.pose)))
 
     def _begin_again(self, now_ns: int) -> None:
         """A filter that sets out from here, as unsure as the last one has become while it heard of no motion."""
@@ -68,7 +69,7 @@ class Fused:
         self.gated, self.jumps = self._before[0] + pose.gated, self._before[1] + pose.restarts
         odometry_ns = min(self._last.measured_ns, now_ns)
         last = self._last.odometry
-        yaw = last.pose[2] + last.w * min((now_ns - odometry_ns) / SECOND_NS, COAST_S)
+        yaw = last.pose[2] + last.w * min(now_ns - odometry_ns, LONGEST_NS) / SECOND_NS
         if pose.heading_known:
             self._turned = pose.heading - yaw
         heading = wrap(yaw + self._turned)
@@ -80,12 +81,3 @@ class Fused:
             seen_ns=min(fix_ns, odometry_ns) if known else None,  # without either, it is a guess
             fix_age_s=pose.age_s if known else None,
         )
-
-
-def _between(last: Vec3, pose: Vec3) -> tuple[float, float]:
-    """Distance along the arc (m, backwards: negative) and turn (rad) from pose to pose."""
-    turn = wrap(pose[2] - last[2])
-    middle = last[2] + 0.5 * turn
-    chord = (pose[0] - last[0]) * math.cos(middle) + (pose[1] - last[1]) * math.sin(middle)
-    sine = math.sin(0.5 * turn)
-    return (chord * 0.5 * turn / sine if abs(sine) > 1e-6 else chord), turn

@@ -1,5 +1,6 @@
 """One turn of a station: hear the robot, know where it is, decide what it may do, tell it; and say how things stand."""
 
+import math
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Literal
 
@@ -7,9 +8,9 @@ import msgspec
 import numpy as np
 
 from cosim.clock import SECOND_NS
-from cosim.types import Fix, Odometry, VehicleState, Velocity
-from hardware.driver import Driver, Notice, Sample
-from hardware.safety import Cause, Heard
+from cosim.types import Fix, Odometry, Vec3, VehicleState, Velocity
+from hardware.driver import ORIGIN, Driver, Notice, Sample
+from hardware.safety import Cause, Decision, Heard
 from hardware.station.guarding import SLOWING, guard, others_at
 from hardware.station.whereabouts import Estimate, whereabouts
 from hardware.station.wire import Mission, Order, Report
@@ -18,7 +19,9 @@ if TYPE_CHECKING:  # it brings all kinds of readers with it
     from hardware.positioning.sources import Localisation
 
 AT_REST = (0.01, 0.02)  # m/s, rad/s: slower than this, a robot stands
-KEPT = 1000  # notices and fixes, while the run does not take them
+STUCK, STUCK_S = "stuck", 2.0  # s: longer than any robot takes to begin to move
+CREEPS = 0.05  # m/s: slower than that, a robot may stand for lack of force
+KEPT = 200  # notices and fixes, while the run does not take them
 
 
 class Onboard:
@@ -44,6 +47,11 @@ class Onboard:
         self.halted = ""
         self._halted_ns = 0
         self._stands, self._released = True, False  # a driver that is open holds its robot at zero speed
+        self._place: Vec3 | None = None  # where it was taken to be at the last turn
+        self._sent = 0.0  # forward speed that it was told last, m/s
+        self._pushed_ns: int | None = None  # since when it does not do so
+        self._stuck = False
+        self._wanted_ns: int | None = None  # since when it is to drive, and never could
         self._notices: list[Notice] = []
         self._fixes: list[Fix] = []
         self._sonar: dict[int, float] = {}
@@ -86,9 +94,7 @@ class Onboard:
         here = self._where.at(now_ns)
         if here is not None and not _finite(here.state):
             here = None
-        if self._where.jumps > self._jumps:
-            self._jumps = self._where.jumps
-            self._note("warned", "its position jumped: the estimate begins again from what the fixes say")
+        self._look_for_jumps(here)
         sent, causes = self._decide(now_ns, here)
         self._turns += 1
         report = self._report(now_ns, here)
@@ -126,6 +132,37 @@ class Onboard:
                 self._fixes.append(fix)
         self._notices += self._gathered()
 
+    def _look_for_jumps(self, here: Estimate | None) -> None:
+        """Fixes that agree with each other and not with odometry: a small jump is believed, a large one stops the robot.
+
+        A robot that was carried off, and a positioning system that has gone astray, look the same from here: in the second
+        case the fence would not be where the robot takes it to be.
+        """
+        if here is None:
+            return
+        before, self._place = self._place, here.state.position
+        if self._where.jumps > self._jumps:
+            self._jumps = self._where.jumps
+            jump_m = math.dist(before, self._place) if before else 0.0
+            if jump_m > self._mission.safety.jump_m:
+                self.halt(f"its position jumped by {jump_m:.1f} m: carried off, or is the positioning system astray?")
+            else:
+                self._note(
+                    "warned", f"its position jumped by {jump_m:.1f} m: the estimate begins again from what the fixes say"
+                )
+
+    def _is_stuck(self, now_ns: int, command: Velocity | None) -> bool:
+        """Whether it was told to drive for `STUCK_S`, and its odometry says that it stands; until it is told to stand."""
+        told, sample = abs(self._sent), self._sample
+        if command is None or abs(command.linear[0]) < CREEPS:
+            self._stuck, self._pushed_ns = False, None
+        elif self._stuck or told < CREEPS or sample is None or abs(sample.odometry.v) > 0.2 * told:
+            self._pushed_ns = None
+        else:
+            self._pushed_ns = self._pushed_ns or now_ns
+            self._stuck = now_ns - self._pushed_ns > STUCK_S * SECOND_NS
+        return self._stuck
+
     def _decide(self, now_ns: int, here: Estimate | None) -> tuple[Velocity, tuple[str, ...]]:
         """Tell the robot; what it was told, and why that is not what was wanted."""
         order, heard = self._order, self._heard(now_ns, here)
@@ -133,16 +170,35 @@ class Onboard:
         others = others_at(order.others, (now_ns - self._order_heard_ns) / SECOND_NS)
         decision = self._guard.step(now_ns, command, None if here is None else here.state, others, heard)
         causes = tuple(each.value for each in decision.causes)
+        if not self.halted and not self._mission.flies and self._is_stuck(now_ns, order.command):
+            if self._sent:
+                self._stop(f"it was told to drive for {STUCK_S:g} s, and its odometry says that it stands")
+            self._sent = 0.0
+            return Velocity(), (STUCK, *causes)
         if self.halted:
             return Velocity(), (self.halted, *(each.value for each in decision.causes if each not in SLOWING))
         if not decision.stop:
             self._stands, self._released = False, True
+            self._sent = decision.command.linear[0]
             self._driver.write(decision.command)
             return decision.command, causes
-        for cause in decision.began:
+        self._sent = 0.0
+        for cause in self._held_back(now_ns, order.command, decision):
             if cause not in SLOWING:
                 self._stop(self._words(cause))
         return Velocity(), causes
+
+    def _held_back(self, now_ns: int, command: Velocity | None, decision: Decision) -> tuple[Cause, ...]:
+        """Causes to be said now: those that begin; of a robot that was to drive and never could, all, after a while."""
+        if self._released:
+            return decision.began
+        if command is None or (command.linear == ORIGIN and not command.yaw_rate):
+            return ()
+        self._wanted_ns = self._wanted_ns or now_ns
+        if now_ns - self._wanted_ns < STUCK_S * SECOND_NS:
+            return ()
+        self._released = True
+        return decision.causes
 
     def _heard(self, now_ns: int, here: Estimate | None) -> Heard:
         """Who was heard when; of a command, its age at the run is added to the time since it came."""
@@ -183,7 +239,8 @@ class Onboard:
             case Cause.COMMAND:
                 return f"no command for {safety.command_s:g} s" if self._order.command is not None else "there is no command"
             case Cause.POSITIONING:
-                return "its position is not known" + (f" (time-out {safety.positioning_s:g} s)" if safety.positioning_s else "")
+                limit = f" (time-out {safety.positioning_s:g} s)" if safety.positioning_s else ""
+                return f"its position is not known: positions or odometry stay away{limit}"
             case Cause.FEDERATION:
                 return f"nothing was heard of the run for {safety.federation_s:g} s"
             case Cause.CLOCK:
@@ -200,8 +257,6 @@ class Onboard:
             number=self._turns,
             time_ns=now_ns,
             order=order.number,
-            order_sent_ns=order.sent_ns,
-            order_heard_ns=self._order_heard_ns,
             state=None if here is None else here.state,
             covariance=None if here is None else here.covariance,
             fixes=tuple(self._fixes),
@@ -217,7 +272,6 @@ class Onboard:
             odometry=sample.odometry if _finite_odometry(sample.odometry) else None,
             sample=sample.number,
             measured_ns=sample.measured_ns,
-            arrived_ns=sample.arrived_ns,
             link=sample.link,
             battery_v=sample.battery_v,
             bumpers=sample.bumpers,

@@ -39,6 +39,7 @@ class Safety(Value, frozen=True, kw_only=True):
     fence_margin_m: float = 0.0
     separation_m: float = 0.5  # between bodies
     reaction_s: float = 0.2  # from a command to when the next one acts, with all delays of pose and link
+    jump_m: float = 1.0  # a jump of the position beyond this is not believed: the robot stands until the station ends
     operator_s: float | None = None  # how long the operator (``vcmvsp operator``) may be silent
     command_s: float | None = 0.5
     positioning_s: float | None = 1.0
@@ -79,14 +80,11 @@ class Report(Value, frozen=True, kw_only=True):
     number: int  # counts from 1
     time_ns: int
     order: int = 0  # the newest that was heard
-    order_sent_ns: int = 0  # the same, on the run's clock
-    order_heard_ns: int = 0  # the same, on the station's
     state: VehicleState | None = None  # at ``time_ns``, in the world; None: not known
     covariance: Array | None = None  # (3, 3) of x, y, yaw: m^2, m rad, rad^2
     odometry: Odometry | None = None  # newest
     sample: int = 0  # number of the newest sample of the driver; 0: none
     measured_ns: int = 0  # when it was measured, as far as that is known
-    arrived_ns: int = 0
     link: int = 0
     fixes: tuple[Fix, ...] = ()  # new since the last report, ``time_ns`` of each on the station's clock
     gated: int = 0  # fixes that did not fit, so far

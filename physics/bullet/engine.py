@@ -41,6 +41,8 @@ class BulletEngine:
         reflected: those of the vehicles that something else moves, whatever their model.
     """
 
+    stepped = True
+
     def __init__(
         self,
         *,

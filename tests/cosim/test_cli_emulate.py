@@ -25,6 +25,7 @@ from hardware.arcos.packet import Reader, command
 from hardware.arcos.sip import is_sip
 from hardware.driver import Sample
 from hardware.positioning import Located, dwm1001, ubisense
+from hardware.ros2.driver import Ros2Driver
 from tests.cosim.command import vcmvsp
 
 WALL = """
@@ -103,14 +104,6 @@ def test_a_driver_drives_it(robot: str, port: str, tmp_path: Path) -> None:
         assert "information packets sent" in out
         assert err == ""
     assert not Path(port).is_symlink()
-
-
-def test_three_seconds_at_two_tenths_of_a_metre_a_second() -> None:
-    """It accelerates at 0.3 m/s2, and packets are up to 0.1 s old: 0.2 x 3 - 0.2 x 0.2 / (2 x 0.3) = 0.53 m, or 0.02 m less."""
-    with emulated("amigobot") as command_line:
-        began = time.monotonic()
-        last = drive(command_line.line(), lambda _: False, 3.0, 0.2)[-1]
-        assert 0.45 < last.odometry.pose[0] < 0.2 * (time.monotonic() - began)
 
 
 def test_json_says_it_in_two_lines_and_sigterm_ends_it_as_well() -> None:
@@ -282,6 +275,29 @@ def test_an_autopilot_is_heard(port: str) -> None:
     assert (happened["x_m"], happened["y_m"], happened["armed"]) == (1.0, 2.0, False)
 
 
+def test_a_robot_that_runs_ros_2_is_driven() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    with emulated("ros2", "--port", endpoint, "--stamped", "--pose", "1,2,0", "--json") as command_line:
+        assert json.loads(command_line.line())["url"] == endpoint
+        driver = Ros2Driver(endpoint=endpoint, stamped=True, pose="world")
+        driver.open()
+        try:
+            x, end = 1.0, time.monotonic() + 20.0
+            while x < 1.05 and time.monotonic() < end:
+                driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
+                time.sleep(0.05)
+                if (sample := driver.read()) is not None:
+                    x = sample.odometry.pose[0]
+        finally:
+            driver.close()
+        code, out, err = command_line.end()
+    assert (code, err) == (0, "")
+    assert json.loads(out)["messages"] > 2
+    assert json.loads(out)["x_m"] >= x >= 1.05
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -302,6 +318,9 @@ def test_an_autopilot_is_heard(port: str) -> None:
         (("ubisense", "--port", "udp://x"), "--port udp://x: write udp://HOST:PORT"),
         (("dwm1001", "--circle", "0,1"), "--circle 0,1"),
         (("dwm1001", "--port", "tag"), "--port tag"),
+        (("ubisense", "--port", "udp://127.0.0.1:9", "--fix-latency-s", "inf"), "latency_s"),
+        (("ros2", "--port", "nonsense"), "--port nonsense: no session"),
+        (("mavlink", "--port", "udp://no.such.host.invalid:14540"), "--port udp://no.such.host.invalid:14540"),
         (("mavlink", "--port", "/dev/ttyUSB0"), "udp://HOST:PORT or tcp://HOST:PORT"),
         (("mavlink", "--autopilot", "x"), "px4 or ardupilot"),
         (("mavlink", "--kind", "boat"), "quadrotor or rover"),

@@ -298,6 +298,9 @@ def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
                 raise Stop
             return 0
 
+        def slip(self, by_ns: int) -> None:
+            pass
+
     kernel = Kernel(
         RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
         [Script("world", Slot.WORLD, {0: [], 50: []}, log=log)],

@@ -16,7 +16,8 @@ from cosim.real import RealVehicle
 from cosim.scenario_tables import SafetyTable
 from cosim.types import Fix, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from hardware.driver import Notice
-from hardware.seat import LONGEST_NS, Seat, ahead
+from hardware.reckoning import LONGEST_NS, ahead
+from hardware.seat import Seat
 from hardware.station.wire import OPERATOR_STOP, Order, Report
 
 START_NS = 1_000 * SECOND_NS  # what the monotonic clock shows at logical time 0
@@ -227,4 +228,4 @@ def test_the_stop_of_an_operator_ends_the_run_once_it_is_recorded() -> None:
     stopped = Notice(time_ns=START_NS, what="stopped", cause=OPERATOR_STOP)
     station.saying = [report(0.1, None, notices=(stopped,), causes=(OPERATOR_STOP,))]
     assert events(made, 0.1)["car1/incident"][0].cause == OPERATOR_STOP
-    assert made.over == f"car1 stands: {OPERATOR_STOP}"
+    assert str(made.over) == f"car1 stands: {OPERATOR_STOP}"

@@ -68,7 +68,7 @@ def test_a_robot_drives_and_its_state_is_told() -> None:
         assert report.sent is not None
         assert report.sent.linear[0] == pytest.approx(0.4)
         assert report.causes == ()
-        assert report.order_heard_ns >= report.order_sent_ns > 0
+        assert report.order > 0
         numbers = [each.number for each in run.said]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
         speeds = [each.sent.linear[0] for each in run.said if each.sent is not None]

@@ -369,19 +369,52 @@ def test_without_positions_the_robot_stops_until_they_are_back() -> None:
     guided.drive(2.0, v=0.3)
     guided.fixes = False
     assert guided.drive(1.5, v=0.3).causes == ("positioning",)
-    assert guided.station.stops == ["its position is not known (time-out 1 s)"]
+    assert guided.station.stops == ["its position is not known: positions or odometry stay away (time-out 1 s)"]
     guided.fixes = True
     assert guided.drive(1.0, v=0.3).causes == ()
 
 
-def test_a_position_that_jumps_is_left_out_and_then_believed_with_a_notice() -> None:
+def test_positions_that_go_far_astray_stop_the_robot_for_good() -> None:
+    """Else it would take itself to be inside a fence that it has long left."""
     guided = Guided()
     guided.drive(3.0, v=0.3)
     guided.offset = (5.0, 0.0)
+    report = guided.drive(3.0, v=0.3)
+    (cause,) = report.causes
+    assert cause.startswith("its position jumped by 5.0 m")
+    assert guided.station.stops == [cause]
+    assert report.sent == Velocity()
+    assert guided.station.driver.pose[0] < 3.0 * 0.3 + 2.0 * 0.3
+
+
+def test_a_robot_that_does_not_move_as_it_is_told_is_stopped_until_it_is_told_to_stand() -> None:
+    station = Station(mission())
+    station.drive(1.0, v=0.4)
+    pose, station.driver._most = station.driver.pose, (0.0, 0.0)
+    assert "stuck" in station.drive(3.0, v=0.4).causes
+    assert station.driver.pose == pytest.approx(pose, abs=0.2)
+    station.driver._most = (1.0, 1.0)
+    assert "stuck" in station.drive(1.0, v=0.4).causes
+    station.drive(0.1, v=0.0)
+    assert station.drive(1.0, v=0.4).causes == ()
+    assert len(station.stops) == 1
+
+
+def test_a_robot_that_is_kept_from_driving_from_the_beginning_says_why() -> None:
+    station = Station(mission(operator_s=0.5))
+    station.drive(1.0, v=0.0)
+    station.drive(3.0, v=0.4)
+    assert station.stops == ["nothing was heard of the operator for 0.5 s"]
+
+
+def test_a_position_that_jumps_a_little_is_left_out_and_then_believed_with_a_notice() -> None:
+    guided = Guided()
+    guided.drive(3.0, v=0.3)
+    guided.offset = (0.9, 0.0)
     assert guided.drive(0.6, v=0.3).gated >= 2
     report = guided.drive(8.0, v=0.3)
     assert report.state is not None
-    assert report.state.position[0] == pytest.approx(guided.station.driver.pose[0] + 5.0, abs=0.15)
+    assert report.state.position[0] == pytest.approx(guided.station.driver.pose[0] + 0.9, abs=0.15)
     assert report.state.yaw == pytest.approx(0.0, abs=0.3)
     assert [what for what, cause in guided.station.notices if "jumped" in cause] == ["warned"]
 

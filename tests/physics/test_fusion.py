@@ -14,10 +14,9 @@ from cosim.clock import Ticks, seconds_to_ns
 from cosim.codec import encode
 from cosim.errors import ScenarioError
 from cosim.federate import Event, Instants
-from cosim.frames import arc, wrap, yaw_of
+from cosim.frames import arc, travelled, wrap, yaw_of
 from hardware.positioning.fusion import Fusion, Pose
 from hardware.positioning.kalman import Noise
-from physics.estimates import travelled
 from physics.federate import BulletPhysics, KinematicPhysics, Physics
 from physics.positioning import Positioning
 from physics.quadrotor import Quadrotor

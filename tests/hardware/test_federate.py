@@ -1,0 +1,369 @@
+"""Real vehicles in a run: what a station is told, and when; what ends a run; a run with a robot in software from end to end."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+import cosim
+from cosim import api
+from cosim.clock import SECOND_NS, Ticks
+from cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
+from cosim.federate import Event, Instants, RunInfo
+from cosim.real import RealVehicle
+from cosim.scenario_tables import SafetyTable
+from cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
+from hardware.connecting import mission
+from hardware.driver import Notice
+from hardware.federate import HEARTBEAT, KNOWN_S, Hardware
+from hardware.station.process import StationError
+from hardware.station.wire import OPERATOR_STOP, Order, Report
+
+TENTH = SECOND_NS // 10
+SAFETY = msgspec.convert(
+    {"max_speed": 1.0, "max_yaw_rate": 1.0, "accel": 0.5, "decel": 0.5, "yaw_accel": 1.0, "radius_m": 0.2}, SafetyTable
+)
+
+
+class Station:
+    """Says what it is told to say, and keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.saying: list[Report] = []
+        self.heard: list[Order] = []
+        self.failing: StationError | None = None
+
+    def order(self, order: Order) -> bool:
+        self.heard.append(order)
+        return True
+
+    def reports(self) -> list[Report]:
+        if self.failing is not None and not self.saying:
+            raise self.failing
+        said, self.saying = self.saying, []
+        return said
+
+
+def vehicle(**changes: Any) -> RealVehicle:
+    given: dict[str, Any] = {
+        "name": "car1",
+        "folder": ".",
+        "driver": "bench",
+        "driver_params": {},
+        "localisation": None,
+        "localisation_params": {},
+        "fusion": {},
+        "safety": SAFETY,
+        "pose_source": "truth",
+        "start": (0.0, 0.0, 0.0),
+        "height_m": 0.0,
+        "flies": False,
+        "positioning": None,
+        "seed": 0,
+    }
+    return RealVehicle(**{**given, **changes})
+
+
+def federate(*, period_ns: int = TENTH) -> tuple[Hardware, Station]:
+    """One that is connected to a station of ours, at time 0."""
+    made, station = Hardware((vehicle(),), run="test", tell=lambda _: None, connect=False), Station()
+    info = RunInfo(scenario="test", seed=0, duration_ns=10 * SECOND_NS, vehicles=("car1", "car2"), instants=(each(period_ns),))
+    made.start(info)
+    made._connect = True
+    made._seats["car1"].station = station
+    made.clock.start()
+    return made, station
+
+
+def each(period_ns: int) -> Instants:
+    return Instants(Ticks(period_ns))
+
+
+def world(time_ns: int, x: float, v: float) -> Event:
+    """car2 on its way along the x axis; car1 stands at the origin."""
+    zero = frozen(np.zeros((2, 3)))
+    states = States(
+        names=("car1", "car2"),
+        position=frozen([[0.0, 0.0, 0.0], [x, 0.0, 0.0]]),
+        velocity=frozen([[0.0, 0.0, 0.0], [v, 0.0, 0.0]]),
+        attitude=frozen([[1.0, 0.0, 0.0, 0.0]] * 2),
+        angular_velocity=zero,
+    )
+    return Event("world/states", time_ns, states)
+
+
+def report(number: int = 1, **more: Any) -> Report:
+    return Report(number=number, time_ns=time.monotonic_ns(), state=VehicleState(position=(0.0, 0.0, 0.0)), **more)
+
+
+def test_orders_are_said_again_at_every_heartbeat_and_at_every_command() -> None:
+    made, station = federate(period_ns=SECOND_NS)
+    step = made.step(0, ())
+    times = [0]
+    while step.next_ns is not None and step.next_ns < SECOND_NS:
+        times.append(step.next_ns)
+        step = made.step(step.next_ns, ())
+    assert times == [HEARTBEAT.at(k) for k in range(20)]
+    assert [order.number for order in station.heard] == list(range(1, 21))
+    made.step(times[-1], [Event("car1/command", times[-1], Velocity(linear=(0.1, 0.0, 0.0)))])
+    assert station.heard[-1].command == Velocity(linear=(0.1, 0.0, 0.0))
+
+
+def test_a_station_is_told_where_the_others_are_now_and_not_where_they_were() -> None:
+    made, station = federate()
+    made.radius_m = {"car2": 0.3}
+    seen_ns = made.clock.logical_ns(time.monotonic_ns()) - SECOND_NS // 2
+    made.step(0, [world(seen_ns, x=2.0, v=-1.0)])
+    others = station.heard[-1].others
+    assert others is not None
+    ((x, y, z, vx, vy, vz, radius),) = others.tolist()
+    assert x == pytest.approx(1.5, abs=0.3)  # half a second on, and what this test takes
+    assert x < 1.51
+    assert (y, z, vx, vy, vz, radius) == (0.0, 0.0, -1.0, 0.0, 0.0, 0.3)
+    made.step(TENTH, [world(seen_ns - 100 * SECOND_NS, x=2.0, v=-1.0)])
+    others = station.heard[-1].others
+    assert others is not None
+    assert others[0, 0] == pytest.approx(2.0 - KNOWN_S)
+
+
+def test_events_are_given_at_the_instants_of_the_run_alone_and_logged() -> None:
+    made, station = federate()
+    logged: list[tuple[str, int]] = []
+    made.log = lambda key, time_ns, _: logged.append((key, time_ns))
+    station.saying = [report()]
+    keys = [event.key for event in made.step(0, ()).events]
+    assert keys == ["car1/estimate", "car1/real"]
+    assert made.step(TENTH // 2, ()).events == []
+    assert made.step(0, ()).events == []  # woken by a command of the same instant
+    made.states(0)
+    assert logged == [("car1/estimate", 0), ("car1/real", 0), ("car1/reflected", 0)]
+
+
+def test_the_stop_of_an_operator_is_recorded_between_two_instants_too_and_then_ends_the_run() -> None:
+    made, station = federate(period_ns=SECOND_NS)
+    made.step(0, ())
+    stopped = Notice(time_ns=time.monotonic_ns(), what="stopped", cause=OPERATOR_STOP)
+    station.saying = [report(notices=(stopped,), causes=(OPERATOR_STOP,))]
+    (event,) = made.step(TENTH // 2, ()).events
+    assert event.key == "car1/incident"
+    assert isinstance(event.value, Incident)
+    assert event.value.cause == OPERATOR_STOP
+    with pytest.raises(Interrupted, match="car1 stands: operator's stop"):
+        made.step(TENTH, ())
+
+
+def test_what_a_station_said_last_is_recorded_before_its_failure_ends_the_run() -> None:
+    made, station = federate(period_ns=SECOND_NS)
+    made.step(0, ())
+    lost = Notice(time_ns=time.monotonic_ns(), what="lost", cause="unplugged")
+    station.saying, station.failing = [report(notices=(lost,))], StationError("car1", "unplugged", "plug it in")
+    assert made.step(TENTH // 2, ()).events == []
+    (event,) = made.step(TENTH, ()).events
+    assert isinstance(event.value, Incident)
+    assert (event.value.what, event.value.cause) == ("lost", "unplugged")
+    with pytest.raises(StationError, match="unplugged; plug it in"):
+        made.step(3 * TENTH // 2, ())
+
+
+def test_a_station_that_says_nothing_while_it_is_listened_to_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_ns = [time.monotonic_ns()]
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns[0])
+    made, station = federate(period_ns=SECOND_NS)
+    station.saying = [report()]
+    for step in range(20):
+        made.step(step * TENTH // 2, ())
+        now_ns[0] += TENTH // 2
+    now_ns[0] += 5 * SECOND_NS  # the run itself is held up: that is not the station's fault
+    made.step(SECOND_NS, ())
+    for step in range(21, 60):
+        if made._seats["car1"].over is not None:
+            break
+        now_ns[0] += TENTH // 2
+        made.step(step * TENTH // 2, ())
+    assert step == pytest.approx(41, abs=2)
+    with pytest.raises(FederateError, match="its station has said nothing for 1 s: it hangs"):
+        made.step(60 * TENTH, ())
+
+
+def test_a_robot_is_told_to_stop_before_anything_is_closed() -> None:
+    made, station = federate()
+    made.release()
+    assert station.heard[-1].stop == "the run is over"
+
+
+def test_a_mission_says_all_that_safety_wants_and_waits_for_slow_agents() -> None:
+    fence = ((-1.0, -1.0), (1.0, -1.0), (0.0, 2.0))
+    told = mission(vehicle(safety=msgspec.structs.replace(SAFETY, fence=fence, max_speed=0.3)), "run", 1.0)
+    assert (told.safety.fence, told.safety.max_speed, told.safety.command_s) == (fence, 0.3, 2.5)
+    assert mission(vehicle(), "run", 0.1).safety.command_s == 0.5
+    assert mission(vehicle(safety=msgspec.structs.replace(SAFETY, command_s=0.7)), "run", 1.0).safety.command_s == 0.7
+
+
+# --- whole runs ---------------------------------------------------------------------------------------------------------------
+
+BENCH: dict[str, Any] = {
+    "name": "real",
+    "duration_s": 2.0,
+    "physics": {"kind": "kinematic"},
+    "vehicle": [
+        {
+            "name": "car1",
+            "kind": "kinematic",
+            "driver": {"kind": "bench", "latency_s": 0.02},
+            "agent": {"kind": "trajectory", "path": "straight", "speed": 0.3},
+        },
+        {"name": "car2", "kind": "kinematic", "pose": [0.0, 2.0, 0.0]},
+    ],
+}
+
+
+def at(name: str, port: str) -> dict[str, Any]:
+    return {"name": name, "kind": "amigobot", "driver": {"kind": "arcos", "port": port}}
+
+
+def scenario(**changes: Any) -> dict[str, Any]:
+    return {**BENCH, **changes}
+
+
+def test_a_real_vehicle_drives_and_is_where_it_says(tmp_path: Path) -> None:
+    result = cosim.run(scenario(), out=tmp_path / "run")
+    x = result.states.to_pandas().query("vehicle == 'car1'")["x"].to_numpy()
+    assert x[-1] == pytest.approx(0.3 * 2.0, abs=0.25)  # it has to gain speed first
+    assert (np.diff(x) > -0.01).all()
+    real = result.metrics["hardware"]["car1"]
+    assert 0.02 <= real["age_s"]["p50"] < 1.0
+    assert real["stops"] == {}
+    assert result.about["lateness"]["instants"] == 20
+    again = cosim.run(tmp_path / "run" / "scenario.toml", playback=tmp_path / "run")
+    assert again.metrics == result.metrics
+
+
+def test_a_fence_holds_in_a_run_and_the_recording_tells_that_it_did() -> None:
+    fence = [[-1.0, -1.0], [0.6, -1.0], [0.6, 1.0], [-1.0, 1.0]]
+    own = {**BENCH["vehicle"][0], "safety": {"fence": fence, "fence_margin_m": 0.05}}
+    result = cosim.run(scenario(duration_s=3.0, vehicle=[own]))
+    assert result.states.to_pandas()["x"].max() < 0.6 - 0.25 - 0.05 + 0.01  # its radius, and the margin
+    assert result.metrics["hardware"]["car1"]["limited_s"] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"safety": {"fence": [[0.0, 0.0], [1.0, 1.0]]}}, "safety: a fence needs at least three corners"),
+        ({"safety": {"fence": [[2.0, 2.0], [3.0, 2.0], [3.0, 3.0]]}}, "safety: car1 starts outside the fence"),
+        ({"safety": {"max_speed": -1.0}}, "safety.max_speed: must be a number > 0"),
+        (
+            {"vehicle": [{**BENCH["vehicle"][0], "kind": "quadrotor"}]},
+            "driver.kind: drives robots on the ground, and car1 flies",
+        ),
+        ({"vehicle": [at("car1", "/dev/x"), at("car2", "/dev/x")]}, "car2.driver.port: '/dev/x' is that of car1, too"),
+        ({"clock": {"late": "never"}}, "clock.late: must be one of 'slip', 'stop'"),
+    ],
+)
+def test_what_is_wrong_is_found_before_anything_is_connected(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(ScenarioError, match=says):
+        api.check(scenario(**changes))
+
+
+@pytest.mark.parametrize("key", ["localisation", "safety", "fusion"])
+def test_a_simulated_vehicle_has_nothing_of_a_real_one(key: str) -> None:
+    tables = {"localisation": {"kind": "ubisense"}, "safety": {"max_speed": 1.0}, "fusion": {"gate": 0.9}}
+    plain = {"name": "car1", "kind": "kinematic", key: tables[key]}
+    with pytest.raises(ScenarioError, match=f"vehicle.car1.{key}: counts for a real vehicle only"):
+        api.check(scenario(vehicle=[plain]))
+    api.check(scenario(vehicle=[{**BENCH["vehicle"][0], "driver": {"kind": "none"}, key: tables[key]}]))
+
+
+def test_real_vehicles_keep_to_the_wall_clock() -> None:
+    with pytest.raises(UsageError, match="--realtime 2: real vehicles \\(car1\\) keep to the wall clock"):
+        cosim.run(scenario(), realtime=2.0)
+    begin = time.monotonic()
+    cosim.run(scenario(duration_s=1.0))
+    assert time.monotonic() - begin > 1.0
+
+
+SLOW = """
+import time
+from cosim import Agent
+class Slow(Agent):
+    def act(self, obs, radio):
+        time.sleep(0.25 if 0.45 < obs.time_ns / 1e9 < 0.55 else 0.0)
+"""
+
+
+@pytest.mark.parametrize("late", ["slip", "stop"])
+def test_a_run_that_falls_behind_slips_or_stops_as_it_is_told(tmp_path: Path, late: str) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    agent = {"kind": f"{tmp_path}/slow.py:Slow"}
+    plain = scenario(duration_s=1.0, clock={"late": late}, vehicle=[{"name": "car1", "kind": "kinematic", "agent": agent}])
+    if late == "stop":
+        with pytest.raises(FederateError, match=r"clock: 0.5\d* s began 0\.\d+ s late, more than clock.tolerance_s"):
+            cosim.run(plain, realtime=1.0)
+        return
+    slept = cosim.run(plain, realtime=1.0).about["lateness"]
+    assert slept["over_one_period"] >= 1
+    assert slept["slipped_s"] > 0.1
+
+
+def test_a_run_that_is_killed_leaves_what_a_replay_needs(tmp_path: Path) -> None:
+    (tmp_path / "s.json").write_text(json.dumps(scenario(duration_s=60.0)))
+    program = f"import cosim, json; cosim.run(json.load(open('{tmp_path}/s.json')), out='{tmp_path}/run')"
+    child = subprocess.Popen([sys.executable, "-c", program], cwd=Path(cosim.__file__).parent.parent)
+    try:
+        recording = tmp_path / "run" / "hardware.mcap"
+        until = time.monotonic() + 60.0
+        while not (recording.exists() and recording.stat().st_size > 4000) and time.monotonic() < until:
+            time.sleep(0.05)
+        os.kill(child.pid, signal.SIGKILL)
+    finally:
+        child.kill()
+        child.wait(10)
+    again = cosim.run(tmp_path / "run" / "scenario.toml", playback=tmp_path / "run", set={"duration_s": 1.0})
+    assert again.states.to_pandas().query("vehicle == 'car1'")["x"].max() > 0.05
+
+
+def test_an_emulated_robot_drives_in_formation_behind_a_real_port(tmp_path: Path) -> None:
+    result = cosim.run(
+        "hybrid-formation",
+        set={"duration_s": 6.0, "metrics.from_s": 4.0, "vehicle.car3.localisation.listen": "udp://127.0.0.1:0"},
+        out=tmp_path / "run",
+    )
+    real = result.metrics["hardware"]["car3"]
+    assert real["fixes"] > 5
+    assert real["stops"] == {}
+    states = result.states.to_pandas().query("vehicle == 'car3'")
+    assert states["x"].iloc[-1] - states["x"].iloc[0] > 0.5
+    assert result.metrics["formation"]["rms_m"] < 0.3
+
+
+def status(t: float, **more: Any) -> tuple[int, RealStatus]:
+    return round(t * SECOND_NS), RealStatus(link=more.pop("link", 1), age_s=more.pop("age_s", 0.1), **more)
+
+
+def test_metrics_of_a_real_vehicle_by_hand() -> None:
+    from cosim.record.metrics import Receptions, hardware_metrics
+
+    got = Receptions(
+        receivers=("car2",),
+        senders=("car1",),
+        to=np.zeros(3, int),
+        by=np.zeros(3, int),
+        sent_ns=np.array([0, 0, 0]),
+        received_ns=np.array([1, 5, 20]) * SECOND_NS // 100,
+    )
+    told = [status(0.0, causes=("limits",)), status(0.5, gated=1), status(1.0, link=3, causes=("limits",), gated=2)]
+    stopped = [("car1", Incident(what="stopped", cause="no command", happened_ns=0))] * 2
+    found = hardware_metrics({"car1": told}, stopped, {"car1": 7}, got)["car1"]
+    assert found["age_s"] == {"p50": 0.1, "p99": 0.1, "max": 0.1}
+    assert (found["fixes"], found["gated"], found["reconnects"]) == (7, 2, 2)
+    assert found["stops"] == {"no command": 2}
+    assert found["limited_s"] == 0.5
+    assert found["frames_too_early"] == 2
