@@ -200,6 +200,25 @@ def mavlink_command(
     _show(lambda ready: emulate(port, ready, **about), as_json=json)
 
 
+@emulate_app.command("ros2")
+def ros2_command(
+    port: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Endpoint of Zenoh, where it listens.")] = (
+        "tcp/127.0.0.1:7447"
+    ),
+    stamped: Annotated[bool, typer.Option("--stamped", help="It hears TwistStamped, not Twist.")] = False,
+    pose: Pose = None,
+    duration: Duration = None,
+    json: AsJson = False,
+) -> None:
+    """A robot that runs ROS 2, as rmw_zenoh shows it: it hears cmd_vel and tells odom.
+
+    Example: vcmvsp emulate ros2 --pose 1,2,0
+    """
+    emulate = registry.piece("emulated ros2 robot")
+    start = None if pose is None else registry.piece("emulate options").pose_of(pose)
+    _show(lambda ready: emulate(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
+
+
 def _show_tag(tags: Any, pose: str | None, circle: str | None, duration_s: float | None, *, as_json: bool) -> None:
     read = registry.piece("emulate options")
     start = (0.0, 0.0, 0.0) if pose is None else read.pose_of(pose)
@@ -240,11 +259,11 @@ def _words(happened: Mapping[str, Any]) -> str:
         lines.append(f"it went to x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m by its wheels")
     if (lateness := happened.get("lateness")) and lateness["over_one_period"]:
         lines.append(f"the simulation was late {lateness['over_one_period']} times, by {lateness['max_s']:.2f} s at most")
+    if "messages" in happened:
+        lines.append(f"{happened['messages']} messages heard")
+        lines.append(f"it is at x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m, z {happened.get('z_m', 0.0):.2f} m")
     if "mode" in happened:
-        lines.append(
-            f"{happened['messages']} messages heard; it is {'' if happened['armed'] else 'not '}armed, in {happened['mode']}"
-        )
-        lines.append(f"it is at x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m, z {happened['z_m']:.2f} m")
+        lines.append(f"it is {'' if happened['armed'] else 'not '}armed, in {happened['mode']}")
     lines += [f"{count} fixes of {name}" for name, count in happened["fixes"].items()]
     return "".join(f"{line}\n" for line in lines)
 

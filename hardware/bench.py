@@ -15,7 +15,7 @@ from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.frames import arc
 from cosim.rng import stream
 from cosim.types import NonNegative, Odometry, Positive, Probability, Rate, Seed, Vec3, Velocity
-from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, LinkLost, Notice, Sample, checked
+from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, LinkLost, Notice, Sample, checked
 
 TICK_NS = 10_000_000  # of the motion
 TRACK_M = 0.3  # between the wheels, for the speeds of wheels alone
@@ -44,6 +44,7 @@ class Bench:
         now: the clock, ns.
     """
 
+    ground_only = True
     open_deadline_s = close_deadline_s = 1.0  # it does neither wait
 
     def __init__(
@@ -62,7 +63,7 @@ class Bench:
         decel: Positive = 0.75,
         yaw_accel: Positive = 1.75,
         unplugged_s: NonNegative | None = None,
-        command_timeout_s: Positive = COMMAND_TIMEOUT_S,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
         seed: Seed = 0,
         name: str = "bench",
         now: Callable[[], int] = time.monotonic_ns,

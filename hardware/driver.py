@@ -16,13 +16,18 @@ hangs. Whoever gives the commands watches for the operator; the robot watches fo
         `-- LinkLost            it was there, and went silent or was unplugged
 """
 
-from typing import Literal, Protocol, runtime_checkable
+from typing import Annotated, Literal, Protocol, runtime_checkable
+
+import msgspec
 
 from cosim.errors import FederateError
 from cosim.types import Odometry, Value, Vec3, VehicleState, Velocity
 
 COMMAND_TIMEOUT_S = 0.5  # five periods of 10 Hz: short beside the 2 s of a robot's own watchdog
 ORIGIN: Vec3 = (0.0, 0.0, 0.0)
+
+CommandTimeout = Annotated[float, msgspec.Meta(gt=0, le=2)]
+"""How long a driver may go on without a command, s: no longer than a robot's own watchdog does."""
 
 
 class DriverError(FederateError):
@@ -74,7 +79,11 @@ class Notice(Value, frozen=True, kw_only=True):
 
 @runtime_checkable
 class Driver(Protocol):
-    """A robot that takes velocities: forward speed and yaw rate on the ground, all three axes of the world in the air."""
+    """A robot that takes velocities: forward speed and yaw rate on the ground, all three axes of the world in the air.
+
+    Constructing one does nothing yet: it is done to check a scenario, too. A class that drives nothing that flies says
+    ``ground_only = True``.
+    """
 
     device: str  # for messages
     open_deadline_s: float  # `open` takes no longer than about this

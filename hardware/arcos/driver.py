@@ -23,7 +23,17 @@ from hardware.arcos.robots import Robot
 from hardware.arcos.sip import Sip, decode, is_sip
 from hardware.arcos.steering import Mode, Steering
 from hardware.arcos.track import Track
-from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample, checked
+from hardware.driver import (
+    COMMAND_TIMEOUT_S,
+    ORIGIN,
+    CommandTimeout,
+    DriverError,
+    HandshakeError,
+    LinkLost,
+    Notice,
+    Sample,
+    checked,
+)
 from hardware.line import OPEN_S, Line, open_line
 
 BRAKING_S = 2.0  # from 1 m/s at 0.5 m/s2: the motors are switched off when it stands, or after this
@@ -60,6 +70,8 @@ class ArcosDriver:
         yaw_accel: rad/s2.
     """
 
+    ground_only = True
+
     def __init__(
         self,
         port: str,
@@ -70,7 +82,7 @@ class ArcosDriver:
         connect_s: Positive = 10.0,
         silence_s: Positive = 2.0,
         reconnect_s: NonNegative = 0.0,
-        command_timeout_s: Positive = COMMAND_TIMEOUT_S,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
         max_speed: Positive | None = None,
         accel: Positive | None = None,
         decel: Positive | None = None,
@@ -127,7 +139,7 @@ class ArcosDriver:
         with self._lock:
             self._check()
             if self._steering is not None:
-                self._steering.command(v, w, time.monotonic_ns())
+                self._steering.command((v, w), time.monotonic_ns())
         self._wake()
 
     def stop(self, cause: str) -> None:
@@ -238,7 +250,7 @@ class ArcosDriver:
             steering = self._steering
             assert steering is not None  # noqa: S101  it is connected
             before = steering.stopped
-            data = steering.advance(time.monotonic_ns())
+            data = steering.packets(time.monotonic_ns())
             due_ns, stopped = steering.due_ns, steering.stopped
         if stopped != before:
             self._notice("stopped", stopped)

@@ -13,24 +13,21 @@ until somebody opens it (pyserial then throws them away).
 import contextlib
 import os
 import pty
-import select
-import socket
 import termios
 import threading
 import time
 import tty
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Protocol
 
 from cosim.rng import stream
 from hardware.arcos.commands import BAUDS
 from hardware.arcos.device import Device
 from hardware.arcos.wire import Faults, Wire
+from hardware.serving import Serving, Tcp
 
 TCP_PORT = 8101  # of the first simulated robot, by the custom of MobileSim and ARIA; the next ones follow
 
-_PAUSE_NS = 100_000_000  # the longest sleep
-_CLOSE_S = 5.0  # the thread ends within one sleep
 _SPEEDS: dict[int, int] = {baud: getattr(termios, f"B{baud}") for baud in BAUDS}  # as terminals call them
 
 
@@ -55,8 +52,8 @@ class Line(Protocol):
         """Unplug it."""
 
 
-class Served:
-    """A device that is being served by a thread of its own; a context manager, which closes it.
+class Served(Serving):
+    """A robot that is being served.
 
     Attributes:
         url: what a driver connects to, ``/dev/pts/3`` or ``socket://127.0.0.1:8101``.
@@ -64,68 +61,33 @@ class Served:
         lock: guards the device.
         unsent: bytes that nobody took.
         misread: bytes that became noise because the client was at another baud rate, where bytes are paced.
-        error: what ended the thread before its time, if anything did; `close` raises it.
     """
 
     def __init__(self, device: Device, line: Line, faults: Faults, *, paced: bool) -> None:
-        self.url, self.device, self.lock = line.url, device, threading.Lock()
+        self.device, self.lock = device, threading.Lock()
         self.unsent = self.misread = 0
-        self.error: Exception | None = None
         self._line, self._paced = line, paced
         baud = device.baud if paced else None
         self.up = Wire(faults, stream(faults.seed, "arcos/up"), baud)  # robot to client
         self.down = Wire(faults, stream(faults.seed, "arcos/down"), baud)
         self._noise = stream(faults.seed, "arcos/rate")
         self._origin_ns = time.monotonic_ns() - device.now_ns
-        self._wake_read, self._wake_write = os.pipe()
-        self._thread = threading.Thread(target=self._run, name=f"serve {self.url}", daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        super().__init__(line.url, line.close)
 
     @property
     def now_ns(self) -> int:
         """The device's time."""
         return time.monotonic_ns() - self._origin_ns
 
-    def close(self) -> None:
-        """Unplug the robot: a client that is connected reads an error or the end of the stream. More than once is fine."""
-        if self._wake_write < 0:
-            return
-        os.write(self._wake_write, b"x")
-        self._thread.join(_CLOSE_S)
-        if self._thread.is_alive():
-            raise RuntimeError(f"the robot at {self.url} does not stop being served")
-        self._line.close()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
-        self._wake_write = -1
-        if self.error is not None:
-            raise self.error
-
-    def _run(self) -> None:
-        try:
-            while not self._stopped():
-                self._exchange()
-        except Exception as error:
-            self.error = error
-
-    def _stopped(self) -> bool:
-        """Sleep until something is due or comes; whether to stop."""
+    def _due_ns(self) -> int | None:
         with self.lock:
             due = [each for each in (self.device.due_ns, self.up.due_ns, self.down.due_ns) if each is not None]
-        pause_ns = max(0, min([*due, self.now_ns + _PAUSE_NS]) - self.now_ns)
-        poll = select.poll()  # select() takes no descriptors above 1023
-        for each in (self._line.waits_on(), self._wake_read):
-            poll.register(each, select.POLLIN)
-        return any(each == self._wake_read for each, _ in poll.poll(pause_ns / 1e6))
+        return self._origin_ns + min(due) if due else None
 
-    def _exchange(self) -> None:
-        """Bytes in, bytes out."""
+    def _waits_on(self) -> int:
+        return self._line.waits_on()
+
+    def _turn(self) -> None:
         now = self.now_ns
         self.down.push(self._at_rate(self._line.read()), now)
         with self.lock:
@@ -198,57 +160,13 @@ class Pty:
         os.close(self._here)
 
 
-class _Tcp:
-    """A TCP port for one client at a time; the next one is heard when the last has hung up."""
-
+class _Tcp(Tcp):
     def __init__(self, host: str, port: int) -> None:
-        self._listener = socket.create_server((host, port), backlog=1)
-        self._listener.setblocking(False)
-        self._client: socket.socket | None = None
-        self.url = f"socket://{host}:{self._listener.getsockname()[1]}"
-
-    def waits_on(self) -> int:
-        return (self._client or self._listener).fileno()
-
-    def read(self) -> bytes:
-        if self._client is None:
-            with contextlib.suppress(BlockingIOError, ConnectionError):
-                self._client, _ = self._listener.accept()
-                self._client.setblocking(False)
-                self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return b""
-        try:
-            data = self._client.recv(4096)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self._hang_up()
-        return data
-
-    def write(self, data: bytes) -> int:
-        if self._client is None:
-            return 0
-        try:
-            return self._client.send(data)
-        except BlockingIOError:
-            return 0
-        except OSError:
-            self._hang_up()
-            return 0
+        super().__init__(host, port)
+        self.url = f"socket://{host}:{self.port}"
 
     def baud(self) -> int | None:
         return None
-
-    def _hang_up(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-    def close(self) -> None:
-        self._hang_up()
-        self._listener.close()
 
 
 def serve_pty(device: Device, *, link: Path | None = None, faults: Faults | None = None, paced: bool = False) -> Served:

@@ -53,8 +53,8 @@ def emulate(
     with until_interrupted():
         served = serve(vehicle, port)
         try:
-            ready({"url": served.address, "positioning": {}})
-            wait(duration_s, lambda: alive(served.address, served.error))
+            ready({"url": served.url, "positioning": {}})
+            wait(duration_s, lambda: alive(served.url, served.error))
         finally:
             with contextlib.suppress(Exception):  # what ended its thread has been told
                 served.close()

@@ -5,15 +5,12 @@
 
 import contextlib
 import math
-import os
-import select
 import socket
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Annotated, Any, Protocol
 
 import msgspec
 
@@ -21,26 +18,26 @@ from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import UsageError
 from cosim.frames import arc
 from cosim.rng import stream
-from cosim.types import NonNegative, Positive, Probability, Rate, Vec3
+from cosim.types import Probability, Rate, Seconds, Vec3
 from hardware.arcos.serve import Pty
 from hardware.positioning import Located, dwm1001, ubisense
+from hardware.serving import Serving
 
 Truth = Callable[[], tuple[float, float, float, float] | None]
 """Where the tag is: x, y, z in m, yaw in rad; None while that is not known."""
 
-_PAUSE_NS = 100_000_000  # the longest sleep
-_CLOSE_S = 5.0  # a thread ends within one sleep
+Metres = Annotated[float, msgspec.Meta(ge=0, le=1e4)]
 
 
 class Errors(msgspec.Struct, frozen=True, kw_only=True):
     """How good a positioning system is. Usual for ultra-wideband: 1 to 10 Hz, 0.1 to 0.3 m, some answers far off."""
 
     fix_hz: Rate = 5.0
-    sigma_m: NonNegative = 0.15  # standard deviation of each coordinate
+    sigma_m: Metres = 0.15  # standard deviation of each coordinate
     outliers: Probability = 0.0  # of a fix to be `outlier_m` off, by a reflected path
-    outlier_m: Positive = 2.0  # on average; from half of it to one and a half
+    outlier_m: Metres = 2.0  # on average; from half of it to one and a half
     drop_outs: Probability = 0.0  # of an answer that there is no position
-    latency_s: NonNegative = 0.0  # from measuring to telling
+    latency_s: Seconds = 0.0  # from measuring to telling
 
 
 class Tag:
@@ -192,58 +189,28 @@ def dwm1001_outlet(link: Path | None = None) -> Outlet:
     return _Dwm1001(link)
 
 
-class Source:
-    """Gives out the fixes of a tag in time, with a thread of its own; a context manager, which closes it.
+class Source(Serving):
+    """Gives out the fixes of a tag in time.
 
     Attributes:
         told: fixes given out.
-        error: what ended the thread before its time, if anything did.
     """
 
     def __init__(self, tag: Tag, truth: Truth, outlet: Outlet) -> None:
-        self.url, self.told = outlet.url, 0
-        self.error: Exception | None = None
+        self.told = 0
         self._tag, self._truth, self._outlet = tag, truth, outlet
         self._origin_ns = time.monotonic_ns()
         self._unix_ns = time.time_ns()  # by which fixes are stamped
-        self._wake_read, self._wake_write = os.pipe()
-        self._thread = threading.Thread(target=self._run, name=f"tag {self.url}", daemon=True)
-        self._thread.start()
+        super().__init__(outlet.url, outlet.close)
 
-    def __enter__(self) -> Self:
-        return self
+    def _due_ns(self) -> int:
+        return self._origin_ns + self._tag.due_ns
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def _waits_on(self) -> int | None:
+        return self._outlet.waits_on()
 
-    def close(self) -> None:
-        """End. More than once is fine."""
-        if self._wake_write < 0:
-            return
-        os.write(self._wake_write, b"x")
-        self._thread.join(_CLOSE_S)
-        if self._thread.is_alive():
-            raise RuntimeError(f"the tag at {self.url} does not end")
-        self._outlet.close()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
-        self._wake_write = -1
-
-    def _run(self) -> None:
-        try:
-            while not self._stopped():
-                self._outlet.hear()
-                for located in self._tag.advance(time.monotonic_ns() - self._origin_ns, self._truth):
-                    stamped = msgspec.structs.replace(located, source_ns=self._unix_ns + (located.source_ns or 0))
-                    self.told += self._outlet.tell(stamped)
-        except Exception as error:
-            self.error = error
-
-    def _stopped(self) -> bool:
-        """Sleep until something is due or comes; whether to stop."""
-        pause_ns = min(self._tag.due_ns - (time.monotonic_ns() - self._origin_ns), _PAUSE_NS)
-        poll = select.poll()
-        for each in (self._wake_read, self._outlet.waits_on()):
-            if each is not None:
-                poll.register(each, select.POLLIN)
-        return any(each == self._wake_read for each, _ in poll.poll(max(pause_ns, 0) / 1e6))
+    def _turn(self) -> None:
+        self._outlet.hear()
+        for located in self._tag.advance(time.monotonic_ns() - self._origin_ns, self._truth):
+            stamped = msgspec.structs.replace(located, source_ns=self._unix_ns + (located.source_ns or 0))
+            self.told += self._outlet.tell(stamped)

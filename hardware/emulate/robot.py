@@ -25,6 +25,7 @@ from hardware.emulate.positioning import (
     standing,
     ubisense_outlet,
 )
+from hardware.serving import Serving
 
 ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 KINDS = {"amigobot": "amigo", "p2dx": "p2dx", "amigo-sh": "amigo-sh"}
@@ -115,14 +116,15 @@ class Rig:
         """Let the tags speak, and say that all is there."""
         for name in [*self._outlets]:
             tag = Tag(tags.name, tags.errors, tags.seed)
-            self.sources[name] = self._all.enter_context(Source(tag, truth, self._outlets.pop(name)))
+            self.sources[name] = Source(tag, truth, self._outlets.pop(name))
+            self._all.callback(_quietly, self.sources[name])
         urls = {name: each.url for name, each in self.sources.items()}
         robot = {} if self.served is None else {"url": self.served.url}
         self._ready({**robot, "positioning": urls})
 
     def check(self) -> None:
         """Raise what ended a thread before its time, if anything did."""
-        threads: list[Served | Source] = [*self.sources.values(), *([self.served] if self.served else [])]
+        threads: list[Serving] = [*self.sources.values(), *([self.served] if self.served else [])]
         for each in threads:
             alive(each.url, each.error)
 
@@ -139,7 +141,7 @@ class Rig:
         return {**said, "fixes": {name: each.told for name, each in self.sources.items()}}
 
 
-def _quietly(served: Served) -> None:
+def _quietly(served: Serving) -> None:
     """Close it; what ended its thread has been told by `Rig.check`, and unplugging goes on."""
     with contextlib.suppress(Exception):
         served.close()

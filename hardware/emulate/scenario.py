@@ -145,7 +145,6 @@ def emulate(
     scenario_name: str,
     vehicle: str | None = None,
     settings: Mapping[str, Any] | None = None,
-    seed: int | None = None,
 ) -> dict[str, Any]:
     """A robot in the world of a scenario, at a port, until it is interrupted or that time ends; what happened.
 
@@ -157,9 +156,8 @@ def emulate(
         scenario_name: a built-in name, or the path of a file.
         vehicle: which one it is; None: the only one that can be meant.
         settings: key path -> value, as for a run.
-        seed: instead of the scenario's.
     """
-    parsed, source = scenario.load(scenario_name, settings=settings, seed=seed)
+    parsed, source = scenario.load(scenario_name, settings=settings)
     robot = parameters(name, chosen)
     own = vehicle_of(parsed, vehicle, KINDS[name])
     if registry.piece("flies")(registry.find("vehicle", own.kind, folder=source.folder, origin=source)):
@@ -178,7 +176,6 @@ def emulate(
             try:
                 result = cosim.run(
                     scenario_name,
-                    seed=seed,
                     set=changes,
                     agents=agents,
                     realtime=1.0,

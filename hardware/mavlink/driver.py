@@ -21,7 +21,7 @@ import msgspec
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative, Positive, Vec3, Velocity
-from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample
+from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, DriverError, HandshakeError, LinkLost, Notice, Sample
 from hardware.line import OPEN_S
 from hardware.mavlink.codec import Encoder, Reader, Sender, mavlink, sender_of
 from hardware.mavlink.hello import Peer, Search
@@ -39,6 +39,7 @@ NOTICES = 1000  # kept for somebody who asks
 Baud = Annotated[int, msgspec.Meta(ge=1200, le=3_000_000)]
 SystemId = Annotated[int, msgspec.Meta(ge=0, le=255)]
 OwnId = Annotated[int, msgspec.Meta(ge=1, le=255)]
+ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=15)]  # s: with a take-off, less than a station waits for its driver
 TelemetryHz = Annotated[float, msgspec.Meta(ge=1, le=400)]
 
 
@@ -86,10 +87,10 @@ class MavlinkDriver:
         origin: Vec3 = ORIGIN,
         geodetic_origin: Vec3 | None = None,
         telemetry_hz: TelemetryHz = 50.0,
-        connect_s: Positive = 10.0,
+        connect_s: ConnectTime = 10.0,
         silence_s: Positive = 2.0,
         reconnect_s: NonNegative = 0.0,
-        command_timeout_s: Positive = COMMAND_TIMEOUT_S,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
     ) -> None:
         if arm and not switch_mode:
             raise ScenarioError("arm = true needs switch_mode = true: in any other mode it would obey somebody else", key="arm")
@@ -124,6 +125,7 @@ class MavlinkDriver:
         if self._thread is not None:
             raise RuntimeError(f"{self.device} is open already")
         self._track = Track(start, self._origin, self._plane)
+        self.peer = None
         self._link: Link | None = None
         self._sample: Sample | None = None
         self._failure: DriverError | None = None
@@ -238,7 +240,8 @@ class MavlinkDriver:
 
     def _find(self, link: Link, deadline_ns: int, within_s: float) -> Peer:
         """Listen, with our own heartbeat once a second: some autopilots speak only when spoken to."""
-        search = Search(self.device, self._system_id, self._kind)
+        system_id = self._system_id if self.peer is None else self.peer.sender.system  # another is none that was lost
+        search = Search(self.device, system_id, self._kind)
         beat_ns = 0
         while (now_ns := time.monotonic_ns()) < deadline_ns:
             if now_ns >= beat_ns:

@@ -105,13 +105,13 @@ class Pilot:
         """Move like this; nothing, where somebody else is in command, or it is not armed, or is taking off."""
         finite(velocity)
         if self.in_command and self._armed and self.ready and not self._leaving:
-            self._steering.command(velocity.linear, velocity.yaw_rate, now_ns)
+            self._steering.command((velocity.linear, velocity.yaw_rate), now_ns)
 
     def stop(self, cause: str) -> None:
         """Zero speed with the next message."""
         self._steering.stop(cause)
         self._climb_to = None
-        if self._steps and not self._leaving:
+        if self._steps and self._orders.switch_mode and not self._leaving:  # else nothing is asked of it that could move it
             self.interrupted = cause
 
     def leave(self) -> None:

@@ -2,37 +2,16 @@
 
 import math
 
-from cosim.clock import SECOND_NS
 from cosim.frames import rotate2, wrap
 from cosim.types import Odometry, Vec3, VehicleState
 from hardware.driver import Sample
 from hardware.mavlink.codec import Message
 from hardware.mavlink.frames import attitude_from_euler, body_flipped, world_flipped
 from hardware.positioning.tangent_plane import TangentPlane
+from hardware.timing import ForeignClock
 
-DRIFT = 1e-3  # by which the autopilot's clock may differ from ours
 ATTITUDE_NS = 500_000_000  # an attitude that is older says nothing of now
-MS = 1_000_000
-
-
-class Clock:
-    """When something was measured, by a filter of least delay: messages carry the time since the autopilot was switched on."""
-
-    def __init__(self) -> None:
-        self._offset_ns: int | None = None  # ours minus theirs: the least that was seen, growing slowly
-        self._boot_ns = self._arrived_ns = 0
-
-    def measured_ns(self, boot_ms: int, arrived_ns: int) -> int:
-        """The time on our clock."""
-        boot_ns = boot_ms * MS
-        offset = arrived_ns - boot_ns
-        if self._offset_ns is None or boot_ns < self._boot_ns - SECOND_NS:  # it was switched off and on
-            self._offset_ns = offset
-        else:
-            grown = self._offset_ns + round(DRIFT * (arrived_ns - self._arrived_ns))
-            self._offset_ns = min(offset, grown)
-        self._boot_ns, self._arrived_ns = boot_ns, arrived_ns
-        return boot_ns + self._offset_ns
+MS = 1_000_000  # ns
 
 
 class Track:
@@ -50,7 +29,7 @@ class Track:
         self.state: VehicleState | None = None  # the newest
         self._start, self._origin, self._plane = start, origin, plane
         self._number = self._link = 0
-        self._clock = Clock()
+        self._clock = ForeignClock()
         self._attitude: Message | None = None
         self._attitude_ns = 0
         self._base: Vec3 | None = None  # pose at the first sample
@@ -59,6 +38,7 @@ class Track:
         """A connection begins."""
         self._link += 1
         self._attitude, self.state = None, None
+        self._clock = ForeignClock()  # the time since it was switched on, which may just have been
 
     def attitude(self, message: Message, now_ns: int) -> None:
         """An ATTITUDE has arrived."""
@@ -81,7 +61,7 @@ class Track:
             attitude=attitude_from_euler(turn.roll, turn.pitch, turn.yaw),
             angular_velocity=body_flipped((turn.rollspeed, turn.pitchspeed, turn.yawspeed)),
         )
-        self._measured_ns, self._arrived_ns = self._clock.measured_ns(message.time_boot_ms, now_ns), now_ns
+        self._measured_ns, self._arrived_ns = self._clock.heard(message.time_boot_ms * MS, now_ns), now_ns
         self._number += 1
         return True
 

@@ -23,7 +23,17 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.text import plain
 from cosim.transport import security
 from cosim.types import NonNegative, Positive, Vec3, Velocity
-from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
+from hardware.driver import (
+    COMMAND_TIMEOUT_S,
+    ORIGIN,
+    CommandTimeout,
+    DriverError,
+    HandshakeError,
+    LinkLost,
+    Notice,
+    PortError,
+    Sample,
+)
 from hardware.onboard import wire
 from hardware.onboard.admission import Admission
 from hardware.onboard.door import Door, Gone, Heard, Knock, News, Peer
@@ -69,7 +79,7 @@ class ZenohDriver:
         open_deadline_s: Positive = 45.0,
         silence_s: Positive = 1.0,
         reconnect_s: NonNegative = 0.0,
-        command_timeout_s: Positive = COMMAND_TIMEOUT_S,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
         vehicle: str = "",
         folder: str = "",
     ) -> None:

@@ -12,7 +12,7 @@ from hardware.timing import ForeignClock
 FARTHEST_M = 10_000.0  # from the world's origin: what is farther off was measured in another frame
 OLDEST_S = 10.0  # what is older says nothing of now; a clock that stands still gives such times
 MOST_TAGS = 64  # that are told apart
-LEAST_SIGMA_M = 1e-3  # nothing is more certain than that
+LEAST_SIGMA_M = LEAST_SIGMA_RAD = 1e-3  # nothing is more certain than that
 AT_REST: Vec3 = (0.0, 0.0, 0.0)
 
 
@@ -20,7 +20,7 @@ class Posed(Located, frozen=True, kw_only=True):
     """An answer of a system that tells headings as well."""
 
     yaw: float | None = None  # rad
-    sigma_rad: float = 0.0
+    sigma_rad: float = 0.0  # standard deviation of the yaw; not positive: it is not known, nor is the yaw
 
 
 class Placing:
@@ -69,7 +69,8 @@ class Placing:
             self.others += 1
             return None
         time_ns = self._time(located, tag, arrived_ns)
-        if located.position is None:
+        sigma_m = located.sigma_m if located.sigma_m is not None and math.isfinite(located.sigma_m) else 0.0
+        if located.position is None or sigma_m > FARTHEST_M:
             self.unknown += 1
             return None
         x, y, z = located.position
@@ -84,15 +85,15 @@ class Placing:
         if time_ns < arrived_ns - seconds_to_ns(OLDEST_S):
             self.old += 1
             return None
-        sigma_m = located.sigma_m if located.sigma_m is not None and math.isfinite(located.sigma_m) else 0.0
-        yaw = located.yaw if isinstance(located, Posed) else None
-        return Fix(
-            time_ns=time_ns,
-            position=placed,
-            yaw=None if yaw is None else wrap(yaw + self._turn),
-            sigma_m=max(sigma_m or self._sigma_m, LEAST_SIGMA_M),
-            sigma_rad=located.sigma_rad if isinstance(located, Posed) else 0.0,
-        )
+        yaw, sigma_rad = self._heading(located) if isinstance(located, Posed) else (None, 0.0)
+        sigma_m = max(sigma_m or self._sigma_m, LEAST_SIGMA_M)
+        return Fix(time_ns=time_ns, position=placed, yaw=yaw, sigma_m=sigma_m, sigma_rad=sigma_rad)
+
+    def _heading(self, posed: Posed) -> tuple[float | None, float]:
+        """Yaw in the world and its standard deviation, if it tells more than that it is an angle."""
+        if posed.yaw is None or not math.isfinite(posed.yaw) or not 0.0 < posed.sigma_rad <= math.pi:
+            return None, 0.0
+        return wrap(posed.yaw + self._turn), max(posed.sigma_rad, LEAST_SIGMA_RAD)
 
     def _time(self, located: Located, tag: str, arrived_ns: int) -> int:
         """When it was measured; a system whose clock stands at zero has none."""

@@ -53,7 +53,7 @@ class Reader:
                 raise ValueError("a pose has some hundred bytes")
             said = _decoder.decode(chunk)
             source_ns = None if said.t is None else round(said.t * SECOND_NS)
-        except (ValueError, OverflowError):  # of the former msgspec's errors are a kind
+        except (ValueError, OverflowError, RecursionError):  # msgspec's errors are of the first kind, but for what is nested
             self.bad_messages += 1
             return []
         sigma_rad = self._sigma_rad if said.sigma_yaw is None else said.sigma_yaw
@@ -123,7 +123,11 @@ class ExternalPose(Source):
             self._session = opened(config, security.LIMITS, f"no Zenoh session at '{self._endpoint}'")
         except UsageError as error:
             raise PortError(self.device, str(error), advice) from None
-        self._session.declare_subscriber(self._key, Callback(self._on_sample, indirect=False))
+        try:
+            self._session.declare_subscriber(self._key, Callback(self._on_sample, indirect=False))
+        except zenoh.ZError as error:
+            self.close()
+            raise PortError(self.device, f"nothing can be heard there ({error})", "open it again") from None
 
     def close(self) -> None:
         """Leave. May be called twice."""

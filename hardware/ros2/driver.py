@@ -17,10 +17,29 @@ import msgspec
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative, Positive, Rate, Vec3, Velocity
-from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample, checked
+from hardware.driver import (
+    COMMAND_TIMEOUT_S,
+    ORIGIN,
+    CommandTimeout,
+    DriverError,
+    HandshakeError,
+    LinkLost,
+    Notice,
+    Sample,
+    checked,
+)
+from hardware.pace import NOT_YET, Pace
 from hardware.ros2.keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
-from hardware.ros2.messages import ODOMETRY, TWIST, TWIST_STAMPED, OdometryMessage, Twist, decode_odometry, encode_twist
-from hardware.ros2.pace import NOT_YET, ZERO_SPEEDS, Pace, Speeds
+from hardware.ros2.messages import (
+    ODOMETRY,
+    STAMPS_END_NS,
+    TWIST,
+    TWIST_STAMPED,
+    OdometryMessage,
+    Twist,
+    decode_odometry,
+    encode_twist,
+)
 from hardware.ros2.presence import Presence
 from hardware.ros2.session import GRAPH_S, Heard, Mode, Node
 from hardware.ros2.track import Pose, Track
@@ -29,10 +48,12 @@ OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and 
 CLOSE_S = 2.0
 NOTICES = 1000  # kept for somebody who asks
 WAITING = 256  # messages that may wait for the thread; more are left out
+ZERO_SPEEDS = (0.0, 0.0)  # m/s, forward, and rad/s
 WARNED: Literal["warned"] = "warned"  # a message was
 _SHOWN = 6  # endpoints that an error names
 
 Domain = Annotated[int, msgspec.Meta(ge=0, le=232)]
+ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=30)]  # s; a station waits for its driver, but not forever
 
 
 class _LeftOut(Exception):
@@ -71,6 +92,8 @@ class Ros2Driver:
         name: of the node that the robot sees.
     """
 
+    ground_only = True
+
     def __init__(
         self,
         *,
@@ -89,10 +112,10 @@ class Ros2Driver:
         origin: Vec3 = ORIGIN,
         max_speed: Positive = 10.0,
         rate_hz: Rate = 10.0,
-        connect_s: Positive = 10.0,
+        connect_s: ConnectTime = 10.0,
         silence_s: Positive = 1.0,
         reconnect_s: NonNegative = 0.0,
-        command_timeout_s: Positive = COMMAND_TIMEOUT_S,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
         name: Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z_][A-Za-z0-9_]*\Z")] = "vcmvsp",
     ) -> None:
         self._command = Endpoint("MP", _topic("command_topic", namespace, command_topic), TWIST_STAMPED if stamped else TWIST)
@@ -120,7 +143,7 @@ class Ros2Driver:
         self.refused: Counter[str] = Counter()  # messages that were left out, by cause
         self._news: queue.SimpleQueue[Heard | bool | None] = queue.SimpleQueue()
         self._track = Track(start, self._pose, self._origin, self._max_speed)
-        self._pace = Pace(self._rate_hz, self._timeout_s)
+        self._pace = Pace(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
         self._sample: Sample | None = None
         self._failure: DriverError | None = None  # what ended the thread
         self._presence = Presence(self._silence_s)
@@ -150,7 +173,7 @@ class Ros2Driver:
         with self._lock:
             self._check()
             if self._connected:
-                self._pace.command(v, w, time.monotonic_ns())
+                self._pace.command((v, w), time.monotonic_ns())
         self._news.put(None)
 
     def stop(self, cause: str) -> None:
@@ -185,8 +208,6 @@ class Ros2Driver:
             raise RuntimeError(f"{self.device} is not open")
         if self._failure is not None:
             raise self._failure
-        if not self._thread.is_alive():
-            raise LinkLost(self.device, "the driver's thread has failed", "look at what it left on the terminal, and report it")
         if self._lost and time.monotonic_ns() >= self._lost_ns + self._reconnect_ns:
             raise LinkLost(self.device, self._lost, "look at the robot's nodes, its router and its radio")
 
@@ -200,9 +221,11 @@ class Ros2Driver:
                 try:
                     self._converse(node)
                 finally:
-                    self._say(ZERO_SPEEDS)
+                    self._say(ZERO_SPEEDS, 0)  # whatever there is amiss with the stamps
         except DriverError as error:
             self._failure = error
+        except Exception as error:  # whatever it is: the caller must be told
+            self._failure = DriverError(self.device, f"the driver failed ({type(error).__name__}: {error})", "report this")
         finally:
             self._ready.set()
 
@@ -229,9 +252,12 @@ class Ros2Driver:
             now_ns = time.monotonic_ns()
             if isinstance(news, bool):
                 self._listened(news, now_ns)
+            self._look(now_ns)  # before another node is followed: that one has gone is to be told
             message = self._taken(news) if isinstance(news, Heard) else None
+            if message is None:
+                continue
             self._look(now_ns)
-            if message is not None and self._connected:
+            if self._connected:
                 with self._lock:
                     self._sample = self._track.add(*message, self._pace.stopped)
 
@@ -246,11 +272,10 @@ class Ros2Driver:
                 self._notice("stopped", stopped)
             if speeds is None:
                 return due_ns
-            self._say(speeds)
+            self._say(speeds, self._track.stamp_ns(time.monotonic_ns()))
 
-    def _say(self, speeds: Speeds) -> None:
+    def _say(self, speeds: tuple[float, float], stamp_ns: int) -> None:
         v, w = speeds
-        stamp_ns = self._track.clock.stamp_ns(time.monotonic_ns())
         twist = Twist((v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns, self._command_frame)
         self._publish(encode_twist(twist, stamped=self._stamped))
 
@@ -278,6 +303,8 @@ class Ros2Driver:
             message = decode_odometry(heard.data)
         except ValueError as error:
             raise _LeftOut("content", str(error)) from None
+        if not 0 <= message.stamp_ns < STAMPS_END_NS:
+            raise _LeftOut("stamp", "its stamp is no time")
         if self._frame and message.frame != self._frame:
             raise _LeftOut("frame", f"it is in the frame '{message.frame}', not '{self._frame}'")
         if not self._presence.hear(heard.sender, heard.arrived_ns):

@@ -20,6 +20,7 @@ from cosim.types import Vec3
 TWIST, TWIST_STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 NO_COVARIANCE = (0.0,) * 36
+STAMPS_END_NS = 2**31 * SECOND_NS  # stamps have their seconds in 32 bits with a sign: until 2038, for clocks since 1970
 UNIT_WITHIN = 0.01  # by which the norm of a quaternion may differ from 1: more is no rounding
 
 

@@ -1,6 +1,6 @@
 """A small robot in software on ROS 2's side of the wire: hears Twist or TwistStamped, has two driven wheels, tells Odometry.
 
-It is what the driver is tested against where there is no ROS 2, and an emulated device for by-hand trials.
+It is what the driver is tested against where there is no ROS 2, and ``vcmvsp emulate ros2``.
 """
 
 import queue

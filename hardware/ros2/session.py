@@ -3,6 +3,7 @@
 Zenoh calls back in threads of its own; callbacks are direct, and may do no more than hand over.
 """
 
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
@@ -46,14 +47,13 @@ class Node:
     def __init__(self, endpoint: str, mode: Mode, mapping: Mapping, endpoints: tuple[Endpoint, ...]) -> None:
         self._mapping = mapping
         self._session = _session(endpoint, mode)
-        self._tokens: list[zenoh.LivelinessToken] = []
         self._ids: dict[Endpoint, bytes] = {}
         self._kept: list[Any] = []  # whatever is undeclared when nobody holds it
         try:
             tokens = mapping.tokens(str(self._session.zid()), endpoints)
             for each, token in zip(endpoints, tokens, strict=False):
                 self._ids[each] = gid_of(token)
-            self._tokens = [self._session.liveliness().declare_token(token) for token in tokens]
+            self._kept += [self._session.liveliness().declare_token(token) for token in tokens]
         except zenoh.ZError as error:
             self.close()
             raise PortError(endpoint, f"the session failed ({error})", "open it again") from None
@@ -107,13 +107,9 @@ class Node:
         return sorted(found, key=lambda each: (each.topic not in own, each))
 
     def close(self) -> None:
-        """Undeclare all and leave. Never raises."""
-        try:
-            for each in self._tokens:
-                each.undeclare()  # type: ignore[no-untyped-call]
+        """Leave, and with it undeclare all. Never raises."""
+        with contextlib.suppress(zenoh.ZError):  # it is gone already
             self._session.close()  # type: ignore[no-untyped-call]
-        except zenoh.ZError:
-            return  # it is gone already
 
 
 def _session(endpoint: str, mode: Mode) -> zenoh.Session:

@@ -3,44 +3,16 @@
 from typing import Literal
 
 from cosim.clock import SECOND_NS
-from cosim.frames import Quaternion, quaternion_from_yaw, rotate2, wrap, yaw_of
+from cosim.frames import Quaternion, product, quaternion_from_yaw, rotate2, wrap, yaw_of
 from cosim.types import Odometry, Vec3, VehicleState
 from hardware.driver import Sample
-from hardware.ros2.messages import OdometryMessage
+from hardware.ros2.messages import STAMPS_END_NS, OdometryMessage
+from hardware.timing import ForeignClock
 
 Pose = Literal["odometry", "world"]
-DRIFT_PER_S = 500_000  # ns; no clock runs away faster: NTP slews by at most 500 ppm
-LATE_NS = SECOND_NS  # a message that seems older than that tells of a clock that was set, or that runs at another rate
+DRIFT_PPM = 500.0  # no clock runs away faster: by so much NTP slews at most
+JUMP_S = 0.2  # a clock that was set by less makes odometry seem older for a while
 LEAP_S = 1.0  # a step of the pose is believed up to what the greatest speed covers in the time since the last message and this
-
-
-class RobotClock:
-    """How far this machine's monotonic clock is ahead of the robot's, from messages that carry the latter.
-
-    A filter of least delay: some messages arrive late, none early, so the smallest difference between arrival and stamp is
-    nearest to the truth. It may grow as fast as clocks drift apart. What remains is the least delay itself, which cannot be
-    told from an offset.
-    """
-
-    def __init__(self) -> None:
-        self._offset_ns: int | None = None
-        self._arrived_ns = self._stamp_ns = 0
-
-    def measured_ns(self, stamp_ns: int, arrived_ns: int) -> int:
-        """When a message with this stamp was measured, by this machine's clock; never after its arrival."""
-        if stamp_ns == 0:  # a node that stamps nothing
-            return arrived_ns
-        offset_ns = arrived_ns - stamp_ns
-        if self._offset_ns is not None and stamp_ns >= self._stamp_ns:  # else the robot's clock was set back
-            grown_ns = self._offset_ns + (arrived_ns - self._arrived_ns) * DRIFT_PER_S // SECOND_NS
-            if offset_ns - grown_ns < LATE_NS:
-                offset_ns = min(offset_ns, grown_ns)
-        self._offset_ns, self._arrived_ns, self._stamp_ns = offset_ns, arrived_ns, stamp_ns
-        return stamp_ns + offset_ns
-
-    def stamp_ns(self, now_ns: int) -> int:
-        """What the robot's clock shows now; 0: not known yet."""
-        return 0 if self._offset_ns is None else max(0, now_ns - self._offset_ns)
 
 
 class Track:
@@ -57,8 +29,8 @@ class Track:
     """
 
     def __init__(self, start: Vec3, pose: Pose, origin: Vec3, max_speed: float) -> None:
-        self.clock = RobotClock()
         self.leaps = 0
+        self._clock = _clock()
         self._kind, self._origin, self._max_speed = pose, origin, max_speed
         self._number = self._link = 0
         self._pose = start
@@ -66,14 +38,15 @@ class Track:
         self._arrived_ns = 0
 
     def connect(self, *, anew: bool) -> None:
-        """A connection begins; ``anew``: another node may speak, whose odometry may have begun somewhere else."""
+        """A connection begins; ``anew``: another node may speak, from somewhere else and by another clock."""
         self._link += 1
         if anew:
             self._base = None
+            self._clock = _clock()
 
     def add(self, message: OdometryMessage, arrived_ns: int, stopped: str) -> Sample:
         """The sample of a message."""
-        measured_ns = self.clock.measured_ns(message.stamp_ns, arrived_ns)
+        measured_ns = self._clock.heard(message.stamp_ns, arrived_ns) if message.stamp_ns else arrived_ns
         state = self._state(message) if self._kind == "world" else None
         if state is None:
             self._move(message, arrived_ns)
@@ -91,6 +64,11 @@ class Track:
             state=state,
             stopped=stopped,
         )
+
+    def stamp_ns(self, now_ns: int) -> int:
+        """What the robot's clock shows now; 0: not known."""
+        offset_ns = self._clock.offset_ns(now_ns)
+        return 0 if offset_ns is None or not 0 <= now_ns - offset_ns < STAMPS_END_NS else now_ns - offset_ns
 
     def _move(self, message: OdometryMessage, arrived_ns: int) -> None:
         """Add the difference of two messages to the pose, seen from the heading at which the robot was."""
@@ -111,7 +89,7 @@ class Track:
         """The velocity of odometry is in the body's frame, that of a state in the world's."""
         x, y, yaw = self._origin
         dx, dy = rotate2(message.position[0], message.position[1], yaw)
-        attitude = _product(quaternion_from_yaw(yaw), message.attitude)
+        attitude = product(quaternion_from_yaw(yaw), message.attitude)
         return VehicleState(
             position=(x + dx, y + dy, message.position[2]),
             velocity=_rotated(attitude, message.linear),
@@ -120,20 +98,12 @@ class Track:
         )
 
 
-def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation ``b`` followed by ``a`` (Hamilton)."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
+def _clock() -> ForeignClock:
+    return ForeignClock(drift_ppm=DRIFT_PPM, jump_s=JUMP_S)
 
 
 def _rotated(attitude: Quaternion, vector: Vec3) -> Vec3:
     """The vector turned by the attitude: q v q*."""
     w, x, y, z = attitude
-    _, rx, ry, rz = _product(_product(attitude, (0.0, *vector)), (w, -x, -y, -z))
+    _, rx, ry, rz = product(product(attitude, (0.0, *vector)), (w, -x, -y, -z))
     return rx, ry, rz

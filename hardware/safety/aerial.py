@@ -13,8 +13,8 @@ brakes straight always fits where poses are true, by the same reasoning as on th
 
 **Others** are upright cylinders: bodies are taken to be as far apart above as beside, ``radius + radius + separation``. It is
 enough to be clear of one in one way. Who is clear of it vertically, and could stop before it is not, need not mind it
-horizontally; then the vertical speed is kept so that this stays, unless it is clear of it horizontally as well. Whoever tells
-no height is a column without end. Nobody is credited with going away, and nobody is evaded.
+horizontally; then the vertical speed is kept so that this stays, unless it is clear of it horizontally as well.
+Nobody is credited with going away, and nobody is evaded.
 
 A stop in the air is zero velocity: the autopilot holds its place. Motors are never asked to be switched off.
 """
@@ -98,7 +98,7 @@ class AerialSupervisor:
             now_ns: of a clock that does not go back; of the same clock as the times in ``heard``.
             command: the newest one, however old it is; in the world frame.
             pose: x, y, z m and yaw rad in the world; None: not known.
-            others: vehicles to keep away from, with their heights where these are known; None: there are none.
+            others: vehicles to keep away from, with their heights; None: there are none.
             heard: when each that must be heard was heard last.
         """
         dt, stops = self._rounds.begin(now_ns, heard, unusable(command, pose, others, self._placed))
@@ -175,9 +175,7 @@ class AerialSupervisor:
         return some.around(pose[0], pose[1], self._p.radius_m + self._p.separation_m)
 
     def _levels(self, z: float, others: Others) -> list[_Level]:
-        """Where the others are above and below the vehicle, of those that tell it."""
-        if np.shape(others.position)[1] < 3:
-            return []
+        """Where the others are above and below the vehicle."""
         found, vz = [], self.last[2]
         columns = others.position[:, 2].tolist(), others.velocity[:, 2].tolist(), others.radius.tolist()
         for row, (height, climbs, radius) in enumerate(zip(*columns, strict=True)):

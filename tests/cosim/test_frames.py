@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from cosim.frames import arc, quaternion_from_yaw, rotate2, wrap, yaw_of
+from cosim.frames import arc, product, quaternion_from_yaw, rotate2, wrap, yaw_of
 
 ANGLES = st.floats(-100.0, 100.0)
 SPEEDS = st.floats(-5.0, 5.0)
@@ -100,3 +100,12 @@ def test_turning_keeps_lengths_and_adds_up(x: float, y: float, a: float, b: floa
 def test_turning_is_counter_clockwise() -> None:
     assert rotate2(1.0, 0.0, 0.5 * math.pi) == pytest.approx((0.0, 1.0))
     assert yaw_of(quaternion_from_yaw(0.5 * math.pi)) == pytest.approx(0.5 * math.pi)
+
+
+def test_quaternions_multiply_as_hamilton_said() -> None:
+    """i j = k, j k = i, k i = j, and all of their squares are -1; the first factor turns last."""
+    i, j, k = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    assert (product(i, j), product(j, k), product(k, i)) == (k, i, j)
+    assert [product(each, each) for each in (i, j, k)] == [(-1.0, 0.0, 0.0, 0.0)] * 3
+    assert product(j, i) == (0.0, 0.0, 0.0, -1.0)
+    assert product(quaternion_from_yaw(0.3), quaternion_from_yaw(0.9)) == pytest.approx(quaternion_from_yaw(1.2))

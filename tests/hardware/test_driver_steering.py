@@ -23,8 +23,8 @@ def sent(steering: Steering, until_ms: int, *, commands: dict[int, tuple[float, 
     out = {}
     for ms in range(until_ms):
         if commands and ms in commands:
-            steering.command(*commands[ms], ms * MS)
-        if data := steering.advance(ms * MS):
+            steering.command(commands[ms], ms * MS)
+        if data := steering.packets(ms * MS):
             out[ms] = data
     return out
 
@@ -76,8 +76,8 @@ def test_zero_when_nobody_commands_any_more() -> None:
     steering = Steering(AMIGO, "vel", 0.5)
     out = sent(steering, 1500, commands={0: (0.2, 0.1)})
     moving = speeds(AMIGO, 0.2, 0.1, "vel")
-    assert [ms for ms, data in out.items() if data == moving] == [0, 200, 400]
-    assert [ms for ms, data in out.items() if data == ZERO] == [500, 600, 800, 1000, 1200, 1400]
+    assert [ms for ms, data in out.items() if data == moving] == [100, 300]
+    assert [ms for ms, data in out.items() if data == ZERO] == [0, 500, 600, 800, 1000, 1200, 1400]
     assert steering.stopped == "no command for 0.5 s"
 
 
@@ -86,13 +86,13 @@ def test_a_stop_waits_for_no_cycle_and_is_repeated_in_the_next() -> None:
     sent(steering, 11, commands={0: (0.2, 0.0)})
     steering.stop("geofence")
     assert steering.due_ns <= 11 * MS
-    assert steering.advance(11 * MS) == ZERO
+    assert steering.packets(11 * MS) == ZERO
     assert steering.stopped == "geofence"
-    assert steering.advance(110 * MS) == b""
-    assert steering.advance(111 * MS) == ZERO
-    steering.command(0.1, 0.0, 112 * MS)
+    assert steering.packets(110 * MS) == b""
+    assert steering.packets(111 * MS) == ZERO
+    steering.command((0.1, 0.0), 112 * MS)
     assert steering.stopped == ""
-    assert steering.advance(211 * MS) == speeds(AMIGO, 0.1, 0.0, "vel")
+    assert steering.packets(211 * MS) == speeds(AMIGO, 0.1, 0.0, "vel")
 
 
 @given(gaps=st.lists(st.integers(1, 900), max_size=8))
@@ -104,8 +104,8 @@ def test_due_is_when_something_happens(gaps: list[int]) -> None:
     steering, out, now = Steering(AMIGO, "vel", 0.5), {}, 0
     while now < 2000:
         if now in commands:
-            steering.command(*commands[now], now * MS)
-        if data := steering.advance(now * MS):
+            steering.command(commands[now], now * MS)
+        if data := steering.packets(now * MS):
             out[now] = data
         now = min([max(now + 1, steering.due_ns // MS), *(ms for ms in given_at if ms > now)])
     assert out == always

@@ -138,9 +138,11 @@ def test_what_ends_a_source_can_be_seen() -> None:
     def truth() -> tuple[float, float, float, float]:
         raise RuntimeError("lost")
 
-    with Source(Tag("1", Errors(), 1), truth, ubisense_outlet("127.0.0.1", 9)) as source:
-        until(lambda: source.error)
-    assert str(source.error) == "lost"
+    source = Source(Tag("1", Errors(), 1), truth, ubisense_outlet("127.0.0.1", 9))
+    until(lambda: source.error)
+    with pytest.raises(RuntimeError, match="lost"):
+        source.close()
+    source.close()
 
 
 def test_ports_that_cannot_be_had_are_refused_in_one_line(tmp_path: Path) -> None:

@@ -106,7 +106,9 @@ def test_real_vehicles_are_simulated() -> None:
     raw |= {"vehicle": [{"name": name, **real} for name in ("car1", "car2")]}
     before = scenario.load(raw)[0]
     after = scenario.load(raw, settings=changes_of(before, before.vehicle[0], AMIGO, 0.025, None))[0]
-    assert [(each.driver, each.localisation, each.pose_source) for each in after.vehicle] == [(None, None, "truth")] * 2
+    assert [(each.driver or {}).get("kind") for each in after.vehicle] == ["none"] * 2
+    assert after.real == ()
+    assert [each.pose_source for each in after.vehicle] == ["truth"] * 2
 
 
 def test_sonars_look_from_where_the_robot_has_them_and_ones_of_the_scenario_are_left_alone() -> None:

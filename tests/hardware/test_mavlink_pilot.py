@@ -5,8 +5,6 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cosim.frames import quaternion_from_yaw
 from cosim.types import VehicleState, Velocity
@@ -14,7 +12,7 @@ from hardware.driver import Sample
 from hardware.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
 from hardware.mavlink.hello import Search
 from hardware.mavlink.pilot import Orders, Pilot
-from hardware.mavlink.track import Clock, Track
+from hardware.mavlink.track import ATTITUDE_NS, Track
 from hardware.mavlink.vehicle import TICK_NS, Vehicle
 
 SECOND = 1_000_000_000
@@ -170,22 +168,59 @@ def test_errors_of_the_autopilot_become_news_once_and_whole() -> None:
     assert said == ['the autopilot says "low battery"', f'the autopilot says "{long}"']
 
 
-@given(st.lists(st.floats(0.0, 0.3), min_size=1, max_size=60), st.floats(-1e-4, 1e-4), st.integers(0, 10**6))
-def test_the_time_of_measuring_is_as_late_as_the_quickest_message(delays: list[float], drift: float, boot_ms: int) -> None:
-    clock, best = Clock(), math.inf
-    for number, delay in enumerate(delays):
-        truth_ns = 7 * SECOND + number * 20_000_000
-        arrived_ns = truth_ns + round(delay * SECOND)
-        told = clock.measured_ns(boot_ms + round(number * 20 * (1.0 + drift)), arrived_ns)
-        best = min(best, delay)
-        assert told <= arrived_ns
-        assert abs(told - truth_ns) <= (best + 0.003) * SECOND  # as late as the quickest so far, within rounding and drift
+def test_commands_move_nothing_that_is_not_armed_or_is_being_left() -> None:
+    flight = Flight(Vehicle(mode="OFFBOARD"))
+    flight.until_ready()
+    flight.run(0.4, EAST)
+    flight.vehicle.pilot_arms()
+    flight.run(0.05)
+    assert flight.vehicle.commanded() == Velocity()
+    flight.run(1.2, EAST)  # its next heartbeat has come
+    assert flight.vehicle.commanded().linear == (1.0, 0.0, 0.0)
+    flight.pilot.leave()
+    left_ns = flight.now_ns
+    flight.run(0.5, EAST)
+    assert {each.vy for time_ns, each in flight.points() if time_ns > left_ns} == {0.0}  # east is y
+    other = Flight(Vehicle(**FLYING))
+    other.until_ready()
+    other.pilot.leave()
+    other.vehicle.pilot_switches("OFFBOARD")
+    other.run(1.5, EAST)
+    assert {each.vy for _, each in other.points()} == {0.0}
 
 
-def test_a_switch_off_and_on_starts_the_time_anew() -> None:
-    clock = Clock()
-    clock.measured_ns(500_000, 10 * SECOND)
-    assert clock.measured_ns(1_000, 20 * SECOND) == 20 * SECOND
+def test_who_has_disarmed_it_has_stopped_it() -> None:
+    flight = Flight(Vehicle(mode="OFFBOARD", heartbeat_s=0.1, **FLYING))
+    flight.until_ready()
+    flight.run(0.5, EAST)
+    flight.vehicle.pilot_arms(False)
+    flight.run(0.2, EAST)
+    assert "it has disarmed" in flight.causes()
+    flight.vehicle.pilot_arms()
+    flight.run(0.2)
+    assert flight.vehicle.commanded() == Velocity()
+
+
+def test_a_stop_leaves_unready_only_what_is_to_move() -> None:
+    flight = Flight(Vehicle(mode="OFFBOARD", **FLYING))
+    flight.pilot.stop("the link was lost")
+    assert not flight.pilot.interrupted
+    ordered = Flight(Vehicle(**FLYING), switch_mode=True)
+    ordered.pilot.stop("enough")
+    assert ordered.pilot.interrupted == "enough"
+
+
+def test_an_old_attitude_or_one_of_before_says_nothing_of_now() -> None:
+    track = Track((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
+    turned = mavlink.MAVLink_attitude_message(0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    there = mavlink.MAVLink_local_position_ned_message(0, *[1.0] * 6)
+    track.attitude(turned, 0)
+    assert track.position(there, ATTITUDE_NS)
+    assert not track.position(there, ATTITUDE_NS + 1)
+    track.attitude(turned, SECOND)
+    track.connect()
+    assert track.state is None
+    assert not track.position(there, SECOND)
 
 
 # The emulated vehicle by itself

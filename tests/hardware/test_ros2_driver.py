@@ -14,11 +14,12 @@ import pytest
 from cosim.errors import ScenarioError
 from cosim.types import Velocity
 from hardware.driver import Driver, DriverError, HandshakeError, LinkLost, PortError, Sample
-from hardware.ros2.driver import Ros2Driver
+from hardware.pace import NOT_YET
+from hardware.ros2.driver import WAITING, Ros2Driver
 from hardware.ros2.keys import Endpoint, RmwZenoh
 from hardware.ros2.messages import TWIST, Twist, encode_odometry, encode_twist
 from hardware.ros2.robot import Ros2Robot
-from hardware.ros2.session import Node
+from hardware.ros2.session import Heard, Node
 
 START = (1.0, 2.0, 0.5)
 
@@ -73,6 +74,14 @@ def lost(driver: Driver) -> bool:
     return False
 
 
+def failed(driver: Driver) -> str:
+    try:
+        driver.read()
+    except DriverError as error:
+        return error.happened
+    return ""
+
+
 def told(driver: Driver) -> list[tuple[str, str]]:
     return [(each.what, each.cause) for each in driver.notices()]
 
@@ -91,7 +100,7 @@ def moving(robot: Ros2Robot) -> bool:
 def test_it_drives_from_the_start_pose(endpoint: str, mapping: Any, stamped: bool) -> None:
     options: dict[str, Any] = {"mapping": mapping, "stamped": stamped, "namespace": "robot1"}
     with Ros2Robot(endpoint=endpoint, pose=(-7.0, 3.0, 2.0), **options) as robot:
-        with connected(endpoint, silence_s=10.0, command_timeout_s=10.0, **options) as driver:
+        with connected(endpoint, silence_s=10.0, command_timeout_s=2.0, **options) as driver:
             assert isinstance(driver, Driver)
             samples = drive(driver, 0.2, v=0.4)
             while way(samples[-1]) <= 0.1:
@@ -109,9 +118,10 @@ def test_it_drives_from_the_start_pose(endpoint: str, mapping: Any, stamped: boo
     assert samples[0].link == samples[-1].link == 1
     assert samples[-1].stopped == ""
     if stamped:  # by the robot's clock, which is 1.7e9 s ahead
-        arrived_ns, twist = robot.heard[-1]
+        arrived_ns, twist = next(each for each in reversed(robot.heard) if each[1].linear[0])
         assert 0 <= arrived_ns + 1_700_000_000 * 10**9 - twist.stamp_ns < 10**9 * 5
         assert twist.frame == "base_link"
+        assert robot.heard[-1][1].stamp_ns == 0  # the last zero is any clock's
 
 
 def test_it_is_the_router_if_that_is_wanted(endpoint: str) -> None:
@@ -171,7 +181,10 @@ def test_a_stop_is_a_stop_until_the_next_command(endpoint: str) -> None:
 
 
 def test_silence_is_a_loss_and_what_is_heard_again_a_new_link(endpoint: str) -> None:
-    with Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot, connected(endpoint, silence_s=0.8) as driver:
+    with (
+        Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot,
+        connected(endpoint, silence_s=0.8, command_timeout_s=60.0) as driver,
+    ):
         eventually(lambda: any(way(each) > 0.0 for each in drive(driver, 0.1, v=0.3)))
         robot.silent = True
         eventually(lambda: lost(driver))
@@ -227,6 +240,7 @@ def test_what_is_bad_is_counted_and_told_once(endpoint: str) -> None:
             encode_odometry(good)[:100],
             b"",
             encode_odometry(good._replace(frame="map")),
+            encode_odometry(good._replace(stamp_ns=-1)),
         ]
         for _ in range(3):
             for data in bad:
@@ -235,20 +249,71 @@ def test_what_is_bad_is_counted_and_told_once(endpoint: str) -> None:
         stranger = Node(endpoint, "connect", RmwZenoh(0, "stranger"), (other,))
         try:
             say = stranger.publisher(other, lambda _: None)
-            for _ in range(5):
-                say(encode_twist(Twist((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), stamped=False))
-            eventually(lambda: driver.refused.total() == 17)
+            wrong = encode_twist(Twist((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), stamped=False)
+            eventually(lambda: say(wrong) or driver.refused["type"] > 3)
+            eventually(lambda: sum(driver.refused[key] for key in ("content", "frame", "stamp")) == 15)
             second = Ros2Robot(endpoint=endpoint, mode="connect", name="second")
             robot.silent = False
             with second:
                 eventually(lambda: driver.refused["sender"] > 2)
         finally:
             stranger.close()
-        assert {key: driver.refused[key] for key in ("content", "frame", "type")} == {"content": 9, "frame": 3, "type": 5}
+        assert {key: driver.refused[key] for key in ("content", "frame", "stamp")} == {"content": 9, "frame": 3, "stamp": 3}
         causes = [cause for _, cause in told(driver) if "left out" in cause]
-        assert len(causes) == 4
+        assert len(causes) == 5
         assert any("geometry_msgs/msg/Twist, not nav_msgs/msg/Odometry" in cause for cause in causes)
         eventually(lambda: driver.read() is not None)
+
+
+def test_a_listener_that_is_new_hears_zero_first(endpoint: str) -> None:
+    with Ros2Robot(endpoint=endpoint), connected(endpoint, silence_s=10.0, command_timeout_s=60.0) as driver:
+        eventually(lambda: any(each.stopped == "" for each in drive(driver, 0.1, v=0.3)))
+        driver._news.put(True)  # as Zenoh says it
+        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == NOT_YET)
+
+
+def test_another_node_is_followed_only_when_the_loss_of_the_one_was_told(endpoint: str) -> None:
+    """The thread is held up while the one falls silent and another begins to speak."""
+    with (
+        Ros2Robot(endpoint=endpoint, name="one") as one,
+        Ros2Robot(endpoint=endpoint, name="two", mode="connect", pose=(15.0, 0.0, 0.0)) as two,
+    ):
+        two.silent = True
+        time.sleep(0.2)
+        with connected(endpoint, silence_s=0.5, reconnect_s=60.0) as driver:
+            eventually(driver.read)
+            with driver._lock:
+                one.silent = True
+                time.sleep(0.8)
+                while not driver._news.empty():
+                    driver._news.get()
+                two.silent = False
+                eventually(lambda: not driver._news.empty())
+            eventually(lambda: (sample := driver.read()) is not None and sample.link == 2)
+            assert ("lost", "no odometry on odom for 0.5 s") in told(driver)
+
+
+def test_only_so_many_messages_wait(endpoint: str) -> None:
+    with Ros2Robot(endpoint=endpoint) as robot, connected(endpoint, silence_s=30.0) as driver:
+        message = Heard("", encode_odometry(robot.message()), b"another", time.monotonic_ns())
+        with driver._lock:
+            for _ in range(WAITING + 100):
+                driver._hand_over(message)
+            assert driver._news.qsize() <= WAITING + 1
+
+
+def test_whatever_ends_its_thread_is_an_error_that_says_so(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise LookupError("boom")
+
+    with Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot, connected(endpoint, command_timeout_s=60.0) as driver:
+        eventually(lambda: drive(driver, 0.05, v=0.3) is not None and moving(robot))
+        monkeypatch.setattr(driver, "_taken", fails)
+        eventually(lambda: failed(driver) == "the driver failed (LookupError: boom)")
+        eventually(lambda: not moving(robot))
+    monkeypatch.setattr(Node, "hear", fails)
+    with pytest.raises(DriverError, match=r"the driver failed \(LookupError: boom\)"):
+        Ros2Driver(endpoint=endpoint, mode="listen").open()
 
 
 def test_nobody_there(endpoint: str) -> None:

@@ -1,4 +1,4 @@
-"""Clocks, poses, pace and presence by themselves, without a network: laws."""
+"""Poses, times and presence by themselves, without a network: laws."""
 
 from math import cos, pi, sin
 
@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 
 from cosim.frames import quaternion_from_yaw, wrap
 from cosim.types import Vec3
-from hardware.ros2.messages import OdometryMessage
-from hardware.ros2.pace import NOT_YET, ZERO_SPEEDS, Pace
+from hardware.ros2.messages import STAMPS_END_NS, OdometryMessage
 from hardware.ros2.presence import Presence
-from hardware.ros2.track import Pose, RobotClock, Track
+from hardware.ros2.track import Pose, Track
 
 MS, S = 10**6, 10**9
 coordinates = st.floats(-50.0, 50.0)
@@ -91,86 +90,51 @@ def test_in_the_world_all_three_axes_are_kept() -> None:
     assert state.velocity == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)
 
 
-@given(st.integers(-(10**18), 10**18), st.lists(st.integers(0, 900 * MS), min_size=60, max_size=60))
-def test_measuring_times_are_right_but_for_the_least_delay(ahead_ns: int, delays: list[int]) -> None:
-    """Never after the arrival, never before the truth, and right by the least delay so far and what clocks may drift."""
-    clock, epoch = RobotClock(), 10**18 + 1
-    for number, delay in enumerate(delays):
-        true_ns = epoch + number * S
-        measured_ns = clock.measured_ns(true_ns + ahead_ns, true_ns + delay)
-        assert true_ns <= measured_ns <= true_ns + delay
-        assert measured_ns - true_ns <= min(delays[: number + 1]) + (number + 1) * MS // 2
+def times(made: Track, stamps_and_arrivals: list[tuple[int, int]]) -> list[int]:
+    return [made.add(message(0.0, 0.0, 0.0, stamp), arrived, "").measured_ns for stamp, arrived in stamps_and_arrivals]
+
+
+AHEAD = 1_700_000_000 * S  # the robot's clock
+
+
+def test_what_was_held_up_is_as_old_as_it_is() -> None:
+    """Two seconds of messages that come all at once, after a stall of the network."""
+    true = [1000 * S + number * 50 * MS for number in range(1, 80)]
+    arrivals = [each if number < 40 else 1004 * S + number for number, each in enumerate(true)]
+    told = times(track(), [(each + AHEAD, arrived) for each, arrived in zip(true, arrivals, strict=True)])
+    for each, measured in zip(true, told, strict=True):
+        assert 0 <= measured - each <= 2 * MS  # 500 ppm of 4 s
+
+
+@pytest.mark.parametrize("by_ns", [-500 * MS, -3600 * S, 100 * MS, 3600 * S])
+def test_a_clock_that_is_set_is_followed_after_three_messages(by_ns: int) -> None:
+    true = [10 * S + number * 50 * MS for number in range(20)]
+    told = times(track(), [(each + AHEAD + (by_ns if number >= 10 else 0), each) for number, each in enumerate(true)])
+    for number, (each, measured) in enumerate(zip(true, told, strict=True)):
+        assert measured <= each
+        assert number in (10, 11) or each - measured <= MS
+
+
+def test_another_node_has_another_clock() -> None:
+    made = track()
+    times(made, [(AHEAD + number * S, number * S) for number in range(5)])
+    made.connect(anew=True)
+    assert times(made, [(7 * S, 10 * S)]) == [10 * S]
 
 
 def test_the_robots_clock_is_known_once_it_was_heard() -> None:
-    clock = RobotClock()
-    assert clock.stamp_ns(5 * S) == 0
-    clock.measured_ns(1700 * S, 10 * S)
-    assert clock.stamp_ns(12 * S) == 1702 * S
+    made = track()
+    assert made.stamp_ns(5 * S) == 0
+    assert times(made, [(0, 77)]) == [77]  # a node that stamps nothing
+    assert made.stamp_ns(5 * S) == 0
+    times(made, [(1700 * S, 10 * S)])
+    assert made.stamp_ns(12 * S) == pytest.approx(1702 * S, abs=2 * MS)
 
 
-@pytest.mark.parametrize("by_ns", [-100 * MS, -3600 * S, 100 * MS, 3600 * S])
-def test_a_clock_that_is_set_is_followed_at_once(by_ns: int) -> None:
-    clock = RobotClock()
-    for number in range(20):
-        ahead_ns = 10_000 * S + (by_ns if number >= 10 else 0)
-        measured_ns = clock.measured_ns(number * 50 * MS + ahead_ns, number * 50 * MS)
-        assert abs(measured_ns - number * 50 * MS) <= MS
-
-
-def test_a_clock_of_a_slow_simulation_is_never_more_than_a_second_off() -> None:
-    clock = RobotClock()
-    for number in range(1, 2000):
-        arrived_ns = number * 50 * MS
-        assert 0 <= arrived_ns - clock.measured_ns(arrived_ns // 2, arrived_ns) <= S
-
-
-def test_messages_without_a_stamp_were_measured_when_they_came() -> None:
-    clock = RobotClock()
-    assert clock.measured_ns(0, 77) == 77
-    assert clock.stamp_ns(78) == 0
-
-
-def said(pace: Pace, now_ns: int) -> list[tuple[float, float]]:
-    speeds = []
-    while (each := pace.advance(now_ns)) is not None:
-        speeds.append(each)
-    return speeds
-
-
-def test_zero_comes_first_then_the_newest_command_at_once_and_again_at_its_rate() -> None:
-    pace = Pace(10.0, 0.5)
-    assert pace.stopped == NOT_YET
-    pace.command(0.1, 0.0, 0)
-    pace.command(0.2, 0.1, 0)
-    assert said(pace, 0) == [ZERO_SPEEDS, (0.2, 0.1)]
-    assert pace.due_ns == 100 * MS
-    assert said(pace, 99 * MS) == []
-    assert said(pace, 100 * MS) == [(0.2, 0.1)]
-    pace.command(0.3, 0.0, 120 * MS)
-    assert pace.due_ns == 0
-    assert said(pace, 120 * MS) == [(0.3, 0.0)]
-
-
-def test_without_commands_it_says_zero_and_goes_on_saying_it() -> None:
-    pace = Pace(1.0, 0.5)
-    pace.command(0.2, 0.1, 0)
-    said(pace, 0)
-    assert pace.due_ns == 500 * MS
-    assert said(pace, 500 * MS) == [ZERO_SPEEDS]
-    assert pace.stopped == "no command for 0.5 s"
-    assert said(pace, 1500 * MS) == [ZERO_SPEEDS]
-
-
-def test_a_stop_is_said_ahead_of_the_command_that_follows() -> None:
-    pace = Pace(10.0, 0.5)
-    pace.command(0.2, 0.0, 0)
-    said(pace, 0)
-    pace.command(0.4, 0.0, MS)
-    pace.stop("enough")
-    pace.command(0.1, 0.0, 2 * MS)
-    assert said(pace, 2 * MS) == [ZERO_SPEEDS, (0.1, 0.0)]
-    assert pace.stopped == ""
+def test_a_clock_at_the_end_of_its_stamps_gives_none() -> None:
+    made = track()
+    times(made, [(STAMPS_END_NS - 1, 10 * S)])
+    assert made.stamp_ns(12 * S) == 0
 
 
 def test_a_robot_is_there_while_it_is_heard_and_hears() -> None:

@@ -25,7 +25,9 @@ from cosim.transport.zenoh import opened
 from cosim.types import Fix
 from hardware.driver import HandshakeError, PortError
 from hardware.positioning import Located, dwm1001, pose_topic, ubisense
+from hardware.positioning import port as port_source
 from hardware.positioning import source as sources_common
+from hardware.positioning.fusion import Fusion
 from hardware.positioning.placing import Placing, Posed
 from hardware.positioning.pose_topic import ExternalPose
 from hardware.positioning.sources import Dwm1001, Localisation, Nmea, Ubisense
@@ -256,6 +258,7 @@ def test_a_clock_that_jumps_is_told() -> None:
 
 def test_a_dwm1001_is_woken_unplugged_and_woken_again(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dwm1001, "Waker", lambda patient=dwm1001.Waker: patient(0.1))
+    monkeypatch.setattr(port_source, "RETRY_S", 0.05)
     source, tag = Dwm1001(port=str(terminal.link), offset=(1.0, 0.0, 0.0)), dwm1001.Tag()
 
     def turn() -> list[Fix]:
@@ -266,12 +269,14 @@ def test_a_dwm1001_is_woken_unplugged_and_woken_again(terminal: Terminal, monkey
 
     with listening(source):
         assert wait(turn)[0].position == pytest.approx((2.0, 2.0, 0.5))
+        waker = source._waker
         terminal.unplug()
         assert "plug it in" in wait(causes(source, "gone"))[0]
         terminal.plug()
         tag = dwm1001.Tag()
         assert wait(turn)[0].position == pytest.approx((2.0, 2.0, 0.5))
         assert wait(causes(source, "positions come"))
+        assert source._waker is not waker  # a module that was off has forgotten all; so must whoever asks it
 
 
 @pytest.mark.usefixtures("impatient")
@@ -285,6 +290,16 @@ def test_a_receiver_tells_positions_of_the_tangent_plane_and_a_wrong_baud_rate_i
         (fix,) = wait(lambda: fixes(source))
         assert fix.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
         assert fix.sigma_m == pytest.approx(0.9 * 4.0 / math.sqrt(2.0))
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_port_that_is_back_and_silent_is_told(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(port_source, "RETRY_S", 0.05)
+    with listening(Nmea(port=str(terminal.link), **HERE)) as source:
+        terminal.unplug()
+        assert wait(causes(source, "gone"))
+        terminal.plug()
+        assert wait(causes(source, "nothing comes"))
 
 
 def test_a_source_can_be_opened_again(terminal: Terminal) -> None:
@@ -364,6 +379,23 @@ def test_nobody_to_connect_to_and_nothing_to_listen_on(port: int, monkeypatch: p
         ExternalPose(key="a", endpoint=f"tcp/127.0.0.1:{port}", mode="listen").open()
 
 
+def test_a_session_in_which_nothing_can_be_heard_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Deaf:
+        closed = False
+
+        def declare_subscriber(self, *_: object) -> None:
+            raise zenoh.ZError("no")
+
+        def close(self) -> None:
+            self.closed = True
+
+    session = Deaf()
+    monkeypatch.setattr(pose_topic, "opened", lambda *_: session)
+    with pytest.raises(PortError, match="nothing can be heard"):
+        ExternalPose(key="a").open()
+    assert session.closed
+
+
 @pytest.mark.usefixtures("impatient")
 def test_a_bridge_that_goes_and_comes_back_is_heard_again(port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{port}"
@@ -384,21 +416,49 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
     position=st.none() | st.tuples(numbers, numbers, numbers),
     sigma=st.none() | numbers,
     yaw=st.none() | st.floats(-10.0, 10.0),
+    sigma_rad=numbers,
     source_ns=st.none() | st.integers(-(2**63), 2**64),
 )
 def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
-    position: Any, sigma: Any, yaw: Any, source_ns: int | None
+    position: Any, sigma: Any, yaw: Any, sigma_rad: float, source_ns: int | None
 ) -> None:
     placing = Placing(sigma_m=0.1, latency_s=0.1, offset=(1.0, 2.0, 3.0), turn_rad=0.3)
     for arrived in (10**9, 2 * 10**9):
-        fix = placing.place(Posed(position=position, sigma_m=sigma, yaw=yaw, source_ns=source_ns), arrived)
+        posed = Posed(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
+        fix = placing.place(posed, arrived)
         if fix is not None:
             assert math.hypot(*fix.position) <= 10_000.0
-            assert 1e-3 <= fix.sigma_m < math.inf
+            assert 1e-3 <= fix.sigma_m <= 10_000.0
             assert arrived - 10**10 <= fix.time_ns <= arrived - 10**8
-            assert yaw is None or fix.yaw == pytest.approx(math.remainder(yaw + 0.3, math.tau), abs=1e-9)
+            assert (fix.yaw is None) == (yaw is None or not 0.0 < sigma_rad <= math.pi)
+            assert fix.yaw is None or fix.sigma_rad >= 1e-3
+            assert fix.yaw is None or fix.yaw == pytest.approx(math.remainder(yaw + 0.3, math.tau), abs=1e-9)
         elif position is not None:
-            assert placing.old or not math.hypot(*position) <= 9_990.0
+            assert placing.old or placing.unknown or not math.hypot(*position) <= 9_990.0
+
+
+@pytest.mark.parametrize(
+    ("said", "position", "yaw"),
+    [
+        (b'{"x": 1, "y": 2, "yaw": 0.5}', True, (0.5, 0.02)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma": 1e200}', False, None),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma": 0}', True, (0.5, 0.02)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma_yaw": 0}', True, (None, 0.0)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma_yaw": 1e-200}', True, (0.5, 0.001)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma_yaw": 4}', True, (None, 0.0)),
+        (b'{"x": 1, "y": 2, "t": 1e299}', True, (None, 0.0)),
+        (b'{"x": 1, "y": 2, "a": ' + b"[" * 2000 + b"]" * 2000 + b"}", False, None),
+    ],
+)
+def test_no_message_ends_anything(said: bytes, position: bool, yaw: Any) -> None:
+    reader, placing, fusion = pose_topic.Reader(0.02), Placing(sigma_m=0.1, latency_s=0.0), Fusion(start=(0.0, 0.0, 0.0))
+    fixes = [placing.place(each, SECOND_NS) for each in reader.feed(said)]
+    known = [each for each in fixes if each is not None]
+    assert bool(known) == position
+    for fix in known:
+        assert (fix.yaw, fix.sigma_rad) == yaw
+        fusion.fix(fix.time_ns, fix.position[0], fix.position[1], fix.sigma_m)
+    assert bool(known) or reader.bad_messages + placing.unknown == 1
 
 
 def test_a_clock_that_stands_still_is_told_and_gives_no_readings() -> None:
