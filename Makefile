@@ -3,6 +3,7 @@
 PYTHON ?= $(firstword $(shell command -v python3.11) python3)
 UV_VERSION = 0.13.9
 VENV = .venv
+WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1)')
 BIN = $(VENV)/bin
 UV = .uv/bin/uv
 
@@ -33,7 +34,7 @@ docs: setup
 	$(BIN)/python -m cosim.reference --write
 
 test: check
-	$(BIN)/pytest -n auto --dist loadfile
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile
 
 bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	NS3_PREFIX=$$(echo .ns3/lib/python*/site-packages/ns3) $(BIN)/python -m bench
