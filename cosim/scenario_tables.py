@@ -108,9 +108,7 @@ class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[clock]``: how a run keeps to the wall clock, with real vehicles or ``--realtime``."""
 
-    late: Literal["slip", "stop"] = (
-        "slip"  # when an instant is too late: "slip": so are all after it; "stop": the run ends
-    )
+    late: Literal["slip", "stop"] = "slip"  # when an instant is too late: "slip": so are all after it; "stop": the run ends
     tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
 
 

@@ -21,6 +21,8 @@ from physics.world import World
 class Jumper:
     """An engine of a user's own: vehicles are at once where their command would have brought them in a second."""
 
+    stepped = False
+
     def __init__(self, places: list[Vec3]) -> None:
         self.places, self.closed = np.array(places), False
 
