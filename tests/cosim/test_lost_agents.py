@@ -350,7 +350,8 @@ def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> 
     time.sleep(2.0)
     host.send_signal(signal.SIGCONT)
     code, said = ended(host)
-    assert (code, "is gone" in said) == (3, True)
+    # It may first read the farewell that was sent to it meanwhile, or first find that its link has gone.
+    assert (code, "is gone" in said) in {(0, False), (3, True)}
 
 
 def test_an_agent_that_failed_is_not_back_when_its_host_is(stage: ByHand) -> None:
