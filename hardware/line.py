@@ -60,10 +60,12 @@ class Line(Protocol):
 def open_line(url: str, baud: int) -> Line:
     """Open ``/dev/ttyUSB0``, the path of a pseudo-terminal, or ``socket://host:port``; a serial port for this process alone.
 
+    ``tcp://host:port`` is the same as the latter.
+
     Raises:
         PortError: it cannot be opened.
     """
-    if url.startswith("socket://"):
+    if url.startswith(("socket://", "tcp://")):
         return _Tcp(url)
     if "://" in url:
         raise PortError(url, "this kind of port is not known", "give a serial port such as /dev/ttyUSB0, or socket://host:port")

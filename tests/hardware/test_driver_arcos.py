@@ -249,7 +249,8 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
     assert "not known" in refused("udp://robot:1").happened
     with socket.create_server(("127.0.0.1", 0)) as server:
         free = server.getsockname()[1]
-    assert f"nothing listens on port {free} of 127.0.0.1" in refused(f"socket://127.0.0.1:{free}").happened
+    for scheme in ("socket", "tcp"):
+        assert f"nothing listens on port {free} of 127.0.0.1" in refused(f"{scheme}://127.0.0.1:{free}").happened
 
 
 def test_a_port_that_belongs_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
