@@ -16,7 +16,7 @@ gaps = st.floats(1e-3, 3.0)  # s between messages
 
 def stamp(now_ns: int, offset_ns: int, ppm: float) -> int:
     """What a clock says that was ``offset_ns`` behind ours at 0 and drifts: it gains ppm microseconds a second."""
-    return round(now_ns - offset_ns + ppm * 1e-6 * now_ns)
+    return now_ns - offset_ns + round(ppm * 1e-6 * now_ns)  # whole numbers: floats of 1e18 are 128 apart
 
 
 def traffic(messages: list[tuple[float, float]], least: float) -> list[tuple[int, int, int]]:
