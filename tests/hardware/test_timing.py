@@ -59,7 +59,7 @@ def test_the_error_is_at_most_the_least_extra_delay_and_drift(
 @given(
     before=st.lists(st.tuples(st.floats(0.05, 0.2), st.floats(0.0, 0.2)), min_size=1, max_size=20),
     after=st.lists(st.tuples(st.floats(0.05, 0.2), st.floats(0.0, 0.2)), min_size=AGREE, max_size=20),
-    jump=st.floats(1.5, 1e6) | st.floats(-1e6, -1.5),
+    jump=st.floats(1.5, 1e6) | st.floats(-1e6, -2.5),  # a clock put back by less looks like a queue for a while,
 )
 def test_a_jump_is_told_once_and_times_are_right_again(
     before: list[tuple[float, float]], after: list[tuple[float, float]], jump: float
