@@ -28,9 +28,10 @@ class ForeignClock:
     most ``a_i - s_i - least + drift (t - a_i)`` for every message i, and the least of these bounds is taken: it is too large
     by at most ``extra_i + 2 drift (t - a_i)``, whichever i, where extra is what a message took beyond ``least_s``.
 
-    A message that comes too early by ``jump_s``, or whose stamp lies back by so much, is not counted; `AGREE` such in a row
-    that agree among themselves mean that the clock has jumped, and the window starts anew with them. One that is merely late
-    moves nothing.
+    A message that comes too early by ``jump_s``, or whose stamp lies back by so much, is not counted; `AGREE` in a row that
+    agree among themselves mean that the clock has jumped, and the window starts anew with them. One that is merely late moves
+    nothing, unless it follows such a message and agrees with it: the stamps of a clock that was put back soon reach those of
+    before.
 
     Args:
         least_s: what lies between measuring and arriving at least.
@@ -78,14 +79,16 @@ class ForeignClock:
             return
         early = self._offset(arrived_ns) - (arrived_ns - self._least_ns - source_ns)
         back = (self._newest or source_ns) - source_ns
-        if early <= self._jump_ns and back <= self._jump_ns:
+        delays = [arrived - stamp for stamp, arrived in (*self._suspects, (source_ns, arrived_ns))]
+        agrees = max(delays) - min(delays) <= self._jump_ns
+        follows = len(delays) > 1 and agrees and early < -self._jump_ns
+        if early <= self._jump_ns and back <= self._jump_ns and not follows:
             self._suspects.clear()
             self._bound(source_ns, arrived_ns)
             return
+        if not agrees:
+            self._suspects.clear()
         self._suspects.append((source_ns, arrived_ns))
-        delays = [arrived - stamp for stamp, arrived in self._suspects]
-        if max(delays) - min(delays) > self._jump_ns:
-            del self._suspects[:-1]
         if len(self._suspects) >= AGREE:
             self._restart(early)
 
