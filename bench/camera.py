@@ -14,8 +14,8 @@ from bench.measure import Row, cpu, in_turn, table
 from cosim.types import Array
 from physics.bullet import p as pybullet  # there it is imported without its greeting
 from physics.render import render
-from physics.render_ground import View
 from physics.solids import Box
+from physics.view import View
 from physics.world import World
 
 SIZES = ((160, 120), (320, 240), (640, 480))

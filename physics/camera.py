@@ -11,10 +11,10 @@ import numpy as np
 from cosim.errors import ScenarioError
 from cosim.types import Array, Image, NonNegative, Positive, Vec3, frozen
 from physics.render import render
-from physics.render_ground import View
 from physics.scene import Scene
 from physics.sensor import Sensor
 from physics.sensors.common import mounted, rotation
+from physics.view import View
 
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=8192)]
 Angle = Annotated[float, msgspec.Meta(gt=0, lt=math.pi)]

@@ -11,8 +11,8 @@ from cosim.types import Array
 from physics.draw_map import draw_map, round_step, text
 from physics.ground import Ground, Mark
 from physics.render import render
-from physics.render_ground import View
 from physics.solids import AnySolid, Box, Color, Mesh
+from physics.view import View
 from physics.world import Moving, World
 
 _FOV = 0.7  # rad
@@ -36,18 +36,18 @@ def draw_world(world: World, *, width: int = 1200, height: int = 800, time_s: fl
         world: what is drawn.
         width: of each picture, px.
         height: px.
-        time_s: obstacles that keep to a time-table are where they are then.
+        time_s: obstacles that keep to a time-table, and targets that move, are where they are then.
     """
     solids = (*world.solids, *(each.solid for each in world.movables), *(_placed(each, time_s) for each in world.moving))
     filled = dataclasses.replace(world, solids=solids)
     low, high = extent(filled)
-    above = draw_map(filled, low, high, width, height)
+    above = draw_map(filled, low, high, width, height, time_s)
     caption = world.name
     if world.ground.plain:
         step = round_step(0.05 * float((high - low)[:2].max()))
         filled = dataclasses.replace(filled, ground=_grid(low, high, step, world.ground.color))
         caption += f", lines every {step:g} m"
-    oblique = _oblique(filled, low, high, width, height)
+    oblique = _oblique(filled, low, high, width, height, time_s)
     text(oblique, caption, 16, height - 16, 0.6)
     return Drawing(above, oblique)
 
@@ -63,6 +63,9 @@ def png(picture: Array) -> bytes:
 def extent(world: World) -> tuple[Array, Array]:
     """The lowest and highest x, y, z, m, of what is worth drawing."""
     corners = [each for solid in world.solids for each in _outer(solid)]
+    for target in world.targets:
+        way = np.array(target.way)
+        corners += [np.column_stack([way + side * target.size_m, np.zeros(len(way))]) for side in (-1.0, 1.0)]
     if not world.ground.plain:
         (x, y), (length, width) = world.ground.center, world.ground.size
         corners.append(np.array([[x - 0.5 * length, y - 0.5 * width, 0.0], [x + 0.5 * length, y + 0.5 * width, 0.0]]))
@@ -115,7 +118,7 @@ def _grid(low: Array, high: Array, step: float, color: Color) -> Ground:
     )
 
 
-def _oblique(world: World, low: Array, high: Array, width: int, height: int) -> Array:
+def _oblique(world: World, low: Array, high: Array, width: int, height: int, time_s: float) -> Array:
     """The world from high up, just as near as shows all of it."""
     back = np.array([*_FROM, math.hypot(*_FROM) * math.tan(_ELEVATION)])
     back /= np.linalg.norm(back)
@@ -140,5 +143,5 @@ def _oblique(world: World, low: Array, high: Array, width: int, height: int) -> 
         focal_px=0.5 * _FINER * width / math.tan(0.5 * _FOV),
         reach_m=distance + 2.0 * float(np.linalg.norm(high - low)),
     )
-    picture: Array = cv2.resize(render(world, view).pixels, (width, height), interpolation=cv2.INTER_AREA)
+    picture: Array = cv2.resize(render(world, view, time_s=time_s).pixels, (width, height), interpolation=cv2.INTER_AREA)
     return picture

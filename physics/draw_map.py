@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 
 from cosim.types import Array
+from physics.render_targets import corners_of, lay, textures_of
 from physics.solids import Mesh, color_of
-from physics.world import World
+from physics.world import World, made_once
 
-_PAPER, _INK, _FAINT = (255, 255, 255), (40, 40, 40), (120, 120, 120)
+_PAPER, _INK, _FAINT, _WAY = (255, 255, 255), (40, 40, 40), (120, 120, 120), (30, 90, 200)
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 24, 48, 56  # px around the map
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _BITS = 4  # of a pixel's fraction in OpenCV's drawing
@@ -34,19 +35,21 @@ class _Sheet(NamedTuple):
         return fixed
 
 
-def draw_map(world: World, low: Array, high: Array, width: int, height: int) -> Array:
-    """The world between ``low`` and ``high``, m, on a sheet of so many pixels."""
+def draw_map(world: World, low: Array, high: Array, width: int, height: int, time_s: float = 0.0) -> Array:
+    """The world between ``low`` and ``high``, m, on a sheet of so many pixels, at some time."""
     sheet = _sheet(low, high, width, height)
     _floor(sheet, world)
+    _targets(sheet, world, time_s)
     _solids(sheet, world)
     if world.bounds is not None:
         west, south, east, north = world.bounds
         corners = np.array([(west, south), (east, south), (east, north), (west, north)])
         cv2.polylines(sheet.picture, [sheet.pixel(corners)], True, (200, 40, 40), 2, cv2.LINE_AA, _BITS)
-    for each in world.moving:
-        way = np.array(each.way)[:, :2]
-        cv2.polylines(sheet.picture, [sheet.pixel(way)], each.loop, (30, 90, 200), 2, cv2.LINE_AA, _BITS)
-        _name(sheet, each.name, way[0])
+    ways = [(each.name, np.array(each.way)[:, :2], each.loop) for each in world.moving]
+    ways += [(each.name, np.array(each.way), each.loop) for each in world.targets]
+    for name, way, loop in ways:
+        cv2.polylines(sheet.picture, [sheet.pixel(way)], loop, _WAY, 2, cv2.LINE_AA, _BITS)
+        _name(sheet, name, way[0])
     for movable in world.movables:
         _name(sheet, movable.name, np.array(movable.solid.center[:2]))
     _frame(sheet, world.name)
@@ -83,6 +86,24 @@ def _floor(sheet: _Sheet, world: World) -> None:
         half = 0.5 * np.array(zone.size) * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
         corners = half @ np.array([[c, s], [-s, c]]) + zone.center
         cv2.polylines(sheet.picture, [sheet.pixel(corners)], True, zone.color or _FAINT, 2, cv2.LINE_AA, _BITS)
+
+
+def _targets(sheet: _Sheet, world: World, time_s: float) -> None:
+    """As they are, with a ring around them: most are small."""
+    floor_from_pixel = np.linalg.inv(
+        np.array(
+            [
+                [sheet.scale, 0.0, _LEFT - sheet.west * sheet.scale - 0.5],
+                [0.0, -sheet.scale, _TOP + sheet.north * sheet.scale - 0.5],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+    )
+    for target, texture in zip(world.targets, made_once(world, textures_of), strict=True):
+        corners, place = corners_of(target, time_s), np.array([target.place(time_s)])
+        lay(sheet.picture, texture, corners, sheet.pixel(corners) / (1 << _BITS), floor_from_pixel)
+        radius = round((0.75 * target.size_m * sheet.scale + 3.0) * (1 << _BITS))
+        cv2.circle(sheet.picture, sheet.pixel(place)[0].tolist(), radius, _WAY, 1, cv2.LINE_AA, _BITS)
 
 
 def _solids(sheet: _Sheet, world: World) -> None:

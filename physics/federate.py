@@ -27,7 +27,7 @@ import numpy as np
 
 from cosim.clock import Ticks
 from cosim.errors import FederateError, ScenarioError
-from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.federate import Event, Needed, RunInfo, Slot, Step
 from cosim.outside import Outside
 from cosim.types import Array, Contact, NonNegative, Rate, States, Velocity, Waypoint
 from physics.aerial import AerialEngine
@@ -106,7 +106,7 @@ class Physics:
         self._sources = PoseSources(self.vehicles, self._moved, run.seed)
         fitted = {spec.name: spec.sensors for spec in self.vehicles}
         self._instruments = Instruments(fitted, run.seed, wanted=frozenset(run.wanted))
-        self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))  # equal ones once, in order
+        self._needed = Needed(run)
         check_names(self.world, self.vehicles)
         check_places(self.world, self.vehicles)
         check_sensors(self.vehicles)
@@ -180,18 +180,15 @@ class Physics:
 
     def _next(self, now_ns: int) -> int | None:
         """The first instant after now at which anything is to be published; the end of the run is one."""
-        end_ns = self._run.duration_ns
-        if now_ns >= end_ns:
+        needed_ns = self._needed.after(now_ns)
+        if needed_ns is None:
             return None
-        due = [end_ns, *(ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)]
+        due = [needed_ns]
         due += [PACE.after(now_ns)] if self._run.paced else []
         due += [ticks.after(now_ns) for _, ticks in self._sources.trains]
         if (reading_ns := self._instruments.next_ns(now_ns)) is not None:
             due.append(reading_ns)
         return min(due)
-
-    def _is_asked(self, now_ns: int) -> bool:
-        return now_ns in (0, self._run.duration_ns) or any(ticks.hits(now_ns - offset) for ticks, offset in self._trains)
 
     def _is_sensing(self, now_ns: int) -> bool:
         return self._instruments.next_ns(now_ns - 1) == now_ns
@@ -199,11 +196,11 @@ class Physics:
     def _is_due(self, now_ns: int) -> bool:
         """Whether anything is to be published."""
         fixing = any(ticks.hits(now_ns) for _, ticks in self._sources.trains)
-        return fixing or self._is_asked(now_ns) or self._is_sensing(now_ns)
+        return fixing or self._needed.hits(now_ns) or self._is_sensing(now_ns)
 
     def _publish(self, now_ns: int) -> list[Event]:
         """Everything of this instant, vehicles in the scenario's order."""
-        asked = self._is_asked(now_ns)
+        asked = self._needed.hits(now_ns)
         if self._reflected:
             self._reflected.ask(now_ns)
         motion = self._motion()

@@ -1,4 +1,4 @@
-"""The floor seen from above: a colour, a picture file, and what is painted on it: lawns, lanes, targets."""
+"""The floor seen from above: a colour, a picture file, and what is painted on it: lawns, lanes."""
 
 import math
 from collections.abc import Sequence

@@ -1,17 +1,19 @@
-"""Pictures of a world: floor and sky, then the triangles of solids and bodies with a depth buffer, each pixel at its middle."""
+"""Pictures of a world: floor and sky, then triangles of solids and bodies with a depth buffer, each pixel at its middle."""
 
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from cosim.clock import SECOND_NS
 from cosim.types import Array
 from physics.raycast_hulls import hulls_of
 from physics.render_faces import Pieces, Triangles, bodies, clipped, pieces_of
-from physics.render_ground import View, ground, inverse_depth, levels_of
+from physics.render_ground import ground, inverse_depth, levels_of
 from physics.render_hidden import shown
 from physics.render_large import LARGE_PX, Buffers, draw_large
 from physics.scene import Scene
+from physics.view import View
 from physics.world import World, made_once
 
 NEAREST_M = 0.005  # along the optical axis: what is nearer is cut off
@@ -26,7 +28,9 @@ class Picture(NamedTuple):
     depth_m: Array | None  # (height, width) float32, along the optical axis; inf: nothing, or out of reach
 
 
-def render(world: World, view: View, *, scene: Scene | None = None, without: int = -1, depth: bool = False) -> Picture:
+def render(
+    world: World, view: View, *, scene: Scene | None = None, without: int = -1, depth: bool = False, time_s: float = 0.0
+) -> Picture:
     """A picture of a world and of the bodies in it.
 
     Args:
@@ -35,8 +39,10 @@ def render(world: World, view: View, *, scene: Scene | None = None, without: int
         scene: what moves; None: nothing.
         without: row of the body that is left out, the camera's own; -1: none.
         depth: whether the depth is wanted too.
+        time_s: where there is no scene: targets are where they are then.
     """
-    floor = ground(world, made_once(world, levels_of), view)
+    time_s = time_s if scene is None else scene.now_ns / SECOND_NS
+    floor = ground(world, made_once(world, levels_of), view, time_s)
     triangles = _visible(made_once(world, pieces_of), view)
     if scene is not None and len(rows := _bodies_near(scene, without, view)):
         moving = bodies(scene, rows)
@@ -137,14 +143,15 @@ def _any(of_corners: Array) -> Array:
 
 def _draw(buffers: Buffers, corner: Array, color: Array, source: Array, view: View) -> tuple[Array, Array | None]:
     """Triangles one by one: the colours and numbers that come of it."""
+    if not len(corner):
+        return buffers.color, buffers.number
     values = np.zeros((len(corner), 3, 3), np.float32)  # the three channels of each corner; that of the first corner counts
     values[:, 0, 0], values[:, 0, 1] = color, source + 1
     canvas = np.empty((view.height, view.width, 3), np.float32)
     canvas[:, :, 0] = buffers.color
     if buffers.number is not None:
         canvas[:, :, 1] = buffers.number
-    if len(corner):
-        _rasterize(buffers, canvas, corner, values, view)
+    _rasterize(buffers, canvas, corner, values, view)
     return cv2.extractChannel(canvas, 0), None if buffers.number is None else canvas[:, :, 1]
 
 

@@ -8,36 +8,13 @@ import numpy as np
 
 from cosim.types import Array
 from physics.render_faces import packed
-from physics.world import World
+from physics.render_targets import lay_seen, textures_of
+from physics.view import View
+from physics.world import World, made_once
 
 SKY = (172, 204, 235)  # above the horizon
 
 _LARGEST = 32766  # pixels along an edge of a picture that OpenCV can warp
-
-
-class View(NamedTuple):
-    """Where a picture is taken from, and how: a pinhole, its principal point in the middle of the picture.
-
-    A pixel covers what is seen through its middle: column c and row r look along
-    ``((c + 0.5 - width / 2) / focal_px, (r + 0.5 - height / 2) / focal_px, 1)`` in the camera's frame.
-    """
-
-    eye: Array  # (3,) m, world, above the floor
-    rotation: Array  # (3, 3) world_from_camera; camera: x to the right of the picture, y down, z along the optical axis
-    width: int  # px
-    height: int
-    focal_px: float
-    reach_m: float = 1000.0  # solids and bodies further away, along the optical axis, are left out
-
-    def columns(self) -> Array:
-        """Slope of each column's rays to the right, (width,)."""
-        slopes: Array = (np.arange(self.width) + (0.5 - 0.5 * self.width)) / self.focal_px
-        return slopes
-
-    def rows(self) -> Array:
-        """Slope of each row's rays downwards, (height,)."""
-        slopes: Array = (np.arange(self.height) + (0.5 - 0.5 * self.height)) / self.focal_px
-        return slopes
 
 
 class Level(NamedTuple):
@@ -92,10 +69,10 @@ def inverse_depth(view: View) -> Array:
     return result
 
 
-def ground(world: World, levels: list[Level], view: View) -> Array:
+def ground(world: World, levels: list[Level], view: View, time_s: float) -> Array:
     """Floor and sky, (height, width) int32: red in the lowest eight bits, then green and blue.
 
-    The floor has its own colours, as painted: it is not lit.
+    The floor has its own colours, as painted, and so have the targets on it, which are where they are then: it is not lit.
     """
     plain, sky = (np.int32(packed(np.array(color))) for color in (world.ground.color, SKY))
     right, down, ahead = view.rotation[2]
@@ -107,6 +84,9 @@ def ground(world: World, levels: list[Level], view: View) -> Array:
         picture = _warped(world, levels, view, float(half - middle.min()) / view.eye[2])
     else:
         picture = np.full((view.height, view.width), plain)
+    if world.targets:
+        pixels = picture.view(np.uint8).reshape(view.height, view.width, 4)
+        lay_seen(pixels, world, made_once(world, textures_of), view, time_s)
     picture[above] = sky
     both = ~(above | below)
     if both.any():
@@ -119,20 +99,9 @@ def _warped(world: World, levels: list[Level], view: View, nearest: float) -> Ar
     """The ground picture through the camera, and around it the plain colour; ``nearest``: the largest inverse depth."""
     finest = levels[0].metre_px / (view.focal_px * nearest)  # pixels of the picture that a pixel of the camera covers
     level = levels[min(len(levels) - 1, max(0, math.floor(math.log2(finest))))]
-    x, y, z = view.eye
-    rotation = view.rotation
-    meets = np.stack([x * rotation[2] - z * rotation[0], y * rotation[2] - z * rotation[1], rotation[2]])
-    center = 0.5 / view.focal_px
-    ray = np.array(
-        [
-            [1 / view.focal_px, 0.0, center * (1 - view.width)],
-            [0.0, 1 / view.focal_px, center * (1 - view.height)],
-            [0.0, 0.0, 1.0],
-        ]
-    )
     picture = cv2.warpPerspective(
         level.pixels,
-        level.from_world @ meets @ ray,
+        level.from_world @ view.floor_from_pixel(),
         (view.width, view.height),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT,

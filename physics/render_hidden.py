@@ -4,7 +4,7 @@ import numpy as np
 
 from cosim.types import Array
 from physics.render_faces import Pieces
-from physics.render_ground import View
+from physics.view import View
 
 _FEWEST = 48  # pieces: of fewer it is quicker to draw all
 _BLOCKS = 8  # buildings that are asked whether they hide others

@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.types import Array
 from physics.render_faces import Triangles
-from physics.render_ground import View
+from physics.view import View
 
 LARGE_PX = 6000  # a triangle in a rectangle of so many pixels is drawn here: about where both ways take as long
 
@@ -94,7 +94,8 @@ def _fill(buffers: Buffers, left: Array, right: Array, planes: tuple[Array, Arra
         shown = depth < buffers.depth[part]
         shown &= columns >= begin
         shown &= columns < end
-        cv2.copyTo(depth, shown.view(np.uint8), buffers.depth[part])
-        buffers.color[part][shown] = value
+        mask = shown.view(np.uint8)
+        cv2.copyTo(depth, mask, buffers.depth[part])
+        cv2.copyTo(np.full(depth.shape, value), mask, buffers.color[part])
         if buffers.number is not None:
-            buffers.number[part][shown] = number[i] + 1
+            cv2.copyTo(np.full(depth.shape, number[i] + 1, np.int32), mask, buffers.number[part])

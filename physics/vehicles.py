@@ -10,11 +10,13 @@ that flies. Vehicles that fly with rotors are in `physics.quadrotor`, those from
 * Assumed: a plausible value without a published source.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple, Protocol
 
+from cosim.agent import Body
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative, Positive, Value, Vec3
 from physics.estimates import Fuser
@@ -226,6 +228,15 @@ class Point:
 def flies(model: Vehicle | type[Vehicle]) -> bool:
     """Whether it, or all of a class, takes commands of vehicles in the air."""
     return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor)
+
+
+def body_of(model: Vehicle) -> Body:
+    """How much room a vehicle takes, for its agent."""
+    (length, width, _), (ahead, left, _), kind = model.hull[:3]
+    aside, round_m = 0.5 * width + abs(left), 0.5 * length + math.hypot(ahead, left)
+    if kind != "cylinder":
+        round_m = math.hypot(0.5 * length + abs(ahead), aside)
+    return Body(width_m=2.0 * aside, radius_m=round_m, flies=flies(model))
 
 
 class VehicleSpec(Value, frozen=True, kw_only=True):

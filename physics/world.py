@@ -19,6 +19,7 @@ from physics.blocking import Blocking, outside_m
 from physics.ground import Ground
 from physics.shapes import Shapes, mesh_of, shapes_of
 from physics.solids import AnySolid, Box, Color, Cylinder
+from physics.targets import PlacedTarget
 
 __all__ = ["Ground", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]
 
@@ -147,6 +148,7 @@ class World:
         solids: what stands still.
         movables: bodies that can be pushed.
         moving: obstacles that keep to a time-table.
+        targets: flat things on the floor that somebody is to find.
         floor_friction: multiplies the friction of what rolls or slides on it.
         zones: parts of the floor with another friction.
         ground: how the floor looks.
@@ -159,6 +161,7 @@ class World:
     solids: tuple[AnySolid, ...] = ()
     movables: tuple[Movable, ...] = ()
     moving: tuple[Moving, ...] = ()
+    targets: tuple[PlacedTarget, ...] = ()
     floor_friction: NonNegative = 1.0
     zones: tuple[Zone, ...] = ()
     ground: Ground = field(default_factory=Ground)

@@ -7,11 +7,10 @@ from typing import Any
 
 import msgspec
 
-from cosim import table
+from cosim import registry, table
 from cosim.errors import ScenarioError
 from cosim.source import Source
 from cosim.types import NonNegative
-from physics.ground import Ground
 from physics.importers.reading import require_file, text_of
 from physics.world import Light, Wind, World
 from physics.worlds.listed import Empty
@@ -35,7 +34,8 @@ class File:
     def files(self) -> tuple[Path, ...]:
         """The pictures that it names."""
         listed, _ = self._read()
-        return tuple(Path(each) for each in (listed.ground.picture, *(mark.picture for mark in listed.ground.marks)) if each)
+        pictures = [listed.ground.picture, *(mark.picture for mark in listed.ground.marks)]
+        return tuple(Path(each) for each in (*pictures, *(target.picture for target in listed.targets)) if each)
 
     def _read(self) -> tuple[Empty, Source]:
         """What stands in the file, and where."""
@@ -47,7 +47,7 @@ class File:
             raise ScenarioError(f"is not TOML: {error}", source=str(path)) from error
         source = Source(str(path), path.parent, text)
         listed = table.call(Empty, content, origin=source)
-        return replace(listed, ground=beside(path.parent, listed.ground)), source
+        return beside(path.parent, listed), source
 
     def build(self) -> World:
         """The world itself.
@@ -65,10 +65,15 @@ class File:
         return replace(world, name=Path(self.path).stem, **given)
 
 
-def beside(folder: Path, ground: Ground) -> Ground:
-    """The ground with pictures whose paths are relative looked for in a folder."""
-    marks = tuple(
-        msgspec.structs.replace(mark, picture=str(folder / mark.picture)) if mark.picture else mark for mark in ground.marks
-    )
-    picture = str(folder / ground.picture) if ground.picture else ""
-    return msgspec.structs.replace(ground, picture=picture, marks=marks)
+def beside(folder: Path, listed: Empty) -> Empty:
+    """The world with its pictures looked for in a folder."""
+
+    def found(name: str) -> str:
+        """Where a picture is; a run keeps it under its last name, beside the file."""
+        places = [registry.located(each, folder) for each in (name, Path(name).name)]
+        return str(next((path for path in places if path.is_file()), places[0])) if name else ""
+
+    marks = tuple(msgspec.structs.replace(each, picture=found(each.picture)) for each in listed.ground.marks)
+    targets = tuple(msgspec.structs.replace(each, picture=found(each.picture)) for each in listed.targets)
+    ground = msgspec.structs.replace(listed.ground, picture=found(listed.ground.picture), marks=marks)
+    return replace(listed, ground=ground, targets=targets)

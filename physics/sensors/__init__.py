@@ -12,6 +12,7 @@ class                              reading   what it measures
 `neighbours.NeighbourRange`        Measured  distance to each other vehicle within reach, m, by its name
 `altimeter.Altimeter`              Measured  ``height_m`` above the floor
 `compass.Compass`                  Measured  ``yaw_rad`` from east
+`targets.TargetSensor`             Looks     whether there is a target, of each cell of the ground within reach
 =================================  ========  ===================================================================
 
 All take the rate, phase, latency and drop-out of `physics.sensor.Sensor`. Fixes tell the standard deviation of their noise;

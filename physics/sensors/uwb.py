@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.types import Array, Fix, NonNegative, Positive, Probability, Vec3
+from physics.clearance import Clearance, Near
 from physics.noise import jump
 from physics.scene import Scene
 from physics.sensor import Sensor
-from physics.sensors.clearance import Clearance, Near
 from physics.sensors.common import mounted, sightline
 from physics.world import World, made_once
 

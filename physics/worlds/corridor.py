@@ -16,9 +16,10 @@ from physics.worlds.surroundings import Surroundings
 
 @dataclass(frozen=True, kw_only=True)
 class Corridor(Surroundings):
-    """Two walls (kind ``corridor``); its middle begins at the origin and leads east until the first bend."""
+    """Two walls (kind ``corridor``); its middle line begins on the x axis and leads east until the first bend."""
 
     length: Positive = 20.0  # of its middle line, m; bends divide it into equal parts
+    start: float = 0.0  # where its middle line begins, x m: robots can stand before it
     width: Positive = 2.0  # between the walls, m
     height: Positive = 2.5  # of the walls, m
     thickness: Positive = 0.2  # of the walls, m
@@ -42,7 +43,7 @@ class Corridor(Surroundings):
         """The middle line: start, bends and end, (bends + 2, 2) m."""
         headings = np.concatenate([[0.0], np.cumsum(self.bends)])
         steps = self.part * np.column_stack([np.cos(headings), np.sin(headings)])
-        return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        return np.cumsum(np.concatenate([[[self.start, 0.0]], steps]), axis=0)
 
     def build(self) -> World:
         """The world itself."""

@@ -1,4 +1,4 @@
-"""What every kind of world takes besides its own parameters: further solids, things that move, floor, wind, light."""
+"""What every kind of world takes besides its own parameters: further solids, what moves, targets, floor, wind, light."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from cosim.errors import ScenarioError
 from cosim.types import NonNegative
 from physics.ground import Ground, Mark, around, problem_of_picture
 from physics.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
+from physics.targets import Target, names, placed
 from physics.world import Light, Movable, Moving, Wind, World, Zone
 
 Bounds = tuple[float, float, float, float]
@@ -27,16 +28,26 @@ class Surroundings:
     prisms: tuple[Prism, ...] = ()  # further outlines, raised: ``[{ outline = [[0, 0], [2, 0], [0, 2]], height = 3 }]``
     movables: tuple[Movable, ...] = ()  # bodies that can be pushed
     moving: tuple[Moving, ...] = ()  # obstacles that keep to a time-table
+    targets: tuple[Target, ...] = ()  # lie on the ground and are to be found: ``[{ name = "flag", place = [3, 4] }]``
     floor_friction: NonNegative = 1.0  # multiplies the friction of what rolls or slides on the floor
     zones: tuple[Zone, ...] = ()  # parts of the floor with another friction
     wind: Wind = CALM  # air that moves: ``{ velocity = [3, 0, 0], gust = 1 }``
     light: Light = DAYLIGHT  # where the sun is: ``{ direction = [0.3, 0.2, 1], ambient = 0.6 }``
 
     def __post_init__(self) -> None:
-        names = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
-        for name in names:
-            if names.count(name) > 1:
-                raise ScenarioError(f"two of movables and moving are called {name!r}: give each a name of its own")
+        bodies = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
+        for what, called in (("two of movables and moving", bodies), ("two targets", names(self.targets))):
+            for name in called:
+                if called.count(name) > 1:
+                    raise ScenarioError(f"{what} are called {name!r}: give each a name of its own")
+
+    def sited(self) -> tuple[Target, ...]:
+        """The targets, all with a place or a way."""
+        for number, target in enumerate(self.targets):
+            if target.place is None and not target.way:
+                problem = "needs a place or a way: only a town has streets to choose a place on"
+                raise ScenarioError(problem, key=f"targets[{number}]")
+        return self.targets
 
     def complete(
         self, name: str, *, solids: Sequence[AnySolid] = (), ground: Ground = BARE, bounds: Bounds | None = None
@@ -44,12 +55,13 @@ class Surroundings:
         """The world of these solids, with all that was listed besides."""
         if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise ScenarioError(f"west, south, east, north: the first two must be less, not {bounds}", key="bounds")
-        _check_pictures(ground)
+        _check_pictures(ground, self.targets)
         return World(
             name=name,
             solids=(*solids, *self.boxes, *self.cylinders, *self.prisms),
             movables=self.movables,
             moving=self.moving,
+            targets=placed(self.sited()),
             floor_friction=self.floor_friction,
             zones=self.zones,
             ground=_with(ground, self.zones),
@@ -76,9 +88,10 @@ def _with(ground: Ground, zones: Sequence[Zone]) -> Ground:
     return msgspec.structs.replace(ground, marks=(*ground.marks, *marks))
 
 
-def _check_pictures(ground: Ground) -> None:
+def _check_pictures(ground: Ground, targets: Sequence[Target]) -> None:
     """Refuse picture files now that nobody could paint later."""
-    for picture in dict.fromkeys([ground.picture, *(mark.picture for mark in ground.marks)]):
+    pictures = [ground.picture, *(mark.picture for mark in ground.marks), *(target.picture for target in targets)]
+    for picture in dict.fromkeys(pictures):
         if picture and (problem := problem_of_picture(picture)):
             raise ScenarioError(problem)
 

@@ -1,7 +1,7 @@
-"""A town made up at random: blocks between streets, buildings with coloured roofs, targets on the ground."""
+"""A town made up at random: blocks between streets, buildings with coloured roofs, targets in the streets."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from cosim.rng import stream
 from cosim.types import NonNegative, Positive, Probability, Seed
 from physics.ground import MOST_PIXELS, Ground, Mark
 from physics.solids import Box, Color, Point2
+from physics.targets import PlacedTarget, Target, placed
 from physics.world import World
 from physics.worlds.surroundings import Surroundings, rectangle_points
 
@@ -42,24 +43,6 @@ MOST_LOTS = 20_000  # they take some seconds to build
 _TRIES = 1000  # to find a free place for a target
 
 
-class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something painted on the ground that is to be found.
-
-    Args:
-        name: for whoever looks for it; empty: target1, target2 and so on.
-        picture: an image file; empty: a disc.
-        color: of the disc.
-        size: edge of the picture or diameter of the disc, m.
-        place: x, y, m; default: somewhere on a street.
-    """
-
-    name: str = ""
-    picture: str = ""
-    color: Color = (224, 32, 160)
-    size: Positive = 2.0
-    place: Point2 | None = None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Urban(Surroundings):
     """Random buildings in square blocks between streets (kind ``urban``); the origin is the middle of the town."""
@@ -72,8 +55,8 @@ class Urban(Surroundings):
     density: Probability = 0.85  # chance that a lot is built on; else it is a small park
     height_min: Positive = 4.0  # of a building, m
     height_max: Positive = 24.0  # of a building, m
-    targets: tuple[Target, ...] = ()  # painted on the ground
-    seed: Seed = 0  # of everything random here
+    storey: NonNegative = 0.0  # heights are rounded to multiples of it, m; 0: they are not
+    seed: Seed | None = None  # of everything random here; None: that of the run
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,7 +85,7 @@ class Urban(Surroundings):
 
     def build(self) -> World:
         """The world itself."""
-        rng = stream(self.seed, "urban")
+        rng = stream(self.seed or 0, "urban")
         solids: list[Box] = []
         blocks, parks = [], []
         for x in self.middles(0):
@@ -119,7 +102,7 @@ class Urban(Surroundings):
             size=self.size,
             color=_ASPHALT,
             resolution_m=max(0.1, math.sqrt(self.size[0] * self.size[1] / MOST_PIXELS)),
-            marks=(*self._lines(), *blocks, *parks, *self._targets()),
+            marks=(*self._lines(), *blocks, *parks),
         )
         bounds = (-half_length, -half_width, half_length, half_width)
         return self.complete("urban", solids=solids, ground=ground, bounds=bounds)
@@ -134,17 +117,21 @@ class Urban(Surroundings):
         long, wide, right, up, tall, look, step = draws
         size = (self.lot * (0.7 + 0.3 * long), self.lot * (0.7 + 0.3 * wide))
         center = (place[0] + (right - 0.5) * (self.lot - size[0]), place[1] + (up - 0.5) * (self.lot - size[1]))
-        height = self.height_min + tall * (self.height_max - self.height_min)
+        height = self._storeys(self.height_min + tall * (self.height_max - self.height_min))
         material, color = _WALLS[int(look * len(_WALLS))]
         roof = _ROOFS[int(look * len(_WALLS) * len(_ROOFS)) % len(_ROOFS)]
         eaves = height - min(_ROOF_M, 0.2 * height)
         bottom = 0.0
         if step < _STEPPED and tall > 0.4:
-            bottom = eaves * (0.4 + step)
+            bottom = min(self._storeys(eaves * (0.4 + step)), eaves - 0.1)
             yield _box(center, size, 0.0, bottom, material, color)
             size = (0.65 * size[0], 0.65 * size[1])
         yield _box(center, size, bottom, eaves, material, color)
         yield _box(center, size, eaves, height, material, roof)
+
+    def _storeys(self, height: float) -> float:
+        """A height in whole storeys, one at least."""
+        return height if self.storey == 0.0 else max(1, round(height / self.storey)) * self.storey
 
     def _lines(self) -> Iterator[Mark]:
         """Broken lines along the middles of the streets."""
@@ -156,24 +143,17 @@ class Urban(Surroundings):
                     line = tuple((middle, along) if axis == 0 else (along, middle) for along in ends)
                     yield Mark(line=line, width=0.2, color=_LINE)
 
-    def _targets(self) -> Iterator[Mark]:
-        """The targets, those without a place on streets, clear of each other."""
-        rng = stream(self.seed, "urban/targets")
-        taken: list[tuple[Point2, float]] = []
+    def sited(self) -> tuple[Target, ...]:
+        """The targets, those without a place or a way on streets, clear of each other."""
+        rng = stream(self.seed or 0, "urban/targets")
+        found: list[Target] = []
         for number, target in enumerate(self.targets):
-            place = target.place or self._free(rng, target, number, taken)
-            taken.append((place, target.size))
-            name, disc = target.name or f"target{number + 1}", not target.picture
-            yield Mark(
-                name=name,
-                color=target.color,
-                center=place,
-                radius=0.5 * target.size if disc else 0.0,
-                picture=target.picture,
-                size=(target.size, target.size),
-            )
+            free = target.place is None and not target.way
+            place = self._free(rng, target, number, placed(found)) if free else target.place
+            found.append(msgspec.structs.replace(target, place=place))
+        return tuple(found)
 
-    def _free(self, rng: np.random.Generator, target: Target, number: int, taken: list[tuple[Point2, float]]) -> Point2:
+    def _free(self, rng: np.random.Generator, target: Target, number: int, taken: Sequence[PlacedTarget]) -> Point2:
         """A place on a street, all of the target on it."""
         pitch, room = self.block + self.street, 0.5 * (self.street - target.size)
         for _ in range(_TRIES if room >= 0.0 else 0):
@@ -183,7 +163,7 @@ class Urban(Surroundings):
             end = 0.5 * (self.size[1 - axis] - target.size)
             along = float(rng.uniform(-end, end))
             place = (across, along) if axis == 0 else (along, across)
-            if all(math.dist(place, other) > 0.75 * (target.size + size) for other, size in taken):
+            if all(math.dist(place, other.place(0.0)) > 0.75 * (target.size + other.size_m) for other in taken):
                 return place
         problem = (
             f"there is no free place for number {number} on streets {self.street:g} m wide: give it a place, or make it smaller"

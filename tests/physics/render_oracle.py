@@ -8,9 +8,10 @@ import numpy as np
 
 from cosim.types import Array
 from physics.render import NEAREST_M
-from physics.render_ground import SKY, View
+from physics.render_ground import SKY
 from physics.scene import Hull, Scene
 from physics.solids import Cylinder, Mesh, color_of
+from physics.view import View
 from physics.world import World
 
 

@@ -5,8 +5,8 @@ import pybullet
 import pytest
 
 from physics.render import render
-from physics.render_ground import View
 from physics.solids import AnySolid, Box, Cylinder
+from physics.view import View
 from physics.world import World
 from tests.physics.test_render_occlusion import a_color, towards
 

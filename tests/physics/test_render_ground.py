@@ -10,8 +10,10 @@ import pytest
 from cosim.types import Array
 from physics.ground import Ground, Mark
 from physics.render import render
-from physics.render_ground import SKY, View
+from physics.render_ground import SKY
 from physics.solids import Box
+from physics.targets import Target, placed
+from physics.view import View
 from physics.world import World
 from tests.physics.test_render_occlusion import a_rotation, towards
 
@@ -85,7 +87,8 @@ def test_pictures_are_the_same_to_the_byte_on_any_number_of_threads(slopes: Worl
         Box(center=(*rng.uniform(0, 40, 2).tolist(), 1.0), size=(1, 2, 3), color=(int(rng.integers(256)), 0, 9))
         for _ in range(50)
     )
-    world = World(ground=slopes.ground, solids=boxes)
+    targets = placed([Target(place=(20.0, -1.0), size=9.0, color=(9, 9, 9))])
+    world = World(ground=slopes.ground, solids=boxes, targets=targets)
     eye = np.array([20.0, -8.0, 6.0])
     view = View(eye, towards(eye, np.array([*rng.uniform(0, 40, 2), 0.0]), float(rng.uniform(-1, 1))), 640, 480, 500.0)
     before = cv2.getNumThreads()

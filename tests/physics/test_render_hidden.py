@@ -8,9 +8,9 @@ import pytest
 from physics import render as renderer
 from physics.render import render
 from physics.render_faces import pieces_of
-from physics.render_ground import View
 from physics.render_hidden import shown
 from physics.solids import AnySolid, Box
+from physics.view import View
 from physics.world import World
 from tests.physics.test_render_occlusion import Rng, a_color, towards
 

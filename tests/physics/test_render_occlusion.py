@@ -10,9 +10,9 @@ from cosim.types import Array
 from physics import render as renderer
 from physics import render_large
 from physics.render import render
-from physics.render_ground import View
 from physics.scene import Hull, Scene
 from physics.solids import AnySolid, Box, Cylinder, Mesh, Prism
+from physics.view import View
 from physics.world import World
 from tests.physics import render_oracle as oracle
 

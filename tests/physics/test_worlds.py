@@ -15,11 +15,11 @@ from cosim.types import Array
 from physics.blocking import Blocking
 from physics.polygons import overlap_m
 from physics.solids import Box, Cylinder, Prism, rectangle
+from physics.targets import Target
 from physics.vehicles import P2DX
 from physics.world import Movable, Moving, Wind, World, Zone
 from physics.worlds import Boxes, Corridor, Empty, Gates, GatesOffset, Laboratory, Pillar, RecreationCentre, Urban
 from physics.worlds.laboratory import AISLES, PATROL
-from physics.worlds.urban import Target
 
 TURNS = (0.7, -1.2, 1.57)
 WORLDS: dict[str, Any] = {
@@ -218,17 +218,13 @@ def test_another_seed_is_another_town_and_targets_move_no_house() -> None:
 def test_targets_lie_on_streets_clear_of_each_other_and_can_be_found() -> None:
     urban = Urban(targets=(*[Target(size=3.0)] * 20, Target(name="flag", place=(1.0, 2.0), color=(0, 0, 255))), seed=4)
     world = urban.build()
-    marks = [mark for mark in world.ground.marks if mark.name]
-    assert [mark.name for mark in marks] == [*(f"target{k + 1}" for k in range(20)), "flag"]
-    for mark in marks[:20]:
-        assert world.blocking(disc(*mark.center, 1.5), 0.0, 100.0) is None
-        assert world.outside(*mark.center) == 0.0
-    assert all(math.dist(a.center, b.center) > 4.5 for i, a in enumerate(marks[:20]) for b in marks[:i])
-    picture = world.ground.image()
-    assert picture is not None
-    for mark in marks[-1:]:
-        row, column = int((100.0 - mark.center[1]) / 0.1), int((mark.center[0] + 100.0) / 0.1)
-        assert picture[row, column].tolist() == [0, 0, 255]
+    assert [each.name for each in world.targets] == [*(f"target{k + 1}" for k in range(20)), "flag"]
+    places = [each.place(0.0) for each in world.targets]
+    for place in places[:20]:
+        assert world.blocking(disc(*place, 1.5), 0.0, 100.0) is None
+        assert world.outside(*place) == 0.0
+    assert all(math.dist(a, b) > 4.5 for i, a in enumerate(places[:20]) for b in places[:i])
+    assert places[20] == (1.0, 2.0)
 
 
 @pytest.mark.parametrize(
