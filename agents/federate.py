@@ -46,6 +46,7 @@ class AgentHost:
         self._seats = {spec.vehicle: _Seat(spec, given.get(spec.vehicle), kinds) for spec in ordered}
         self.agents = tuple(seat.info for seat in self._seats.values())
         self._ticks = tuple(dict.fromkeys(info.ticks for info in self.agents))
+        self._doors: dict[str, tuple[_Seat, str]] = {}  # by key: for whom it is, and what it is
         self.reads = tuple(f"{vehicle}/heard" for vehicle in self._seats)
         self.latest = tuple(
             f"{vehicle}/{what}" for vehicle, seat in self._seats.items() for what in ("estimate", *seat.sensors)
@@ -59,9 +60,10 @@ class AgentHost:
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Hand out what arrived, and let every agent act whose tick this is."""
+        doors = self._doors
         for event in inbox:
-            vehicle, _, what = event.key.partition("/")
-            self._seats[vehicle].take(what, event.value)
+            seat, what = doors.get(event.key) or self._door(event.key)
+            seat.take(what, event.value)
         events: list[Event] = []
         after = {ticks: ticks.after(now_ns) for ticks in self._ticks}  # few trains, many seats
         next_ns = NEVER_NS
@@ -70,6 +72,11 @@ class AgentHost:
                 seat.tick(now_ns, after[seat.info.ticks], events)
             next_ns = min(next_ns, seat.next_ns)
         return Step(events, next_ns)
+
+    def _door(self, key: str) -> tuple["_Seat", str]:
+        vehicle, _, what = key.partition("/")
+        door = self._doors[key] = self._seats[vehicle], what
+        return door
 
     def close(self) -> None:
         """Close every agent that was started, even if one of them fails; the first failure is raised at the end."""
@@ -84,7 +91,7 @@ class _Seat:
     def __init__(self, spec: AgentSpec, agent: Agent | None, kinds: "Kinds") -> None:
         self.spec, self.next_ns = spec, 0
         self._started = False
-        self._vehicle = spec.vehicle
+        self._vehicle, self._commands = spec.vehicle, f"{spec.vehicle}/command"
         if agent is None:
             self.agent, params, taken = build(spec, kinds)
         else:  # what it was made with is its maker's to know; what the scenario says is as good as any
@@ -125,6 +132,9 @@ class _Seat:
             period_s=float(self._ticks.period / SECOND_NS),
             latency_s=self.spec.latency_s,
             seed=run.seed,
+            body=self.spec.body,
+            sensors=self.spec.sensors,
+            beside_m=self.spec.beside_m,
         )
         try:
             self.guarded(self.agent.start, about, passes=ValueError)
@@ -188,7 +198,7 @@ class _Seat:
             time_ns=now_ns,
             state=self._state,
             readings=Readings(self._readings),
-            heard=tuple(self._heard),
+            heard=tuple(self._heard) if self._heard else (),
         )
         if self._heard:
             self._heard.clear()
@@ -201,12 +211,14 @@ class _Seat:
             raise self._failure(error) from error
         when, vehicle = now_ns + self.info.latency_ns, self._vehicle
         if command is not None:
-            events.append(Event(f"{vehicle}/command", when, self._checked(command)))
+            events.append(Event(self._commands, when, self._checked(command)))
         if agent.follows is not self._follows and agent.follows != self._follows:
             self._follows = agent.follows
             events.append(Event(f"{vehicle}/follows", when, self._place(self._follows)))
         if notes := agent.drain_notes():
             events.append(Event(f"{vehicle}/note", when, Note(values=notes)))
+        if shown := agent.drain_shown():
+            events.extend(Event(f"{vehicle}/{what}", when, value) for what, value in shown.items())
         if sent := self._radio.drain():
             events.extend(Event(f"{vehicle}/send", when, message) for message in sent)
 
@@ -288,6 +300,11 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
     known = table.parameters(kind)
     taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
     params = {**{name: spec.defaults[name] for name in taken}, **spec.params}
+    params |= {
+        name: table.fitted(params[name], known[name].annotation, kept)
+        for name, kept in spec.replaced.items()
+        if name in params and name in known
+    }
     try:
         with registry.looking_in(Path(spec.folder)):
             agent: Agent = table.call(kind, params, key=key, origin=origin, also=table.parameters(AgentTable))

@@ -3,6 +3,8 @@
 Start reading in `leader_follower`; ``agents/README.md`` says what the law does and does not do.
 """
 
+from agents.formation.aerial_follower import AerialFollower
+from agents.formation.aerial_route import AerialRoute
 from agents.formation.consensus import Consensus
 from agents.formation.formation import Formation
 from agents.formation.geometry import axle_velocity, hand_point, hand_velocity
@@ -17,6 +19,8 @@ from agents.formation.teleop import Teleop
 from agents.formation.trajectory import Trajectory
 
 __all__ = [
+    "AerialFollower",
+    "AerialRoute",
     "Consensus",
     "DeadReckoning",
     "Estimator",

@@ -109,6 +109,8 @@ class Consensus(Agent):
         self._members, self._index = members, members.index(info.name)
         self._neighbours = self._named_neighbours(info.name) if self.neighbours is not None else self._of_graph()
         shape: ShapeName | None = None
+        if self.formation and self.formation.passage:
+            raise ValueError("formation.passage needs a leader who decides, and here nobody leads; leave it out")
         if self.formation:
             shape = self.formation.shape
             self._changes = [(seconds_to_ns(at_s), to) for at_s, to in reversed(self.formation.changes)]

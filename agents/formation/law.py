@@ -19,6 +19,7 @@ import math
 from typing import NamedTuple
 
 from agents.formation.report import LeaderState
+from cosim.frames import rotate2
 
 
 class Place(NamedTuple):
@@ -36,6 +37,12 @@ class Demand(NamedTuple):
     w: float  # rad/s
     z1: float  # m, forward in the follower's frame
     z2: float  # m, left
+
+
+def point_of(leader: LeaderState, place: Place) -> tuple[float, float]:
+    """The point r that the follower's handle is to be on, m, world."""
+    x, y = rotate2(place.c_x, place.c_y, leader.th)
+    return leader.x + x, leader.y + y
 
 
 def formation_law(pose: tuple[float, float, float], leader: LeaderState, place: Place, k1: float, k2: float) -> Demand:

@@ -7,18 +7,19 @@ A leader of your own says how it moves, and need not care about the rest::
             return 0.3, 0.5 * math.sin(obs.time_s)
 """
 
-from collections import deque
 from collections.abc import Sequence
 from typing import Any, Literal
 
+from agents.avoidance import Avoidance
+from agents.avoidance.steering import Steering
 from agents.formation.formation import Formation
 from agents.formation.listening import Listening
+from agents.formation.membership import check_silence
+from agents.formation.passage import Guide, places_of, scanners
 from agents.formation.prediction import Estimator, estimator_of
 from agents.formation.sending import Reporter, Sending
 from agents.formation.team import Team
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
-from cosim.clock import seconds_to_ns
-from cosim.frames import rotate2
 from cosim.types import NonNegative, Positive, Velocity
 
 Extra = Literal["a", "plan"]
@@ -36,6 +37,8 @@ class Leader(Agent):
         fade_s: of that estimator, s.
         sending: when reports are sent; default: at every tick.
         formation: the team that this vehicle leads, and when it changes its shape; default: none.
+        avoidance: how it gets around what stands in the way; default: it does not look.
+        clock_bound_s: how far ahead the clocks of members may be, s; a report from further in the future is refused.
     """
 
     def __init__(
@@ -47,19 +50,32 @@ class Leader(Agent):
         fade_s: Positive = 1.0,
         sending: Sending | None = None,
         formation: Formation | None = None,
+        avoidance: Avoidance | None = None,
+        clock_bound_s: NonNegative = 0.0,
     ) -> None:
         self.estimator = estimator_of(estimator, horizon_s=horizon_s, fade_s=fade_s)
         wanted = {*tell, *getattr(self.estimator, "needs", ())}
         self._tells_a, self._tells_plan = "a" in wanted, "plan" in wanted
         self._reporter = Reporter(sending, self.estimator)
-        self._formation = formation
+        check_silence(self._reporter.sending, formation)
+        self._formation, self._clock_bound_s = formation, clock_bound_s
         self._team: Team | None = None
+        self._guide: Guide | None = None
+        self._steering = None if avoidance is None else Steering(avoidance)
+        self.sensors = scanners(avoidance, formation) or self.sensors
         self._period_s = self.period
         self._last: tuple[float, float] | None = None  # the speeds of the tick before
 
     def speeds(self, obs: Observation) -> tuple[float, float]:
         """How fast to move from now on: forward, m/s, and turning, rad/s."""
         raise NotImplementedError
+
+    def aim(self, obs: Observation) -> tuple[float, float] | None:
+        """Where it is to get, m, world, for one that has to find another way there; None: nowhere in particular."""
+        return None
+
+    def led_astray(self, obs: Observation) -> None:
+        """Told at every tick at which something in the way had it drive otherwise than by its `speeds`."""
 
     def ahead(self, count: int) -> Sequence[tuple[float, float]] | None:
         """The speeds of the ``count`` ticks to come, those of now not among them; None where it makes no plans."""
@@ -68,6 +84,8 @@ class Leader(Agent):
     def start(self, info: VehicleInfo) -> None:
         """Note the period, and who is led."""
         self._period_s = info.period_s
+        if self._steering is not None:
+            self._steering.start(info)
         if self._formation is None:
             return
         team = self._team = Team(self._formation, info.vehicles, info.name)
@@ -76,12 +94,21 @@ class Leader(Agent):
                 f"formation: {info.name} does not lead this team, {team.ancestors[-1]} does; name it first in members"
             )
         self._reporter.start(team.children)
-        self._changes = deque((seconds_to_ns(at_s), shape) for at_s, shape in self._formation.changes)
-        self._listening = Listening(team.members, 0.0)
+        self._believed: set[str] = set()  # who has told of newer shapes than this vehicle knew
+        self._listening = Listening(team.members, self._clock_bound_s)
+        if self._formation.passage is not None:
+            self._guide = Guide(self._formation.passage, team, info)
+        self.note(shape=team.shape)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Move, and tell all how this vehicle moves from now on."""
         v, w = self.speeds(obs)
+        if self._steering is not None:
+            decision = self._steering.drive(obs, (v, w), self.aim(obs))
+            v, w = decision.velocity[0], decision.yaw_rate
+            if decision.mode != "task":
+                self.led_astray(obs)
+            self.note(**self._steering.notes)
         more: dict[str, Any] = {} if self._team is None else self._lead(self._team, obs)
         if self._tells_a:
             last_v, last_w = self._last or (v, w)
@@ -94,22 +121,44 @@ class Leader(Agent):
 
     def _lead(self, team: Team, obs: Observation) -> dict[str, Any]:
         """Change the shape when it is time to; what followers must be told of it."""
-        if self._changes:
+        if team.formation.changes or self._guide is not None:
             self._listening.take(obs)
-            while self._changes and obs.time_ns >= self._changes[0][0]:
-                _, shape = self._changes.popleft()
-                team.change(shape, self._places(obs))
-                self._reporter.start(team.children)
-                self.note(shape=shape)
+        for shape in team.due(obs.time_ns):
+            if self._guide is None:
+                self._change(team, shape, obs)
+            else:
+                team.wide = shape
+        self._go_on(team, obs)
+        if self._guide is not None:
+            wanted = self._guide.shape(obs, self._listening, self.estimator)
+            if wanted != team.shape:
+                self._change(team, wanted, obs)
+            self.note(**self._guide.notes)
         return dict(team.fields())
 
-    def _places(self, obs: Observation) -> dict[str, tuple[float, float]]:
-        """Where the members are whose reports came in, as estimated: m in this vehicle's frame, x forward, y left."""
-        (x, y, _), yaw, places = obs.state.position, obs.state.yaw, {}
-        for name, report in self._listening.newest.items():
-            then = self.estimator.predict(report, max(0, obs.time_ns - report.t_ns) / 1e9)
-            places[name] = rotate2(then.x - x, then.y - y, -yaw)
-        return places
+    def _go_on(self, team: Team, obs: Observation) -> None:
+        """Take up what members have heard of, where another host led them before; each of them is believed once.
+
+        What they know as the last shape would else count for more than the next ones. Passages aside, the shape is the own.
+        """
+        shape, wide = team.shape, team.wide
+        newer = [
+            name for name, report in self._listening.newest.items() if name not in self._believed and team.take(report.body)
+        ]
+        if not newer:
+            return
+        self._believed.update(newer)
+        team.wide = wide
+        if self._guide is None:
+            self._change(team, shape, obs)
+        else:
+            self._reporter.start(team.children)
+            self.note(shape=team.shape)
+
+    def _change(self, team: Team, shape: str, obs: Observation) -> None:
+        team.change(shape, places_of(obs, self._listening.newest, self.estimator))
+        self._reporter.start(team.children)
+        self.note(shape=shape)
 
 
 def towards(value: float, target: float, step: float) -> float:

@@ -4,26 +4,26 @@ The law itself, with its geometry, is in `agents.formation.law`; who follows who
 """
 
 import math
-from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
+from agents.avoidance import Avoidance
+from agents.avoidance.steering import Steering
+from agents.formation.feed import Feed, Feeding
 from agents.formation.formation import Formation
-from agents.formation.law import Place, formation_law
-from agents.formation.listening import Listening
+from agents.formation.law import Place, formation_law, point_of
+from agents.formation.membership import Membership
+from agents.formation.passage import scanners
 from agents.formation.prediction import Estimator, estimator_of
-from agents.formation.report import LeaderState, Report, accelerations, lead_of, measured_speeds
-from agents.formation.sending import Reporter, Sending, acknowledge
-from agents.formation.team import Team
+from agents.formation.report import accelerations, measured_speeds
+from agents.formation.sending import Sending
+from agents.formation.shape import Slot
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.clock import seconds_to_ns
-from cosim.errors import ScenarioError
 from cosim.frames import yaw_of
 from cosim.types import Follows, NonNegative, Positive, Velocity
 
 SHORTEST_HANDLE_M = 0.01  # 1/ell amplifies every error of the heading; below this a robot only dithers
 TEAM_HANDLE_M = 0.4  # serves slots on all sides of a parent
-
-Feed = Literal["parent", "leader", "none"]
 
 
 class LeaderFollower(Agent):
@@ -59,6 +59,7 @@ class LeaderFollower(Agent):
         broadcast: report the own pose and measured speed for vehicles that follow this one. Default: in a formation where
             somebody follows it, a heartbeat is asked for, or the shape is to change; otherwise no.
         sending: when it reports.
+        avoidance: how it gets around what stands between it and its place; default: it does not look.
     """
 
     def __init__(
@@ -85,46 +86,38 @@ class LeaderFollower(Agent):
         clock_bound_s: NonNegative = 0.0,
         broadcast: bool | None = None,
         sending: Sending | None = None,
+        avoidance: Avoidance | None = None,
     ) -> None:
         self.formation, self.k1, self.k2 = formation, k1, k2
         self.estimator = estimator_of(estimator, horizon_s=horizon_s, fade_s=fade_s)
-        self.feed, self.feed_forward_s = feed, feed_forward_s
+        self.feed_forward_s = feed_forward_s
+        self._feeding = Feeding(feed, self.estimator, timeout_s, clock_bound_s)
         self.max_speed = math.inf if max_speed is None else max_speed
         self.max_reverse = max_reverse
         self.max_yaw_rate = math.inf if max_yaw_rate is None else max_yaw_rate
         self.horizon_s, self.fade_s, self.timeout_s = horizon_s, fade_s, timeout_s
-        self.broadcast = bool(broadcast)
-        self._clock_bound_s, self._broadcast_always = clock_bound_s, broadcast
-        self._heartbeat_ns = None if heartbeat_s is None else seconds_to_ns(heartbeat_s)
-        self._listening = Listening((), clock_bound_s)
-        self._reporter = Reporter(sending, self.estimator)
         self._tells_a = feed_forward_s > 0.0 or "a" in getattr(self.estimator, "needs", ())
-        self._plain = feed == "parent" and feed_forward_s == 0.0
-        self._team: Team | None = None
-        self._lead: Report | None = None  # the newest of the team's leader, with feed = "leader"
+        self._steering = None if avoidance is None else Steering(avoidance)
+        self.sensors = scanners(avoidance, formation) or self.sensors
         self._before: tuple[int, float, float] | None = None  # at the last tick: time in ns, own measured speeds
         self._v = self._w = 0.0  # the last command that answered a report
         self._fading_ns: int | None = None  # in a team: since when that fades
         self.leader = leader
-        rule = self._reporter.sending
-        if heartbeat_s is not None and rule.when == "needed" and heartbeat_s <= rule.silence_s:
-            raise ValueError(
-                f"heartbeat_s = {heartbeat_s} s would take those for dead who have nothing to tell: it must be longer than the "
-                f"silence that sending allows, silence_s = {rule.silence_s} s"
-            )
+        self._member = Membership(
+            leader,
+            formation,
+            keep=self._keep,
+            estimator=self.estimator,
+            broadcast=broadcast,
+            sending=sending,
+            heartbeat_s=heartbeat_s,
+            clock_bound_s=clock_bound_s,
+        )
         if formation is not None:
-            if leader is not None:
-                raise ValueError(
-                    f"leader = {leader!r}, but the formation says whom this vehicle follows; leave one of them out"
-                )
             if slot is not None:
                 raise ValueError("slot says where to be, but the formation does so already; leave one of them out")
             self._handle = TEAM_HANDLE_M if handle is None else handle
             return
-        if leader is None:
-            raise ScenarioError("is missing; it must be the name of a vehicle, unless there is a formation", key="leader")
-        if heartbeat_s is not None:
-            raise ValueError("heartbeat_s needs a formation, which says whom to follow instead")
         if slot is None:
             bearing = math.radians(bearing_deg)
             slot = (-distance * math.cos(bearing), -distance * math.sin(bearing))  # (-L, -L')
@@ -137,111 +130,72 @@ class LeaderFollower(Agent):
                 f"(L = {0.0 - slot[0]:.3g} m), and the handle is L unless given: give one, e.g. handle = 0.4 (m, > 0)"
             )
         self._handle = -slot[0] if handle is None else handle
-        self._listening = Listening((leader,), clock_bound_s)
         self._keep(leader, slot)
 
     def start(self, info: VehicleInfo) -> None:
         """Refuse a leader that does not take part, and a formation that does not fit; find the place in it."""
-        if self.formation is not None:
-            self._join(Team(self.formation, info.vehicles, info.name))
-            return
-        others = [name for name in info.vehicles if name != info.name]
-        if self.leader not in others:
-            raise ValueError(
-                f"leader = {self.leader!r} is not another vehicle of this run ({', '.join(others) or 'there is none'})"
-            )
+        if self._steering is not None:
+            self._steering.start(info)
+        self._member.start(info, "trajectory, route, teleop")
+        self.note(**self._member.notes)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Follow the newest report."""
-        reports = self._listening.take(obs)
-        if self._team is not None:
-            self._keep_up(self._team, obs.time_ns, reports)
-        if self._listening.refused:
-            self.note(refused=self._listening.refused)
-        newest = None if self.leader is None else self._listening.newest.get(self.leader)
-        if self.feed == "leader":
-            self._hear_lead(obs.time_ns, newest)
-        if self.broadcast:
-            self._tell(obs, radio)
+        """Follow the newest report, around what stands in the way."""
+        v, w, *places = self._wanted(obs, radio)
+        if self._steering is not None:
+            lookout, settings = self._member.lookout, self._steering.settings
+            mates = self._member.listening, self.estimator
+            if lookout is not None:
+                obs = lookout.without_members(obs, *mates, settings.scanner)
+            decision = self._steering.drive(obs, (v, w), *places) if places else self._steering.limit(obs, (v, w))
+            v, w = decision.velocity[0], decision.yaw_rate
+            if lookout is not None:
+                v = lookout.behind_members(obs, v, *mates, settings.approach)
+            self.note(**self._steering.notes)
+        if places:
+            self._v, self._w = v, w
+        return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
+
+    def _wanted(self, obs: Observation, radio: Radio) -> tuple[float, float] | tuple[float, float, Slot, Slot]:
+        """Speeds as if nothing were in the way, m/s and rad/s; while it follows, also point to reach and leader, m, world."""
+        newest, team = self._member.hear(obs), self._member.team
+        self.note(**self._member.notes)
+        lead = () if team is None else (self._member.listening.newest.get(team.members[0]),)
+        self._feeding.hear(obs.time_ns, newest, *lead)
+        self._tell(obs, radio)
         if newest is None or self.leader is None:
             self.note(status="waiting" if self.leader else "leading")
             return self._fade(obs.time_ns, 0.0)
-        if "ak" in newest.body and newest in reports:
-            acknowledge(radio, newest, self.leader)
         age_s = max(0, obs.time_ns - newest.t_ns) / 1e9
         if age_s >= self.timeout_s:
             self.note(status="leader lost", age_s=age_s)
             return self._fade(obs.time_ns, age_s - self.timeout_s)
         x, y, _ = obs.state.position
-        leader = self.estimator.predict(newest, age_s)
-        if not self._plain:
-            leader = self._fed(leader, obs.time_ns)
+        leader = self._feeding.fed(self.estimator.predict(newest, age_s), obs.time_ns)
         v, w, z1, z2 = formation_law((x, y, yaw_of(obs.state.attitude)), leader, self.place, self.k1, self.k2)
         if self.feed_forward_s:
             trust = max(0.0, min(1.0, 1.0 - (age_s - self.horizon_s) / self.fade_s))
             v += trust * self.feed_forward_s * accelerations(newest)[0]
-        self._v = max(-self.max_reverse, min(v, self.max_speed))
-        self._w = max(-self.max_yaw_rate, min(w, self.max_yaw_rate))
+        v = max(-self.max_reverse, min(v, self.max_speed))
+        w = max(-self.max_yaw_rate, min(w, self.max_yaw_rate))
         self._fading_ns = None
         self.note(status="following", age_s=age_s, z1=z1, z2=z2)
-        return Velocity(linear=(self._v, 0.0, 0.0), yaw_rate=self._w)
+        return v, w, point_of(leader, self.place), (leader.x, leader.y)
 
-    def _fade(self, now_ns: int, for_s: float) -> Velocity:
+    def _fade(self, now_ns: int, for_s: float) -> tuple[float, float]:
         """Let the last command fade to a standstill, along its own arc; ``for_s``: for how long it should have faded by now."""
-        if self._team is not None:  # one who was lost may come to lead: it goes on slowing down
+        if self._member.team is not None:  # one who was lost may come to lead: it goes on slowing down
             since_ns = now_ns - seconds_to_ns(for_s)
             self._fading_ns = since_ns if self._fading_ns is None else min(since_ns, self._fading_ns)
             for_s = (now_ns - self._fading_ns) / 1e9
         left = max(0.0, 1.0 - for_s / self.fade_s)
-        return Velocity(linear=(self._v * left, 0.0, 0.0), yaw_rate=self._w * left)
+        return self._v * left, self._w * left
 
     def _keep(self, leader: str | None, slot: tuple[float, float]) -> None:
         """From now on, be at ``slot`` (m) in the frame of ``leader``; None: follow nobody."""
         self.leader = leader
         self.place = Place(self._handle + slot[0], slot[1], self._handle)
         self.follows = None if leader is None else Follows(leader=leader, slot=slot, handle_m=self._handle)
-
-    # --- in a team ---
-
-    def _join(self, team: Team) -> None:
-        if team.parent is None:
-            raise ValueError(
-                f"{team.name} is the first member of the formation and leads it: give it an agent that leads "
-                "(trajectory, route, teleop), or name another one first in formation.members"
-            )
-        self._team = team
-        self._listening = Listening((name for name in team.members if name != team.name), self._clock_bound_s)
-        self._settle(team, team.parent)
-        self.note(shape=team.shape, parent=team.parent)
-
-    def _settle(self, team: Team, parent: str | None) -> None:
-        """Take the place beside a parent, as the team's present shape says."""
-        self._keep(parent, (0.0, 0.0) if parent is None else team.beside(parent))
-        if self._broadcast_always is None:
-            changes = team.changed > 0 or bool(team.formation.changes)  # whoever deals out places wants to know where all are
-            self.broadcast = bool(team.children) or self._heartbeat_ns is not None or changes
-        self._reporter.start(team.children)
-
-    def _keep_up(self, team: Team, now_ns: int, reports: Sequence[Report]) -> None:
-        """Take over a newer shape, and leave a parent that has died."""
-        before, parent = team.changed, self.leader
-        for report in reports:
-            team.take(report.body)
-        if self._heartbeat_ns is None or self._is_alive(team.parent, now_ns):
-            parent = team.parent
-        else:
-            parent = team.whom(lambda name: self._is_alive(name, now_ns))
-        if team.changed != before:
-            self.note(shape=team.shape)
-        if parent != self.leader:
-            self.note(parent=parent or "")
-        if team.changed != before or parent != self.leader:
-            self._settle(team, parent)
-
-    def _is_alive(self, name: str | None, now_ns: int) -> bool:
-        return (
-            name is not None and self._heartbeat_ns is not None and self._listening.silent_ns(name, now_ns) < self._heartbeat_ns
-        )
 
     def _tell(self, obs: Observation, radio: Radio) -> None:
         """Report where this vehicle is and how it moves, and what those behind it would not know otherwise."""
@@ -252,34 +206,6 @@ class LeaderFollower(Agent):
             dt = max(1, obs.time_ns - before_ns) / 1e9
             more["a"], more["al"] = (v - before_v) / dt, (w - before_w) / dt
             self._before = obs.time_ns, v, w
-        if self._lead is not None:
-            more["lead"] = [self._lead.t_ns, *self._lead.state]
-        if self._team is not None:
-            more.update(self._team.fields())
-        self._reporter.tell(radio, obs, v, w, **more)
-
-    # --- what is fed forward ---
-
-    def _fed(self, parent: LeaderState, now_ns: int) -> LeaderState:
-        """The parent's state with the speeds that are to be fed forward."""
-        if self.feed == "none":
-            return parent._replace(v=0.0, w=0.0)
-        if self._lead is not None:
-            age_s = max(0, now_ns - self._lead.t_ns) / 1e9
-            if age_s < self.timeout_s:
-                return parent._replace(v=self.estimator.predict(self._lead, age_s).v)
-        return parent
-
-    def _hear_lead(self, now_ns: int, newest: Report | None) -> None:
-        """Keep the newest report of the team's leader, heard from itself or relayed by the parent.
-
-        Outside a team, a parent that relays none is taken to be the leader.
-        """
-        heard = [] if newest is None else [lead_of(newest, now_ns + seconds_to_ns(self._clock_bound_s))]
-        if self._team is not None:
-            heard.append(self._listening.newest.get(self._team.members[0]))
-        elif heard == [None]:
-            heard = [newest]
-        for report in heard:
-            if report is not None and (self._lead is None or report.t_ns > self._lead.t_ns):
-                self._lead = report
+        if (lead := self._feeding.lead) is not None:
+            more["lead"] = [lead.t_ns, *lead.state]
+        self._member.tell(obs, radio, v, w, **more)

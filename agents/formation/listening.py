@@ -23,7 +23,8 @@ class Listening:
         self._clock_bound_ns = seconds_to_ns(clock_bound_s)
         self.newest: dict[str, Report] = {}
         self.refused = 0
-        self._heard_ns: dict[str, int] = {}
+        self._heard_ns: dict[str, int] = {}  # when a report came that can be used
+        self._there_ns: dict[str, int] = {}  # when anything came
 
     def take(self, obs: Observation) -> list[Report]:
         """Go through what came in since the last tick; the reports of it, oldest first."""
@@ -32,6 +33,7 @@ class Listening:
             sender = heard.message.sender
             if sender not in self._senders:
                 continue
+            self._there_ns[sender] = obs.time_ns
             body = heard.message.body
             report = parse(body, obs.time_ns + self._clock_bound_ns)
             if report is None:
@@ -45,8 +47,12 @@ class Listening:
         return reports
 
     def silent_ns(self, sender: str, now_ns: int) -> int:
-        """For how long nothing has been heard of a sender; of one that never was, since the start."""
+        """For how long a sender has told nothing that can be used; one that never did, since the start."""
         return now_ns - self._heard_ns.get(sender, 0)
+
+    def absent_ns(self, sender: str, now_ns: int) -> int:
+        """For how long nothing at all has been heard of a sender: who says what cannot be used is there nevertheless."""
+        return now_ns - self._there_ns.get(sender, 0)
 
 
 def heartbeat_for(loss: float, period_s: float, false_alarms_per_s: float) -> float:

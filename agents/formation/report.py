@@ -10,12 +10,15 @@ key       type   meaning
 ``v w``   float  speeds from then on, m/s and rad/s: the command of this tick (a leader) or measured (a follower)
 --------- ------ -----------------------------------------------------------------------------------
 ``a al``  float  how fast they change, m/s2 and rad/s2 (where the estimator ``acc`` or a feed-forward needs them)
+``vx vy`` float  velocity from then on, m/s, world, of one that flies (``v`` is its part along the heading); with ``vz``
+``vz z``  float  the climb, m/s, and its own estimate of its height, m, world
 ``plan``  list   the speeds after that, ``dt`` s from now, 2 ``dt``, ...: v1, w1, v2, w2, ... (for the estimator ``plan``)
 ``dt``    float  s between them
 ``lead``  list   ``t_ns x y th v w`` of the newest report of the team's leader, relayed
 ``shape`` str    which shape the team has now (where a team has one)
 ``sn``    int    how often it has changed: the newest counts, whoever passes it on
 ``order`` list   which member has which place: the numbers of the members, by place; absent: as they are numbered
+``cl``    int    1: the sender sees nothing in the lane that the team's wide shape needs; 0: something, or nothing certain
 ``ak``    int    1: those who follow the sender answer with the message ``ack`` (`agents.formation.sending`)
 ========= ====== ===================================================================================
 
@@ -73,6 +76,15 @@ def accelerations(report: Report) -> tuple[float, float]:
         return (a, al) if abs(a) + abs(al) < PLAUSIBLE else (0.0, 0.0)
     except TypeError:
         return 0.0, 0.0
+
+
+def height_of(report: Report) -> float | None:
+    """The height in a report, m, world; None where it does not say, as on wheels, or says nonsense."""
+    z = report.body.get("z")
+    try:
+        return z if abs(z) < PLAUSIBLE else None  # type: ignore[arg-type]
+    except TypeError:
+        return None
 
 
 def plan_of(report: Report) -> tuple[float, list[tuple[float, float]]] | None:

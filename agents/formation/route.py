@@ -41,7 +41,7 @@ class Route(Leader):
         lookahead_m: shorter keeps nearer to the way, longer is smoother and bears more lag: at least ``speed`` times 1 s.
         arrive_m: a point is reached from this near.
         deceleration: at the last point, m/s2.
-        leading: tell, estimator, horizon_s, fade_s, sending and formation, as of every `Leader`.
+        leading: tell, estimator, horizon_s, fade_s, sending, formation, avoidance and clock_bound_s, as of every `Leader`.
     """
 
     def __init__(
@@ -75,6 +75,17 @@ class Route(Leader):
         if self._stage.number == len(self.way):
             self.note(status="arrived")
         return v, w
+
+    def aim(self, obs: Observation) -> Point | None:
+        """The next point."""
+        if self._stage is None or self._stage.number == len(self.way):
+            return None
+        return self.way[self._stage.number]
+
+    def led_astray(self, obs: Observation) -> None:
+        """The line to the next point begins here."""
+        if self._stage is not None:
+            self._stage = Stage(obs.state.position[:2], self._stage.number)
 
     def ahead(self, count: int) -> Sequence[tuple[float, float]]:
         """What it would command from where these speeds lead."""

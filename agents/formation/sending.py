@@ -51,6 +51,7 @@ class Reporter:
     def __init__(self, sending: Sending | None = None, estimator: Estimator | None = None) -> None:
         self.sending = sending or Sending()
         self.estimator = estimator or DeadReckoning()
+        self._flight = getattr(self.estimator, "flight", None)  # of one that reckons with heights
         self._seq = 0
         self._always = self.sending.when == "always"
         self._sent: dict[int, Report] = {}  # by number: what a follower may have as its newest, the last one last
@@ -113,9 +114,11 @@ class Reporter:
         return any(number < 0 or self._wrong(self._sent[number], now) for number in sorted(numbers))
 
     def _wrong(self, known: Report, now: Report) -> bool:
-        """Whether one who has the report ``known`` takes this vehicle to be elsewhere, or its team to have another shape."""
-        if known.body.get("sn") != now.body.get("sn"):
+        """Whether one who has the report ``known`` takes this vehicle to be elsewhere, or a shape or a lane for another."""
+        if any(known.body.get(key) != now.body.get(key) for key in ("sn", "cl")):
             return True
-        x, y, th, _, _ = self.estimator.predict(known, (now.t_ns - known.t_ns) / 1e9)
-        aside = math.hypot(x - now.state.x, y - now.state.y)
+        age_s = (now.t_ns - known.t_ns) / 1e9
+        x, y, th, _, _ = self.estimator.predict(known, age_s)
+        up = 0.0 if self._flight is None else self._flight(known, age_s).position[2] - self._flight(now, 0.0).position[2]
+        aside = math.hypot(x - now.state.x, y - now.state.y, up)
         return aside + METRES_PER_RADIAN * abs(wrap(th - now.state.th)) > self.sending.threshold

@@ -6,14 +6,18 @@ its own reports, so that it comes down a chain over any lossy link. The newest c
 """
 
 import functools
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from agents.formation.assignment import assign
-from agents.formation.formation import Formation, ShapeName
-from agents.formation.shape import SHAPES, Slot, Slots, slots
+from agents.formation.formation import Formation
+from agents.formation.shape import SHAPES, Slot, Slots, slots, width
 from agents.formation.topology import ancestors, named_parents, parents, ranks
+from cosim.clock import seconds_to_ns
 from cosim.table import unknown
+
+JUMP = 10_000  # by more than that no team has changed its shape since somebody heard of it last
 
 
 class Team:
@@ -23,6 +27,7 @@ class Team:
         members: all names; the first leads.
         name, index: of this member, and its number among them.
         shape: the present one.
+        wide: the one that it has, or will have again, where nothing is in the way (`agents.formation.passage`).
         changed: how often it has changed.
         place: the number of this member's place in it; the leader's is 0.
         slot: that place, m in the leader's frame, x forward, y left.
@@ -44,18 +49,28 @@ class Team:
             self._tree = named_parents(formation.parents or {}, self.members)
         else:
             self._tree = parents(formation.topology, count, formation.branching)
-        wanted = {formation.shape, *(shape for _, shape in formation.changes)}
-        self._slots = _all_slots(count, formation.spacing, formation.offsets, "own" in wanted)
+        narrow = formation.passage
+        wanted = {formation.shape, *(shape for _, shape in formation.changes), narrow and narrow.shape}
+        spacings = ((narrow.shape, narrow.spacing),) if narrow is not None and narrow.spacing is not None else ()
+        self._slots = _all_slots(count, formation.spacing, spacings, formation.offsets, "own" in wanted)
+        if narrow is not None:
+            _check_narrower(narrow.shape, self._slots[narrow.shape], formation.shape, self._slots[formation.shape])
         self.shape: str = formation.shape
+        self.wide: str = formation.shape
         self.changed = 0
+        self._coming = deque((seconds_to_ns(at_s), shape) for at_s, shape in formation.changes)
         self._order = tuple(range(count))
         self._settle()
-        if self.parent is None and formation.changes:
+        if self.parent is None and (formation.changes or narrow is not None):
             assign(self._slots[self.shape], self._slots[self.shape])  # loads the solver now, not in the middle of a run
 
     def fields(self) -> Mapping[str, Any]:
         """What belongs into the own reports, for those who have not heard of it; nothing until the shape first changes."""
         return self._fields
+
+    def places(self, shape: str) -> Slots:
+        """The slots of a shape, m in the leader's frame."""
+        return self._slots[shape]
 
     def slot_of(self, name: str) -> Slot:
         """The place of a member, m in the leader's frame."""
@@ -66,14 +81,21 @@ class Team:
         x, y = self.slot_of(parent)
         return self.slot[0] - x, self.slot[1] - y
 
+    def due(self, now_ns: int) -> list[str]:
+        """The shapes that the formation is to change to, and that have come up since this was asked last."""
+        shapes: list[str] = []
+        while self._coming and now_ns >= self._coming[0][0]:
+            shapes.append(self._coming.popleft()[1])
+        return shapes
+
     def take(self, body: Mapping[str, Any]) -> bool:
         """Adopt the shape that a report tells of, where it is newer than the own; whether it was.
 
         What makes no sense is ignored: a shape that this formation does not have, an order that is not one of its members, or
-        one in which the leader leaves its place.
+        one in which the leader leaves its place, and what would be newer by more than `JUMP` changes.
         """
         changed = body.get("sn", 0)
-        if type(changed) is not int or changed <= self.changed:
+        if type(changed) is not int or not self.changed < changed <= self.changed + JUMP:
             return False
         everybody = list(range(len(self.members)))
         shape, order = body.get("shape"), body.get("order", everybody)
@@ -84,7 +106,7 @@ class Team:
         self._adopt(shape, changed, tuple(order))
         return True
 
-    def change(self, shape: ShapeName, positions: Mapping[str, Slot]) -> None:
+    def change(self, shape: str, positions: Mapping[str, Slot]) -> None:
         """As the leader: give the team another shape, and everybody the place that makes the ways shortest and crosses none.
 
         Args:
@@ -109,6 +131,8 @@ class Team:
 
     def _adopt(self, shape: str, changed: int, order: tuple[int, ...]) -> None:
         self.shape, self.changed, self._order = shape, changed, order
+        if self.formation.passage is None or shape != self.formation.passage.shape:
+            self.wide = shape
         self._settle()
 
     def _settle(self) -> None:
@@ -129,9 +153,21 @@ class Team:
 
 
 @functools.lru_cache(maxsize=16)  # all members of a run ask for the same
-def _all_slots(count: int, spacing: float, offsets: tuple[Slot, ...], own: bool) -> Mapping[str, Slots]:
-    """The slots of every shape that the team can take; ``own``: whether that must be among them."""
-    return {shape: slots(shape, count, spacing, offsets) for shape in SHAPES if shape != "own" or own or offsets}
+def _all_slots(
+    count: int, spacing: float, spacings: tuple[tuple[str, float], ...], offsets: tuple[Slot, ...], own: bool
+) -> Mapping[str, Slots]:
+    """The slots of every shape that the team can take; ``spacings``: of single shapes; ``own``: whether that must be there."""
+    taken = [shape for shape in SHAPES if shape != "own" or own or offsets]
+    return {shape: slots(shape, count, dict(spacings).get(shape, spacing), offsets) for shape in taken}
+
+
+def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -> None:
+    needs, has = width(places, 0.0), width(wide_places, 0.0)
+    if len(places) > 1 and needs >= has:
+        raise ValueError(
+            f"formation.passage.shape = {narrow!r} is no narrower than the formation's own, {wide!r}: "
+            f"{needs:.3g} m instead of {has:.3g} m without bodies; take another one, or a smaller passage.spacing"
+        )
 
 
 def _members(members: tuple[str, ...], vehicles: Sequence[str], name: str) -> tuple[str, ...]:

@@ -16,7 +16,8 @@ from cosim.studies.pool import Pool
 from cosim.types import Array
 
 Read = Callable[[Result], Any]
-Style = Literal["line", "dashed", "dotted", "thin", "markers", "hollow", "pose", "both"]  # "pose": a track with its two ends
+# "dots": many small markers; "pose": a track with its two ends
+Style = Literal["line", "dashed", "dotted", "thin", "markers", "dots", "hollow", "pose", "both"]
 
 
 @dataclass(frozen=True)
@@ -47,18 +48,26 @@ class Curve:
 
 @dataclass(frozen=True)
 class Heat:
-    """Values over a grid: ``values[i, j]`` belongs to ``y[i]``, ``x[j]``; every cell is drawn with its number."""
+    """Values over a grid: ``values[i, j]`` belongs to ``y[i]``, ``x[j]``; every cell is drawn with its number, but in a map."""
 
     x: Array
     y: Array
     values: Array  # (len(y), len(x))
     label: str = ""
-    style: Literal["growing", "about one"] = "growing"  # "about one": which side of 1 is shown by colour
+    # "about one": which side of 1 is shown by colour; "map": equal steps, values from 0 to 1, curves of the panel above it
+    style: Literal["growing", "about one", "map"] = "growing"
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A picture, (h, w, 3) uint8, under the curves; the middle of its first pixel, at the top left, is (0, 0)."""
+
+    pixels: Array
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A pair of axes; it shows curves, or a `Heat`."""
+    """A pair of axes; it shows curves, or a `Heat`, or curves on a `Photo`."""
 
     title: str
     x_label: str
@@ -66,6 +75,7 @@ class Panel:
     curves: Sequence[Curve] = ()
     _: KW_ONLY
     heat: Heat | None = None
+    photo: Photo | None = None
     levels: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)  # horizontal lines, by their labels
     log_x: bool = False
     log_y: bool = False
@@ -98,9 +108,13 @@ class Job:
     set: Mapping[str, Any] = field(default_factory=dict)
     seed: int | None = None
 
+    def __call__(self) -> Any:
+        """What is wanted of it."""
+        return self.read(run(self.scenario, seed=self.seed, set=self.set, mcap=False))
+
 
 class Runner:
-    """Runs jobs, several at a time where there are several.
+    """Runs jobs, several at a time where there are several: those of the platform, or a `functools.partial` of other work.
 
     Args:
         jobs: how many processes; 1: this one.
@@ -110,8 +124,8 @@ class Runner:
     def __init__(self, jobs: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
         self._jobs, self._progress = jobs, progress or (lambda *_: None)
 
-    def __call__(self, jobs: Sequence[Job]) -> list[Any]:
-        """What each job's ``read`` gave, in the order of the jobs."""
+    def __call__(self, jobs: Sequence[Callable[[], Any]]) -> list[Any]:
+        """What each job gave, in the order of the jobs."""
         workers = min(self._jobs, len(jobs))
         if workers <= 1:
             return [self._tell(done, len(jobs), _do(job)) for done, job in enumerate(jobs, 1)]
@@ -126,8 +140,8 @@ class Runner:
         return answer
 
 
-def _do(job: Job) -> Any:
-    return job.read(run(job.scenario, seed=job.seed, set=job.set, mcap=False))
+def _do(job: Callable[[], Any]) -> Any:
+    return job()
 
 
 def relative(case: str, expected: float, measured: float, share: float) -> Row:

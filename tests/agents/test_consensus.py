@@ -173,16 +173,16 @@ def test_the_root_found_is_the_largest_of_all(age: int, share: float) -> None:
 @pytest.mark.parametrize(
     ("graph", "count", "reference"),
     [
-        ("star", 5, (0.771, 0.959, 1.045, 1.221)),
-        ("ring", 6, (0.806, 0.967, 1.041, 1.171)),
-        ("path", 5, (0.825, 0.966, 1.035, 1.155)),
+        ("star", 5, (0.959, 1.221)),
+        ("ring", 6, (0.967, 1.171)),
+        ("path", 5, (0.966, 1.155)),
     ],
 )
 def test_growth_around_the_bound_of_continuous_time(graph: Graph, count: int, reference: tuple[float, ...]) -> None:
-    """At 1 ms and 0.90, 0.98, 1.02, 1.10 of tau* = pi / (2 lambda_max): growth per s, by simulation and by the root."""
+    """At 1 ms and 0.98, 1.10 of tau* = pi / (2 lambda_max): growth per s, by simulation and by the root."""
     values, modes = np.linalg.eigh(laplacian(sides_of(graph, count)))
     lam, mode = values[-1], modes[:, -1]
-    for share, expected in zip((0.90, 0.98, 1.02, 1.10), reference, strict=True):
+    for share, expected in zip((0.98, 1.10), reference, strict=True):
         age = round(share * math.pi / (2.0 * lam) / 1e-3)
         agents = team(sides_of(graph, count), 1_000_000, own="delayed")
         way = drive(agents, np.outer(mode, [1.0, -0.5]), 2600, age, period_ns=1_000_000)

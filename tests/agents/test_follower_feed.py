@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from agents.formation import LeaderFollower
-from agents.formation.leader_follower import Feed
+from agents.formation.feed import Feed
 from cosim.types import Reception
 from tests.agents.seats import TICK_NS, Seat, says
 

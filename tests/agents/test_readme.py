@@ -1,7 +1,9 @@
-"""The README's agent that senses and flies does what it says."""
+"""The agent and the way around things that the README has as examples do what it says."""
 
 import re
 from pathlib import Path
+
+import pytest
 
 import agents
 import cosim
@@ -29,3 +31,25 @@ def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
     assert abs(last.vx) < 0.1
     assert abs(last.z - 2.0) < 0.1
     assert result.metrics["safety"]["collisions"] == 0
+
+
+def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
+    (code,) = [text for text in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Stop" in text]
+    (own,) = re.findall(r"`avoidance = (\{ kind = \"own\".*?\} \})`", README)
+    (tmp_path / "stop.py").write_text(code)
+    (tmp_path / "wall.toml").write_text(f"""
+        name = "wall"
+        duration_s = 15.0
+        physics = {{ kind = "kinematic" }}
+        world = {{ kind = "boxes", boxes = [{{ center = [3.1, 0.0, 0.5], size = [0.2, 4.0, 1.0] }}] }}
+        [[vehicle]]
+        name = "car"
+        kind = "amigobot"
+        pose = [0.0, 0.0, 0.0]
+        sensors = {{ scan = {{ kind = "lms", sigma_m = 0.0 }} }}
+        agent = {{ kind = "avoid", avoidance = {own}, task = {{ kind = "trajectory", path = "straight" }} }}
+    """)
+    result = cosim.run(tmp_path / "wall.toml")
+    radius, distance = 0.216, 0.3  # of the body; as the table says
+    assert result.metrics["safety"]["min_clearance_m"] == pytest.approx(radius + distance, abs=0.02)  # a slow tick
+    assert abs(result.states.to_pandas().iloc[-1].vx) < 1e-9

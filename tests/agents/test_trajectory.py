@@ -244,6 +244,6 @@ def test_a_follower_with_broadcast_reports_its_measured_speed_even_while_it_wait
     body = message.body
     assert isinstance(body, dict)
     assert body == pytest.approx({"seq": 0, "t_ns": 300_000_000, "x": 1.0, "y": 2.0, "th": 2.5, "v": -0.2, "w": 0.4})
-    agent.broadcast = False
+    agent = LeaderFollower("car1", broadcast=False)
     agent.act(observe((1.0, 2.0, 2.5), 400_000_000), radio)
     assert radio.drain() == []

@@ -1,0 +1,254 @@
+"""The dynamic window: of the speeds that can be had within a period and after which it can still stop, the best.
+
+D. Fox, W. Burgard, S. Thrun, The dynamic window approach to collision avoidance, IEEE Robotics and Automation Magazine 4 (1),
+1997, with the returns of a scan for obstacles.
+"""
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from agents.avoidance.method import Decision, Method, Point, Task
+from agents.avoidance.settings import Settings
+from agents.avoidance.view import View
+from cosim.agent import Body
+from cosim.frames import arc, rotate2, wrap
+from cosim.types import Array, NonNegative, Positive
+
+STRAIGHTEST = 1e-9  # 1/m: curvatures below it are as good as none
+STILL = 1e-6  # m/s: as good as on the spot
+LEAST_SPEED = 0.01  # m/s: slower than that, it makes no way
+SPARE_M = 0.05  # left when it has stopped: nearer, where it may only creep, it turns
+
+Grid = Annotated[int, msgspec.Meta(ge=2, le=101)]
+
+
+class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
+    """The dynamic window (Fox, Burgard, Thrun 1997), for vehicles on wheels: the best speeds after which it can still stop.
+
+    The task is left as it is while the way straight to its aim is free as far as it looks, and it can stop on its own arc.
+    Otherwise it takes those of the speeds that it can have after a period which score best, if it can stop on their arc,
+    braking along it, 5 cm before anything is nearer than ``keep_m``. The score is that of heading for the aim where it would be
+    at rest, of the clearance of the arc and of the speed, each between 0 and 1. Its present speeds are what it was told last.
+
+    Where there are none it turns on the spot until the way ahead is free, and then goes on in that direction until the aim is
+    free, or, out of the field of view, for the distance that it looks ahead: the paper leaves it to a planner not to get there,
+    and facing what is between it and its aim it would stand for ever. It passes things closely, and goes to and fro before wide
+    walls.
+    """
+
+    lookahead_m: Positive = 1.2  # clearances beyond that are all the same
+    acceleration: Positive = 0.5  # m/s2: how far the window reaches in speed
+    turn_acceleration: Positive = 1.05  # rad/s2: and in rate of turning; 60 degrees/s2
+    max_yaw_rate: Positive = 1.2  # rad/s
+    heading_weight: NonNegative = 0.8  # of heading for the aim
+    clearance_weight: NonNegative = 0.1  # of the distance to what stands on its way
+    velocity_weight: NonNegative = 0.1  # of going fast
+    speeds: Grid = 5  # of them in the window
+    turns: Grid = 11  # rates of turning in the window
+    turn_rate: Positive = 0.6  # rad/s, where there is no way ahead
+
+    @property
+    def reach_m(self) -> float:
+        """As far as it looks."""
+        return self.lookahead_m
+
+    def method(self, body: Body, period_s: float) -> Method:
+        """On wheels.
+
+        Raises:
+            ValueError: the vehicle flies: its speeds are not those of arcs.
+        """
+        if body.flies:
+            raise ValueError('avoidance.kind = "dynamic_window": for vehicles on wheels; one that flies takes another method')
+        return _DynamicWindow(self, self.kept_m(body), period_s)
+
+
+def clearances(points: Array, curvatures: Array, keep: float) -> Array:
+    """How far a disc goes on each arc before it touches a point, (m,) m along the arc of its centre; inf: it never does.
+
+    The disc of radius ``keep`` is at the origin and moves off along x, on circles of these ``curvatures``, (m,) 1/m, positive
+    to the left; ``points`` are (n, 2) m. Points inside of it are touched at once by going on if they lie ahead of its centre;
+    those behind are left behind.
+
+    With the point at the distance q from the centre of a circle of radius R, the disc touches it within the angle D of where it
+    is nearest to it, ``4 R q sin(D/2)^2 = keep^2 - (q - R)^2``, all written so that it holds for R of any size.
+    """
+    curvatures = np.where(np.abs(curvatures) < STRAIGHTEST, STRAIGHTEST, curvatures)
+    away = np.hypot(points[:, 0], points[:, 1])
+    order = np.argsort(away, kind="stable")
+    away, (x, y) = away[order], points[order].T
+    excess = 0.5 * (away * away - keep * keep)
+    blocks = (excess < 0.0) & (x >= 0.0)
+    single = np.float32  # exact enough to tell which are touched, and twice as quick
+    apart = np.multiply.outer(curvatures.astype(single), excess.astype(single))
+    np.subtract(y.astype(single), apart, out=apart)
+    touched = np.abs(apart, out=apart) < keep  # |R - keep| < q < R + keep, multiplied out
+    if len(away) and excess[0] < 0.0:
+        touched |= blocks
+    found = np.full(len(curvatures), math.inf)
+    if not touched.any():
+        return found
+
+    def until(row: Array, column: Array) -> Array:
+        way = _until_touch(x[column], y[column], excess[column], curvatures[row], keep)
+        return np.where(blocks[column], 0.0, way)
+
+    rows = np.flatnonzero(touched.any(axis=1))
+    nearest = touched[rows].argmax(axis=1)
+    found[rows] = until(rows, nearest)
+    # No way to touch a point is shorter than the chord: only those nearer than what is found already can be touched earlier.
+    within = np.searchsorted(away, found + keep)
+    columns = int(within.max(initial=0, where=np.isfinite(found)))
+    earlier = touched[:, :columns] & (np.arange(columns) < within[:, None])
+    row, column = np.divmod(np.flatnonzero(earlier), max(columns, 1))  # quicker than `nonzero` in two dimensions
+    if len(row):
+        firsts = np.flatnonzero(np.diff(row, prepend=-1))
+        found[row[firsts]] = np.minimum(found[row[firsts]], np.minimum.reduceat(until(row, column), firsts))
+    return found
+
+
+def _until_touch(x: Array, y: Array, excess: Array, curvature: Array, keep: float) -> Array:
+    """The same for pairs of points and curvatures of which it is known that they touch; ``excess`` is half of d^2 - keep^2."""
+    aside = np.copysign(y, y * curvature)  # towards the centre of the circle
+    radius = 1.0 / np.abs(curvature)
+    from_centre = np.hypot(x, radius - aside)
+    beyond = (2.0 * excess + keep * keep - 2.0 * radius * aside) / (from_centre + radius)  # q - R
+    chord = 4.0 * radius * np.maximum(from_centre, STRAIGHTEST)
+    half = np.sqrt(np.clip((keep * keep - beyond * beyond) / chord, 0.0, 1.0))
+    angle = np.arctan2(x, radius - aside) - 2.0 * np.arcsin(half)
+    way: Array = radius * np.where(angle < 0.0, angle + math.tau, angle)
+    return way
+
+
+class _DynamicWindow:
+    """What one vehicle remembers: the speeds that it has, as far as it does what it was told, and where it is turning to."""
+
+    def __init__(self, settings: DynamicWindow, keep: float, period_s: float) -> None:
+        self._set, self._keep, self._period_s = settings, keep, period_s
+        self._now = (0.0, 0.0)
+        self._side = 0
+        self._detour: float | None = None  # rad: the way that it has turned to
+        self._gone_m = 0.0  # on it
+        self._cruise = 0.0  # m/s, of the task, when it last had a speed
+
+    def decide(self, view: View, task: Task) -> Decision:
+        """What to do at a tick."""
+        self._now = max(0.0, task.now[0]), task.now[1]
+        if self._detour is not None:
+            self._detour = wrap(self._detour - self._now[1] * self._period_s)
+            self._gone_m += self._now[0] * self._period_s
+        v, w = task.velocity[0], task.yaw_rate
+        if abs(v) < STILL:
+            v = 0.0
+        elif v > 0.0:
+            self._cruise = v
+        top = task.max_speed if task.leader is not None else min(task.max_speed, self._cruise)
+        if v < 0.0 or (v == 0.0 and (w == 0.0 or task.aim is None or top == 0.0)):  # it stands, turns on the spot, or goes back
+            return Decision(task.velocity, w, "task")
+        points = self._points(view, max(top, v, self._now[0]))
+        if self._may_resume(view, task):
+            if self._leads_on(points, task):
+                if v:  # on the spot it may but turn back to what is in its way
+                    self._side, self._detour = 0, None
+                if not v or clearances(points, np.array([w / v]), self._keep)[0] >= self._stopping_m(v):
+                    return Decision(task.velocity, w, "task")
+            self._gone_m = 0.0
+        speeds = self._around(points, top, task)
+        if speeds is None:
+            return self._turning(view, task)
+        return Decision((speeds[0], 0.0), speeds[1], "avoid")
+
+    def _around(self, points: Array, top: float, task: Task) -> tuple[float, float] | None:
+        """The best speeds towards the aim, or, after turning away from what is in its way, on from there; None: turn."""
+        far = self._set.lookahead_m
+        if self._side and self._detour is None:
+            if _straight(points, 0.0, self._keep) < far:
+                return None
+            self._detour, self._gone_m = 0.0, 0.0
+        best = self._best(points, top, _aim(task, far) if self._detour is None else rotate2(far, 0.0, self._detour))
+        if best is None:
+            self._detour = None
+        return best
+
+    def _points(self, view: View, fastest: float) -> Array:
+        """The returns that matter, (n, 2) m."""
+        within = max(self._set.lookahead_m, self._stopping_m(fastest + self._set.acceleration * self._period_s)) + self._keep
+        near = view.ranges < within
+        points: Array = view.units[near] * np.maximum(view.ranges[near], 1e-6)[:, None]  # a touch, too, has a direction
+        return points
+
+    def _stopping_m(self, v: float) -> float:
+        """How far it goes yet at a speed that it holds for a period."""
+        return v * self._period_s + 0.5 * v * v / self._set.braking
+
+    def _may_resume(self, view: View, task: Task) -> bool:
+        """Unless it is turning away from what is in its way, or has gone so little since that it may still be beside it."""
+        if self._detour is None:
+            return not self._side or task.velocity[0] > 0.0
+        return self._gone_m >= self._set.lookahead_m or task.aim is None or view.sees(math.atan2(task.aim[1], task.aim[0]))
+
+    def _leads_on(self, points: Array, task: Task) -> bool:
+        """Nothing stands between it and its aim, as far as it looks; where it has none, on the way that it takes."""
+        if task.aim is None:
+            way = np.array([task.yaw_rate / task.velocity[0]])
+            return bool(clearances(points, way, self._keep)[0] >= self._set.lookahead_m)
+        away, bearing = math.hypot(*task.aim), math.atan2(task.aim[1], task.aim[0])
+        return _straight(points, bearing, self._keep) >= min(away, self._set.lookahead_m)
+
+    def _best(self, points: Array, top: float, aim: Point) -> tuple[float, float] | None:
+        """The best admissible speeds of the window, m/s and rad/s; None if it can but stand."""
+        reach, swing = self._set.acceleration * self._period_s, self._set.turn_acceleration * self._period_s
+        v0, w0 = self._now
+        v = np.linspace(max(0.0, v0 - reach), max(min(top, v0 + reach), v0 - reach, 0.0), self._set.speeds)
+        limit = self._set.max_yaw_rate
+        w = np.linspace(max(-limit, min(w0 - swing, limit)), min(limit, max(w0 + swing, -limit)), self._set.turns)
+        v, w = v[v > LEAST_SPEED].repeat(len(w)), np.tile(w, int((v > LEAST_SPEED).sum()))
+        if not len(v):
+            return None
+        free = clearances(points, w / v, self._keep)
+        stopping = v * self._period_s + 0.5 * v * v / self._set.braking
+        admissible = stopping + SPARE_M <= free
+        if not admissible.any():
+            return None
+        score = (
+            self._set.heading_weight * self._heading(v, w, stopping, aim)
+            + self._set.clearance_weight * np.minimum(free / self._set.lookahead_m, 1.0)
+            + self._set.velocity_weight * v / top
+        )
+        best = int(np.where(admissible, score, -math.inf).argmax())
+        return float(v[best]), float(w[best])
+
+    def _heading(self, v: Array, w: Array, way: Array, aim: Point) -> Array:
+        """How well it heads for the aim where it can be at rest, (m,): 1 straight at it, 0 away from it."""
+        turn = w * self._period_s + 0.5 * w * np.abs(w) / self._set.turn_acceleration
+        chord = way * np.sinc(0.5 * turn / math.pi)
+        x, y = aim[0] - chord * np.cos(0.5 * turn), aim[1] - chord * np.sin(0.5 * turn)
+        off: Array = np.abs((np.arctan2(y, x) - turn + math.pi) % math.tau - math.pi)
+        return 1.0 - off / math.pi
+
+    def _turning(self, view: View, task: Task) -> Decision:
+        """On the spot, to one side until there is a way straight ahead: facing what blocks the aim, it would stand for ever."""
+        if not self._side:
+            behind = task.aim if task.aim is not None and task.aim[0] < 0.0 else None
+            self._side = (1 if behind[1] > 0.0 else -1) if behind else view.roomier_side(self._set.lookahead_m)
+        return Decision((0.0, 0.0), self._side * self._set.turn_rate, "turn")
+
+
+def _straight(points: Array, bearing: float, keep: float) -> float:
+    """How far a disc goes straight that way before it touches a point, m: `clearances` without curvature."""
+    ahead, left = math.cos(bearing), math.sin(bearing)
+    x, y = points @ (ahead, left), points @ (-left, ahead)
+    met = (np.abs(y) < keep) & (x >= 0.0)
+    return float(np.maximum(x[met] - np.sqrt(keep * keep - y[met] ** 2), 0.0).min(initial=math.inf))
+
+
+def _aim(task: Task, far: float) -> Point:
+    """Where it is to get; a vehicle that roams, to where its own way leads."""
+    if task.aim is not None:
+        return task.aim
+    v, w = task.velocity[0], task.yaw_rate
+    x, y, _ = arc((0.0, 0.0, 0.0), 1.0, w / v, far)
+    return x, y

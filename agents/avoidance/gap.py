@@ -1,0 +1,194 @@
+"""Logic-based avoidance: go through the gap that leads on (Toh 2012, chapter 4)."""
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from agents.avoidance.gaps import Gaps, gaps, gaps_ahead
+from agents.avoidance.lane import free_m, lane_free, ways
+from agents.avoidance.method import Decision, Method, Point, Task
+from agents.avoidance.settings import Settings
+from agents.avoidance.view import View
+from cosim.agent import Body
+from cosim.types import Array, NonNegative, Positive
+
+STILL, PATIENCE_S = 0.02, 3.0  # m/s; s: slower than that for so long, longer than half a turn takes, it makes no way
+TIE = 1e-6  # rad per rad: less than that is rounding
+CREEP = 0.2  # of the speed: as slow as it gets while it turns towards a gap
+
+
+class Gap(Settings, frozen=True, kw_only=True, tag="gap"):
+    """Keep to the task while the lane to its aim is free; otherwise go through the gap that leads on."""
+
+    lookahead_m: Positive = 1.2  # what is further away does not matter: more than it takes to stop, m
+    top: Annotated[int, msgspec.Meta(ge=1)] = 3  # how many gaps are considered, the widest; the only one of use may be the next
+    margin_m: NonNegative = 0.06  # room on either side of the body: gaps must be wider than both together, lanes are as wide, m
+    gain: Positive = 1.5  # 1/s: yaw rate per rad that a gap lies aside
+    max_yaw_rate: Positive = 1.2  # on its way to a gap, rad/s
+    turn_rate: Positive = 0.6  # of turning on the spot where there is no gap, rad/s
+
+    @property
+    def reach_m(self) -> float:
+        """The look-ahead distance."""
+        return self.lookahead_m
+
+    def default_keep_m(self, body: Body) -> float:
+        """Half of a lane, and as much as it takes to turn on the spot."""
+        return max(0.5 * body.width_m + self.margin_m, body.radius_m)
+
+    def half_lane_m(self, body: Body) -> float:
+        """Half the width of a lane, m; a gap must be twice as wide.
+
+        No less than the vehicle keeps away from everything: where the speed is limited near obstacles, it would get stuck.
+        """
+        return max(0.5 * body.width_m + self.margin_m, self.kept_m(body))
+
+    def method(self, body: Body, period_s: float) -> Method:
+        """One for a vehicle."""
+        return GapMethod(self, body, period_s)
+
+
+class GapMethod:
+    """How one vehicle does so.
+
+    The lane leads to the task's aim, no further than the look-ahead distance. Where there is no aim, that of the task's own
+    motion counts; on the spot anything may turn. So it is where the aim lies outside the field of view and nothing is known of
+    the lane; but a vehicle on its way around something does not take up its task before it sees that it can.
+
+    Of the gaps, a vehicle that follows takes the one nearest in bearing to its leader (Toh 2012, 4-4, 4-5: the leader may be
+    outside the field of view, then a gap at that border is nearest); one with an aim the one whose end, at the look-ahead
+    distance, is nearest to it; one that roams the one nearest to its own direction. A full turn is first looked at as half a
+    turn around where the vehicle wants to go: behind it all is free, as a rule, and the middle of one gap around
+    everything but a pillar leads straight back.
+
+    It heads for the middle of that gap where a disc as wide as the lane gets through there past all that is near; else in the
+    direction next to it in which it does: what stands nearer than the gap may reach into the way to its middle. Where it
+    gets through nowhere in that gap it heads for the middle all the same, to see better from nearer, until it makes no way for
+    three seconds; then it takes the direction next to it anywhere, until it has gone as far as it looks ahead.
+
+    Where there is none, and where there is no gap, it turns towards its leader or aim, or to the side with more room. It keeps
+    to that side, also against a way on the other, until it has gone as far as it looks ahead, or nothing is near any more:
+    turning to and fro it would see the same for ever.
+    """
+
+    def __init__(self, settings: Gap, body: Body, period_s: float) -> None:
+        self._settings, self._flies, self._period_s = settings, body.flies, period_s
+        self._half_m = settings.half_lane_m(body)
+        self._speed = 0.0  # of the task, when it last had one
+        self._away = False  # from the task
+        self._side = 0  # to which it turns on the spot: 1 left, -1 right, 0 not
+        self._gone_m = 0.0  # since it last turned
+        self._elsewhere = False  # it goes wherever it gets through, for it got through nowhere in the gap that it had chosen
+        self._waited_s = 0.0  # for so long it has made no way on its way around something
+
+    def decide(self, view: View, task: Task) -> Decision:
+        """What to do at a tick."""
+        speed, lookahead = math.hypot(*task.velocity), self._settings.lookahead_m
+        self._speed = speed or self._speed
+        self._gone_m += abs(task.now[0]) * self._period_s
+        if self._gone_m >= lookahead or view.nearest_m > lookahead:
+            self._side, self._elsewhere = 0, False
+        self._waited_s = self._waited_s + self._period_s if abs(task.now[0]) < STILL else 0.0
+        if self._waited_s > PATIENCE_S:
+            self._elsewhere, self._gone_m, self._waited_s = True, 0.0, 0.0
+        stands = not speed and (self._flies or not task.yaw_rate)
+        self._away = not stands and not self._is_free(view, task)
+        if stands:
+            self._waited_s = 0.0
+        if not self._away:
+            return Decision(task.velocity, task.yaw_rate, "task")
+        way = self._way(view, task)
+        bearing = None if way is None else self._fitting(view, *way)
+        if bearing is None or (math.cos(bearing) < CREEP and bearing * self._side < 0.0):
+            self._side, self._gone_m, self._elsewhere = self._side or _side(view, task, lookahead), 0.0, True
+            return Decision((0.0, 0.0), self._side * self._settings.turn_rate, "turn")
+        return self._towards(bearing, view, task)
+
+    def _is_free(self, view: View, task: Task) -> bool:
+        """Whether nothing stands in the way of the task."""
+        lookahead = self._settings.lookahead_m
+        if view.nearest_m > lookahead:
+            return True
+        if task.aim is not None and view.sees(aside := _bearing(task.aim)):
+            return lane_free(view, aside, self._half_m, min(lookahead, math.hypot(*task.aim)))
+        if task.aim is not None and self._away and not self._flies:
+            return False
+        if not any(task.velocity):
+            return True
+        return lane_free(view, _bearing(task.velocity), self._half_m, lookahead)
+
+    def _way(self, view: View, task: Task) -> tuple[float, float] | None:
+        """Bearing of the middle of the gap to take, and how far it reaches to either side, rad; None: there is none."""
+        lookahead, first = self._settings.lookahead_m, float(view.bearings[0])
+        wanted = _bearing(task.leader or task.aim or task.velocity)
+        if view.sees(wanted):
+            way = self._chosen(*gaps_ahead(view, wanted, lookahead), wanted, task, view.step)
+            if way is not None:
+                return way
+        found = gaps(view.ranges, lookahead, first, view.step, view.cyclic)
+        if view.cyclic:
+            return self._chosen(
+                found, wanted + (found.bearing - wanted + math.pi) % math.tau - math.pi, wanted, task, view.step
+            )
+        return self._chosen(found, found.bearing, view.near_middle(wanted), task, view.step)
+
+    def _chosen(self, found: Gaps, places: Array, wanted: float, task: Task, step: float) -> tuple[float, float] | None:
+        """The best of these gaps, thought to be at ``places``, rad; ties to the wider."""
+        best: tuple[float, float, float] | None = None
+        top, lookahead = self._settings.top, self._settings.lookahead_m
+        beams = found.end - found.begin
+        columns = (found.width, found.bearing, places, 0.5 * step * beams)
+        for width, bearing, place, half in zip(*(each[:top].tolist() for each in columns), strict=True):
+            if width <= 2.0 * self._half_m:
+                break
+            if task.aim is None or task.leader is not None:
+                cost = abs(place - wanted)
+            else:
+                cost = math.dist((lookahead * math.cos(place), lookahead * math.sin(place)), task.aim)
+            if best is None or cost < best[0] - 1e-9:
+                best = cost, bearing, half
+        return None if best is None else best[1:]
+
+    def _fitting(self, view: View, bearing: float, half: float) -> float | None:
+        """The direction next to the middle of a gap, rad, in which it gets past all that is near; None: turn to find one."""
+        lookahead = self._settings.lookahead_m
+        if free_m(view, bearing, self._half_m, lookahead) == math.inf:
+            return bearing
+        free = view.bearings[ways(view, self._half_m, lookahead)]
+        aside, turn = _wrapped(free - bearing), _wrapped(free)
+        if not self._elsewhere and not np.any(np.abs(aside) <= half):
+            return bearing
+        if not len(free):
+            return None
+        best = float(turn[int((np.abs(aside) + TIE * np.abs(turn)).argmin())])  # of equals, the one it has to turn less for
+        return best if abs(best) < math.pi - TIE else math.copysign(best, bearing)
+
+    def _towards(self, bearing: float, view: View, task: Task) -> Decision:
+        """On to a gap: one that follows as fast as it may, to catch up; others no faster than their task has them go."""
+        own = task.max_speed if task.leader is not None else self._speed
+        speed, aside, settings = min(own, task.max_speed), math.remainder(bearing, math.tau), self._settings
+        if self._flies:
+            return Decision((speed * math.cos(aside), speed * math.sin(aside)), task.yaw_rate, "avoid")
+        w = max(-settings.max_yaw_rate, min(settings.gain * aside, settings.max_yaw_rate))
+        ahead = math.cos(aside)
+        if ahead < CREEP:
+            ahead = CREEP if lane_free(view, 0.0, self._half_m, settings.lookahead_m) else 0.0
+        return Decision((speed * ahead, 0.0), w, "avoid")
+
+
+def _bearing(place: Point) -> float:
+    return math.atan2(place[1], place[0])
+
+
+def _wrapped(angles: Array) -> Array:
+    """From -pi to pi."""
+    wrapped: Array = (angles + math.pi) % math.tau - math.pi
+    return wrapped
+
+
+def _side(view: View, task: Task, lookahead_m: float) -> int:
+    """Where to turn: 1 left, -1 right."""
+    place = task.leader or task.aim
+    return int(math.copysign(1, place[1])) if place and place[1] else view.roomier_side(lookahead_m)

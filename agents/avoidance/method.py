@@ -1,0 +1,47 @@
+"""What a method of avoidance is asked, and what it answers.
+
+A method looks at one `View` and at what the task would do, and says what to do instead. It knows no scenario, no radio, no
+clock; speed limits near obstacles (`agents.avoidance.levels`) and bad scans are others' business. All in the body frame, x
+forward, y left. Ground vehicles move along x alone: their velocities have no y.
+"""
+
+import math
+from typing import Literal, NamedTuple, Protocol
+
+from agents.avoidance.view import View
+
+Point = tuple[float, float]
+
+Mode = Literal["task", "avoid", "turn", "blind"]
+
+
+class Task(NamedTuple):
+    """What the vehicle would do if nothing stood in its way."""
+
+    velocity: Point  # m/s
+    yaw_rate: float = 0.0  # rad/s
+    aim: Point | None = None  # m: where it is to get; None: nowhere in particular, it roams
+    leader: Point | None = None  # m: where whom it follows is, as far as is known
+    max_speed: float = 0.6  # m/s: as fast as it may go on its way around something
+    now: tuple[float, float] = (0.0, 0.0)  # m/s ahead, rad/s: what it was last commanded, whoever limited that
+
+
+class Decision(NamedTuple):
+    """What it is to do."""
+
+    velocity: Point  # m/s
+    yaw_rate: float  # rad/s
+    mode: Mode  # "task": as the task says; "avoid": another way; "turn": on the spot, for want of a way; "blind": stand
+
+
+def saturated(velocity: Point, max_speed: float) -> Point:
+    """The same direction, no faster than that, m/s."""
+    speed = math.hypot(*velocity)
+    return velocity if speed <= max_speed else (velocity[0] * max_speed / speed, velocity[1] * max_speed / speed)
+
+
+class Method(Protocol):
+    """One way of getting around things; one object per vehicle, asked once a tick, which may remember."""
+
+    def decide(self, view: View, task: Task) -> Decision:
+        """What to do at a tick."""

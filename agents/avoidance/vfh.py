@@ -1,0 +1,292 @@
+"""VFH+: the way with the least cost among the openings of a polar histogram of what stands around.
+
+I. Ulrich, J. Borenstein, VFH+: reliable obstacle avoidance for fast mobile robots, IEEE ICRA 1998, directly on a scan. There is
+no grid: a return counts for certain, and of those in a sector the nearest counts, not their sum, so that the number of beams
+plays no role. A threshold of the magnitude ``a - b d^2`` is then a distance, which is how it is set here.
+"""
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+
+from agents.avoidance.method import Decision, Method, Point, Task
+from agents.avoidance.settings import Settings
+from agents.avoidance.view import View
+from cosim.agent import Body
+from cosim.frames import rotate2, wrap
+from cosim.types import Array, NonNegative, Positive
+
+Angle = Annotated[float, msgspec.Meta(gt=0, le=360)]
+
+CATCH_UP = 0.8  # 1/s: in the air, to a place that it follows no faster than this times the way that is left
+LEAST_M = 1e-3  # an aim nearer than that has no bearing
+
+
+class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
+    """VFH+ (Ulrich, Borenstein 1998): a polar histogram, its openings, and the cheapest direction into one of them.
+
+    The task is left as it is while the direction in which it goes is the cheapest: that of its aim, or straight ahead where it
+    has none; in the air that of its velocity. On wheels, directions count that can be reached on circles of the present speed
+    and the greatest rate of turning, and the vehicle must not be headed at something near. What lies outside the field of view
+    is not gone to; an aim there counts as being at its border. What stands further away than the aim does not count; where
+    a vehicle is followed, which takes the aim along, than that and the way from which on one is slowed near obstacles. What
+    hovers goes on hovering. Where no direction is free it turns on the spot.
+    """
+
+    sectors: Annotated[int, msgspec.Meta(ge=8, le=720)] = 72  # of the histogram, around a full turn: 5 degrees each
+    blocked_m: Positive = 1.2  # a sector is blocked when something in it comes nearer than that (the high threshold)
+    freed_m: Positive = 1.4  # and is free again when nothing in it is nearer than that (the low threshold)
+    wide_deg: Angle = 80.0  # from half of that beside an obstacle on, openings are entered anywhere; narrower: in the middle
+    target_weight: NonNegative = 5.0  # of a direction's angle to where the task goes
+    heading_weight: NonNegative = 2.0  # to where the vehicle heads; in the air to the direction chosen before
+    previous_weight: NonNegative = 2.0  # to the direction chosen before
+    gain: Positive = 1.5  # 1/s, rate of turning per angle left to the direction
+    max_yaw_rate: Positive = 1.2  # rad/s; at it, a vehicle on wheels no longer drives ahead
+    turn_rate: Positive = 0.6  # rad/s, where no direction is free
+
+    @property
+    def reach_m(self) -> float:
+        """What frees a sector cannot block it."""
+        return self.freed_m
+
+    def method(self, body: Body, period_s: float) -> Method:
+        """On wheels with speeds, in the air with a velocity.
+
+        Raises:
+            ValueError: the distances contradict each other.
+        """
+        keep = self.kept_m(body)
+        if self.freed_m < self.blocked_m:
+            raise ValueError(f"freed_m = {self.freed_m:g}: must not be less than blocked_m = {self.blocked_m:g}")
+        if keep >= self.blocked_m:
+            raise ValueError(f"blocked_m = {self.blocked_m:g}: must be more than what is kept away from things, {keep:g} m")
+        return _Vfh(self, keep, period_s, flies=body.flies)
+
+
+class Way(NamedTuple):
+    """A direction that is free."""
+
+    bearing: float  # rad
+    to_target: bool  # it is the one that the task takes
+
+
+def histogram(view: View, keep: float, sectors: int, within: float = math.inf) -> Array:
+    """How near a return is in each direction, (sectors,) m, inf where there is none.
+
+    Sector k points ``k`` times a turn over ``sectors`` to the left. A return at the distance d and the bearing b stands in all
+    directions within ``asin(keep / d)`` of b, a quarter turn where d is less than ``keep``: a disc of that radius going there
+    would touch it. Those beyond ``within`` metres do not count.
+    """
+    near = np.flatnonzero(view.ranges < within)
+    if not len(near):
+        return np.full(sectors, math.inf)
+    ranges = view.ranges[near]
+    half = np.arcsin(np.minimum(1.0, keep / np.maximum(ranges, keep)))
+    apart = _apart(len(view.ranges), float(view.bearings[0]), view.step, sectors)
+    if len(near) < len(view.ranges):
+        apart = apart[near]
+    least: Array = np.where(apart <= half[:, None], ranges[:, None], math.inf).min(axis=0)
+    return least
+
+
+def openings(free: Array) -> Iterator[tuple[int, int]]:
+    """First sector (the right-most) and number of sectors of each run of free ones, around the turn."""
+    if free.all():
+        yield 0, len(free)
+        return
+    begins = np.flatnonzero(free & ~np.roll(free, 1)).tolist()
+    ends = np.flatnonzero(free & ~np.roll(free, -1)).tolist()
+    if begins and ends[0] < begins[0]:
+        ends = [*ends[1:], ends[0] + len(free)]
+    for begin, end in zip(begins, ends, strict=True):
+        yield begin, end - begin + 1
+
+
+class _Vfh:
+    """What one vehicle remembers: its blocked sectors, where it was going, how fast, and where it is turning to."""
+
+    def __init__(self, settings: Vfh, keep: float, period_s: float, *, flies: bool) -> None:
+        self._set, self._keep, self._period_s, self._flies = settings, keep, period_s, flies
+        self._angle = math.tau / settings.sectors
+        self._blocked: Array = np.zeros(settings.sectors, dtype=bool)
+        self._turned = 0.0  # rad, since the sectors were last turned
+        self._previous = 0.0  # rad
+        self._cruise = 0.0  # m/s, of the task, when it last had a speed
+        self._side = 0
+
+    def decide(self, view: View, task: Task) -> Decision:
+        """What to do at a tick."""
+        self._remember(task.now[1] * self._period_s)
+        near = self._update(view, task)
+        decision = self._decided(view, task, near)
+        if decision.mode != "turn":
+            self._side = 0
+        return decision
+
+    def _remember(self, turned: float) -> None:
+        """What was said of directions before, as they are now: the vehicle has turned, rad, as it was told to."""
+        self._previous = wrap(self._previous - turned)
+        self._turned += turned
+        steps = round(self._turned / self._angle)
+        if steps:
+            self._turned -= steps * self._angle
+            self._blocked = np.roll(self._blocked, -steps)
+
+    def _update(self, view: View, task: Task) -> Array:
+        """The histogram; blocked sectors with hysteresis."""
+        within = self._set.freed_m
+        if task.aim is not None:  # what stands behind a place does not keep it from getting there
+            within = min(within, math.hypot(*task.aim) + self._moving_m(task) + self._keep)
+        near = histogram(view, self._keep, self._set.sectors, within)
+        self._blocked = (near < self._set.blocked_m) | (self._blocked & (near < self._set.freed_m))
+        return near
+
+    def _moving_m(self, task: Task) -> float:
+        """How far the place of one who follows moves on while it matters, m: from where on one is slowed at this speed."""
+        return math.hypot(*task.velocity) / self._set.approach if task.leader is not None else 0.0
+
+    def _decided(self, view: View, task: Task, near: Array) -> Decision:
+        v = math.hypot(*task.velocity)
+        stands, reverses = not v and (self._flies or not task.yaw_rate), not self._flies and task.velocity[0] < 0.0
+        if stands or reverses:
+            return Decision(task.velocity, task.yaw_rate, "task")
+        if v:
+            self._cruise = v
+        seen = _seen(len(view.ranges), float(view.bearings[0]), view.step, self._set.sectors, cyclic=view.cyclic)
+        free, target = seen & ~self._blocked, self._target(task)
+        if free.sum() == seen.sum():  # also where the aim is not among what is seen
+            self._previous = target
+            return Decision(task.velocity, task.yaw_rate, "task")
+        radius = 0.0 if self._flies else max(0.0, task.now[0]) / self._set.max_yaw_rate
+        way = self._way(free & self._turnable(view, radius), seen, target)
+        if way is None:
+            return self._turning(view, self._way(free, seen, target) if radius else None, task)
+        self._previous = way.bearing
+        if way.to_target and (self._flies or not v or not self._blocked[0]):
+            return Decision(task.velocity, task.yaw_rate, "task")
+        speed = task.max_speed if task.leader is not None else min(task.max_speed, self._cruise)
+        if self._flies:
+            catch_up = v if task.aim is None else max(v, CATCH_UP * math.hypot(*task.aim))
+            speed = min(speed, catch_up)
+            return Decision(rotate2(speed, 0.0, way.bearing), task.yaw_rate, "avoid")
+        return Decision((speed * self._slowed(float(near[0]), way.bearing), 0.0), self._rate(way.bearing), "avoid")
+
+    def _target(self, task: Task) -> float:
+        """Where the task goes, rad: in the air as it flies, on wheels towards its aim, straight ahead where it has none."""
+        place: Point | None = task.velocity if self._flies else task.aim or task.leader
+        return 0.0 if place is None or math.hypot(*place) < LEAST_M else math.atan2(place[1], place[0])
+
+    def _turnable(self, view: View, radius: float) -> Array:
+        """The directions, (sectors,), that are reached on circles of this radius without touching anything on that side.
+
+        A return on the right at the bearing b blocks all directions further right than b if the disc of the vehicle would
+        touch it on the circle to the right (the masked histogram of the paper).
+        """
+        if radius <= 0.0:
+            return np.ones(self._set.sectors, dtype=bool)
+        close = view.ranges < min(self._set.freed_m, 2.0 * radius + self._keep)  # none further can be touched
+        x, y = (view.units[close] * view.ranges[close, None]).T
+        bearings = (view.bearings[close] + math.pi) % math.tau - math.pi
+        left = bearings[(bearings >= 0.0) & (np.hypot(x, y - radius) < radius + self._keep)]
+        right = bearings[(bearings <= 0.0) & (np.hypot(x, y + radius) < radius + self._keep)]
+        directions = _directions(self._set.sectors)
+        turnable: Array = (directions <= left.min(initial=math.pi)) & (directions >= right.max(initial=-math.pi))
+        return turnable
+
+    def _way(self, free: Array, seen: Array, target: float) -> Way | None:
+        """The cheapest direction: where the task goes, or an edge of an opening, well clear of obstacles.
+
+        An opening is entered half of ``wide_deg`` beside an obstacle at its edge, in its middle if there are two and it is
+        narrower. The edge of what is seen is no obstacle; a target beyond it counts as being there.
+        """
+        choices = []
+        target = self._into_view(target, seen)
+        for first, count in openings(free):
+            right, width = first * self._angle, (count - 1) * self._angle
+            if count == len(free):
+                return Way(target, to_target=True)
+            clear = min(0.5 * math.radians(self._set.wide_deg), 0.5 * width)
+            low = clear if seen[first - 1] else 0.0
+            high = width - (clear if seen[(first + count) % len(free)] else 0.0)
+            inside = wrap(target - right - 0.5 * width) + 0.5 * width
+            if low - 1e-9 <= inside <= high + 1e-9:
+                choices.append(Way(target, to_target=True))
+            choices += [Way(wrap(right + low), to_target=False), Way(wrap(right + high), to_target=False)]
+        # Of equals, the target, then the left-most: the order is that of the sectors.
+        return min(choices, key=lambda way: (round(self._cost(way.bearing, target), 9), not way.to_target), default=None)
+
+    def _into_view(self, target: float, seen: Array) -> float:
+        sector = round(target / self._angle) % len(seen)
+        if seen[sector]:
+            return target
+        away = np.abs(_wrapped(_directions(len(seen)) - target))
+        away[~seen] = math.inf
+        return float(_directions(len(seen))[int(away.argmin())])
+
+    def _cost(self, bearing: float, target: float) -> float:
+        """What a direction costs: weighted angles to the target, the heading, and the direction before."""
+        heading = self._previous if self._flies else 0.0  # what flies heads where it flies
+        return (
+            self._set.target_weight * abs(wrap(bearing - target))
+            + self._set.heading_weight * abs(wrap(bearing - heading))
+            + self._set.previous_weight * abs(wrap(bearing - self._previous))
+        )
+
+    def _rate(self, bearing: float) -> float:
+        return max(-self._set.max_yaw_rate, min(self._set.gain * bearing, self._set.max_yaw_rate))
+
+    def _slowed(self, ahead: float, bearing: float) -> float:
+        """Share of the speed: less the nearer what stands ahead, 0 where it is touched, and less the faster it turns.
+
+        J. Borenstein, Y. Koren, The vector field histogram, IEEE Transactions on Robotics and Automation 7 (3), 1991; without
+        their least speed.
+        """
+        far = self._set.freed_m
+        room = (min(ahead, far) ** 2 - self._keep**2) / (far**2 - self._keep**2)
+        return max(0.0, room) * (1.0 - abs(self._rate(bearing)) / self._set.max_yaw_rate)
+
+    def _turning(self, view: View, way: Way | None, task: Task) -> Decision:
+        """On the spot: to a direction that is free but cannot be reached on a circle, or to one side until there is one."""
+        if way is not None:
+            self._previous = way.bearing
+            return Decision((0.0, 0.0), self._rate(way.bearing), "turn")
+        if not self._side:
+            target = self._target(task)
+            aside = abs(target) > 0.5 * math.pi
+            self._side = (1 if target > 0.0 else -1) if aside else view.roomier_side(self._set.freed_m)
+        return Decision((0.0, 0.0), self._side * self._set.turn_rate, "turn")
+
+
+def _kept(values: Array) -> Array:
+    """The same, which nobody writes to."""
+    values.flags.writeable = False
+    return values
+
+
+def _wrapped(angles: Array) -> Array:
+    wrapped: Array = (angles + math.pi) % math.tau - math.pi
+    return wrapped
+
+
+@lru_cache(maxsize=16)
+def _directions(sectors: int) -> Array:
+    """Where the sectors point, rad in (-pi, pi]."""
+    numbers = np.arange(sectors)
+    return _kept(math.tau / sectors * np.where(2 * numbers > sectors, numbers - sectors, numbers))
+
+
+@lru_cache(maxsize=16)
+def _apart(count: int, first: float, step: float, sectors: int) -> Array:
+    """Angles between beams and sectors, (count, sectors) rad."""
+    return _kept(np.abs(_wrapped(first + step * np.arange(count)[:, None] - _directions(sectors))))
+
+
+@lru_cache(maxsize=16)
+def _seen(count: int, first: float, step: float, sectors: int, *, cyclic: bool) -> Array:
+    """The sectors, (sectors,), that beams look into."""
+    middle = first + 0.5 * (count - 1) * step
+    return _kept(cyclic | (np.abs(_wrapped(_directions(sectors) - middle)) <= 0.5 * count * step))

@@ -1,0 +1,198 @@
+"""A mission: several algorithms on one vehicle, the table that says who commands, and what members tell each other.
+
+An algorithm is any agent. What it may have besides ``act``:
+
+``facts(obs)``           what it knows that the table asks for (`agents.mission.table.Facts`), before anybody decides
+``stand_by(obs, radio)`` in place of ``act`` while it neither commands nor is the task
+``begin(obs, place)``    it becomes the task; ``place``: of the target, m, world, or None
+``end(obs)``             it is the task no more
+``claim``                the target that it tracks (`agents.mission.roster.Claim`), or None
+``goal``                 where it is about to get, x and y, m, world, or None: for avoidance
+``roster``, ``watch``    None in the class: set to those of the vehicle before ``start``
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from agents.avoidance import Avoidance
+from agents.avoidance.get_around import GetAround
+from agents.formation.aerial import along, told
+from agents.formation.report import send_report
+from agents.mission.guard import Guard
+from agents.mission.roster import Claim, Roster, members_of
+from agents.mission.runner import Runner
+from agents.mission.table import Facts, State, step
+from agents.nested import built
+from agents.reconnaissance.watch import Watch, Watching
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from cosim.errors import ScenarioError
+from cosim.table import unknown
+from cosim.types import NonNegative, Positive, Velocity, Waypoint
+
+TASKS = ("search", "formation", "track")
+
+
+class Mission(Agent):
+    """Search, formation and track by the table of `agents.mission.table`, avoidance and a limit of the speed near obstacles.
+
+    Noted besides what the algorithms note: ``commander``, ``since_s`` and ``why`` at every switch, ``task`` and ``task_why``
+    whenever the task changes.
+
+    Args:
+        algorithms: by task: ``search``, ``formation`` (for those who fly along in a sector), ``track``; each a table with the
+            ``kind`` of an agent and its parameters. Without ``track`` nothing is ever tracked.
+        watching: the camera and what it looks for; all algorithms look through it. Default: nobody does.
+        avoidance: how it gets around what stands in the way, and how slow it must be near it; default: it does not look.
+        members: all that take part; default: all vehicles of the run.
+        sectors: which of them search one sector together; the first of each searches, the others fly along. Those not named
+            have a sector of their own.
+        acceleration: m/s2, of the command after a take-over.
+        yaw_acceleration: rad/s2, likewise.
+        alive_s: after so long a silence a member counts as lost, s.
+        claim_s: so long a target that it tracked is left to it nevertheless, s.
+        report_s: how often a member tells what it does, s.
+        clock_bound_s: how far ahead the clocks of others may be, s.
+    """
+
+    def __init__(
+        self,
+        algorithms: dict[str, dict[str, Any]],
+        *,
+        watching: Watching | None = None,
+        avoidance: Avoidance | None = None,
+        members: tuple[str, ...] = (),
+        sectors: tuple[tuple[str, ...], ...] = (),
+        acceleration: Positive = 3.0,
+        yaw_acceleration: Positive = 2.0,
+        alive_s: Positive = 5.0,
+        claim_s: Positive = 30.0,
+        report_s: Positive = 1.0,
+        clock_bound_s: NonNegative = 0.0,
+    ) -> None:
+        self._tasks = self._algorithms = _built(algorithms)
+        self._watch = None if watching is None else Watch(watching)
+        self.avoidance, self.members, self.sectors = avoidance, members, sectors
+        self._limits = {"acceleration": acceleration, "yaw_acceleration": yaw_acceleration}
+        self._hearing = {"alive_s": alive_s, "claim_s": claim_s, "report_s": report_s, "clock_bound_s": clock_bound_s}
+        if sectors and any(len(sector) > 1 for sector in sectors) and "formation" not in algorithms:
+            raise ScenarioError("sectors are shared, so there must be an algorithm for it: formation", key="algorithms")
+        self._flies_along = {  # by sector: files that an agent names are looked for in the scenario's folder only now
+            tuple(sector): built(_of_sector(algorithms["formation"], sector), "algorithms.formation")
+            for sector in sectors
+            if len(sector) > 1
+        }
+        self.period = self._tasks["search"].period
+        self._around = None if avoidance is None else GetAround(avoidance)
+        self._runner = self._made_runner()
+        wanted, looked_at = self._runner.sensors, () if self._watch is None else self._watch.sensors
+        self.sensors = None if wanted is None else tuple(dict.fromkeys((*wanted, *looked_at)))
+        self._state, self._seq = State(), 0
+
+    def start(self, info: VehicleInfo) -> None:
+        """Find those who take part, and begin."""
+        name, members = info.name, members_of(info, self.members)
+        self._roster = Roster(name, members, sectors=self.sectors, **self._hearing)
+        sector = tuple(next((each for each in self.sectors if name in each), (name,)))
+        self._leads = name != sector[-1]  # somebody flies along
+        self._tasks = {
+            task: algorithm if task != "formation" else self._flies_along[sector]
+            for task, algorithm in self._algorithms.items()
+            if task != "formation" or name != sector[0]
+        }
+        if self._watch is not None:
+            self._watch.start(info)
+        for algorithm in self._tasks.values():
+            for what, value in (("roster", self._roster), ("watch", self._watch)):
+                if hasattr(algorithm, what):
+                    setattr(algorithm, what, value)
+        self._runner = self._made_runner()
+        self._state, self._seq = State(), 0
+        self._runner.start(info)
+        self.note(task=self._state.task, task_why=self._state.task_why)
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
+        """Find out what is the case, decide who commands, and do what that one says."""
+        self._roster.hear(obs)
+        self._runner.look(obs)
+        before, facts = self._state, self._facts(obs)
+        state = self._state = step(before, facts)
+        if state.task != before.task:
+            self._turn(obs, before.task, state.task, facts)
+            self.note(task=state.task, task_why=state.task_why)
+        task = self._tasks[state.task]
+        if self._around is not None:
+            self._around.goal = getattr(task, "goal", None)
+        command = self._runner.act(obs, radio, state.name, task=state.task, why=state.why)
+        claim: Claim | None = getattr(self._tasks.get("track"), "claim", None)
+        self._roster.tell(obs, radio, state.task, claim)
+        self.follows = task.follows if state.task == "formation" else None
+        if self._leads and state.task == "search":
+            self._report(obs, radio, command)
+        for noted in self._runner.said.values():
+            self.note(**noted)
+        self.note(**self._runner.notes)
+        for shown in self._runner.shown:
+            self.show(shown)
+        return command
+
+    def close(self) -> None:
+        """All end."""
+        self._runner.close()
+
+    def _made_runner(self) -> Runner:
+        guard = None if self.avoidance is None else Guard(self.avoidance)
+        around = {} if self._around is None else dict.fromkeys(("avoid1", "avoid2"), self._around)
+        return Runner({**self._tasks, **around}, guard=guard, **self._limits)
+
+    def _facts(self, obs: Observation) -> Facts:
+        """All that the algorithms know, and the guard."""
+        known: dict[str, Any] = {}
+        for task, algorithm in self._tasks.items():
+            if (tell := getattr(algorithm, "facts", None)) is not None:
+                told_of = tell(obs)
+                for name in told_of:
+                    if name not in Facts._fields:
+                        raise ValueError(f"algorithms.{task}: facts() tells {unknown('fact', name, Facts._fields)}")
+                known |= told_of
+        if "track" not in self._tasks:
+            known |= {"recognised": False, "probability": 0.0}
+        if "formation" not in self._tasks:
+            known["shared"] = False
+        guard = self._runner.guard
+        if guard is not None:
+            near = guard.nearest_m, guard.settings.reach_m, guard.second_m
+            known |= {"nearest_m": near[0], "first_m": near[1], "second_m": near[2], "closing": guard.closing}
+        return Facts(now_ns=obs.time_ns, **known)
+
+    def _turn(self, obs: Observation, before: str, after: str, facts: Facts) -> None:
+        """Tell one algorithm that it is the task no more, and another that it is."""
+        if (end := getattr(self._tasks[before], "end", None)) is not None:
+            end(obs)
+        if (begin := getattr(self._tasks[after], "begin", None)) is not None:
+            begin(obs, facts.place)
+
+    def _report(self, obs: Observation, radio: Radio, command: Velocity | Waypoint | None) -> None:
+        """Tell those who fly along how this vehicle moves."""
+        velocity, rate = obs.state.velocity, obs.state.angular_velocity[2]
+        if isinstance(command, Velocity):
+            velocity, rate = command.linear, command.yaw_rate
+        send_report(radio, self._seq, obs, along(velocity, obs.state.yaw), rate, **told(obs, velocity))
+        self._seq += 1
+
+
+def _built(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
+    """The algorithms, in the order in which they are asked."""
+    for task in tables:
+        if task not in TASKS:
+            raise ScenarioError(unknown("task", task, TASKS), key=f"algorithms.{task}")
+    if "search" not in tables:
+        raise ScenarioError("there must be an algorithm for search", key="algorithms")
+    return {task: built(tables[task], f"algorithms.{task}") for task in TASKS if task in tables}
+
+
+def _of_sector(table: Mapping[str, Any], sector: Sequence[str]) -> dict[str, Any]:
+    """The table of who flies along, whose formation is that of its sector where it does not say."""
+    formation = table.get("formation")
+    if not isinstance(formation, Mapping) or "members" in formation:
+        return dict(table)
+    return {**table, "formation": {**formation, "members": list(sector)}}

@@ -1,0 +1,173 @@
+"""Several algorithms on one vehicle, of which one commands at a time.
+
+All of them go on all the time. At every tick each is asked what it would do; what counts is the answer of the commander. So an
+algorithm that is suspended keeps its state (its next way-point, its estimate of a target), hears all messages and may send:
+maps are exchanged, and neighbours know that it lives, whatever its vehicle is busy with. One that would go on without its
+vehicle (a way flown by the clock; a report that says how the vehicle is about to move) has a method ``stand_by``, which is
+called in place of ``act`` while it neither commands nor says what is wanted of the one who does.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
+
+from agents.mission.guard import Guard
+from cosim.agent import Agent, Observation, Radio, Shown, VehicleInfo
+from cosim.frames import rotate2
+from cosim.types import Vec3, Velocity, Waypoint
+
+Command = Velocity | Waypoint
+
+STANDING = Velocity()
+
+
+@runtime_checkable
+class Standby(Protocol):
+    """An agent that does something else than `act` while nobody wants to know what it would do."""
+
+    def stand_by(self, obs: Observation, radio: Radio) -> None:
+        """Hear, and say, what goes on meanwhile."""
+
+
+@runtime_checkable
+class Around(Protocol):
+    """An agent that does what the task wants, but in another way: avoidance. It is asked in place of `act`, after all tasks."""
+
+    def around(self, obs: Observation, radio: Radio, wanted: Command | None) -> Command | None:
+        """What to do in place of what the task wants now; None: nobody knows what."""
+
+
+class Runner:
+    """Asks algorithms, obeys one of them, and changes from one to another without a jerk.
+
+    From a take-over on, the command runs from the last one towards what the new commander wants, no faster than the vehicle
+    can follow, and is the commander's own as soon as it has got there. The guard comes after that, and may brake harder. A
+    commander that leaves its last command in force, but has never had one, stands still.
+
+    Noted when they change: ``commander``, ``since_s`` and ``why``.
+
+    Args:
+        algorithms: by the names of those who may command; one agent may have several names.
+        acceleration: m/s2 that a take-over may ask of the vehicle.
+        yaw_acceleration: rad/s2, likewise.
+        guard: limits the speed near obstacles, whoever commands; None: nothing does.
+    """
+
+    def __init__(
+        self, algorithms: Mapping[str, Agent], *, acceleration: float, yaw_acceleration: float, guard: Guard | None = None
+    ) -> None:
+        self.algorithms, self.guard = dict(algorithms), guard
+        self.acceleration, self.yaw_acceleration = acceleration, yaw_acceleration
+        each = {id(agent): agent for agent in self.algorithms.values()}.values()
+        self._agents = [*(a for a in each if not isinstance(a, Around)), *(a for a in each if isinstance(a, Around))]
+        self.notes: dict[str, float | str | bool] = {}
+        self.said: dict[str, dict[str, float | str | bool]] = {}  # what the agents noted at the last tick, by their first names
+        self.shown: list[Shown] = []  # what they showed
+
+    @property
+    def sensors(self) -> tuple[str, ...] | None:
+        """All that any of them looks at; None: all there is."""
+        wanted = [() if self.guard is None else self.guard.sensors, *(agent.sensors for agent in self._agents)]
+        named = [each for each in wanted if each is not None]
+        return tuple(dict.fromkeys(name for each in named for name in each)) if len(named) == len(wanted) else None
+
+    def start(self, info: VehicleInfo) -> None:
+        """All begin."""
+        self._period_s, self._flies = info.period_s, info.body is not None and info.body.flies
+        self._wants: dict[int, Command | None] = {}  # by agent: its last command, which it may leave in force
+        self._commander: str | None = None
+        self._obeyed: Agent | None = None
+        self._command: Command | None = None  # what the vehicle was told last
+        self._runs_up = False  # since a take-over, until the command is what the commander wants
+        if self.guard is not None:
+            self.guard.start(info)
+        for agent in self._agents:
+            agent.start(info)
+
+    def close(self) -> None:
+        """All end."""
+        for agent in self._agents:
+            agent.close()
+
+    def look(self, obs: Observation) -> None:
+        """Take in what is around, so that `guard` can tell it; before `act`, at every tick."""
+        if self.guard is not None:
+            self.guard.look(obs)
+
+    def act(self, obs: Observation, radio: Radio, commander: str, *, task: str | None = None, why: str = "") -> Command | None:
+        """Ask all at a tick, and obey one.
+
+        Args:
+            obs: what is known.
+            radio: the vehicle's only one, for all of them.
+            commander: who commands from now on.
+            task: whose wish an agent that gets `Around` things is to fulfil; default: the commander's.
+            why: the reason for it, noted when the commander changes.
+        """
+        obeyed = self.algorithms[commander]
+        self._ask(obs, radio, obeyed, self.algorithms[task or commander])
+        self._note(obs, commander, why)
+        self._runs_up = self._runs_up or (self._obeyed is not None and obeyed is not self._obeyed)
+        self._obeyed = obeyed
+        wanted = self._wants.get(id(obeyed))
+        if wanted is None:
+            if self._command is None:
+                return None
+            wanted = STANDING
+        self._command = self._run_up(obs, wanted)
+        if self.guard is not None:
+            self._command = self.guard.limited(obs, self._command)
+        return self._command
+
+    def _ask(self, obs: Observation, radio: Radio, obeyed: Agent, task: Agent) -> None:
+        """What each of them would do; one that leaves its last command in force wants that."""
+        self.said, self.shown = {}, []
+        names = {id(agent): name for name, agent in reversed(self.algorithms.items())}
+        for agent in self._agents:
+            answer: Command | None
+            if agent is not obeyed and agent is not task and isinstance(agent, Standby):
+                agent.stand_by(obs, radio)
+                answer = None
+            elif isinstance(agent, Around):
+                answer = agent.around(obs, radio, None if agent is task else self._wants.get(id(task)))
+            else:
+                answer = agent.act(obs, radio)
+            if answer is not None:
+                self._wants[id(agent)] = answer
+            if noted := agent.drain_notes():
+                self.said[names[id(agent)]] = noted
+            self.shown += agent.drain_shown().values()
+
+    def _note(self, obs: Observation, commander: str, why: str) -> None:
+        self.notes = {}
+        if commander != self._commander:
+            self.notes = {"commander": commander, "since_s": obs.time_s, "why": why}
+        self._commander = commander
+
+    def _run_up(self, obs: Observation, wanted: Command) -> Command:
+        """The command that comes next on the way from the last one to what is wanted."""
+        if not self._runs_up or isinstance(wanted, Waypoint):  # on its way to a point an autopilot keeps to its own limits
+            self._runs_up = False
+            return wanted
+        last = self._command if isinstance(self._command, Velocity) else self._moving(obs)
+        linear = _towards(last.linear, wanted.linear, self.acceleration * self._period_s)
+        turn, most = wanted.yaw_rate - last.yaw_rate, self.yaw_acceleration * self._period_s
+        yaw_rate = wanted.yaw_rate if abs(turn) <= most else last.yaw_rate + math.copysign(most, turn)
+        self._runs_up = linear != wanted.linear or yaw_rate != wanted.yaw_rate
+        return Velocity(linear=linear, yaw_rate=yaw_rate) if self._runs_up else wanted
+
+    def _moving(self, obs: Observation) -> Velocity:
+        """How the vehicle moves, as a command: what a way-point has made it do, or nobody yet."""
+        x, y, z = obs.state.velocity
+        if not self._flies:
+            x, y = rotate2(x, y, -obs.state.yaw)
+        return Velocity(linear=(x, y, z), yaw_rate=obs.state.angular_velocity[2])
+
+
+def _towards(start: Vec3, end: Vec3, most: float) -> Vec3:
+    """The vector that is nearer to the end than the start is, by no more than ``most``: the end itself where that is near."""
+    away = math.dist(start, end)
+    if away <= most:
+        return end
+    (a, b, c), (x, y, z), share = start, end, most / away
+    return a + share * (x - a), b + share * (y - b), c + share * (z - c)

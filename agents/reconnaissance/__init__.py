@@ -1,0 +1,23 @@
+"""Searching an area together: a map of where targets may be, ways to share it over a radio, and who combs which part.
+
+`probability_map`: cells, sensors and Bayes' rule; `exchange`: four ways to share the map, `ledger` the one that survives loss;
+`sectors`: strips and lanes. `watch`: the camera, and what is recognised in its pictures; `track`: keeping over a target.
+"""
+
+from agents.reconnaissance.exchange import Exchange, exchange
+from agents.reconnaissance.probability_map import Grid, Rectangle, Sensor, decisions, log_odds, probability
+from agents.reconnaissance.sectors import Comb, lanes, strips
+
+__all__ = [
+    "Comb",
+    "Exchange",
+    "Grid",
+    "Rectangle",
+    "Sensor",
+    "decisions",
+    "exchange",
+    "lanes",
+    "log_odds",
+    "probability",
+    "strips",
+]

@@ -1,0 +1,149 @@
+"""The exchange that survives loss: everybody keeps, by contributor, how often each cell was looked at with which result.
+
+Such counts only grow, so that of two of them the greater is the newer: they are merged in any order, any number of times and by
+any way round, with the same result (a state-based grow-only counter: Shapiro, Preguica, Baquero and Zawirski, "Conflict-free
+replicated data types", SSS 2011). Once everything has come through, everybody has the map of one who made all looks himself.
+
+Who may tell what about whom:
+
+- Of a vehicle's own looks it believes nobody else.
+- What a contributor says of itself counts, and never less than it said before: old news, copies and a contributor that starts
+  anew lower no count (one that starts anew is heard again where it has looked more often than before).
+- What others pass on of a contributor counts only where it is newer than the contributor's own last word on that tile, and is
+  not from the future; it adds to that word and takes nothing from it. Of what others say, the newest counts.
+- So one who lies about another can raise counts only until that other one is next heard about the tile, and none with
+  ``relay = False``, where all believe contributors alone. What one says of itself cannot be checked: looks err anyhow.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from agents.reconnaissance.probability_map import LIMIT, Sensor
+from agents.reconnaissance.tiles import Body, Tiling, number, packed, parsed
+from cosim.types import Array
+
+KEY = "l"
+NEVER = -1
+OLDEST_MS = 2**32 - 1  # 49 days, to which the room for ages in messages is cut
+
+
+class Ledger:
+    """Counts by contributor, in tiles; those that changed are sent first, newest first, and all of them again as room is left.
+
+    An entry of a message is ``[contributor, tile, age_ms, counts]``: the contributor's place among the sorted members, the
+    number of the tile, how long before ``ms`` it last changed, and hits and misses. Within a millisecond, look before you send.
+
+    Args:
+        tiling: the map, the same for all.
+        sensor: how far looks are to be trusted.
+        prior: log-odds before the first look.
+        me: this vehicle.
+        members: all that contribute, itself included.
+        relay: pass on what others said, and believe what is passed on.
+        clock_bound_ms: how far ahead another's clock may be.
+    """
+
+    def __init__(
+        self,
+        tiling: Tiling,
+        sensor: Sensor,
+        prior: float,
+        me: str,
+        members: Sequence[str],
+        *,
+        relay: bool = True,
+        clock_bound_ms: int = 0,
+    ) -> None:
+        self.tiling, self.sensor, self.prior, self.relay = tiling, sensor, prior, relay
+        self._places = {name: place for place, name in enumerate(sorted(set(members)))}
+        self._me, self._clock_bound_ms = self._places[me], clock_bound_ms
+        n, tiles, cells = len(self._places), tiling.tiles, tiling.per_tile
+        self._own = np.zeros((n, tiles, 2, cells), np.uint16)  # what each said of itself: hits and misses
+        self._changed = np.full((n, tiles), NEVER)  # ms: when these last changed,
+        self._said = np.full((n, tiles), NEVER)  # and when that was last said
+        self._others = np.zeros((n, tiles, 2, cells), np.uint16)  # what others said of it
+        self._others_changed = np.full((n, tiles), NEVER)
+        self._times = np.zeros((n, tiles), int)  # sent, or heard from others, since the change
+        self._times_of = np.full((n, tiles), NEVER)  # which change that was
+
+    @property
+    def log_odds(self) -> Array:
+        """The map, (rows, columns): of all looks that are known."""
+        hits, misses = self.counts.sum(axis=0, dtype=np.int64)
+        return np.clip(self.prior + self.sensor.evidence(hits, misses), -LIMIT, LIMIT)
+
+    @property
+    def counts(self) -> Array:
+        """Hits and misses by contributor, (members, 2, rows, columns) uint16, as far as they are known."""
+        of_tiles = np.moveaxis(self._believed(), 2, 1)
+        shape = (*of_tiles.shape[:2], self.tiling.grid.rows, self.tiling.grid.columns)
+        result: Array = of_tiles.reshape(*of_tiles.shape[:2], -1)[..., self.tiling.index].reshape(shape)
+        return result
+
+    def look(self, cells: Array, hits: Array, now_ns: int) -> None:
+        """Add own looks: cells (n,), each at most once, and whether each look said 1."""
+        self._changed[self._me, self.tiling.count(self._own[self._me], cells, hits)] = now_ns // 1_000_000
+
+    def messages(self, now_ns: int, most: int) -> list[Body]:
+        """Up to ``most`` messages to be sent now."""
+        changed = np.where(self._newer(), self._others_changed, self._changed)
+        self._times[changed != self._times_of] = 0
+        self._times_of = changed
+        known = changed != NEVER
+        if not self.relay:
+            known[np.arange(len(known)) != self._me] = False
+        who, tile = np.nonzero(known)
+        order = np.lexsort((tile, who, -changed[who, tile], who != self._me, self._times[who, tile]))
+        who, tile, ms = who[order], tile[order], now_ns // 1_000_000
+        bodies, used = self.tiling.bodies(KEY, ms, self._entries(who, tile, ms - changed[who, tile]), most)
+        self._times[who[:used], tile[:used]] += 1
+        return bodies
+
+    def take(self, sender: str, body: Any, now_ns: int) -> bool:
+        """Merge what was heard; False: nonsense in it, and nothing was merged."""
+        teller, latest_ms = self._places.get(sender, self._me), now_ns // 1_000_000 + self._clock_bound_ms
+        message = parsed(body, KEY, 4, latest_ms)
+        if teller == self._me or message is None:
+            return False
+        entries = []
+        for who, tile, age, raw in message.entries:
+            counts = self.tiling.counts_of(tile, raw)
+            if counts is None or not number(who, len(self._places)) or type(age) is not int:
+                return False
+            changed = message.ms - age  # where clocks differ, what is passed on may be from after it was sent
+            if not max(0, latest_ms - OLDEST_MS) <= changed <= latest_ms:
+                return False
+            entries.append((who, tile, changed, counts))
+        for who, tile, changed, counts in entries:
+            if who == teller:
+                np.maximum(self._own[who, tile], counts, out=self._own[who, tile])
+                self._changed[who, tile] = max(self._changed[who, tile], changed)
+                self._said[who, tile] = max(self._said[who, tile], message.ms)
+            elif who != self._me and self.relay:
+                self._pass_on(who, tile, changed, counts)
+        return True
+
+    def _pass_on(self, who: int, tile: int, changed: int, counts: Array) -> None:
+        """Believe the newer of two that were passed on; of one instant, one of them, whichever came first."""
+        self._times[who, tile] += changed == self._times_of[who, tile]  # somebody told it already: others first
+        before = self._others_changed[who, tile]
+        if changed > before or (changed == before and counts.tobytes() > self._others[who, tile].tobytes()):
+            self._others_changed[who, tile], self._others[who, tile] = changed, counts
+
+    def _newer(self) -> Array:
+        """(members, tiles): where that which others pass on of a contributor is newer than its own last word."""
+        newer: Array = self._others_changed > self._said  # of this vehicle itself, both are never
+        return newer
+
+    def _believed(self) -> Array:
+        """(members, tiles, 2, cells of a tile)."""
+        return np.where(self._newer()[..., None, None], np.maximum(self._own, self._others), self._own)
+
+    def _entries(self, who: Array, tile: Array, age_ms: Array) -> Iterator[list[Any]]:
+        """One after the other, since most of them will not fit."""
+        newer = self._newer()
+        for a, k, age in zip(who.tolist(), tile.tolist(), age_ms.tolist(), strict=True):
+            counts = np.maximum(self._own[a, k], self._others[a, k]) if newer[a, k] else self._own[a, k]
+            yield [a, k, age, packed(counts)]

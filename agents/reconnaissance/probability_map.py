@@ -1,0 +1,186 @@
+"""How likely each cell of an area holds a target, from looks that err: Bayes' rule in log-odds.
+
+A look at a cell says 1 (something is there) with probability p if there is a target and q if there is none. By Bayes' rule the
+log-odds ``l = ln(P / (1 - P))`` of a cell change at every look by a constant: ``ln(p / q)`` after a 1 and
+``ln((1 - p) / (1 - q))`` after a 0 (Hu, Xie, Lum and Xu, "Multiagent information fusion and cooperative control in target
+search", IEEE Trans. Control Systems Technology 21(4), 2013, with Q = -l; Toh 2012, 5.2, whose label 0/1 is what a look says,
+not P). So counts of looks that said 1 and 0, of whomever and in whatever order, are all that has to be known of a cell.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.types import Array
+
+LIMIT = 20.0  # of |l|: a cell that is surer than 1 - 2e-9 could hardly be talked out of it
+TARGET, EMPTY = 0.99, 0.01  # P above and below which a cell is decided
+
+
+class Rectangle(NamedTuple):
+    """An area with sides along x and y, m, world."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How far looks are to be trusted.
+
+    Args:
+        p: probability that a look at a target says so.
+        q: probability that a look at none says that there is one.
+
+    Raises:
+        ValueError: not 0 < q < p < 1; with p = q looks tell nothing, and with 0 or 1 a single one would be final.
+    """
+
+    p: float
+    q: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.q < self.p < 1.0:
+            raise ValueError(f"p = {self.p} and q = {self.q}: a sensor that tells something has 0 < q < p < 1")
+
+    @property
+    def hit(self) -> float:
+        """What a look that says 1 adds to the log-odds."""
+        return math.log(self.p / self.q)
+
+    @property
+    def miss(self) -> float:
+        """What a look that says 0 adds to the log-odds (< 0)."""
+        return math.log((1.0 - self.p) / (1.0 - self.q))
+
+    def evidence(self, hits: Array, misses: Array) -> Array:
+        """What so many looks that said 1 and 0 add to the log-odds."""
+        result: Array = hits * self.hit + misses * self.miss
+        return result
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Square cells over a rectangle; cell number ``row * columns + column``, rows going up from the bottom left.
+
+    The last row and column reach beyond the rectangle where its sides are no multiples of a cell's.
+
+    Args:
+        area: what is to be searched.
+        cell: side of a cell, m.
+
+    Raises:
+        ValueError: an area or a cell without a size.
+    """
+
+    area: Rectangle
+    cell: float
+
+    def __post_init__(self) -> None:
+        if not (self.area.right > self.area.left and self.area.top > self.area.bottom and all(map(math.isfinite, self.area))):
+            raise ValueError(f"{self.area}: right must be beyond left, top beyond bottom, all of them finite")
+        if not (self.cell > 0.0 and math.isfinite(self.cell)):
+            raise ValueError(f"cell = {self.cell} m must be > 0")
+
+    @cached_property
+    def columns(self) -> int:
+        """How many cells there are along x."""
+        return _cells(self.area.right - self.area.left, self.cell)
+
+    @cached_property
+    def rows(self) -> int:
+        """How many cells there are along y."""
+        return _cells(self.area.top - self.area.bottom, self.cell)
+
+    @cached_property
+    def xs(self) -> Array:
+        """Where the columns have their middles, (columns,) m."""
+        return self.area.left + (np.arange(self.columns) + 0.5) * self.cell
+
+    @cached_property
+    def ys(self) -> Array:
+        """Where the rows have their middles, (rows,) m."""
+        return self.area.bottom + (np.arange(self.rows) + 0.5) * self.cell
+
+    def centres(self, cells: Array) -> Array:
+        """The middles of cells, (n, 2) m, world."""
+        rows, columns = np.divmod(cells, self.columns)
+        return np.column_stack([self.xs[columns], self.ys[rows]])
+
+    def at(self, x: float, y: float) -> int | None:
+        """The cell that holds a point; None: outside."""
+        across, up = (x - self.area.left) / self.cell, (y - self.area.bottom) / self.cell
+        if not (0.0 <= across < self.columns and 0.0 <= up < self.rows):
+            return None
+        return int(up) * self.columns + int(across)
+
+    def within(self, x: float, y: float, radius: float) -> Array:
+        """Cells whose middles are at most ``radius`` from a point, ascending."""
+        return self._where(
+            x - radius, y - radius, x + radius, y + radius, lambda u, w: (u - x) ** 2 + (w - y) ** 2 <= radius**2
+        )
+
+    def inside(self, corners: Array) -> Array:
+        """Cells whose middles lie in a polygon, such as what a camera sees of the ground, ascending.
+
+        Args:
+            corners: (n, 2) m, world, in order round it; with one that is not finite (an edge of the picture above the horizon)
+                nothing is inside.
+        """
+        corners = np.asarray(corners, float).reshape(-1, 2)
+        if len(corners) < 3 or not np.isfinite(corners).all():
+            return np.empty(0, np.intp)
+        (left, bottom), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        return self._where(left, bottom, right, top, lambda u, w: _in_polygon(corners, u, w))
+
+    def _where(self, left: float, bottom: float, right: float, top: float, test: Callable[[Array, Array], Array]) -> Array:
+        """Cells in a box that pass a test of their middles, x (1, n) and y (m, 1) to (m, n)."""
+        if not all(map(math.isfinite, (left, bottom, right, top))):
+            return np.empty(0, np.intp)
+        c0, c1 = np.searchsorted(self.xs, left), np.searchsorted(self.xs, right, "right")
+        r0, r1 = np.searchsorted(self.ys, bottom), np.searchsorted(self.ys, top, "right")
+        rows, columns = np.nonzero(test(self.xs[None, c0:c1], self.ys[r0:r1, None]))
+        return (rows + r0) * self.columns + columns + c0
+
+
+def log_odds(probability: float) -> float:
+    """``ln(P / (1 - P))`` of a prior.
+
+    Raises:
+        ValueError: it is not between 0 and 1, where no look could ever change it.
+    """
+    if not 0.0 < probability < 1.0:
+        raise ValueError(f"a prior probability of {probability} must be > 0 and < 1")
+    return math.log(probability / (1.0 - probability))
+
+
+def probability(odds: Array) -> Array:
+    """P from log-odds."""
+    result: Array = 1.0 / (1.0 + np.exp(-odds))
+    return result
+
+
+def decisions(odds: Array, target: float = TARGET, empty: float = EMPTY) -> Array:
+    """By cell: 1 where P is above ``target``, -1 where it is below ``empty``, 0 where it is open (int8)."""
+    above, below = log_odds(target), log_odds(empty)
+    return (odds > above).astype(np.int8) - (odds < below).astype(np.int8)
+
+
+def _cells(length: float, cell: float) -> int:
+    """How many cells it takes; one that would be hardly more than rounding is none."""
+    return max(1, math.ceil(length / cell - 1e-9))
+
+
+def _in_polygon(corners: Array, x: Array, y: Array) -> Array:
+    """Even-odd rule: a ray to the right from a point inside crosses the border an odd number of times."""
+    inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), bool)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if y0 != y1:
+            inside ^= ((y0 <= y) != (y1 <= y)) & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
+    return inside

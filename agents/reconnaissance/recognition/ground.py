@@ -1,0 +1,228 @@
+"""Pictures of the ground from above: targets and what looks like them, roofs, roads, light, noise; all of it known."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from agents.reconnaissance.recognition.calibration import Seen, Truth
+from cosim.types import Array
+
+WIDTH, HEIGHT, FOCAL_PX = 640, 480, 400.0
+FINE = 2  # drawn this much finer than the picture, then averaged
+CLEAR = 1.5  # sides between the middles of two objects: their diagonals do not touch
+
+RED, BLUE, YELLOW, GREEN, MAGENTA, WHITE = (
+    (200, 40, 40),
+    (40, 60, 190),
+    (235, 200, 30),
+    (30, 150, 60),
+    (190, 40, 170),
+    (240, 240, 240),
+)
+Point = tuple[float, float]
+
+DISTRACTORS = ("mirrored", "scrambled", "solid", "recoloured", "other")  # of a target: what it is not
+
+
+def glyph() -> Array:
+    """A target, (128, 128, 3): two bars like an S, a disc and a strip; neither a turn nor a mirror leaves it as it is."""
+    picture = np.full((128, 128, 3), RED, np.uint8)
+    picture[12:116, 44:66] = BLUE
+    picture[12:38, 44:116] = BLUE
+    picture[90:116, 12:66] = BLUE
+    cv2.circle(picture, (94, 84), 24, YELLOW, -1)
+    picture[16:70, 14:30] = WHITE
+    return picture
+
+
+def other_glyph() -> Array:
+    """Another picture in the same colours and about the same shares of them."""
+    picture = np.full((128, 128, 3), RED, np.uint8)
+    picture[50:78, 10:118] = BLUE
+    picture[10:118, 50:78] = BLUE
+    cv2.fillConvexPoly(picture, np.array([(84, 84), (124, 84), (104, 124)]), YELLOW)
+    picture[14:36, 14:28] = WHITE
+    return picture
+
+
+def second_glyph() -> Array:
+    """A target in other colours: a magenta arrow on green."""
+    picture = np.full((128, 128, 3), GREEN, np.uint8)
+    picture[52:78, 10:70] = MAGENTA
+    cv2.fillConvexPoly(picture, np.array([(66, 24), (66, 106), (118, 65)]), MAGENTA)
+    picture[96:118, 12:60] = YELLOW
+    return picture
+
+
+def mirrored(picture: Array) -> Array:
+    """Seen in a mirror."""
+    return np.ascontiguousarray(picture[:, ::-1])
+
+
+def scrambled(picture: Array, rng: np.random.Generator) -> Array:
+    """Cut into 4 x 4 pieces, put together at random."""
+    n = picture.shape[0] // 4
+    pieces = picture.reshape(4, n, 4, n, 3).swapaxes(1, 2).reshape(16, n, n, 3)[rng.permutation(16)]
+    joined: Array = pieces.reshape(4, 4, n, n, 3).swapaxes(1, 2).reshape(picture.shape)
+    return np.ascontiguousarray(joined)
+
+
+def solid(picture: Array) -> Array:
+    """Its most frequent colour all over."""
+    codes, counts = np.unique(picture.astype(np.int32) @ np.array([65536, 256, 1]), return_counts=True)
+    code = int(codes[counts.argmax()])
+    return np.full_like(picture, (code >> 16, code >> 8 & 255, code & 255))
+
+
+def recoloured(picture: Array, rng: np.random.Generator) -> Array:
+    """The same shapes in other hues."""
+    hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
+    hsv[:, :, 0] = (hsv[:, :, 0].astype(int) + rng.integers(35, 145)) % 180
+    return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))
+
+
+def likenesses(picture: Array, rng: np.random.Generator) -> list[Array]:
+    """What looks like a target, in the order of `DISTRACTORS`."""
+    return [mirrored(picture), scrambled(picture, rng), solid(picture), recoloured(picture, rng), other_glyph()]
+
+
+def save(picture: Array, path: Path) -> None:
+    """Write a picture into a PNG file."""
+    path.write_bytes(cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A picture and what is in it."""
+
+    seen: Seen
+    likenesses: tuple[tuple[str, float, float], ...]  # what it is, u, v: px
+
+    @property
+    def image(self) -> Array:
+        """(480, 640, 3) RGB."""
+        return self.seen.image
+
+    @property
+    def side_px(self) -> float:
+        """Of a target of 2 m."""
+        return 2.0 * FOCAL_PX / self.seen.height_m
+
+
+def frame(
+    rng: np.random.Generator,
+    height_m: float,
+    targets: Sequence[tuple[str, Array]] = (("glyph", glyph()),),
+    *,
+    size_m: float = 2.0,
+    distractors: bool = True,
+    light: float | None = None,
+    noise: float = 6.0,
+    places: Sequence[Point] | None = None,
+    angles: Sequence[float] | None = None,
+) -> Frame:
+    """One picture: targets (and five likenesses of the first) anywhere, any way round, wholly inside unless places are given.
+
+    Places are px of the picture; angles rad, counter-clockwise.
+    """
+    side = size_m * FOCAL_PX / height_m
+    canvas = _scene(rng, FOCAL_PX / height_m * FINE)
+    made = likenesses(targets[0][1], rng) if distractors else []
+    middles = list(places) if places is not None else _places(rng, len(targets), side, [])
+    middles += _places(rng, len(made), side, middles)
+    turns = list(angles) if angles is not None else rng.uniform(-math.pi, math.pi, len(targets)).tolist()
+    turns += rng.uniform(-math.pi, math.pi, len(made)).tolist()
+    for picture, middle, turn in zip([p for _, p in targets] + made, middles, turns, strict=True):
+        _paste(canvas, picture, middle, turn, side)
+    small = cv2.resize(canvas, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32)
+    small = small * (rng.uniform(0.75, 1.2) if light is None else light) + noise * rng.standard_normal(small.shape, np.float32)
+    image = np.clip(np.rint(small), 0, 255).astype(np.uint8)
+    image.flags.writeable = False  # as those of cameras
+    truths = tuple(Truth(name, *middles[i], turns[i]) for i, (name, _) in enumerate(targets))
+    alike = tuple((name, *middles[len(targets) + i]) for i, name in enumerate(DISTRACTORS[: len(made)]))
+    return Frame(Seen(image, height_m, FOCAL_PX, truths), alike)
+
+
+def tilted(made: Frame, tilt: float, about: float) -> Frame:
+    """The same scene from a camera tilted by so much (rad) about an axis of its picture that points ``about`` (rad)."""
+    K = np.array([[FOCAL_PX, 0.0, 0.5 * (WIDTH - 1)], [0.0, FOCAL_PX, 0.5 * (HEIGHT - 1)], [0.0, 0.0, 1.0]])
+    turn, _ = cv2.Rodrigues(tilt * np.array([math.cos(about), math.sin(about), 0.0]))
+    H = K @ turn @ np.linalg.inv(K)
+    image = cv2.warpPerspective(made.image, H, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR, borderValue=(105, 105, 95))
+    moved = []
+    for truth in made.seen.truths:
+        u, v, w = (H @ np.array([truth.u, truth.v, 1.0])).tolist()
+        moved.append(replace(truth, u=u / w, v=v / w))
+    return replace(made, seen=replace(made.seen, image=image, truths=tuple(moved)))
+
+
+def _places(rng: np.random.Generator, n: int, side: float, taken: Sequence[Point]) -> list[Point]:
+    """Places wholly inside that keep clear of each other; where they do not fit, all are drawn anew."""
+    edge = 0.75 * side
+    for _ in range(1000):
+        found = list(taken)
+        for _ in range(200):
+            if len(found) == n + len(taken):
+                return found[len(taken) :]
+            at = (float(rng.uniform(edge, WIDTH - 1 - edge)), float(rng.uniform(edge, HEIGHT - 1 - edge)))
+            if all(math.dist(at, one) > CLEAR * side for one in found):
+                found.append(at)
+        if len(found) == n + len(taken):
+            return found[len(taken) :]
+    raise ValueError("there is no room for them all")
+
+
+def _scene(rng: np.random.Generator, px_per_m: float) -> Array:
+    """Textured ground, one or two roads, three to seven roofs, half of them coloured; (960, 1280, 3)."""
+    height, width = HEIGHT * FINE, WIDTH * FINE
+    base = np.array([(96, 104, 70), (120, 105, 80), (110, 110, 100)][rng.integers(3)], np.float32)
+    texture = np.zeros((height, width), np.float32)
+    for metres, strength in ((8.0, 14.0), (2.0, 10.0), (0.4, 8.0)):
+        grid = (max(2, round(height / px_per_m / metres)), max(2, round(width / px_per_m / metres)))
+        coarse = rng.normal(0.0, strength, grid).astype(np.float32)
+        texture += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+    canvas: Array = np.clip(base + texture[:, :, None], 0, 255).astype(np.uint8)
+    for _ in range(rng.integers(1, 3)):
+        middle = (rng.uniform(0, width), rng.uniform(0, height))
+        _rectangle(canvas, middle, (3000.0, rng.uniform(3, 6) * px_per_m), rng.uniform(0, 180), (105, 105, 108))
+    for i in range(rng.integers(3, 8)):
+        if i % 2:
+            pure = np.array([[[rng.integers(180), rng.integers(120, 230), rng.integers(120, 230)]]], np.uint8)
+            colour = np.asarray(cv2.cvtColor(pure, cv2.COLOR_HSV2RGB))[0, 0].tolist()
+        else:
+            colour = (int(rng.integers(90, 180)),) * 3
+        middle = (rng.uniform(0, width), rng.uniform(0, height))
+        size = (rng.uniform(4, 12) * px_per_m, rng.uniform(4, 12) * px_per_m)
+        _rectangle(canvas, middle, size, rng.uniform(0, 180), colour)
+    return canvas
+
+
+def _rectangle(canvas: Array, middle: Point, size: Point, degrees: float, colour: Sequence[int]) -> None:
+    corners = cv2.boxPoints((middle, size, degrees))
+    cv2.fillConvexPoly(canvas, np.rint(corners).astype(np.int32), tuple(colour), cv2.LINE_AA)
+
+
+def _paste(canvas: Array, picture: Array, middle: Point, turn: float, side: float) -> None:
+    """Lays a picture on the canvas, turned counter-clockwise, its middle at a place of the small picture."""
+    n = max(8, round(side * FINE))  # brought to about its size first: no aliasing
+    small = cv2.resize(picture, (n, n), interpolation=cv2.INTER_AREA)
+    scale = side * FINE / n
+    c, s = scale * math.cos(turn), scale * math.sin(turn)
+    reach = math.ceil(0.75 * side * FINE)  # more than half a diagonal
+    (left, right), (top, bottom) = ((math.floor(FINE * value) - reach, math.floor(FINE * value) + reach) for value in middle)
+    left, top = max(left, 0), max(top, 0)
+    part = canvas[top : max(bottom, 0), left : max(right, 0)]
+    if not part.size:
+        return
+    # middles of pixels are whole numbers, in the small picture and on the canvas
+    at = np.array([FINE * (middle[0] + 0.5) - 0.5 - left, FINE * (middle[1] + 0.5) - 0.5 - top])
+    A = np.array([[c, s], [-s, c]])  # v points down: counter-clockwise as one looks at it
+    M = np.column_stack([A, at - A @ np.array([0.5 * (n - 1)] * 2)])
+    size = (part.shape[1], part.shape[0])
+    cover = cv2.warpAffine(np.ones((n, n), np.float32), M, size, borderValue=0.0)[:, :, None]
+    laid = cv2.warpAffine(small, M, size, borderMode=cv2.BORDER_REPLICATE)
+    np.copyto(part, np.rint(part * (1.0 - cover) + laid * cover).astype(np.uint8))

@@ -1,0 +1,287 @@
+"""Searching an area together: comb a part of it, keep a map of where targets may be, and share it with the others."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from agents.formation.aerial import GAIN, YAW_GAIN, check_flies
+from agents.mission.roster import Roster, members_of
+from agents.reconnaissance.exchange import Kind, exchange
+from agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
+from agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
+from agents.reconnaissance.search_way import Way
+from agents.reconnaissance.sectors import Comb, Point
+from agents.reconnaissance.watch import Watch, Watching
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from cosim.clock import seconds_to_ns
+from cosim.errors import ScenarioError
+from cosim.frames import wrap
+from cosim.types import Array, Looks, NonNegative, Positive, Probability, Velocity
+
+Overlap = Annotated[float, msgspec.Meta(ge=0, lt=1)]
+Some = Annotated[int, msgspec.Meta(ge=1)]
+
+CAMERA = "camera"
+MOST_CELLS = 1_000_000  # of a map; each contributor has one
+CLIMB_M = 2.0  # further below or above its height it goes straight up or down
+YAW_RATE = 1.0  # rad/s, at most, to hold the heading
+SHOW_NS = 1_000_000_000
+NOTHING: tuple[Array, Array] = (np.empty(0, np.intp), np.empty(0, bool))
+
+
+class Search(Agent):
+    """Comb an area in a team: each along the lanes of its own strip, all with one map of where targets may be.
+
+    The strips are divided among those who live and search; whoever stops searching leaves its strip to the others. It flies
+    level, at one heading. As a part of a mission it goes on looking and sharing while something else commands the vehicle, and
+    goes on with its lane afterwards. By itself it flies on after all is found: ``status`` ``done`` says that it is.
+
+    Noted: ``map_bytes``, payload bytes of all messages of the map so far, when it changes; by itself also ``found``,
+    ``found_x`` and ``found_y``, when the map becomes sure of a target (whose name it does not know), and ``status``.
+
+    Args:
+        area: left, bottom, right, top, m, world.
+        cell_m: side of a cell of the map, m.
+        members: all that search together; default: all vehicles of the run, or of the mission.
+        sectors: which of them share a strip, as of a mission, which has its own; default: each has one.
+        exchange: how the map is shared: ``ledger``, ``consensus``, ``delta`` or ``none``.
+        prior: probability of a target in a cell before the first look.
+        p: probability that a look at a cell with a target says so.
+        q: probability that a look at a cell with none says that there is one.
+        max_bytes: size of the largest message of the map, encoded.
+        relay: of a ``ledger``: pass on what others said, and believe what is passed on.
+        scaled: of ``consensus``: decide by the map times the number of members.
+        sensor: ``camera``: what is recognised in pictures; or the name of a sensor of kind ``target_sensor``.
+        watching: the camera and what it looks for, as of a mission, which has its own.
+        look_s: pictures that are nearer in time than that are one look, s: they err alike.
+        swath_m: how far is seen to either side of a lane, m; default: as far as the camera sees.
+        overlap: which part of what is seen from a lane is seen from the next one, too.
+        speed: m/s.
+        acceleration: m/s2, that it counts on before turns.
+        height: m, world; default: that of the start.
+        arrive_m: a way-point is reached from this near.
+        stuck_s: a way-point is left out that it gets no nearer to for so long, s.
+        share_s: time between messages of the map, s.
+        most: messages of the map at a time, at most.
+        targets: how many there are, for ``status``; default: nobody knows.
+        alive_s: after so long a silence a member counts as lost, s; a mission has its own.
+        clock_bound_s: how far ahead the clocks of others may be, s; a mission has its own.
+    """
+
+    roster: Roster | None = None
+    watch: Watch | None = None
+    _own_roster = False  # whether the roster is its own
+
+    def __init__(
+        self,
+        area: tuple[float, float, float, float],
+        *,
+        cell_m: Positive = 2.0,
+        members: tuple[str, ...] = (),
+        sectors: tuple[tuple[str, ...], ...] = (),
+        exchange: Kind = "ledger",
+        prior: Probability = 0.5,
+        p: Probability = 0.9,
+        q: Probability = 0.1,
+        max_bytes: Some = 1400,
+        relay: bool = True,
+        scaled: bool = False,
+        sensor: str = CAMERA,
+        watching: Watching | None = None,
+        look_s: NonNegative = 1.0,
+        swath_m: Positive | None = None,
+        overlap: Overlap = 0.2,
+        speed: Positive = 4.0,
+        acceleration: Positive = 2.0,
+        height: float | None = None,
+        arrive_m: Positive = 2.0,
+        stuck_s: Positive = 6.0,
+        share_s: Positive = 1.0,
+        most: Some = 4,
+        targets: Some | None = None,
+        alive_s: Positive = 5.0,
+        clock_bound_s: NonNegative = 0.0,
+    ) -> None:
+        self.grid = Grid(Rectangle(*area), cell_m)
+        if self.grid.rows * self.grid.columns > MOST_CELLS:
+            many = f"{self.grid.rows} x {self.grid.columns} cells of {cell_m:g} m"
+            raise ScenarioError(f"{many} are too many: at most {MOST_CELLS}; take larger ones", key="cell_m")
+        self._exchange: dict[str, Any] = {
+            "grid": self.grid,
+            "sensor": Sensor(p, q),
+            "kind": exchange,
+            "prior": prior,
+            "max_bytes": max_bytes,
+            "relay": relay,
+            "scaled": scaled,
+        }
+        self._team: dict[str, Any] = {"sectors": sectors, "alive_s": alive_s, "clock_bound_s": clock_bound_s}
+        self._flight: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "stuck_s": stuck_s}
+        self._lanes: dict[str, Any] = {"overlap": overlap, "reached": arrive_m}
+        self.members, self.sensor, self.swath_m = members, sensor, swath_m
+        self._own_watch = None if watching is None else Watch(watching)
+        self.speed, self.height, self.most, self.targets = speed, height, most, targets
+        self._look_ns, self._share_ns = seconds_to_ns(look_s), seconds_to_ns(share_s)
+        if sensor != CAMERA:
+            if swath_m is None:
+                raise ScenarioError(f"{sensor!r} does not say how far it sees: give the reach of the sensor", key="swath_m")
+            self.sensors = (sensor,)
+        else:
+            self.sensors = () if watching is None else (watching.camera,)
+
+    @property
+    def goal(self) -> Point | None:
+        """The way-point that it flies to, m, world; None: it flies to none."""
+        return None if self._way is None else self._way.goal
+
+    def start(self, info: VehicleInfo) -> None:
+        """Begin with an empty map."""
+        check_flies(info)
+        self._check_sensor(info)
+        self._own_roster = self._own_roster or self.roster is None
+        if self._own_roster:
+            self.roster = Roster(info.name, members_of(info, self.members), **self._team)
+        roster = self.roster
+        assert roster is not None  # noqa: S101
+        self.map = SearchMap(
+            self.grid, exchange(**self._exchange, me=info.name, members=roster.members, clock_bound_s=roster.clock_bound_s)
+        )
+        self._way: Way | None = None
+        self._kept: tuple[float, float] | None = None  # height and heading to fly at, m and rad
+        self._now_ns: int | None = None  # of the last tick
+        self._looked_ns: int | None = None  # when what was counted as a look last was taken
+        self._agreed = False  # whether there was a look since the last messages
+        self._share_at_ns = self._show_at_ns = 0
+        self._bytes = 0
+        self._found: list[Point] = []
+
+    def facts(self, obs: Observation) -> Mapping[str, Any]:
+        """What the mission is to know: whether the sector is shared, and the surest place that is nobody's."""
+        roster = self._tick(obs)
+        claims = roster.claims(obs.time_ns).values()
+        likely, place = self.map.surest([*(claim.place for claim in claims), *roster.given_up(obs.time_ns)])
+        return {"shared": roster.shared(obs.time_ns), "probability": likely, "place": place}
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        """Look, share, and fly on."""
+        roster = self._tick(obs)
+        self._share(obs, radio)
+        if self._own_roster:
+            roster.tell(obs, radio, "search", None)
+        return self._fly(obs, roster)
+
+    def stand_by(self, obs: Observation, radio: Radio) -> None:
+        """Look and share while the vehicle does something else."""
+        self._tick(obs)
+        self._share(obs, radio)
+        if self._way is not None:
+            self._way.pause()
+
+    def _tick(self, obs: Observation) -> Roster:
+        """Take in what there is to know, once a tick, whoever asks first."""
+        assert self.roster is not None  # noqa: S101
+        if obs.time_ns == self._now_ns:
+            return self.roster
+        self._now_ns = obs.time_ns
+        if self._kept is None:
+            self._kept = self.height if self.height is not None else obs.state.position[2], obs.state.yaw
+            if self.swath_m is not None:
+                self._lay((self.swath_m, self.swath_m))
+        if self._own_roster:
+            self.roster.hear(obs)
+        self.map.hear(obs)
+        look = self._camera(obs) if self.sensor == CAMERA else self._detector(obs)
+        if look is not None:
+            self.map.look(*look, obs.time_ns)
+            self._agreed = True
+        if self._own_roster or self.sensor != CAMERA:  # else who recognises a target says so
+            self._note_found()
+        if obs.time_ns >= self._show_at_ns:
+            self._show_at_ns = obs.time_ns + SHOW_NS
+            self.show(self.map.shown())
+        return self.roster
+
+    def _camera(self, obs: Observation) -> tuple[Array, Array] | None:
+        """What the camera saw, if that counts as a look: cells, and in which of them something was recognised."""
+        frame = None if self.watch is None else self.watch.look(obs)
+        if frame is None or not frame.whole or frame.footprint is None:
+            return None
+        if self._way is None and self._kept is not None and (seen_m := swaths_m(frame, self._kept[0])) is not None:
+            self._lay(seen_m)
+        if self._looked_ns is not None and frame.time_ns - self._looked_ns < self._look_ns:
+            return None
+        self._looked_ns = frame.time_ns
+        return of_picture(self.grid, frame)
+
+    def _detector(self, obs: Observation) -> tuple[Array, Array] | None:
+        """What the detector of cells says, if it is new."""
+        looks = obs.readings.get(self.sensor)
+        if looks is None:
+            return None
+        if not isinstance(looks, Looks):
+            raise TypeError(f"sensor = {self.sensor!r}: says nothing of cells, but gives a {type(looks).__name__}")
+        if looks.time_ns == self._looked_ns:
+            return None
+        self._looked_ns = looks.time_ns
+        return of_reading(self.grid, looks)
+
+    def _share(self, obs: Observation, radio: Radio) -> None:
+        """Send messages of the map, when they are due."""
+        if obs.time_ns < self._share_at_ns:
+            return
+        self._share_at_ns = obs.time_ns + self._share_ns
+        if not self._agreed:  # a consensus takes a step at each look, and the messages say what came of it
+            self.map.look(*NOTHING, obs.time_ns)
+        self._agreed = False
+        sent = sum(radio.send(body) for body in self.map.messages(obs.time_ns, self.most))
+        if sent:
+            self._bytes += sent
+            self.note(map_bytes=self._bytes)
+
+    def _note_found(self) -> None:
+        """Note a place that the map has become sure of; one at a tick."""
+        new = next((blob for blob in self.map.blobs if not self.map.concerns(blob, self._found)), None)
+        if new is None:
+            return
+        self._found.append(new.middle)
+        self.note(found="", found_x=new.middle[0], found_y=new.middle[1])
+        if len(self._found) == self.targets:
+            self.note(status="done")
+
+    def _fly(self, obs: Observation, roster: Roster) -> Velocity:
+        """Along the lanes, at the height and the heading to keep."""
+        (x, y, z), (height, yaw) = obs.state.position, self._kept or (obs.state.position[2], obs.state.yaw)
+        climb = max(-self.speed, min(GAIN * (height - z), self.speed))
+        turn = max(-YAW_RATE, min(YAW_GAIN * wrap(yaw - obs.state.yaw), YAW_RATE))
+        if self._way is None or abs(height - z) > CLIMB_M:
+            vx, vy = 0.0, 0.0
+            if self._way is not None:
+                self._way.pause()
+        else:
+            vx, vy = self._way.velocity(obs.time_ns, (x, y), roster.sectors(obs.time_ns))
+        return Velocity(linear=(vx, vy, climb), yaw_rate=turn)
+
+    def _lay(self, swaths: Point) -> None:
+        """Lay the lanes, for a sensor that sees so far along x and along y, m; what buildings hide is seen on lanes across."""
+        assert self.roster is not None  # noqa: S101
+
+        def is_open(start: Point, end: Point) -> bool:
+            return self.map.is_open(start, end, swaths[0] if start[0] == end[0] else swaths[1])
+
+        across = swaths[1] if self.sensor == CAMERA else 0.0
+        comb = Comb(self.roster.sector, self.grid.area, swaths[0], **self._lanes, across=across, is_open=is_open)
+        self._way = Way(comb, **self._flight)
+
+    def _check_sensor(self, info: VehicleInfo) -> None:
+        """Have something to look with."""
+        if self.sensor == CAMERA:
+            self.watch = self.watch or self._own_watch
+            if self.watch is None:
+                raise ValueError("sensor = 'camera': say which camera it is and what to look for; give watching = {...}")
+            if self.watch is self._own_watch:
+                self.watch.start(info)
+        elif info.sensors is not None and self.sensor not in info.sensors:
+            carries = ", ".join(info.sensors) or "nothing"
+            raise ValueError(f"sensor = {self.sensor!r}: {info.name} has no such sensor (it carries: {carries})")

@@ -1,0 +1,194 @@
+"""Who combs which part of an area, and along which lanes.
+
+The area is divided into vertical strips of equal width, one for each living member in the order of the names (2 before 10):
+whoever knows who lives knows all strips, without a message. When a member fails, the strips are divided anew among the rest.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+from agents.reconnaissance.probability_map import Rectangle
+
+Point = tuple[float, float]
+
+
+def strips(area: Rectangle, living: Iterable[str]) -> dict[str, Rectangle]:
+    """The strip of each who lives, left to right in the order of the names."""
+    names = sorted(sorted(set(living)), key=_natural)
+    width = (area.right - area.left) / len(names) if names else 0.0
+    return {
+        name: Rectangle(area.left + i * width, area.bottom, area.left + (i + 1) * width, area.top)
+        for i, name in enumerate(names)
+    }
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """By which names are put in order: uav2 comes before uav10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
+
+
+def lanes(area: Rectangle, radius: float, overlap: float = 0.2, start: Point | None = None) -> tuple[Point, ...]:
+    """Way-points of a boustrophedon, two for each of ``ceil(width / (2 radius (1 - overlap)))`` lanes, evenly spaced.
+
+    Lanes run along y and end ``radius / 2`` short of the border, in the middle of an area that is no longer than that.
+
+    Args:
+        area: what is to be combed.
+        radius: how far is seen from the vehicle, m.
+        overlap: which part of the width that is seen from one lane is seen from the next one, too, at least.
+        start: begin at the end that is nearest to this point; default: bottom left.
+
+    Raises:
+        ValueError: a radius <= 0 or an overlap that is not >= 0 and < 1.
+    """
+    if not (radius > 0.0 and 0.0 <= overlap < 1.0):
+        raise ValueError(f"radius = {radius} m must be > 0 and overlap = {overlap} >= 0 and < 1")
+    width, height = area.right - area.left, area.top - area.bottom
+    count = max(1, math.ceil(width / (2.0 * radius * (1.0 - overlap)) - 1e-9))
+    xs = [area.left + (i + 0.5) * width / count for i in range(count)]
+    short = min(radius, height) / 2.0
+    ends = (area.bottom + short, area.top - short)
+    ways = [_way(columns, order) for columns in (xs, xs[::-1]) for order in (ends, ends[::-1])]
+    if start is None:
+        return ways[0]
+    return min(ways, key=lambda way: math.dist(way[0], start))  # of equal ones the first
+
+
+def _way(xs: list[float], ends: tuple[float, float]) -> tuple[Point, ...]:
+    """Up one lane and down the next."""
+    points = []
+    for i, x in enumerate(xs):
+        points += [(x, end) for end in (ends if i % 2 == 0 else ends[::-1])]
+    return tuple(points)
+
+
+class Comb:
+    """One vehicle's way over its strip, again and again until it is done: there and back, or up and down and then across.
+
+    Who sees what is below from aside, past buildings, sees on lanes across what was hidden on those along y.
+
+    Args:
+        me: whose way it is.
+        area: what the team is to comb.
+        radius: how far is seen from the vehicle, m.
+        overlap: of neighbouring lanes.
+        reached: how near a way-point counts as there, m.
+        across: how far is seen from lanes along x, m; 0: there are none.
+        is_open: whether a lane with these ends, m, world, is worth flying along; lanes that are not are left out as long as
+            there are others.
+
+    Attributes:
+        came: the way-point where the present line begins; None: the vehicle comes from anywhere.
+    """
+
+    def __init__(
+        self,
+        me: str,
+        area: Rectangle,
+        radius: float,
+        *,
+        overlap: float = 0.2,
+        reached: float = 1.0,
+        across: float = 0.0,
+        is_open: Callable[[Point, Point], bool] = lambda *_: True,
+    ) -> None:
+        self.me, self.area, self.radius, self.overlap, self.reached = me, area, radius, overlap, reached
+        self._across, self._is_open = across, is_open
+        self.came: Point | None = None
+        self._ways: dict[tuple[str, ...], _Way] = {}  # by who lives
+        self._way: _Way | None = None
+
+    def goal(self, position: Point, living: Iterable[str]) -> Point:
+        """Where to go from here, m, world; whoever asks lives, whatever is said of it.
+
+        It goes on with the same strip as long as the same ones live, and begins anew, at the nearest end of the new strip, when
+        that changes. When the same ones live as at some time before, it goes on with the strip of then where it was left.
+        """
+        names = tuple(sorted({*living, self.me}))
+        if names not in self._ways:
+            self._ways[names] = self._laid(strips(self.area, names)[self.me], position)
+        way = self._ways[names]
+        if way is not self._way:
+            self._way, self.came = way, None
+            if not self._is_open(*way.lane) and any(self._is_open(*lane) for lane in (*way.lanes, *way.across)):
+                way.turn(self._is_open, position)
+        if math.dist(position, way.goal) > self.reached:
+            return way.goal
+        self.came = way.goal
+        way.go_on(self._is_open)
+        return way.goal
+
+    def _laid(self, strip: Rectangle, position: Point) -> "_Way":
+        way = _pairs(lanes(strip, self.radius, self.overlap, position))
+        if not self._across:
+            return _Way(way)
+        turned = lanes(Rectangle(strip.bottom, strip.left, strip.top, strip.right), self._across, self.overlap)
+        return _Way(way, _pairs([(x, y) for y, x in turned]))
+
+    def skip(self) -> None:
+        """Give up the way-point that was the goal: nobody gets there."""
+        self.came = None
+        if self._way is not None:
+            self._way.go_on(self._is_open)
+
+
+def _pairs(points: Sequence[Point]) -> list[tuple[Point, Point]]:
+    return list(zip(points[::2], points[1::2], strict=True))
+
+
+@dataclass
+class _Way:
+    """Lanes side by side, each flown from the end that is nearer, and how far along them somebody is."""
+
+    lanes: list[tuple[Point, Point]]
+    across: list[tuple[Point, Point]] = field(default_factory=list)  # after the last lane, from the nearer side
+    number: int = 0
+    step: int = 1
+    along: bool = False  # it is on its way along the lane, not to where it begins
+
+    @property
+    def lane(self) -> tuple[Point, Point]:
+        return self.lanes[self.number]
+
+    @property
+    def goal(self) -> Point:
+        return self.lane[1 if self.along else 0]
+
+    def go_on(self, is_open: Callable[[Point, Point], bool]) -> None:
+        """The point is reached."""
+        if self.along:
+            self.turn(is_open, self.goal)
+        else:
+            self.along = True
+
+    def turn(self, is_open: Callable[[Point, Point], bool], position: Point) -> None:
+        """To the next lane that is open, there, and back or across; where none is, to the next one.
+
+        The last one is flown back at once, where there are none across.
+        """
+        first: _Way | None = None
+        for _ in range(2 * (len(self.lanes) + len(self.across))):
+            self._step(position)
+            first = first or replace(self)
+            if is_open(*self.lane):
+                break
+        else:
+            assert first is not None  # noqa: S101
+            self.lanes, self.across, self.number, self.step = first.lanes, first.across, first.number, first.step
+        near, far = sorted(self.lane, key=lambda end: math.dist(position, end))
+        self.lanes[self.number] = near, far
+        self.along = math.dist(position, near) == 0.0
+
+    def _step(self, position: Point) -> None:
+        """To the next lane, whatever it is worth."""
+        if 0 <= self.number + self.step < len(self.lanes):
+            self.number += self.step
+        elif self.across:
+            self.lanes, self.across = self.across, self.lanes
+            last = len(self.lanes) - 1
+            away = [min(math.dist(position, end) for end in self.lanes[number]) for number in (0, last)]
+            self.number, self.step = (0, 1) if away[0] <= away[1] else (last, -1)
+        else:
+            self.step = -self.step

@@ -1,0 +1,288 @@
+"""A vehicle that recognises targets with its camera, and keeps over one of them."""
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from typing import Annotated, Any
+
+import msgspec
+
+from agents.formation.aerial import check_flies
+from agents.mission.roster import Claim, Roster, members_of
+from agents.reconnaissance.mosaic import Mosaicking, Sheet
+from agents.reconnaissance.showing import Showing
+from agents.reconnaissance.tracking import GAIN, LOST_S, SMOOTHING, SPIRAL_S, WITHIN_M, Confirmation, Point, Tracker
+from agents.reconnaissance.watch import Around, Frame, Watch, Watching
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from cosim.clock import seconds_to_ns
+from cosim.errors import ScenarioError
+from cosim.types import Positive, Probability, Velocity, Waypoint
+
+AT_LEAST_ONE = Annotated[int, msgspec.Meta(ge=1, le=1000)]
+
+CLIMB = 1.0  # m/s, at most
+WHOLE_NS = seconds_to_ns(1.0)  # so often all of a picture is looked at, whatever is tracked
+DETOUR = 2.0  # times the straight way: so long it may take to get where a target is said to be
+
+
+class Track(Agent):
+    """Looks for targets, and keeps over one that it has recognised.
+
+    By itself it hovers until a target is confirmed that nobody else tracks, tracks that, and hovers again where it has lost it
+    or where another vehicle turned out to track it already. In a mission it is told when to begin and when to end.
+
+    While it sees its target only the ground around it is looked at, but for one picture a second: so other targets are still
+    reported to the others, and looking costs a third.
+
+    A target that is known from a map alone may be far away. It counts as seen until the vehicle can be there, at most after
+    twice the time of the straight way: nobody loses what he has not come to see.
+
+    Noted: ``target``, the one that it tracks (empty: none, or not known yet), when it changes; ``found``, ``found_x`` and
+    ``found_y``, m, once for each target that it confirms before another tracks it.
+
+    Args:
+        watching: the camera and what it looks for; as of a mission, which has its own.
+        members: by itself: those who tell one another what they track; default: all vehicles of the run.
+        gain: 1/s, speed towards the target for each metre that it is off.
+        smoothing: share of what is new in the estimated velocity of the target, a tick; 0: it is taken to stand.
+        max_speed: m/s.
+        height: m, world, at which it tracks; default: where it is when it begins.
+        needed: so many detections confirm a target,
+        frames: of so many of the last pictures,
+        within_m: no further than that from one another, m; nor is the target then from where it is expected.
+        lost_s: without a detection for so long it is lost, s (by itself; in a mission after 3 s).
+        spiral_s: so long it is then searched for on a spiral, s (by itself; in a mission for 10 s).
+        spiral_speed: m/s, on it.
+        spiral_pitch_m: from turn to turn of it, m.
+        picture_s: how often a picture with a target in it is recorded, s; one without every 5 s.
+        mosaic: the ground that is put together from pictures, and recorded; default: none.
+    """
+
+    roster: Roster | None = None
+    watch: Watch | None = None
+    _alone = False  # whether the roster is its own
+
+    def __init__(
+        self,
+        *,
+        watching: Watching | None = None,
+        members: tuple[str, ...] = (),
+        gain: Positive = GAIN,
+        smoothing: Probability = SMOOTHING,
+        max_speed: Positive = 4.0,
+        height: Positive | None = None,
+        needed: AT_LEAST_ONE = 3,
+        frames: AT_LEAST_ONE = 5,
+        within_m: Positive = WITHIN_M,
+        lost_s: Positive = LOST_S,
+        spiral_s: Positive = SPIRAL_S,
+        spiral_speed: Positive = 2.0,
+        spiral_pitch_m: Positive = 4.0,
+        picture_s: Positive = 1.0,
+        mosaic: Mosaicking | None = None,
+    ) -> None:
+        if needed > frames:
+            raise ScenarioError(f"of {frames} frames no more than that can be needed, not {needed}", key="needed")
+        self.members, self.height, self.max_speed = members, height, max_speed
+        self._confirmation = partial(Confirmation, needed, frames, within_m)
+        self._keeping = {"gain": gain, "smoothing": smoothing, "max_speed": max_speed, "within_m": within_m}
+        self._searching = {"lost_s": lost_s, "spiral_s": spiral_s}
+        self._spiral_speed, self._pitch_m = spiral_speed, spiral_pitch_m
+        self._picture_s, self._mosaic = picture_s, mosaic
+        self._own = None if watching is None else Watch(watching)
+        self.sensors = () if self._own is None else self._own.sensors
+        if mosaic is not None:
+            _sheet(mosaic)
+
+    def start(self, info: VehicleInfo) -> None:
+        """Nothing is tracked, nothing has been seen.
+
+        Raises:
+            ValueError: the vehicle drives on wheels, has no such camera, or nobody says what to look for; with the period and
+                the latency of this agent the gain is too large.
+        """
+        check_flies(info)
+        self._alone = self._alone or self.roster is None
+        if self._alone:
+            self.roster = Roster(info.name, members_of(info, self.members))
+        self.watch = self.watch or self._own
+        if self.watch is None:
+            raise ValueError("watching is missing: who tracks must know what to look for, and with which camera")
+        if self.watch is self._own:
+            self.watch.start(info)
+        self._camera = self.watch.settings.camera
+        timing = {"latency_s": info.latency_s, "spiral_pitch_m": self._pitch_m, "spiral_speed": self._spiral_speed}
+        searching = self._searching if self._alone else {"lost_s": LOST_S, "spiral_s": SPIRAL_S}  # as its table has it
+        self._tracker = Tracker(info.period_s, **timing, **self._keeping, **searching)
+        self._confirming = {name: self._confirmation() for name in sorted(self.watch.names)}
+        self._showing = Showing(self._camera, self._picture_s)
+        self._sheet = None if self._mosaic is None else _sheet(self._mosaic)
+        self._candidate: Claim | None = None  # confirmed by the newest picture, and nobody else's
+        self._found: set[str] = set()
+        self._told = ""  # the target, as it was noted last
+        self._asked_ns: int | None = None
+        self._forget()
+        self._home: Waypoint | None = None
+
+    def _forget(self) -> None:
+        """Track nothing."""
+        self._target = ""
+        self._since_ns: int | None = None  # it tracks since then; None: it does not
+        self._there_ns = 0  # until then it may take to get to a target that has not been seen yet
+        self._whole_ns = 0  # when the newest picture was taken all of which was looked at
+        self._height = 0.0
+
+    # --- what a mission asks ------------------------------------------------------------------------------------------------
+
+    @property
+    def claim(self) -> Claim | None:
+        """The target that it tracks, where that is now, and since when."""
+        if self._since_ns is None or self._asked_ns is None:
+            return None
+        return Claim(self._target, self._tracker.predicted(self._asked_ns), self._since_ns)
+
+    @property
+    def goal(self) -> Point | None:
+        """Where the target is now."""
+        return None if self.claim is None else self.claim.place
+
+    def facts(self, obs: Observation) -> Mapping[str, Any]:
+        """Look at the newest picture: what is confirmed by it or, while it tracks, how that goes."""
+        watch, roster = self._ready()
+        self._asked_ns = obs.time_ns
+        frame = watch.look(obs)
+        self._candidate = None
+        if frame is not None:
+            self._take(obs, frame, roster)
+        if self._sheet is not None and (mosaic := self._sheet.shown(obs.time_ns)) is not None:
+            self.show(mosaic)
+        if self.claim is not None:
+            self._aim(obs.time_ns, watch)
+            self._note_target()
+            return {"seen_ns": self._tracker.seen_ns, "taken": roster.taken(self.claim, obs.time_ns)}
+        return {} if self._candidate is None else {"recognised": True, "place": self._candidate.place}
+
+    def begin(self, obs: Observation, place: Point | None) -> None:
+        """Track what is at this place, m; None: what is below."""
+        place = obs.state.position[:2] if place is None else place
+        known = self._candidate
+        way_m = math.dist(place, obs.state.position[:2])
+        if known is not None and math.dist(known.place, place) <= self._tracker.within_m:
+            self._target, seen_ns, there_ns = known.target, known.since_ns, 0
+        else:
+            self._target, seen_ns, there_ns = "", obs.time_ns, obs.time_ns + seconds_to_ns(DETOUR * way_m / self.max_speed)
+        self._tracker.begin(seen_ns, place)
+        self._since_ns, self._there_ns = obs.time_ns, there_ns
+        self._height = obs.state.position[2] if self.height is None else self.height
+        self._note_target()
+
+    def end(self, obs: Observation) -> None:
+        """Track it no more; where it was last is given up, if it was lost there or is another's."""
+        watch, roster = self._ready()
+        claim = self.claim
+        lost = self._tracker.phase(obs.time_ns) in ("spiral", "lost")
+        if claim is not None and (lost or roster.taken(claim, obs.time_ns)):
+            roster.give_up(claim.place, obs.time_ns)
+        self._tracker.end()
+        self._forget()
+        self._home, watch.region = None, None
+        self._note_target()
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint:
+        """Keep over the target; by itself, find one first."""
+        if self._alone:
+            self._decide(obs, radio)
+        elif self._asked_ns != obs.time_ns:
+            self.facts(obs)
+        if self._since_ns is None:
+            self._home = self._home or Waypoint(position=self._hover(obs))
+            return self._home
+        vx, vy = self._tracker.command(obs.time_ns, obs.state.position)
+        climb = max(-CLIMB, min(GAIN * (self._height - obs.state.position[2]), CLIMB))
+        return Velocity(linear=(vx, vy, climb))
+
+    def stand_by(self, obs: Observation, radio: Radio) -> None:
+        """Go on looking."""
+        if self._asked_ns != obs.time_ns:
+            self.facts(obs)
+
+    # --- inside -------------------------------------------------------------------------------------------------------------
+
+    def _ready(self) -> tuple[Watch, Roster]:
+        assert self.watch is not None and self.roster is not None  # noqa: S101, PT018  both are there since the start
+        return self.watch, self.roster
+
+    def _hover(self, obs: Observation) -> tuple[float, float, float]:
+        x, y, z = obs.state.position
+        return x, y, z if self.height is None else self.height
+
+    def _decide(self, obs: Observation, radio: Radio) -> None:
+        """Without a mission: begin and end as it sees fit, and tell others."""
+        _, roster = self._ready()
+        roster.hear(obs)
+        facts = self.facts(obs)
+        if self._since_ns is not None:
+            if facts["taken"] or self._tracker.phase(obs.time_ns) == "lost":
+                self.end(obs)
+        elif "place" in facts:
+            self.begin(obs, facts["place"])
+        roster.tell(obs, radio, "search" if self._since_ns is None else "track", self.claim)
+
+    def _take(self, obs: Observation, frame: Frame, roster: Roster) -> None:
+        """Take in a picture."""
+        if (sightings := self._showing.of(frame)) is not None:
+            self.show(sightings)
+        if self._sheet is not None:
+            self._sheet.lay(frame)
+        if self._since_ns is not None:
+            self._see(obs, frame)
+        if frame.whole:
+            self._whole_ns = frame.time_ns
+        self._candidate = self._confirmed(obs, frame, roster)
+        if self._candidate is not None and self._candidate.target not in self._found:
+            (x, y), name = self._candidate.place, self._candidate.target
+            self._found.add(name)
+            self.note(found=name, found_x=x, found_y=y)
+
+    def _see(self, obs: Observation, frame: Frame) -> None:
+        """Whether the target is in the picture, and which one it is."""
+        tracker = self._tracker
+        if tracker.see(frame.time_ns, [each.place for each in frame.sightings if self._target in ("", each.target)]):
+            place = tracker.predicted(frame.time_ns)
+            self._target = self._target or next(each.target for each in frame.sightings if each.place == place)
+            self._there_ns = 0
+        elif obs.time_ns < self._there_ns:
+            place = tracker.predicted(frame.time_ns)
+            if math.dist(place, obs.state.position[:2]) > tracker.within_m:
+                tracker.begin(frame.time_ns, place)
+
+    def _confirmed(self, obs: Observation, frame: Frame, roster: Roster) -> Claim | None:
+        """The nearest target that this picture and the last ones confirm, and that no other vehicle tracks; new ones first."""
+        x, y, _ = obs.state.position
+        claims: list[tuple[bool, float, Claim]] = []
+        for name, confirmation in self._confirming.items():
+            if not (frame.whole or name == self._target):
+                continue  # it was not looked at
+            place = confirmation.frame(each.place for each in frame.sightings if each.target == name)
+            since_ns = self._since_ns if name == self._target and self._since_ns is not None else obs.time_ns
+            if place is not None and not roster.taken(Claim(name, place, since_ns), obs.time_ns):
+                claims.append((name in self._found, math.dist(place, (x, y)), Claim(name, place, frame.time_ns)))
+        return min(claims)[2] if claims else None
+
+    def _aim(self, now_ns: int, watch: Watch) -> None:
+        """Which ground is looked at in the next picture."""
+        sees = self._tracker.phase(now_ns) in ("seen", "predicted") and self._target and now_ns - self._whole_ns < WHOLE_NS
+        watch.region = Around(self._tracker.predicted(now_ns), self._tracker.reach_m(now_ns)) if sees else None
+
+    def _note_target(self) -> None:
+        if self._target != self._told:
+            self._told = self._target
+            self.note(target=self._target)
+
+
+def _sheet(settings: Mosaicking) -> Sheet:
+    """An empty one; errors name the key."""
+    try:
+        return Sheet(settings)
+    except ScenarioError as error:
+        raise ScenarioError(error.problem, key=f"mosaic.{error.key}") from error

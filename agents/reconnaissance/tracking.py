@@ -1,0 +1,188 @@
+"""Keeps a vehicle over a target that a camera sees now and then: confirmation, estimate, velocity to fly at, and a search.
+
+Everything is in the plane, in the world frame: a picture says where the target was when it was taken (see
+`agents.reconnaissance.ground_point`), so neither the heading of the vehicle nor its own motion matter here.
+
+What the loop can do (T the period, k the gain; a vehicle that moves as it is told):
+
+- the offset of a target at rest shrinks by 1 - kT a tick, at any heading;
+- behind a target at speed v the vehicle lags by v/k, with ``smoothing`` 0: the estimated speed of the target takes that away;
+- where both the picture and the own position are n ticks old when the command takes effect, the offset follows
+  ``e[i+1] = e[i] - kT e[i-n]``, which decays if and only if kT < 2 sin(pi / (2 (2n + 1))) (S. A. Kuruklis, The asymptotic
+  stability of x(n+1) - a x(n) + b x(n-k) = 0, Journal of Mathematical Analysis and Applications 188, 1994). A picture that is
+  late alone costs no stability, as long as it is seen from where it was taken.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from typing import Literal
+
+from cosim.clock import seconds_to_ns
+from cosim.types import Vec3
+
+Point = tuple[float, float]
+Phase = Literal["none", "seen", "predicted", "spiral", "lost"]
+
+GAIN = 0.8  # 1/s: speed towards the target for each metre
+SMOOTHING = 0.2  # share of what is new in the estimated velocity, a tick
+WITHIN_M = 2.0  # detections of one target lie so near to one another
+LOST_S, SPIRAL_S = 3.0, 10.0  # without a detection: lost; then searched for so long
+
+
+def largest_gain(latency_ticks: int, period_s: float) -> float:
+    """The gain, 1/s, from which on a loop whose commands act on what was so many ticks ago does not settle."""
+    return 2.0 * math.sin(math.pi / (2 * (2 * latency_ticks + 1))) / period_s
+
+
+def spiral(elapsed_s: float, speed: float, pitch_m: float, heading: float = 0.0) -> Point:
+    """Where to be on an Archimedean spiral from (0, 0), m, begun ``elapsed_s`` ago in the direction ``heading``, rad.
+
+    With a = pitch / 2 pi it is r = a phi, phi = sqrt(1 + 2 s/a) - 1 at s = ``speed`` times ``elapsed_s``: never faster than
+    ``speed``, never slower than 0.7 of it, and its turns are ``pitch_m`` apart.
+    """
+    a = pitch_m / math.tau
+    phi = math.sqrt(1.0 + 2.0 * speed * max(0.0, elapsed_s) / a) - 1.0
+    return a * phi * math.cos(heading + phi), a * phi * math.sin(heading + phi)
+
+
+class Confirmation:
+    """Tells a target from a false alarm: detections in some of the last frames, near one another."""
+
+    def __init__(self, needed: int = 3, frames: int = 5, within_m: float = WITHIN_M) -> None:
+        self.needed, self.within_m = needed, within_m
+        self._frames: deque[tuple[Point, ...]] = deque(maxlen=frames)
+
+    def frame(self, places: Iterable[Point]) -> Point | None:
+        """Take in what one frame shows; the place of a target that is confirmed by it and the frames before."""
+        self._frames.append(tuple(place for place in places if _is_place(place)))
+        for place in self._frames[-1]:
+            near = sum(any(math.dist(place, other) <= self.within_m for other in frame) for frame in self._frames)
+            if near >= self.needed:
+                return place
+        return None
+
+
+class Tracker:
+    """One target: where it is, as far as is known, and how to stay over it.
+
+    Args:
+        period_s: of the commands, s.
+        latency_s: from an observation to the effect of the command that follows from it, s.
+        gain: 1/s, speed towards the target for each metre that it is off.
+        smoothing: share of what is new in its estimated velocity, a tick; 0: it is taken to stand.
+        max_speed: m/s, of the commands.
+        within_m: a detection further than this from where the target is expected is not it, m.
+        target_speed: m/s: further than this times the time out of sight besides.
+        lost_s: without a detection for so long it is lost.
+        spiral_s: so long it is then searched for, reckoned in commands (a vehicle that is busy otherwise does not search).
+        spiral_speed: m/s, of the search.
+        spiral_pitch_m: from turn to turn of it, m.
+
+    Raises:
+        ValueError: with that period and that latency the gain is too large.
+    """
+
+    def __init__(
+        self,
+        period_s: float,
+        *,
+        latency_s: float = 0.0,
+        gain: float = GAIN,
+        smoothing: float = SMOOTHING,
+        max_speed: float = 4.0,
+        within_m: float = WITHIN_M,
+        target_speed: float = 1.0,
+        lost_s: float = LOST_S,
+        spiral_s: float = SPIRAL_S,
+        spiral_speed: float = 2.0,
+        spiral_pitch_m: float = 4.0,
+    ) -> None:
+        most = largest_gain(math.ceil(latency_s / period_s - 1e-9), period_s)
+        if not 0.0 < gain < most:
+            loop = f"a period of {period_s:g} s and a latency of {latency_s:g} s"
+            raise ValueError(f"gain = {gain:g}: must lie between 0 and {most:.3f} 1/s with {loop}")
+        self.period_s, self.gain, self.smoothing, self.max_speed = period_s, gain, smoothing, max_speed
+        self.within_m, self.target_speed = within_m, target_speed
+        self.spiral_s, self.spiral_speed, self.spiral_pitch_m = spiral_s, spiral_speed, spiral_pitch_m
+        self._lost_ns = seconds_to_ns(lost_s)
+        self._place: Point | None = None
+        self.velocity: Point = (0.0, 0.0)  # m/s, of the target, as estimated
+        self.seen_ns = 0  # when the newest picture was taken that shows it
+        self._searched = 0  # ticks, since it was lost
+
+    def begin(self, taken_ns: int, place: Point) -> None:
+        """Track what is at this place, m, at rest as far as is known, and forget what was tracked before."""
+        if not _is_place(place):
+            raise ValueError(f"a target is at a place, not at {place}")
+        self._place, self.velocity, self.seen_ns, self._searched = place, (0.0, 0.0), taken_ns, 0
+
+    def end(self) -> None:
+        """Track nothing."""
+        self._place = None
+
+    def see(self, taken_ns: int, places: Iterable[Point]) -> bool:
+        """Take in what a picture shows that was taken then; whether the target is among it.
+
+        The nearest to where it is expected is it, if that is near enough. A picture not newer than the last one that showed
+        it changes nothing.
+        """
+        if self._place is None or taken_ns <= self.seen_ns:
+            return False
+        expected = self.predicted(taken_ns)
+        nearest = min((place for place in places if _is_place(place)), key=lambda each: math.dist(each, expected), default=None)
+        if nearest is None or math.dist(nearest, expected) > self.reach_m(taken_ns):
+            return False
+        passed_s = (taken_ns - self.seen_ns) / 1e9
+        share = 1.0 - (1.0 - self.smoothing) ** (passed_s / self.period_s)
+        (x, y), (vx, vy) = self._place, self.velocity
+        moved = (nearest[0] - x) / passed_s, (nearest[1] - y) / passed_s
+        self.velocity = vx + share * (moved[0] - vx), vy + share * (moved[1] - vy)
+        self._place, self.seen_ns, self._searched = nearest, taken_ns, 0
+        return True
+
+    def phase(self, now_ns: int) -> Phase:
+        """Whether the target is in sight, predicted, searched for where it was last, or given up; or there is none."""
+        if self._place is None:
+            return "none"
+        if now_ns - self.seen_ns < self._lost_ns:
+            return "predicted" if now_ns - self.seen_ns > 1.5 * self.period_s * 1e9 else "seen"
+        return "spiral" if self._searched * self.period_s < self.spiral_s - 1e-9 else "lost"
+
+    def predicted(self, now_ns: int) -> Point:
+        """Where it is expected, m; of one that is lost: where it was seen last."""
+        if self._place is None:
+            raise ValueError("nothing is tracked")
+        age_ns = now_ns - self.seen_ns
+        age_s = age_ns / 1e9 if age_ns < self._lost_ns else 0.0
+        return self._place[0] + age_s * self.velocity[0], self._place[1] + age_s * self.velocity[1]
+
+    def reach_m(self, now_ns: int) -> float:
+        """How far from there it may be, m: the radius of the region of interest."""
+        return self.within_m + self.target_speed * max(0.0, (now_ns - self.seen_ns) / 1e9)
+
+    def command(self, now_ns: int, position: Vec3) -> Point:
+        """The velocity, m/s, world, for a vehicle at ``position``; (0, 0) where there is nothing to track any more.
+
+        ``k offset + v_target``, and on the search ``k offset`` from a point that moves on the spiral, at most ``max_speed``.
+        """
+        phase = self.phase(now_ns)
+        if phase in ("none", "lost"):
+            return 0.0, 0.0
+        (x, y), (vx, vy) = self.predicted(now_ns), self.velocity
+        if phase == "spiral":
+            heading = math.atan2(vy, vx)  # it went that way when it was seen last
+            now, then = (self._on_spiral(ticks, heading) for ticks in (self._searched, self._searched + 1))
+            x, y = x + now[0], y + now[1]
+            vx, vy = (then[0] - now[0]) / self.period_s, (then[1] - now[1]) / self.period_s
+            self._searched += 1
+        vx, vy = vx + self.gain * (x - position[0]), vy + self.gain * (y - position[1])
+        share = self.max_speed / speed if (speed := math.hypot(vx, vy)) > self.max_speed else 1.0
+        return share * vx, share * vy
+
+    def _on_spiral(self, ticks: int, heading: float) -> Point:
+        return spiral(ticks * self.period_s, self.spiral_speed, self.spiral_pitch_m, heading)
+
+
+def _is_place(place: Point) -> bool:
+    return math.isfinite(place[0]) and math.isfinite(place[1])

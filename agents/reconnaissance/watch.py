@@ -1,0 +1,173 @@
+"""What a vehicle sees of targets: each new picture of its camera, what is recognised in it, and where on the ground that is."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import msgspec
+
+from agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Region, nadir_of
+from agents.reconnaissance.poses import Poses
+from agents.reconnaissance.recognition import Detector, Target
+from agents.reconnaissance.recognition.detector import SMALLEST_PX
+from cosim import registry
+from cosim.agent import Observation, VehicleInfo
+from cosim.errors import ScenarioError
+from cosim.types import Image, Positive, Sighting, Vec3
+
+STEEPEST = math.cos(math.radians(30.0))  # tilted further, a camera does not show targets as they look from above
+RELIABLE = math.cos(math.radians(20.0))  # tilted further, more than a few of them are missed
+INSIDE = 0.5  # sides of a target between its middle and the edge of a picture that shows enough of it
+
+
+class Wanted(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A target to look for."""
+
+    name: str  # for whoever looks at what was found
+    picture: str  # an image file, square: how it looks from above; relative to the scenario's folder
+    size_m: Positive = 2.0  # of a side
+
+
+class Watching(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is looked for, and with which camera."""
+
+    targets: tuple[Wanted, ...]  # what is looked for
+    camera: str = "camera"  # name of a sensor that looks straight down, such as a nadir_camera
+    mount: Vec3 = MOUNT  # where its pinhole is, m, body frame
+    ground_m: float = 0.0  # height of the ground on which the targets lie, m, world
+
+
+class Around(NamedTuple):
+    """A part of the ground: all that is no further than that from a place."""
+
+    place: Point  # m, world
+    reach_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What one picture shows."""
+
+    time_ns: int  # when it was taken
+    nadir: Nadir  # from where, and how
+    sightings: tuple[Sighting, ...]  # the surest first
+    image: Image
+    looked: Region | None  # px: a target with its middle there would have been seen; None: nowhere (tilted too far, ...)
+    whole: bool  # whether that is as much of the picture as can be; else only the part that the watch was told to look at
+
+    @property
+    def footprint(self) -> tuple[Point, ...] | None:
+        """The corners of the ground that was looked at, counter-clockwise from ahead on the left; None: none was."""
+        return None if self.looked is None else self.nadir.footprint(self.looked)
+
+
+class Watch:
+    """Looks at the pictures of one camera, at each once, whoever asks.
+
+    To be made in the constructor of an agent: files of targets are looked for in the scenario's folder only then.
+
+    Args:
+        settings: what is looked for.
+        key: of the settings in the scenario, for messages.
+
+    Attributes:
+        region: the part of the ground that is looked at in pictures to come; None: all of it.
+
+    Raises:
+        ScenarioError: a picture of a target that cannot be read, or that is no good for recognition.
+    """
+
+    region: Around | None = None
+
+    def __init__(self, settings: Watching, *, key: str = "watching") -> None:
+        self.settings, self.sensors, self._key = settings, (settings.camera,), key
+        self.names = tuple(each.name for each in settings.targets)
+        targets = [_loaded(each, f"{key}.targets[{i}]") for i, each in enumerate(settings.targets)]
+        try:
+            self._detector = Detector(targets)
+        except ScenarioError as error:
+            raise ScenarioError(error.problem, key=f"{key}.targets") from error
+        self._smallest_m, self._largest_m = (ends(each.size_m for each in targets) for ends in (min, max))
+
+    def start(self, info: VehicleInfo) -> None:
+        """Before the first tick.
+
+        Raises:
+            ValueError: the vehicle has no such camera.
+        """
+        camera = self.settings.camera
+        if info.sensors is not None and camera not in info.sensors:
+            carries = ", ".join(info.sensors) or "nothing"
+            raise ValueError(f"{self._key}.camera = {camera!r}: {info.name} has no such sensor (it carries: {carries})")
+        self._poses = Poses(info.period_s)
+        self._asked_ns: int | None = None
+        self._frame: Frame | None = None
+        self._taken_ns: int | None = None  # when the newest picture was taken
+        self.region = None
+
+    def look(self, obs: Observation) -> Frame | None:
+        """What a picture shows that has come in since the last tick; None: none has, or nobody knows where it was taken.
+
+        Once a tick at least, so that it is known where the vehicle was; asked again at the same tick it answers the same.
+
+        Raises:
+            TypeError: the sensor is no camera.
+        """
+        if obs.time_ns == self._asked_ns:
+            return self._frame
+        self._asked_ns = obs.time_ns
+        self._poses.add(obs)
+        self._frame = self._looked(obs.readings.get(self.settings.camera))
+        return self._frame
+
+    def _looked(self, image: Any) -> Frame | None:
+        if image is None:
+            return None
+        if not isinstance(image, Image):
+            kind = type(image).__name__
+            raise TypeError(f"{self._key}.camera = {self.settings.camera!r}: takes no pictures, but gives a {kind}")
+        if self._taken_ns is not None and image.time_ns <= self._taken_ns:
+            return None
+        self._taken_ns = image.time_ns
+        pose = self._poses.at(image.time_ns)
+        if pose is None:
+            return None
+        return self._recognised(image, nadir_of(image, pose, mount=self.settings.mount, ground_m=self.settings.ground_m))
+
+    def _recognised(self, image: Image, nadir: Nadir) -> Frame:
+        whole = 0, 0, nadir.width, nadir.height
+        part = whole if self.region is None else nadir.region(*self.region)
+        if part is None or not (nadir.upright >= STEEPEST and nadir.height_m > 0.0 and image.focal_px > 0.0):
+            return Frame(image.time_ns, nadir, (), image, None, self.region is None)
+        distance_m = nadir.height_m / nadir.upright  # along the optical axis
+        found = self._detector.detect(image.pixels, distance_m, image.focal_px, None if part == whole else part)
+        sightings = tuple(
+            Sighting(
+                target=one.target,
+                place=place,
+                centre_px=one.centre_px,
+                angle=one.angle,
+                side_px=one.side_px,
+                score=min(max(one.match, 0.0), 1.0),
+            )
+            for one in found
+            if (place := nadir.ground_point(one.centre_px)) is not None
+        )
+        edge = math.ceil(INSIDE * self._largest_m * image.focal_px / distance_m)
+        inner = _common((edge, edge, nadir.width - edge, nadir.height - edge), part)
+        large_enough = self._smallest_m * image.focal_px >= SMALLEST_PX * distance_m  # else they may be there, unseen
+        looked = inner if nadir.upright >= RELIABLE and large_enough else None
+        return Frame(image.time_ns, nadir, sightings, image, looked, self.region is None)
+
+
+def _common(one: Region, other: Region) -> Region | None:
+    """What two parts of a picture have in common."""
+    left, top, right, bottom = max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
+    return (left, top, right, bottom) if left < right and top < bottom else None
+
+
+def _loaded(wanted: Wanted, key: str) -> Target:
+    try:
+        return Target.load(wanted.name, registry.located(wanted.picture), wanted.size_m)
+    except ScenarioError as error:
+        raise ScenarioError(error.problem, key=f"{key}.{error.key}") from error
