@@ -21,6 +21,7 @@ LINES: dict[str, dict[str, Any]] = {
     "dotted": {"linestyle": ":"},
     "thin": {"linewidth": 0.6, "alpha": 0.45},
     "markers": {"linestyle": "none", "marker": "o", "markersize": 4.5},
+    "dots": {"linestyle": "none", "marker": ".", "markersize": 3.0, "alpha": 0.5},
     "hollow": {"linestyle": "none", "marker": "o", "markersize": 6.0, "markerfacecolor": "none"},
     "both": {"marker": "o", "markersize": 3.5},
 }
@@ -42,10 +43,13 @@ def draw(figure: "Figure") -> Canvas:
         axes.set_title(panel.title, loc="left")
         axes.set_xlabel(panel.x_label)
         axes.set_ylabel(panel.y_label)
-        if panel.heat is None:
-            _draw_curves(axes, panel)
-        else:
+        if panel.heat is not None:
             _draw_heat(axes, panel.heat)
+        if panel.photo is not None:
+            axes.imshow(panel.photo.pixels, interpolation="antialiased")
+            axes.grid(visible=False)
+        if panel.heat is None or panel.heat.style == "map":
+            _draw_curves(axes, panel)
     return canvas
 
 
@@ -60,7 +64,9 @@ def _draw_curves(axes: Axes, panel: "Panel") -> None:
             axes.axhline(each, color=GREY, linestyle="--", linewidth=0.9, zorder=1, label="_" if number else label)
     _set_scales(axes, panel)
     if axes.get_legend_handles_labels()[1]:
-        axes.legend(loc="upper right" if panel.equal else "best", handlelength=1.8)
+        on_picture = panel.photo is not None or panel.heat is not None
+        fixed = panel.equal or on_picture
+        axes.legend(loc="upper right" if fixed else "best", handlelength=1.8, frameon=on_picture, framealpha=0.85)
 
 
 def _set_scales(axes: Axes, panel: "Panel") -> None:
@@ -99,8 +105,14 @@ def _draw_curve(axes: Axes, curve: "Curve", label: str) -> None:
 
 
 def _draw_heat(axes: Axes, heat: "Heat") -> None:
-    """One cell for every pair of values, whatever the steps between them, with its number."""
+    """One cell for every pair of values, whatever the steps between them, with its number; a map is as large as it is."""
     values = np.asarray(heat.values)
+    axes.set_title(heat.label, loc="right", fontsize=8)
+    axes.grid(visible=False)
+    if heat.style == "map":
+        ends = [(0.5 * (3 * at[0] - at[1]), 0.5 * (3 * at[-1] - at[-2])) for at in (heat.x, heat.y)]
+        axes.imshow(values, origin="lower", extent=(*ends[0], *ends[1]), cmap=GROWING, vmin=0.0, vmax=1.0)
+        return
     if heat.style == "growing":
         shown, norm, colors = values, None, GROWING
     else:
@@ -109,9 +121,7 @@ def _draw_heat(axes: Axes, heat: "Heat") -> None:
     picture = axes.imshow(shown, origin="lower", aspect="auto", cmap=colors, norm=norm)
     axes.set_xticks(range(len(heat.x)), [f"{x:g}" for x in heat.x])
     axes.set_yticks(range(len(heat.y)), [f"{y:g}" for y in heat.y])
-    axes.grid(visible=False)
     for (row, column), value in np.ndenumerate(values):
         red, green, blue, _ = picture.to_rgba(shown[row, column])
         dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.55
         axes.text(column, row, f"{value:.2g}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
-    axes.set_title(heat.label, loc="right", fontsize=8)

@@ -2,7 +2,8 @@
 
 The structs carry the names and fields of Foxglove's published schemas
 (https://docs.foxglove.dev/docs/sdk/schemas); of a scene entity's primitives only those drawn here. Lengths m, angles rad,
-world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left, z up).
+world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left, z up). What agents show has
+its messages in `cosim.record.foxglove_shown`.
 """
 
 from typing import Any, Literal
@@ -10,16 +11,16 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from cosim.types import Image, Scan
+from cosim.types import Image, Looks, Scan
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
 
 
-class _Message(msgspec.Struct, frozen=True):
-    """Base of the messages below."""
+class FoxgloveMessage(msgspec.Struct, frozen=True):
+    """Base of the messages that Foxglove knows."""
 
 
-class Time(_Message, frozen=True):
+class Time(FoxgloveMessage, frozen=True):
     """A simulated instant, counted from the start of the run."""
 
     sec: int
@@ -31,14 +32,14 @@ class Time(_Message, frozen=True):
         return cls(*divmod(time_ns, 1_000_000_000))
 
 
-class Duration(_Message, frozen=True):
+class Duration(FoxgloveMessage, frozen=True):
     """A length of time; zero for an entity means that it stays."""
 
     sec: int = 0
     nsec: int = 0
 
 
-class Vector3(_Message, frozen=True):
+class Vector3(FoxgloveMessage, frozen=True):
     """A point or a direction."""
 
     x: float = 0.0
@@ -46,7 +47,7 @@ class Vector3(_Message, frozen=True):
     z: float = 0.0
 
 
-class Quaternion(_Message, frozen=True):
+class Quaternion(FoxgloveMessage, frozen=True):
     """A rotation. Here x, y, z come first, as Foxglove has it."""
 
     x: float = 0.0
@@ -55,14 +56,14 @@ class Quaternion(_Message, frozen=True):
     w: float = 1.0
 
 
-class Pose(_Message, frozen=True):
+class Pose(FoxgloveMessage, frozen=True):
     """Position and orientation in the frame of the message."""
 
     position: Vector3 = Vector3()
     orientation: Quaternion = Quaternion()
 
 
-class PoseInFrame(_Message, frozen=True):
+class PoseInFrame(FoxgloveMessage, frozen=True):
     """A pose that a sensor measured; the standard deviations are additional to Foxglove's fields."""
 
     timestamp: Time  # when it was measured
@@ -72,7 +73,7 @@ class PoseInFrame(_Message, frozen=True):
     sigma_rad: float
 
 
-class FrameTransform(_Message, frozen=True):
+class FrameTransform(FoxgloveMessage, frozen=True):
     """Where the child frame lies in its parent."""
 
     timestamp: Time
@@ -82,13 +83,13 @@ class FrameTransform(_Message, frozen=True):
     rotation: Quaternion
 
 
-class FrameTransforms(_Message, frozen=True):
+class FrameTransforms(FoxgloveMessage, frozen=True):
     """All vehicles at one instant."""
 
     transforms: list[FrameTransform]
 
 
-class Color(_Message, frozen=True):
+class Color(FoxgloveMessage, frozen=True):
     """Red, green, blue and opacity, 0 to 1."""
 
     r: float
@@ -97,7 +98,7 @@ class Color(_Message, frozen=True):
     a: float = 1.0
 
 
-class ArrowPrimitive(_Message, frozen=True):
+class ArrowPrimitive(FoxgloveMessage, frozen=True):
     """An arrow along the x axis of its pose."""
 
     pose: Pose
@@ -108,7 +109,15 @@ class ArrowPrimitive(_Message, frozen=True):
     color: Color
 
 
-class CylinderPrimitive(_Message, frozen=True):
+class CubePrimitive(FoxgloveMessage, frozen=True):
+    """A block about its pose."""
+
+    pose: Pose
+    size: Vector3
+    color: Color
+
+
+class CylinderPrimitive(FoxgloveMessage, frozen=True):
     """A cylinder about the z axis of its pose."""
 
     pose: Pose
@@ -118,7 +127,7 @@ class CylinderPrimitive(_Message, frozen=True):
     color: Color
 
 
-class LinePrimitive(_Message, frozen=True):
+class LinePrimitive(FoxgloveMessage, frozen=True):
     """Points joined by lines: 0 a strip, 1 a closed loop, 2 separate segments."""
 
     type: Literal[0, 1, 2]
@@ -129,7 +138,7 @@ class LinePrimitive(_Message, frozen=True):
     color: Color
 
 
-class TextPrimitive(_Message, frozen=True):
+class TextPrimitive(FoxgloveMessage, frozen=True):
     """A label."""
 
     pose: Pose
@@ -140,7 +149,7 @@ class TextPrimitive(_Message, frozen=True):
     text: str
 
 
-class SceneEntity(_Message, frozen=True):
+class SceneEntity(FoxgloveMessage, frozen=True):
     """Something to draw, moving with its frame."""
 
     timestamp: Time
@@ -149,18 +158,19 @@ class SceneEntity(_Message, frozen=True):
     lifetime: Duration
     frame_locked: bool
     arrows: list[ArrowPrimitive] = []
+    cubes: list[CubePrimitive] = []
     cylinders: list[CylinderPrimitive] = []
     lines: list[LinePrimitive] = []
     texts: list[TextPrimitive] = []
 
 
-class SceneUpdate(_Message, frozen=True):
+class SceneUpdate(FoxgloveMessage, frozen=True):
     """The whole scene: a viewer that jumps in time reads only the newest message of a topic."""
 
     entities: list[SceneEntity]
 
 
-class Log(_Message, frozen=True):
+class Log(FoxgloveMessage, frozen=True):
     """A line of the recording's log."""
 
     timestamp: Time
@@ -171,7 +181,7 @@ class Log(_Message, frozen=True):
     line: int = 0
 
 
-class LaserScan(_Message, frozen=True):
+class LaserScan(FoxgloveMessage, frozen=True):
     """One sweep; a beam without return is null, as JSON knows no infinity."""
 
     timestamp: Time
@@ -189,7 +199,7 @@ class LaserScan(_Message, frozen=True):
         return cls(Time.of(time_ns), vehicle, Pose(), scan.angle_min, end, scan.ranges.tolist())
 
 
-class RawImage(_Message, frozen=True):
+class RawImage(FoxgloveMessage, frozen=True):
     """One picture, rows from top to bottom."""
 
     timestamp: Time
@@ -210,10 +220,12 @@ class RawImage(_Message, frozen=True):
 def schema_of(message_type: type) -> tuple[str, bytes]:
     """Schema name and JSON Schema of a message type: ``foxglove.*`` for those above, ``vcmvsp.*`` for the platform's values."""
     name = message_type.__name__
-    known = issubclass(message_type, _Message)
+    known = issubclass(message_type, FoxgloveMessage)
     title = f"foxglove.{name}" if known else f"vcmvsp.{name.removesuffix('Report')}"
     (root,), definitions = msgspec.json.schema_components([message_type], schema_hook=_array_schema)
     schema = _simple(root, definitions)
+    if message_type is Looks:
+        schema["properties"] |= {"cells": _listed(_listed({"type": "integer"})), "hits": _listed({"type": "boolean"})}
     schema["title"] = title
     return title, msgspec.json.encode(schema)
 
@@ -225,9 +237,13 @@ def to_json(value: Any) -> Any:
     raise TypeError(f"cannot record a {type(value).__name__}; use numbers, strings, bytes, lists and mappings")
 
 
+def _listed(items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
 def _array_schema(annotation: Any) -> dict[str, Any]:
     if annotation is np.ndarray:
-        return {"type": "array", "items": {"type": "number"}}
+        return _listed({"type": "number"})
     raise TypeError(f"no JSON Schema for {annotation}")
 
 

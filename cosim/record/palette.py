@@ -1,10 +1,23 @@
-"""One colour per vehicle, the same in the recording's scene and in the figures.
+"""One colour per vehicle, target and commander, the same in the recording's scene and in the figures.
 
 The order is that of Okabe and Ito ("Color universal design", 2008), whose colours stay apart under every common form of
 colour blindness; black leads and yellow, too pale on paper, is left out.
 """
 
 OKABE_ITO = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+
+TARGET = "#f0e442"  # their yellow, with a dark edge wherever it is drawn
+PROBABILITY = ("#ffffff", "#c9c4d6", "#5e2a84")
+"""Of a map from 0 through one half to 1: empty, unknown, target. Lightness alone tells them apart."""
+
+COMMANDERS = {
+    "search": "#56b4e9",
+    "formation": "#0072b2",
+    "track": "#009e73",
+    "avoid1": "#e69f00",
+    "avoid2": "#d55e00",
+}
+"""Who commands a vehicle on a mission; others are grey."""
 
 
 def color_of(index: int) -> str:
@@ -14,5 +27,9 @@ def color_of(index: int) -> str:
 
 def rgb_of(index: int) -> tuple[float, float, float]:
     """The same as red, green, blue in [0, 1]."""
-    code = color_of(index)
+    return rgb(color_of(index))
+
+
+def rgb(code: str) -> tuple[float, float, float]:
+    """A colour ``#rrggbb`` as red, green, blue in [0, 1]."""
     return int(code[1:3], 16) / 255, int(code[3:5], 16) / 255, int(code[5:7], 16) / 255

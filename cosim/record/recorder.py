@@ -5,7 +5,8 @@ differences, which make the file small and a viewer useful:
 
 - ``world/states`` is kept at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
 - ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
-- ``world/scene`` draws a body per vehicle and the place that each follower means to keep.
+- ``world/scene`` draws a body per vehicle, the place that each follower means to keep and, once a second, the world's targets;
+- maps, mosaics and sightings become grids and annotated pictures (`cosim.record.foxglove_shown`).
 
 An event is handled by the type of its value; one of another type is written as it is.
 """
@@ -14,7 +15,7 @@ import hashlib
 import math
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -24,14 +25,13 @@ import pyarrow as pa
 
 from cosim.agent import AgentInfo
 from cosim.clock import SECOND_NS, Ticks
+from cosim.codec import encode
 from cosim.errors import ScenarioError
 from cosim.federate import Event, RunInfo
-from cosim.frames import quaternion_from_yaw
 from cosim.record import foxglove, metrics
 from cosim.record.digest import digest
-from cosim.record.mcap import McapLog
-from cosim.record.scene import scene
 from cosim.record.tables import Placement, RunFacts, radio_table, states_table, write_table
+from cosim.record.viewer import Viewer
 from cosim.types import (
     Contact,
     Fix,
@@ -41,13 +41,17 @@ from cosim.types import (
     Imu,
     Incident,
     Later,
+    Looks,
     Measured,
     Message,
+    Mosaic,
     Note,
     Odometry,
     Presence,
+    ProbabilityMap,
     RealStatus,
     Scan,
+    Sightings,
     States,
     Value,
     VehicleState,
@@ -66,6 +70,7 @@ class Recorder:
         agents: whose ticks the age of information is measured at.
         radius_m: radius of each vehicle's body, for drawing.
         sensors: whose readings are recorded although they are worked out on demand, by name; ``*``: all.
+        world: what the vehicles move in; None: nothing is told of how near they came to it.
         tell: takes lines for the user: which agent was lost, and which is back.
     """
 
@@ -78,21 +83,21 @@ class Recorder:
         agents: Sequence[AgentInfo],
         radius_m: Mapping[str, float],
         sensors: Sequence[str] = (),
+        world: Any = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._tell = tell
-        self._run, self._record_ticks, self._radius_m = run, record_ticks, radius_m
+        self._tell, self._world = tell, world
+        self._run, self._record_ticks = run, record_ticks
         self._sensors = frozenset(sensors)
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._now = 0
         self._latest: tuple[int, States] | None = None
-        self._estimates: list[tuple[str, VehicleState]] = []  # of the present instant
         self._rows: list[tuple[int, States]] = []
         self._frames: list[FrameReport] = []
         self._follows: list[Placement] = []
-        self._commands = {
-            name: array("d") for name in run.vehicles
-        }  # time ns, velocity m/s, yaw rate rad/s, one after the other
+        self._noted, self._mission = metrics.Noted(), metrics.Mission()
+        self._targets: Sequence[metrics.Target] = () if world is None else world.targets
+        self._commands = {name: array("d") for name in run.vehicles}  # rows of time ns, velocity m/s, yaw rate rad/s
         self._presences: list[tuple[str, Presence]] = []
         self._statuses: dict[str, list[tuple[int, RealStatus]]] = {}  # of real vehicles
         self._incidents: list[tuple[str, Incident]] = []
@@ -102,22 +107,15 @@ class Recorder:
         self._pack = msgspec.msgpack.Encoder(enc_hook=foxglove.to_json).encode
         self._tables: tuple[pa.Table, pa.Table] | None = None
         self._end_ns: int | None = None
-        about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
-        self._log = None if mcap is None else McapLog(mcap, about)
-        self._scene_is_due = True
+        self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, self._targets)
         self._handlers: dict[type, Callable[[str, int, Any], None]] = {
             States: self._on_states,
-            VehicleState: self._on_estimate,
             FrameReport: self._on_frame,
             Follows: self._on_follows,
-            Note: self._remember,
-            Velocity: self._on_command,
-            Waypoint: self._on_command,
-            Imu: self._remember,
-            Measured: self._remember,
+            Note: self._on_note,
+            **dict.fromkeys((Velocity, Waypoint), self._on_command),
+            **dict.fromkeys((Imu, Measured, Message, Odometry), self._remember),
             Later: self._on_later,
-            Message: self._remember,
-            Odometry: self._remember,
             Contact: self._on_contact,
             Presence: self._on_presence,
             RealStatus: self._on_status,
@@ -125,6 +123,7 @@ class Recorder:
             Fix: self._on_fix,
             Scan: self._on_scan,
             Image: self._on_image,
+            **dict.fromkeys((Looks, ProbabilityMap, Sightings, Mosaic), self._on_cells),
         }
 
     def on(self, event: Event) -> None:
@@ -137,8 +136,8 @@ class Recorder:
         """Write a line into the recording: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
         if time_ns != self._now:
             self._advance(time_ns)
-        if self._log is not None:
-            self._log.write("log", foxglove.Log(foxglove.Time.of(time_ns), foxglove.LEVELS[level], text), time_ns)
+        if self._viewer is not None:
+            self._viewer.say(level, text, time_ns)
 
     def close(self, end_ns: int) -> None:
         """Finish the recording of a run that lasted until ``end_ns``. May be called again."""
@@ -148,13 +147,24 @@ class Recorder:
         if self._latest is not None and self._latest[0] == end_ns and not self._record_ticks.hits(end_ns):
             self._record_states(*self._latest)
         self._end_ns = end_ns
-        if self._log is not None:
-            self._log.finish()
+        if self._viewer is not None:
+            self._viewer.finish()
 
     @property
     def follows(self) -> tuple[Placement, ...]:
         """Who means to keep which place, and from when on."""
         return tuple(self._follows)
+
+    @property
+    def facts(self) -> RunFacts:
+        """What the tables do not say of the run."""
+        return RunFacts(
+            scenario=self._run.scenario,
+            seed=self._run.seed,
+            end_ns=self._now if self._end_ns is None else self._end_ns,
+            vehicles=self._run.vehicles,
+            follows=self.follows,
+        )
 
     @property
     def states(self) -> pa.Table:
@@ -170,22 +180,24 @@ class Recorder:
         """The numbers of the run (schema ``vcmvsp.metrics/1``); all but counts within the window (s)."""
         states, radio = self._built()
         moved, got = metrics.motion(states), metrics.receptions(radio)
-        end_ns, vehicles = self._facts().end_ns, self._run.vehicles
+        end_ns, vehicles = self.facts.end_ns, self._run.vehicles
         ages = metrics.age_metrics(got, self._follows, self._ticks, window, end_ns)
         hardware = metrics.hardware_metrics(self._statuses, self._incidents, self._fixes, got)
+        mission = self._mission.metrics(moved, self._targets)
         commands = {name: np.array(rows).reshape(-1, 5) for name, rows in self._commands.items()}
         return {
             "schema": metrics.SCHEMA,
             "scenario": self._run.scenario,
             "seed": self._run.seed,
             "duration_s": end_ns / SECOND_NS,
-            "formation": metrics.formation_metrics(moved, self._follows, window),
+            "formation": metrics.formation_metrics(moved, self._follows, window, self._noted, end_ns),
             "radio": metrics.radio_metrics(radio, ages, end_ns),
             "control": metrics.control_metrics(commands, vehicles, window, end_ns),
             "connectivity": metrics.connectivity_metrics(got, vehicles, window, end_ns),
             "agents": metrics.agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
             **({"hardware": hardware} if self._statuses else {}),
-            "safety": {"collisions": self._collisions, "min_separation_m": metrics.min_separation_m(moved)},
+            "safety": metrics.safety_metrics(moved, self._collisions, self._world),
+            **({} if mission is None else {"mission": mission}),
             "digest": digest([states, radio], self._others.digest()),
         }
 
@@ -202,18 +214,8 @@ class Recorder:
 
     def _record_states(self, time_ns: int, states: States) -> None:
         self._rows.append((time_ns, states))
-        if self._log is None:
-            return
-        now, transforms = foxglove.Time.of(time_ns), []
-        for name, state in _each(states):
-            (x, y, z), (qw, qx, qy, qz) = state.position, state.attitude
-            place, turn = foxglove.Vector3(x, y, z), foxglove.Quaternion(qx, qy, qz, qw)
-            transforms.append(foxglove.FrameTransform(now, "world", name, place, turn))
-            self._log.write(f"{name}/state", state, time_ns)
-        self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
-
-    def _on_estimate(self, key: str, time_ns: int, estimate: VehicleState) -> None:
-        self._estimates.append((key, estimate))  # the truth of this instant may come later within it
+        if self._viewer is not None:
+            self._viewer.put_states(_each(states), time_ns)
 
     def _on_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
         self._frames.append(report)
@@ -225,8 +227,12 @@ class Recorder:
             known = ", ".join(self._run.vehicles)
             raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
         self._follows.append(Placement(time_ns, vehicle, follows))
-        self._scene_is_due = True
         self._remember(key, time_ns, follows)
+
+    def _on_note(self, key: str, time_ns: int, note: Note) -> None:
+        self._noted.take(_vehicle(key), time_ns, note.values)
+        self._mission.take(_vehicle(key), time_ns, note.values)
+        self._remember(key, time_ns, note)
 
     def _on_command(self, key: str, time_ns: int, command: Velocity | Waypoint) -> None:
         values = (*command.linear, command.yaw_rate) if isinstance(command, Velocity) else (math.nan,) * 4
@@ -240,6 +246,7 @@ class Recorder:
     def _on_presence(self, key: str, time_ns: int, presence: Presence) -> None:
         vehicle = _vehicle(key)
         self._presences.append((vehicle, presence))
+        (self._mission.come_back if presence.state == "back" else self._mission.leave)(vehicle, time_ns)
         self._remember(key, time_ns, presence)
         words = {"lost": "has lost its agent", "removed": "is without an agent for good", "back": "has its agent again"}
         text = f"{vehicle} {words[presence.state]}" + (f": {presence.why}" if presence.why else "")
@@ -260,12 +267,7 @@ class Recorder:
     def _on_fix(self, key: str, time_ns: int, fix: Fix) -> None:
         self._fixes[_vehicle(key)] += 1
         self._others.update(self._pack((key, time_ns, fix)))
-        if self._log is not None:
-            qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)
-            pose = foxglove.Pose(foxglove.Vector3(*fix.position), foxglove.Quaternion(qx, qy, qz, qw))
-            self._log.write(
-                key, foxglove.PoseInFrame(foxglove.Time.of(fix.time_ns), "world", pose, fix.sigma_m, fix.sigma_rad), time_ns
-            )
+        self._write(key, time_ns, fix)
 
     def _on_later(self, key: str, time_ns: int, later: Later) -> None:
         if "*" in self._sensors or key.partition("/")[2] in self._sensors:
@@ -274,13 +276,17 @@ class Recorder:
 
     def _on_scan(self, key: str, time_ns: int, scan: Scan) -> None:
         self._others.update(self._pack((key, time_ns, scan.time_ns)) + scan.ranges.tobytes())
-        if self._log is not None:
-            self._log.write(key, foxglove.LaserScan.of(scan, _vehicle(key), time_ns), time_ns)
+        self._write(key, time_ns, scan)
 
     def _on_image(self, key: str, time_ns: int, image: Image) -> None:
         self._others.update(self._pack((key, time_ns, image.time_ns)) + image.pixels.tobytes())
-        if self._log is not None:
-            self._log.write(key, foxglove.RawImage.of(image, _vehicle(key), time_ns), time_ns)
+        self._write(key, time_ns, image)
+
+    def _on_cells(self, key: str, time_ns: int, value: Looks | ProbabilityMap | Sightings | Mosaic) -> None:
+        self._others.update(encode((key, time_ns, value)))  # the bytes of arrays and pictures
+        if not isinstance(value, Looks):
+            self._mission.see(_vehicle(key), value)
+        self._write(key, time_ns, value)
 
     def _remember(self, key: str, time_ns: int, value: Value) -> None:
         """Write a value that is in no table, and let it count in the digest."""
@@ -288,45 +294,29 @@ class Recorder:
         self._write(key, time_ns, value)
 
     def _write(self, key: str, time_ns: int, value: Any) -> None:
-        if self._log is not None:
-            self._log.write(key, value, time_ns)
+        if self._viewer is not None:
+            self._viewer.put(key, value, time_ns)
 
     def _advance(self, time_ns: int) -> None:
         self._end_instant()
         self._now = time_ns
 
     def _end_instant(self) -> None:
-        """Write what can be judged only once an instant is over."""
-        if self._log is not None:
-            self._write_estimates(self._log)
-            if self._scene_is_due:  # once, however many vehicles changed it
-                places = {placement.vehicle: placement.follows for placement in self._follows}
-                self._log.write("world/scene", scene(self._run.vehicles, self._radius_m, places, self._now), self._now)
-                self._scene_is_due = False
-        self._estimates.clear()
+        if self._viewer is not None:
+            self._viewer.end_instant(self._now, self._truth, self._places)
 
-    def _write_estimates(self, log: McapLog) -> None:
-        if not self._estimates:
-            return
-        truth = dict(_each(self._latest[1])) if self._latest is not None and self._latest[0] == self._now else {}
-        for key, estimate in self._estimates:
-            if truth.get(_vehicle(key)) != estimate:
-                log.write(key, estimate, self._now)
+    def _truth(self) -> dict[str, VehicleState]:
+        """The true states of this instant, where they are known."""
+        return _each(self._latest[1]) if self._latest is not None and self._latest[0] == self._now else {}
 
-    def _facts(self) -> RunFacts:
-        return RunFacts(
-            scenario=self._run.scenario,
-            seed=self._run.seed,
-            end_ns=self._now if self._end_ns is None else self._end_ns,
-            vehicles=self._run.vehicles,
-            follows=self.follows,
-        )
+    def _places(self) -> dict[str, Follows]:
+        return {placement.vehicle: placement.follows for placement in self._follows}
 
     def _built(self) -> tuple[pa.Table, pa.Table]:
         """Both tables; kept once the run is over."""
         if self._tables is not None:
             return self._tables
-        tables = states_table(self._rows, self._facts()), radio_table(self._frames, self._facts())
+        tables = states_table(self._rows, self.facts), radio_table(self._frames, self.facts)
         if self._end_ns is not None:
             self._tables = tables
             self._rows.clear()
@@ -338,8 +328,10 @@ def _vehicle(key: str) -> str:
     return key.partition("/")[0]
 
 
-def _each(states: States) -> Iterator[tuple[str, VehicleState]]:
+def _each(states: States) -> dict[str, VehicleState]:
     """The state of each vehicle by itself."""
     columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
-    for name, p, v, q, w in zip(states.names, *(map(tuple, column.tolist()) for column in columns), strict=True):
-        yield name, VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w)
+    return {
+        name: VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w)
+        for name, p, v, q, w in zip(states.names, *(map(tuple, column.tolist()) for column in columns), strict=True)
+    }

@@ -1,29 +1,40 @@
-"""The drawing of a run in a 3D viewer: body, heading and name of each vehicle, and the place that each follower is to keep."""
+"""The drawing of a run in a 3D viewer: body, heading and name of each vehicle, the place that each follower keeps, targets."""
 
 import math
 from collections.abc import Mapping, Sequence
 
+from cosim.clock import SECOND_NS
 from cosim.record.foxglove import (
     ArrowPrimitive,
     Color,
+    CubePrimitive,
     CylinderPrimitive,
     Duration,
     LinePrimitive,
     Pose,
+    Quaternion,
     SceneEntity,
     SceneUpdate,
     TextPrimitive,
     Time,
     Vector3,
 )
-from cosim.record.palette import rgb_of
+from cosim.record.metrics import Target
+from cosim.record.palette import TARGET, rgb, rgb_of
 from cosim.types import Follows
 
+TARGET_HEIGHT_M = 0.05
 DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known
 _RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
 
 
-def scene(vehicles: Sequence[str], radius_m: Mapping[str, float], places: Mapping[str, Follows], time_ns: int) -> SceneUpdate:
+def scene(
+    vehicles: Sequence[str],
+    radius_m: Mapping[str, float],
+    places: Mapping[str, Follows],
+    time_ns: int,
+    targets: Sequence[Target] = (),
+) -> SceneUpdate:
     """The whole scene: entities move with the frames of their vehicles, and stay until the next scene replaces them."""
     now, entities = Time.of(time_ns), []
     for index, name in enumerate(vehicles):
@@ -31,7 +42,7 @@ def scene(vehicles: Sequence[str], radius_m: Mapping[str, float], places: Mappin
         entities.append(_body(name, radius, color, now))
         if name in places and places[name].leader is not None:
             entities.append(_place(name, places[name], radius, color, now))
-    return SceneUpdate(entities)
+    return SceneUpdate([*entities, *(_target(target, now, time_ns / SECOND_NS) for target in targets)])
 
 
 def _body(name: str, radius: float, color: Color, now: Time) -> SceneEntity:
@@ -52,3 +63,13 @@ def _place(name: str, follows: Follows, radius: float, color: Color, now: Time) 
     ring = [Vector3(x + radius * c, y + radius * s) for c, s in _RING]
     outline = LinePrimitive(1, Pose(), 1.5, True, ring, color)
     return SceneEntity(now, str(follows.leader), f"{name}/place", Duration(), True, lines=[line, outline])
+
+
+def _target(target: Target, now: Time, time_s: float) -> SceneEntity:
+    """A sheet on the ground, and its name above it."""
+    (x, y), half = target.place(time_s), 0.5 * target.yaw(time_s)
+    pose = Pose(Vector3(x, y), Quaternion(z=math.sin(half), w=math.cos(half)))
+    color = Color(*rgb(TARGET), 0.6)
+    sheet = CubePrimitive(pose, Vector3(target.size_m, target.size_m, TARGET_HEIGHT_M), color)
+    text = TextPrimitive(Pose(Vector3(x, y, target.size_m)), True, 14.0, True, color, target.name)
+    return SceneEntity(now, "world", f"target/{target.name}", Duration(), True, cubes=[sheet], texts=[text])

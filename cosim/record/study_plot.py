@@ -3,6 +3,7 @@
 They are drawn from the summary (`cosim.studies.summary`) alone, in the style of a run's figures.
 """
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -39,6 +40,7 @@ _METRICS = {
     "radio.age_s.max": "age of information, greatest [s]",
     "radio.delay_s.mean": "delay, mean [s]",
     "safety.min_separation_m": "smallest distance of two vehicles [m]",
+    "safety.min_clearance_m": "smallest distance to an obstacle [m]",
 }
 
 
@@ -113,8 +115,8 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
             )
             if len(xs) * len(ys) <= ANNOTATED_CELLS:
                 _numbers(axes, image, _field(table, (x_key, y_key, metric), rows))
-            axes.set_xticks(range(len(xs)), [_short(value) for value in xs])
-            axes.set_yticks(range(len(ys)), [_short(value) for value in ys])
+            axes.set_xticks(range(len(xs)), _labels(xs))
+            axes.set_yticks(range(len(ys)), _labels(ys))
             axes.tick_params(length=0)
             axes.set_title(label)
         for axes in panels.ravel()[len(groups) :]:
@@ -194,7 +196,7 @@ def _axis(panels: Any, shown: int, table: Table, key: str) -> None:
             axes.set_xlabel(label_of(key) if key else "")
             axes.tick_params(labelbottom=True)
         if not table.numeric:
-            names = [_short(value) for value in _distinct(table.columns[key])] if key else ["all runs"]
+            names = _labels(_distinct(table.columns[key])) if key else ["all runs"]
             axes.set_xticks(range(len(names)), names)
             axes.set_xlim(-0.5, len(names) - 0.5)
             axes.grid(visible=False, axis="x")
@@ -273,8 +275,10 @@ def _sorted(summary: pa.Table, keys: Sequence[str]) -> Table:
 def _groups(table: Table, others: Sequence[str]) -> dict[str, list[int]]:
     """Which rows belong to which combination of the other keys."""
     found: dict[str, list[int]] = {}
+    columns = [table.columns[key] for key in others]
+    words = [dict(zip(values, _labels(values), strict=True)) for values in map(_distinct, columns)]
     for row in range(len(table.columns["n"])):
-        found.setdefault(", ".join(_short(table.columns[key][row]) for key in others), []).append(row)
+        found.setdefault(", ".join(own[column[row]] for own, column in zip(words, columns, strict=True)), []).append(row)
     return found
 
 
@@ -289,6 +293,12 @@ def _distinct(values: Sequence[Any]) -> list[Any]:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _labels(values: Sequence[Any]) -> list[str]:
+    """How values that differ are named: tables by their kinds, as far as these differ."""
+    kinds = [json.loads(value).get("kind") for value in values if isinstance(value, str) and value.startswith("{")]
+    return kinds if None not in kinds and len(set(kinds)) == len(values) else [_short(value) for value in values]
 
 
 def _short(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""The numbers of a run, computed from what it recorded: formation, radio, commands, connectivity, agents, safety.
+"""The numbers of a run, computed from what it recorded: formation, radio, commands, connectivity, agents, safety, missions.
 
 Formation error of a follower (Toh 2012, equations 3-31 and 3-34, for any slot): its handle,
 ``h = p_f + ell (cos th_f, sin th_f)``, should lie on the point ``r = p_l + Rot(th_l) (slot + (ell, 0))`` of its leader's frame;
@@ -10,13 +10,19 @@ is None, never NaN::
 
     schema, scenario, seed
     duration_s                      simulated time that the run lasted
-    formation                       |z| at the recorded instants; of a key marked *: of each link alone, too
+    formation                       |z| at the recorded instants, in the plane; of a key marked *: of each link alone, too
       rms_m, mean_m, max_m *        over the window and all followers
       final_m *                     greatest at the last instant
       settling_s *                  from then on no follower is more than 5 cm off, to the end of the run
       overshoot *                   greatest of a follower; share of its start error (`responses`), of the whole run
       convergence_1_s *             slowest of a follower; 1/s, of the whole run
       hop_gain *                    greatest of a follower: RMS |z| of its link over RMS |z| of its leader's link, in the window
+      shape_changes *               how often team leaders noted another shape; of one: how often it did (`changes`)
+      mode_toggles *                how often followers noted that they began to get around something (mode avoid or turn), or
+                                    had done so; None where none notes modes
+      avoid_s *                     time that they spent doing so, added up; likewise; these and the next of the whole run
+      reformed_s *                  from when the lane of a team's leader was free again to when all of the team are settled, to
+                                    the end of the run; of several teams the longest
       shape                         misfit of the teams' centres and their shape (`shape`)
         rms_m, max_m                over the window
         final_m                     at the last instant
@@ -56,17 +62,30 @@ is None, never NaN::
     safety
       collisions                    touches that began
       min_separation_m              smallest distance of two centres at a recorded instant
+      min_clearance_m               likewise of a vehicle's reference point to a solid or an obstacle with a time-table
+    mission                         of a reconnaissance (`mission`), of the whole run; only where the world has targets, or
+                                    agents show something, or note a commander, a task or what they found
+      targets_found                 targets that a vehicle confirmed within 3 m of their true places
+      targets_tracked               targets near which, within 3 m, a vehicle that tracked them was for 10 s on end
+      found_s.<target>              when it was first confirmed; None: never
+      false_finds                   confirmations with no such target near
+      area_seen_ratio               share of the searched area that a vehicle has looked at; None: nobody shows a map
+      map_bytes_sent                payload of all messages with maps
+      switches                      how often another algorithm took command of a vehicle
     digest                          SHA-256 of all that was recorded (`cosim.record.digest`)
 """
 
 from cosim.record.metrics.agents import agent_metrics
 from cosim.record.metrics.ages import Link, age_metrics, ages_s, links
+from cosim.record.metrics.changes import Noted
 from cosim.record.metrics.connectivity import connectivity_metrics
 from cosim.record.metrics.control import control_metrics
 from cosim.record.metrics.formation import SETTLED_M, formation_errors, formation_metrics
 from cosim.record.metrics.hardware import hardware_metrics
-from cosim.record.metrics.motion import Motion, min_separation_m, motion
+from cosim.record.metrics.mission import Mission, Target, target_at
+from cosim.record.metrics.motion import Motion, motion
 from cosim.record.metrics.radio import Receptions, radio_metrics, receptions
+from cosim.record.metrics.safety import min_separation_m, safety_metrics
 from cosim.record.metrics.window import Window
 
 SCHEMA = "vcmvsp.metrics/1"
@@ -75,8 +94,11 @@ __all__ = [
     "SCHEMA",
     "SETTLED_M",
     "Link",
+    "Mission",
     "Motion",
+    "Noted",
     "Receptions",
+    "Target",
     "Window",
     "age_metrics",
     "agent_metrics",
@@ -91,4 +113,6 @@ __all__ = [
     "motion",
     "radio_metrics",
     "receptions",
+    "safety_metrics",
+    "target_at",
 ]

@@ -1,11 +1,15 @@
-"""How well followers keep their places, each against its own leader."""
+"""How well followers keep their places, each against its own leader.
 
-from collections.abc import Sequence
+Places lie in the plane: a vehicle in the air that is too high or too low counts as in place.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from cosim.clock import SECOND_NS
+from cosim.record.metrics.changes import Noted, change_metrics, leaders, led_by, reformed_s
 from cosim.record.metrics.motion import Motion
 from cosim.record.metrics.responses import response
 from cosim.record.metrics.shape import shape_metrics
@@ -22,12 +26,23 @@ def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, A
     return {name: _length(_offsets(moved, name, follows)) for name in followers(moved.names, follows)}
 
 
-def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Window) -> dict[str, Any]:
+def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Window, noted: Noted, end_ns: int) -> dict[str, Any]:
     """The ``formation`` part: RMS, mean, maximum, gain and shape over the window, the rest over the whole run."""
     begin, end = window_ns(window)
     inside = (moved.time_ns >= begin) & (moved.time_ns <= end)
     offsets = {name: _offsets(moved, name, follows) for name in followers(moved.names, follows)}
     errors = {name: _length(offset) for name, offset in offsets.items()}
+    leads = {name: led_by(name, follows) for name in errors}
+
+    def settled(names: Iterable[str]) -> float | None:
+        chosen = [errors[name] for name in names]
+        return _settling_s(moved.time_ns, np.array(chosen).reshape(len(chosen), len(moved.time_ns)))
+
+    def changed(names: Collection[str], tellers: Iterable[str]) -> dict[str, Any]:
+        teams = dict.fromkeys(leads[name] for name in names)
+        when = {leader: settled(name for name in names if leads[name] == leader) for leader in teams}
+        return {**change_metrics(noted, names, tellers, end_ns), "reformed_s": reformed_s(noted, when)}
+
     each = {}
     for name, error in errors.items():
         turned = offsets[name] * np.exp(-1j * moved.yaw[:, moved.column(name)])  # into the follower's frame
@@ -35,18 +50,20 @@ def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Windo
         overshoot, rate = response(steps, SETTLED_M)
         each[name] = {
             **_summary(error[np.newaxis], inside),
-            "settling_s": _settling_s(moved.time_ns, error[np.newaxis]),
+            "settling_s": settled([name]),
             "overshoot": overshoot,
             "convergence_1_s": rate,
             "hop_gain": _hop_gain(error, _of_leader(moved, name, follows, errors), inside),
+            **changed([name], [name]),
         }
     together = np.array(list(errors.values())).reshape(len(errors), len(moved.time_ns))
     return {
         **_summary(together, inside),
-        "settling_s": _settling_s(moved.time_ns, together),
+        "settling_s": settled(errors),
         "overshoot": max(_known(each, "overshoot"), default=None),
         "convergence_1_s": min(_known(each, "convergence_1_s"), default=None),
         "hop_gain": max(_known(each, "hop_gain"), default=None),
+        **changed(errors, leaders(moved.names, follows)),
         "shape": shape_metrics(moved, follows, inside),
         "per_follower": each,
     }

@@ -37,13 +37,3 @@ def motion(states: pa.Table) -> Motion:
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     position = np.stack([dense(numbers(states, name)) for name in ("x", "y", "z")])
     return Motion(times, names, position, dense(yaw))
-
-
-def min_separation_m(moved: Motion) -> float | None:
-    """Smallest distance (m) between the centres of any two vehicles at any recorded instant."""
-    best = np.inf
-    for shift in range(1, len(moved.names)):  # column j against column j + shift: every pair once, whole blocks of memory
-        apart = moved.position[:, :, shift:] - moved.position[:, :, :-shift]
-        squared = np.einsum("kmn,kmn->mn", apart, apart)
-        best = min(best, np.fmin.reduce(squared, axis=None, initial=np.inf))
-    return float(np.sqrt(best)) if best < np.inf else None

@@ -1,0 +1,105 @@
+"""``run.mcap``: the events of a run as messages that viewers draw (`cosim.record.foxglove`), each under its key.
+
+What Foxglove has no schema for is written as it is. Two things can be told only once an instant is over: which estimates differ
+from the truth, and how the scene looks.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, BinaryIO
+
+from cosim.clock import SECOND_NS
+from cosim.federate import RunInfo
+from cosim.frames import quaternion_from_yaw
+from cosim.record import foxglove
+from cosim.record.foxglove_shown import messages_of
+from cosim.record.mcap import McapLog
+from cosim.record.metrics import Target
+from cosim.record.scene import scene
+from cosim.types import Fix, Follows, Image, Mosaic, ProbabilityMap, Scan, Sightings, VehicleState
+
+
+class Viewer:
+    """Writes the file of one run.
+
+    Args:
+        stream: open and binary; it stays its owner's to close.
+        run: what the federates are told of the run.
+        radius_m: radius of each vehicle's body.
+        targets: of the world.
+    """
+
+    def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], targets: Sequence[Target]) -> None:
+        about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
+        self._log = McapLog(stream, about)
+        self._vehicles, self._radius_m, self._targets = run.vehicles, radius_m, targets
+        self._scene_is_due, self._scene_ns = True, 0
+        self._estimates: list[tuple[str, VehicleState]] = []  # of the present instant
+        self._putters: dict[type, Callable[[str, Any, int], None]] = {
+            Fix: self._put_fix,
+            Follows: self._put_follows,
+            Image: self._put_image,
+            Scan: self._put_scan,
+            VehicleState: self._put_estimate,
+            **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._put_shown),
+        }
+
+    def put(self, key: str, value: Any, time_ns: int) -> None:
+        """An event; times never decrease."""
+        self._putters.get(type(value), self._log.write)(key, value, time_ns)
+
+    def put_states(self, truth: Mapping[str, VehicleState], time_ns: int) -> None:
+        """Where all vehicles truly are."""
+        now, transforms = foxglove.Time.of(time_ns), []
+        for name, state in truth.items():
+            (x, y, z), (qw, qx, qy, qz) = state.position, state.attitude
+            place, turn = foxglove.Vector3(x, y, z), foxglove.Quaternion(qx, qy, qz, qw)
+            transforms.append(foxglove.FrameTransform(now, "world", name, place, turn))
+            self._log.write(f"{name}/state", state, time_ns)
+        self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
+
+    def say(self, level: str, text: str, time_ns: int) -> None:
+        """A line of the log."""
+        self._log.write("log", foxglove.Log(foxglove.Time.of(time_ns), foxglove.LEVELS[level], text), time_ns)
+
+    def end_instant(
+        self, time_ns: int, truth: Callable[[], Mapping[str, VehicleState]], places: Callable[[], Mapping[str, Follows]]
+    ) -> None:
+        """An instant is over: the true states of it, where they are known, and the places that followers mean to keep."""
+        if self._estimates:
+            true = truth()
+            for key, estimate in self._estimates:
+                if true.get(key.partition("/")[0]) != estimate:
+                    self._log.write(key, estimate, time_ns)
+            self._estimates.clear()
+        if self._scene_is_due or (self._targets and time_ns - self._scene_ns >= SECOND_NS):  # once, whoever changed it
+            drawn = scene(self._vehicles, self._radius_m, places(), time_ns, self._targets)
+            self._log.write("world/scene", drawn, time_ns)
+            self._scene_is_due, self._scene_ns = False, time_ns
+
+    def finish(self) -> None:
+        """Write the end of the file."""
+        self._log.finish()
+
+    def _put_estimate(self, key: str, estimate: VehicleState, time_ns: int) -> None:
+        self._estimates.append((key, estimate))  # the truth of this instant may come later within it
+
+    def _put_follows(self, key: str, follows: Follows, time_ns: int) -> None:
+        self._scene_is_due = True
+        self._log.write(key, follows, time_ns)
+
+    def _put_fix(self, key: str, fix: Fix, time_ns: int) -> None:
+        qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)
+        pose = foxglove.Pose(foxglove.Vector3(*fix.position), foxglove.Quaternion(qx, qy, qz, qw))
+        at = foxglove.Time.of(fix.time_ns)
+        self._log.write(key, foxglove.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad), time_ns)
+
+    def _put_scan(self, key: str, scan: Scan, time_ns: int) -> None:
+        self._log.write(key, foxglove.LaserScan.of(scan, key.partition("/")[0], time_ns), time_ns)
+
+    def _put_image(self, key: str, image: Image, time_ns: int) -> None:
+        self._log.write(key, foxglove.RawImage.of(image, key.partition("/")[0], time_ns), time_ns)
+
+    def _put_shown(self, key: str, shown: ProbabilityMap | Sightings | Mosaic, time_ns: int) -> None:
+        number = self._vehicles.index(key.partition("/")[0])
+        for topic, message in messages_of(key, shown, time_ns, number):
+            self._log.write(topic, message, time_ns)
