@@ -22,7 +22,7 @@ import numpy as np
 
 from cosim.clock import SECOND_NS, Ticks, WallClock
 from cosim.errors import FederateError
-from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.federate import Event, Needed, RunInfo, Slot, Step
 from cosim.real import RealVehicle
 from cosim.types import AnyValue, Array, States, VehicleState
 from hardware.connecting import Connections
@@ -68,8 +68,7 @@ class Hardware:
 
     def start(self, run: RunInfo) -> int:
         """Connect to all robots at once; they stand still until their first command."""
-        self._info = run
-        self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))
+        self._needed = Needed(run)
         if self._connect:
             self._connections = Connections(
                 [seat.vehicle for seat in self._seats.values()], self._run, self._tell, self.periods_s
@@ -90,7 +89,7 @@ class Hardware:
             if seat.over is not None:
                 raise seat.over
             seat.hear()
-        if now_ns != self._published_ns and self._is_asked(now_ns):
+        if now_ns != self._published_ns and self._needed.hits(now_ns):
             self._published_ns = now_ns
             events = [event for seat in self._seats.values() for event in seat.publish(now_ns)]
         elif any(seat.over for seat in self._seats.values()):  # raised at the next step, when this is recorded
@@ -119,15 +118,9 @@ class Hardware:
         if self._connections is not None:
             self._connections.close()
 
-    def _is_asked(self, now_ns: int) -> bool:
-        return now_ns in (0, self._info.duration_ns) or any(ticks.hits(now_ns - offset) for ticks, offset in self._trains)
-
     def _next(self, now_ns: int) -> int | None:
-        end_ns = self._info.duration_ns
-        if now_ns >= end_ns:
-            return None
-        published = (ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)
-        return min(end_ns, HEARTBEAT.after(now_ns), *published) if self._connect else min(end_ns, *published)
+        needed_ns = self._needed.after(now_ns)
+        return needed_ns if needed_ns is None or not self._connect else min(needed_ns, HEARTBEAT.after(now_ns))
 
     def _others(self, name: str) -> Array | None:
         """The other vehicles nearest to this one, where they are now on the wall clock: x y z m, vx vy vz m/s, radius m."""

@@ -9,11 +9,7 @@ speed, and follows commands again when it has been switched back.
 """
 
 import contextlib
-import os
-import select
-import threading
 import time
-from collections import deque
 from typing import Annotated, Literal
 
 import msgspec
@@ -21,20 +17,19 @@ import msgspec
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative, Positive, Vec3, Velocity
-from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, DriverError, HandshakeError, LinkLost, Notice, Sample
+from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, HandshakeError, LinkLost
 from hardware.line import OPEN_S
 from hardware.mavlink.codec import Encoder, Reader, Sender, mavlink, sender_of
 from hardware.mavlink.hello import Peer, Search
 from hardware.mavlink.link import Link, open_link
-from hardware.mavlink.pilot import WHAT, Orders, Pilot, heartbeat
+from hardware.mavlink.pilot import Orders, Pilot, heartbeat
 from hardware.mavlink.steering import finite
 from hardware.mavlink.track import Track
 from hardware.positioning.tangent_plane import TangentPlane
+from hardware.threaded import Wired
 
 GOODBYE_S = 4.0  # heartbeats, which show that a mode was changed, come once a second
 TAKEOFF_S = 30.0  # for a vehicle to reach its height
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # before one attempt to connect again and the next: doubled each time
-NOTICES = 1000  # kept for somebody who asks
 
 Baud = Annotated[int, msgspec.Meta(ge=1200, le=3_000_000)]
 SystemId = Annotated[int, msgspec.Meta(ge=0, le=255)]
@@ -43,11 +38,7 @@ ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=15)]  # s: with a take-off,
 TelemetryHz = Annotated[float, msgspec.Meta(ge=1, le=400)]
 
 
-class _Closing(Exception):
-    """The caller wants the thread to end."""
-
-
-class MavlinkDriver:
+class MavlinkDriver(Wired):
     """A vehicle with an autopilot (`hardware.driver.Driver`).
 
     Multicopters take a velocity in the world and a yaw rate; rovers and boats a forward speed and a yaw rate.
@@ -72,6 +63,9 @@ class MavlinkDriver:
         reconnect_s: for so long a vehicle that was lost is looked for; 0: losing it is an error at once.
         command_timeout_s: without a command, the vehicle is stopped.
     """
+
+    _who = "vehicle"
+    _meanwhile = "the vehicle's own failsafe takes over"
 
     def __init__(
         self,
@@ -102,9 +96,14 @@ class MavlinkDriver:
             self._plane = None if geodetic_origin is None else TangentPlane(*geodetic_origin)
         except ValueError as error:
             raise ScenarioError(str(error), key="geodetic_origin") from None
-        self.device = address
-        self.open_deadline_s = OPEN_S + connect_s + (TAKEOFF_S if takeoff_m is not None else 0.0) + GOODBYE_S + 1.0
-        self.close_deadline_s = OPEN_S + GOODBYE_S + 1.0
+        super().__init__(
+            address,
+            open_deadline_s=OPEN_S + connect_s + (TAKEOFF_S if takeoff_m is not None else 0.0) + GOODBYE_S + 1.0,
+            close_deadline_s=OPEN_S + GOODBYE_S + 1.0,
+            connect_s=connect_s,
+            silence_s=silence_s,
+            reconnect_s=reconnect_s,
+        )
         self.peer: Peer | None = None  # once it is connected
         self._system_id, self._baud, self._origin = system_id, baud, origin
         self._kind = None if autopilot == "auto" else autopilot
@@ -112,40 +111,9 @@ class MavlinkDriver:
         self._orders = Orders(
             telemetry_hz=telemetry_hz, timeout_s=command_timeout_s, switch_mode=switch_mode, arm=arm, takeoff_m=takeoff_m
         )
-        self._connect_s, self._silence_s, self._reconnect_s = connect_s, silence_s, reconnect_s
-        self._thread: threading.Thread | None = None
         self._pilot: Pilot | None = None  # None: not connected
-        self._lock = threading.Lock()
-        self._notices: deque[Notice] = deque(maxlen=NOTICES)
 
     # What the caller does.
-
-    def open(self, start: Vec3 = ORIGIN) -> None:
-        """Connect; raises what is wrong. Odometry begins at ``start``; the state in the world is the autopilot's."""
-        if self._thread is not None:
-            raise RuntimeError(f"{self.device} is open already")
-        self._track = Track(start, self._origin, self._plane)
-        self.peer = None
-        self._link: Link | None = None
-        self._sample: Sample | None = None
-        self._failure: DriverError | None = None
-        self._closing, self._ready = threading.Event(), threading.Event()
-        self._leaving = False
-        self._woken, self._waker = os.pipe()
-        self._thread = threading.Thread(target=self._run, name=f"vehicle at {self.device}", daemon=True)
-        self._thread.start()
-        self._ready.wait(self.open_deadline_s)
-        if self._failure is not None or not self._ready.is_set():
-            failure = self._failure or LinkLost(self.device, "the port hangs", "unplug it and plug it in again")
-            self.close()
-            raise failure
-
-    def read(self) -> Sample | None:
-        """The newest sample that was not read yet."""
-        with self._lock:
-            self._check()
-            sample, self._sample = self._sample, None
-        return sample
 
     def write(self, velocity: Velocity) -> None:
         """Command a velocity; while the vehicle is looked for, is not armed or is in somebody else's command, it is dropped."""
@@ -155,73 +123,25 @@ class MavlinkDriver:
             if self._pilot is not None:
                 self._pilot.command(velocity, time.monotonic_ns())
 
-    def stop(self, cause: str) -> None:
-        """Zero speed at once; never raises."""
-        with self._lock:
-            if self._pilot is not None:
-                self._pilot.stop(cause)
-            self._notices.append(Notice(time_ns=time.monotonic_ns(), what="stopped", cause=cause))
-        self._wake()
+    def _prepare(self, start: Vec3) -> None:
+        """Odometry begins at ``start``; the state in the world is the autopilot's."""
+        super()._prepare(start)
+        self._track = Track(start, self._origin, self._plane)
+        self.peer = None
+        self._link: Link | None = None
 
-    def notices(self) -> list[Notice]:
-        """What happened since the last call."""
-        with self._lock:
-            notices = list(self._notices)
-            self._notices.clear()
-        return notices
-
-    def close(self) -> None:
-        """Zero speed, and a mode in which it stays where it is; only what stands on the ground is disarmed, if we armed it."""
-        thread = self._thread
-        if thread is None:
-            return
-        self._closing.set()
-        self._wake()
-        thread.join(self.close_deadline_s)
-        with self._lock:
-            # One that is alive hangs in the operating system, and will end with the process.
-            if self._thread is thread and not thread.is_alive():
-                os.close(self._waker)
-                os.close(self._woken)
-                self._thread = None
-
-    def _check(self) -> None:
-        if self._thread is None:
-            raise RuntimeError(f"{self.device} is not open")
-        if self._failure is not None:
-            raise self._failure
-
-    def _wake(self) -> None:
-        with self._lock:
-            if self._thread is not None:
-                os.write(self._waker, b"\0")
+    def _hold(self, cause: str) -> bool:
+        if self._pilot is not None:
+            self._pilot.stop(cause)
+        return False
 
     # What the thread does.
 
-    def _run(self) -> None:
-        try:
-            self._connect(self._orders, self._connect_s)
-            while True:
-                try:
-                    self._converse()
-                except LinkLost as lost:
-                    self._let_go(lost)
-                    self._look_for(lost)
-        except _Closing:
-            if not self._ready.is_set():
-                self._failure = HandshakeError(self.device, "it was closed while it was being connected", "open it again")
-            self._say_goodbye()
-        except DriverError as error:
-            self._failure = error
-            self._say_goodbye()  # a failed take-off ends in the air
-        except Exception as error:  # whatever it is: the caller must be told, and the vehicle stopped
-            self._failure = DriverError(self.device, f"the driver failed ({type(error).__name__}: {error})", "report this")
-        finally:
-            self._hang_up()
-            self._ready.set()
-
-    def _connect(self, orders: Orders, within_s: float) -> None:
-        """Open the link, find the vehicle and have it ready."""
+    def _connect(self, within_s: float) -> None:
+        """Open the link, find the vehicle and have it ready; when it is found again, nothing is armed or switched."""
+        orders = self._orders
+        if self._ready.is_set():
+            orders = msgspec.structs.replace(orders, switch_mode=False, arm=False, takeoff_m=None)
         self._link = open_link(self.device, self._baud)
         began_ns = time.monotonic_ns()
         peer = self._find(self._link, began_ns + seconds_to_ns(within_s), within_s)
@@ -247,7 +167,7 @@ class MavlinkDriver:
             if now_ns >= beat_ns:
                 beat_ns = now_ns + SECOND_NS
                 link.write(self._encode(heartbeat()))
-            if self._wait(min(deadline_ns, beat_ns, search.due_ns)):
+            if self._wait(link, min(deadline_ns, beat_ns, search.due_ns)):
                 peer = search.receive(link.read(), time.monotonic_ns())
             else:
                 peer = search.decide(time.monotonic_ns())
@@ -300,7 +220,7 @@ class MavlinkDriver:
         if messages:
             link.write(self._encode(*messages))
         heard = samples = 0
-        if self._wait(min(due_ns, until_ns)):
+        if self._wait(link, min(due_ns, until_ns)):
             for _, data in link.read():
                 for message in self._reader.feed(data):
                     if sender_of(message) == self._peer_sender:
@@ -327,32 +247,14 @@ class MavlinkDriver:
     def _name(self) -> str:
         return self.peer.name if self.peer is not None else "the vehicle"
 
-    def _let_go(self, lost: LinkLost) -> None:
-        """Note the loss; a vehicle that still hears us stops now, any other by its own failsafe."""
-        self._notice("lost", f"{lost.happened}; the vehicle's own failsafe takes over")
-        self._hang_up()
-
-    def _look_for(self, lost: LinkLost) -> None:
-        """Connect again, after longer and longer pauses; without arming or switching anything."""
-        orders = msgspec.structs.replace(self._orders, switch_mode=False, arm=False, takeoff_m=None)
-        deadline_ns = time.monotonic_ns() + seconds_to_ns(self._reconnect_s)
-        pause_s, last = FIRST_PAUSE_S, ""
-        while (now_ns := time.monotonic_ns()) < deadline_ns:
-            self._pause(min(deadline_ns, now_ns + seconds_to_ns(pause_s)))
-            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
-            left_s = (deadline_ns - time.monotonic_ns()) / SECOND_NS
-            try:
-                return self._connect(orders, max(0.0, min(self._connect_s, left_s)))
-            except DriverError as error:
-                last = error.happened
-                self._hang_up()
-        if not self._reconnect_s:
-            raise lost
-        happened = f"{lost.happened}, and it was not back within {self._reconnect_s:g} s ({last})"
-        raise LinkLost(self.device, happened, lost.advice)
+    def _give_up(self) -> None:
+        self._say_goodbye()  # a failed take-off ends in the air
 
     def _say_goodbye(self) -> None:
-        """Zero speed and a mode in which it holds its place; set-points go on until it is in that mode."""
+        """Zero speed and a mode in which it holds its place; set-points go on until it is in that mode.
+
+        Only what stands on the ground is disarmed, if we armed it.
+        """
         pilot = self._pilot
         if pilot is None or self._link is None:
             return
@@ -379,25 +281,3 @@ class MavlinkDriver:
             with contextlib.suppress(LinkLost):
                 link.write(self._encode(*pilot.farewell()))
         link.close()
-
-    def _wait(self, until_ns: int) -> bool:
-        """Wait for bytes, for the caller, or until this time; whether there are bytes."""
-        assert self._link is not None  # noqa: S101  only called with a link
-        return self._link.fileno() in self._select([self._link.fileno()], until_ns)
-
-    def _pause(self, until_ns: int) -> None:
-        while time.monotonic_ns() < until_ns:
-            self._select([], until_ns)
-
-    def _select(self, files: list[int], until_ns: int) -> list[int]:
-        left_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
-        ready, _, _ = select.select([self._woken, *files], [], [], left_s)
-        if self._woken in ready:
-            os.read(self._woken, 4096)
-        if self._closing.is_set() and not self._leaving:
-            raise _Closing
-        return ready
-
-    def _notice(self, what: WHAT, cause: str) -> None:
-        with self._lock:
-            self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))

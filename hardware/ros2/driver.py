@@ -7,9 +7,8 @@ so first; nothing that was commanded before moves it.
 
 import contextlib
 import queue
-import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from typing import Annotated, Literal
 
 import msgspec
@@ -17,17 +16,7 @@ import msgspec
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative, Positive, Rate, Vec3, Velocity
-from hardware.driver import (
-    COMMAND_TIMEOUT_S,
-    ORIGIN,
-    CommandTimeout,
-    DriverError,
-    HandshakeError,
-    LinkLost,
-    Notice,
-    Sample,
-    checked,
-)
+from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, HandshakeError, LinkLost, checked
 from hardware.pace import NOT_YET, Pace
 from hardware.ros2.keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 from hardware.ros2.messages import (
@@ -43,13 +32,12 @@ from hardware.ros2.messages import (
 from hardware.ros2.presence import Presence
 from hardware.ros2.session import GRAPH_S, Heard, Mode, Node
 from hardware.ros2.track import Pose, Track
+from hardware.threaded import Threaded
 
 OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and room
 CLOSE_S = 2.0
-NOTICES = 1000  # kept for somebody who asks
 WAITING = 256  # messages that may wait for the thread; more are left out
 ZERO_SPEEDS = (0.0, 0.0)  # m/s, forward, and rad/s
-WARNED: Literal["warned"] = "warned"  # a message was
 _SHOWN = 6  # endpoints that an error names
 
 Domain = Annotated[int, msgspec.Meta(ge=0, le=232)]
@@ -64,7 +52,7 @@ class _LeftOut(Exception):
         super().__init__(why)
 
 
-class Ros2Driver:
+class Ros2Driver(Threaded):
     """A robot that runs ROS 2 (`hardware.driver.Driver`).
 
     Args:
@@ -120,9 +108,11 @@ class Ros2Driver:
     ) -> None:
         self._command = Endpoint("MP", _topic("command_topic", namespace, command_topic), TWIST_STAMPED if stamped else TWIST)
         self._odometry = Endpoint("MS", _topic("odometry_topic", namespace, odometry_topic), ODOMETRY)
-        self.device = f"{endpoint} ({self._command.topic})"
-        self.open_deadline_s = OPEN_S + connect_s + GRAPH_S
-        self.close_deadline_s = CLOSE_S
+        super().__init__(
+            f"{endpoint} ({self._command.topic})",
+            open_deadline_s=OPEN_S + connect_s + GRAPH_S,
+            close_deadline_s=CLOSE_S,
+        )
         self._endpoint, self._mode = endpoint, mode
         self._mapping: Mapping = RmwZenoh(domain, name, release) if mapping == "rmw_zenoh" else Ros2Dds()
         self._stamped, self._command_frame, self._frame = stamped, command_frame, frame
@@ -130,42 +120,8 @@ class Ros2Driver:
         self._rate_hz, self._timeout_s = rate_hz, command_timeout_s
         self._connect_s, self._reconnect_ns = connect_s, seconds_to_ns(reconnect_s)
         self._silence_s = silence_s
-        self._thread: threading.Thread | None = None
-        self._lock = threading.Lock()
-        self._notices: deque[Notice] = deque(maxlen=NOTICES)
 
     # What the caller does.
-
-    def open(self, start: Vec3 = ORIGIN) -> None:
-        """Connect, and wait for odometry and for a listener to commands; raises what is missing."""
-        if self._thread is not None:
-            raise RuntimeError(f"{self.device} is open already")
-        self.refused: Counter[str] = Counter()  # messages that were left out, by cause
-        self._news: queue.SimpleQueue[Heard | bool | None] = queue.SimpleQueue()
-        self._track = Track(start, self._pose, self._origin, self._max_speed)
-        self._pace = Pace(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
-        self._sample: Sample | None = None
-        self._failure: DriverError | None = None  # what ended the thread
-        self._presence = Presence(self._silence_s)
-        self._connected = False
-        self._lost = ""  # why the robot is away
-        self._spoke: bytes | None = None  # whose odometry the last connection followed
-        self._lost_ns = 0
-        self._closing, self._ready = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"robot at {self.device}", daemon=True)
-        self._thread.start()
-        self._ready.wait(self.open_deadline_s)
-        if self._failure is not None or not self._ready.is_set():
-            failure = self._failure or HandshakeError(self.device, "the connection hangs", "look at the network")
-            self.close()
-            raise failure
-
-    def read(self) -> Sample | None:
-        """The newest sample that was not read yet."""
-        with self._lock:
-            self._check()
-            sample, self._sample = self._sample, None
-        return sample
 
     def write(self, velocity: Velocity) -> None:
         """Command a forward speed and a yaw rate; while the robot is lost, commands are dropped."""
@@ -174,60 +130,42 @@ class Ros2Driver:
             self._check()
             if self._connected:
                 self._pace.command((v, w), time.monotonic_ns())
-        self._news.put(None)
+        self._wake()
 
-    def stop(self, cause: str) -> None:
-        """Zero speed at once; never raises."""
-        with self._lock:
-            self._notices.append(Notice(time_ns=time.monotonic_ns(), what="stopped", cause=cause))
-            if self._thread is None:
-                return
-            self._pace.stop(cause)
-        self._news.put(None)
+    def _prepare(self, start: Vec3) -> None:
+        self.refused: Counter[str] = Counter()  # messages that were left out, by cause
+        self._news: queue.SimpleQueue[Heard | bool | None] = queue.SimpleQueue()
+        self._track = Track(start, self._pose, self._origin, self._max_speed)
+        self._pace = Pace(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
+        self._presence = Presence(self._silence_s)
+        self._connected = False
+        self._lost = ""  # why the robot is away
+        self._spoke: bytes | None = None  # whose odometry the last connection followed
+        self._lost_ns = 0
 
-    def notices(self) -> list[Notice]:
-        """What happened since the last call."""
-        with self._lock:
-            notices = list(self._notices)
-            self._notices.clear()
-        return notices
+    def _hold(self, cause: str) -> bool:
+        self._pace.stop(cause)
+        return False
 
-    def close(self) -> None:
-        """Zero speed, then leave."""
-        thread = self._thread
-        if thread is None:
-            return
-        self._closing.set()
-        self._news.put(None)
-        thread.join(self.close_deadline_s)
-        if not thread.is_alive():  # one that is hangs in the network, and will end with the process
-            self._thread = None
+    def _wake(self) -> None:
+        if self._thread is not None:
+            self._news.put(None)
 
     def _check(self) -> None:
-        if self._thread is None:
-            raise RuntimeError(f"{self.device} is not open")
-        if self._failure is not None:
-            raise self._failure
+        super()._check()
         if self._lost and time.monotonic_ns() >= self._lost_ns + self._reconnect_ns:
             raise LinkLost(self.device, self._lost, "look at the robot's nodes, its router and its radio")
 
     # What the thread does.
 
-    def _run(self) -> None:
-        try:
-            with contextlib.closing(Node(self._endpoint, self._mode, self._mapping, (self._command, self._odometry))) as node:
-                self._publish = node.publisher(self._command, self._news.put)
-                node.hear(self._odometry, self._hand_over, whatever=True)
-                try:
-                    self._converse(node)
-                finally:
-                    self._say(ZERO_SPEEDS, 0)  # whatever there is amiss with the stamps
-        except DriverError as error:
-            self._failure = error
-        except Exception as error:  # whatever it is: the caller must be told
-            self._failure = DriverError(self.device, f"the driver failed ({type(error).__name__}: {error})", "report this")
-        finally:
-            self._ready.set()
+    def _work(self) -> None:
+        with contextlib.closing(Node(self._endpoint, self._mode, self._mapping, (self._command, self._odometry))) as node:
+            self._publish = node.publisher(self._command, self._news.put)
+            node.hear(self._odometry, self._hand_over, whatever=True)
+            try:
+                self._converse(node)
+            finally:
+                self._say(ZERO_SPEEDS, 0)  # whatever there is amiss with the stamps
 
     def _hand_over(self, heard: Heard) -> None:
         """Called by Zenoh."""
@@ -293,7 +231,7 @@ class Ros2Driver:
         except _LeftOut as left_out:
             self.refused[left_out.cause] += 1
             if self.refused[left_out.cause] == 1:
-                self._notice(WARNED, f"a message on {self._odometry.topic} is left out: {left_out}")
+                self._notice("warned", f"a message on {self._odometry.topic} is left out: {left_out}")
             return None
 
     def _checked(self, heard: Heard) -> OdometryMessage:
@@ -350,10 +288,6 @@ class Ros2Driver:
         else:
             advice = "is the robot running, with the same domain, and connected to the same router?"
         return HandshakeError(self.device, f"{' and '.join(missing)} within {self._connect_s:g} s", advice)
-
-    def _notice(self, what: Literal["connected", "lost", "stopped", "warned"], cause: str) -> None:
-        with self._lock:
-            self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))
 
 
 def _topic(key: str, namespace: str, topic: str) -> str:

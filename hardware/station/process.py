@@ -29,7 +29,6 @@ from hardware.station.wire import Mission, Order, Report
 READY_S = 60.0  # longer than a station gives its driver
 CLOSE_S = 15.0  # the same, for a robot to stand and a driver to close
 DYING_S = 2.0  # from the end of a link to that of the process
-ADDRESSES = ("port", "address", "endpoint", "listen")  # parameters of drivers that say where a robot is
 PAUSE_S = 0.05  # between two attempts to say something to a station that does not read
 WATCHDOG = "the robot's own watchdog stops it, if it has one: look after the robot"
 
@@ -47,8 +46,6 @@ class Station:
 
     def __init__(self, mission: Mission, process: subprocess.Popen[bytes], end: link.Link) -> None:
         self.vehicle = mission.vehicle
-        params = mission.driver.params
-        self.device = next((str(params[each]) for each in ADDRESSES if each in params), mission.driver.kind)  # for messages
         self._process, self._link = process, end
         self._waiting: list[Report] = []  # read, but not handed over
         self._failure: StationError | None = None

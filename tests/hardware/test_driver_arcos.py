@@ -8,14 +8,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-from cosim.types import Velocity
+from cosim.types import Vec3, Velocity
 from hardware.arcos.commands import Command
 from hardware.arcos.device import Device
 from hardware.arcos.driver import ArcosDriver
@@ -23,40 +23,15 @@ from hardware.arcos.packet import command
 from hardware.arcos.robots import ROBOTS
 from hardware.arcos.serve import Served, serve_pty, serve_tcp
 from hardware.arcos.wire import Faults
-from hardware.driver import Driver, DriverError, HandshakeError, LinkLost, PortError, Sample
+from hardware.driver import ORIGIN, Driver, DriverError, HandshakeError, LinkLost, PortError
+from tests.hardware import drivers
+from tests.hardware.drivers import drive, eventually
 
-ORIGIN = (0.0, 0.0, 0.0)
 IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # more than what the driver waits for commands
 
 
-@contextmanager
-def connected(port: str, start: tuple[float, float, float] = ORIGIN, **options: Any) -> Iterator[ArcosDriver]:
-    driver = ArcosDriver(port, **options)
-    driver.open(start)
-    try:
-        yield driver
-    finally:
-        driver.close()
-        driver.close()
-
-
-def drive(driver: Driver, seconds: float, v: float = 0.0, w: float = 0.0) -> list[Sample]:
-    """Command this every 50 ms; what was heard meanwhile."""
-    samples, end = [], time.monotonic() + seconds
-    while time.monotonic() < end:
-        driver.write(Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
-        time.sleep(0.05)
-        if (sample := driver.read()) is not None:
-            samples.append(sample)
-    return samples
-
-
-def eventually(what: Callable[[], object], seconds: float = 10.0) -> None:
-    """Wait until it is true."""
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
+def connected(port: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContextManager[ArcosDriver]:
+    return drivers.connected(ArcosDriver(port, **options), start)
 
 
 def heard(served: Served) -> list[tuple[int, int | bytes | None]]:
@@ -338,6 +313,8 @@ def test_what_was_not_opened() -> None:
     for call in (driver.read, lambda: driver.write(Velocity())):
         with pytest.raises(RuntimeError, match="/dev/x is not open"):
             call()
+    driver.stop("nobody is there")
+    assert what(driver) == ["stopped"]
     driver.close()
 
 

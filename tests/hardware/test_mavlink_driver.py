@@ -3,54 +3,30 @@
 import math
 import socket
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Any
 
 import pytest
 
 from cosim.errors import ScenarioError
 from cosim.table import call
-from cosim.types import Velocity
-from hardware.driver import Driver, HandshakeError, LinkLost, PortError, Sample
+from cosim.types import Vec3, Velocity
+from hardware.driver import ORIGIN, Driver, HandshakeError, LinkLost, PortError, Sample
 from hardware.mavlink.codec import mavlink
 from hardware.mavlink.driver import MavlinkDriver
 from hardware.mavlink.serve import Served, serve_tcp, serve_udp
 from hardware.mavlink.vehicle import SITE, Vehicle
 from hardware.station.process import READY_S
+from tests.hardware import drivers
+from tests.hardware.drivers import eventually, fly
 
 FLYING = (0.0, 0.0, 10.0, 0.0)
 QUICK: dict[str, Any] = {"heartbeat_s": 0.1}  # so that nobody waits for them here
 GUIDED: dict[str, Any] = {"autopilot": "ardupilot", "mode": "GUIDED", "armed": True, **QUICK}
 
 
-@contextmanager
-def connected(address: str, start: tuple[float, float, float] = (0.0, 0.0, 0.0), **options: Any) -> Iterator[MavlinkDriver]:
-    driver = MavlinkDriver(address=address, **{"system_id": 1, **options})
-    driver.open(start)
-    try:
-        yield driver
-    finally:
-        driver.close()
-        driver.close()
-
-
-def fly(driver: Driver, seconds: float, *linear: float, yaw_rate: float = 0.0) -> list[Sample]:
-    """Command this every 20 ms; what was heard meanwhile."""
-    samples, end = [], time.monotonic() + seconds
-    while time.monotonic() < end:
-        driver.write(Velocity(linear=(linear[0], linear[1], linear[2]), yaw_rate=yaw_rate))
-        time.sleep(0.02)
-        if (sample := driver.read()) is not None:
-            samples.append(sample)
-    return samples
-
-
-def eventually(what: Callable[[], object], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
+def connected(address: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContextManager[MavlinkDriver]:
+    return drivers.connected(MavlinkDriver(address=address, **{"system_id": 1, **options}), start)
 
 
 def newest(driver: Driver) -> Sample:

@@ -3,8 +3,8 @@
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from math import cos, hypot, nan, sin
 from typing import Any
 
@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from cosim.errors import ScenarioError
-from cosim.types import Velocity
+from cosim.types import Vec3, Velocity
 from hardware.driver import Driver, DriverError, HandshakeError, LinkLost, PortError, Sample
 from hardware.pace import NOT_YET
 from hardware.ros2.driver import WAITING, Ros2Driver
@@ -20,6 +20,8 @@ from hardware.ros2.keys import Endpoint, RmwZenoh
 from hardware.ros2.messages import TWIST, Twist, encode_odometry, encode_twist
 from hardware.ros2.robot import Ros2Robot
 from hardware.ros2.session import Heard, Node
+from tests.hardware import drivers
+from tests.hardware.drivers import drive, eventually
 
 START = (1.0, 2.0, 0.5)
 
@@ -38,32 +40,8 @@ def nothing_stays() -> Iterator[None]:
     assert set(threading.enumerate()) <= before
 
 
-@contextmanager
-def connected(endpoint: str, start: Any = START, **options: Any) -> Iterator[Ros2Driver]:
-    driver = Ros2Driver(endpoint=endpoint, **options)
-    driver.open(start)
-    try:
-        yield driver
-    finally:
-        driver.close()
-        driver.close()
-
-
-def drive(driver: Driver, seconds: float, v: float = 0.0, w: float = 0.0) -> list[Sample]:
-    samples, end = [], time.monotonic() + seconds
-    while time.monotonic() < end:
-        driver.write(Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
-        time.sleep(0.02)
-        if (sample := driver.read()) is not None:
-            samples.append(sample)
-    return samples
-
-
-def eventually(what: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
+def connected(endpoint: str, start: Vec3 = START, **options: Any) -> AbstractContextManager[Ros2Driver]:
+    return drivers.connected(Ros2Driver(endpoint=endpoint, **options), start)
 
 
 def lost(driver: Driver) -> bool:
