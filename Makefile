@@ -33,8 +33,10 @@ check: setup
 docs: setup
 	$(BIN)/python -m cosim.reference --write
 
+# Each worker and each program that a test starts imports what is compiled once, whatever the environment says of bytecode. Files
+# go to workers in their order, so that none that takes long comes last.
 test: check
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	NS3_PREFIX=$$(echo .ns3/lib/python*/site-packages/ns3) $(BIN)/python -m bench

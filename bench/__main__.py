@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from bench import bare, camera, drones, federation, radio, scanner, sensors, studies, vehicles
+from bench import avoidance, bare, camera, drones, federation, mission, radio, scanner, sensors, studies, vehicles
 from bench.measure import Row, in_turn, measured, table
 from bench.workloads import run_cpu_s, star
 from cosim import scenario as scenarios
@@ -132,7 +132,7 @@ def main() -> int:
     rows = measured((kernel_row, bullet_row, federation_row, start_row))
     print("measuring: the radio ...", file=sys.stderr, flush=True)
     rows += radio.rows()
-    for part in (vehicles, sensors, drones, scanner, camera, studies, federation):
+    for part in (vehicles, sensors, drones, scanner, camera, avoidance, mission, studies, federation):
         rows += part.rows()
     print(table(rows))
     return 0 if all(row.holds for row in rows) else 1

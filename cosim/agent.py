@@ -4,6 +4,7 @@ The same class runs in the simulation, in another process, on another machine an
 and has no clock, no thread and no socket.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +13,25 @@ import numpy as np
 
 from cosim.clock import Ticks
 from cosim.rng import stream
-from cosim.types import Follows, Message, OnLost, Reading, Reception, Value, VehicleState, Velocity, Waypoint
+from cosim.types import (
+    Follows,
+    Message,
+    Mosaic,
+    OnLost,
+    ProbabilityMap,
+    Reading,
+    Reception,
+    Sightings,
+    Value,
+    VehicleState,
+    Velocity,
+    Waypoint,
+)
+
+Shown = ProbabilityMap | Sightings | Mosaic
+SHOWN: Mapping[type[Shown], str] = {ProbabilityMap: "map", Sightings: "sightings", Mosaic: "mosaic"}
+CELLS = ("probability", "seen", "pixels")  # of what is shown
+FURTHEST_M = 1e9  # from the origin, likewise
 
 LARGEST_MESSAGE_BYTES = 2**31 - 1
 DEEPEST = 64  # lists and mappings inside one another in a message; Python gives up below 1000, depending on who calls
@@ -33,6 +52,14 @@ class Observation(Value, frozen=True, kw_only=True):
         return self.time_ns / 1e9
 
 
+class Body(Value, frozen=True, kw_only=True):
+    """How much room a vehicle takes, and how it moves."""
+
+    width_m: float  # across, where it drives straight ahead
+    radius_m: float  # of the circle around its reference point that holds all of it
+    flies: bool = False  # its commands are in the world frame, and it can move sideways
+
+
 class VehicleInfo(Value, frozen=True, kw_only=True):
     """What an agent is told once, before its first tick."""
 
@@ -41,6 +68,9 @@ class VehicleInfo(Value, frozen=True, kw_only=True):
     period_s: float
     latency_s: float
     seed: int
+    body: Body | None = None  # None: nobody said
+    sensors: tuple[str, ...] | None = None  # what the vehicle carries, by name; None: nobody said
+    beside_m: Mapping[str, float] = msgspec.field(default_factory=dict)  # m from the reference point, of those beside it
 
     def stream(self, name: str) -> np.random.Generator:
         """A random generator that is this agent's own, e.g. ``info.stream("explore")``."""
@@ -55,10 +85,13 @@ class AgentSpec(Value, frozen=True, kw_only=True):
     folder: str  # where a relative file is looked for
     params: dict[str, Any]  # the vehicle's own parameters
     defaults: dict[str, Any]  # [agents]: for each agent that takes the parameter
+    replaced: dict[str, tuple[str, ...]] = msgspec.field(default_factory=dict)  # tables of another kind now: what was set
     period_s: float | None  # None: the class's own period
     latency_s: float
     source: str  # the scenario file, for error messages
     sensors: tuple[str, ...] = ()  # what the vehicle carries, by name
+    beside_m: Mapping[str, float] = msgspec.field(default_factory=dict)  # m from the reference point, of those beside it
+    body: Body | None = None
     fails_s: float | None = None  # from then on it is dead
     on_lost: OnLost = "stop"  # what becomes of the run, or of the vehicle, when the agent fails or its host is lost
     hold_s: float = 0.0  # for so long its last command counts then
@@ -93,8 +126,8 @@ class Radio:
         size_bytes: int | None = None,
         priority: int = 0,
         **values: Any,
-    ) -> None:
-        """Send a message to all who can hear it, or to one vehicle.
+    ) -> int:
+        """Send a message to all who can hear it, or to one vehicle; the answer is its payload size in bytes.
 
         Args:
             body: a small mapping or bytes; keywords are added to the mapping, so that ``radio.send(x=1.0)`` works.
@@ -118,6 +151,7 @@ class Radio:
         if not 0 <= size <= LARGEST_MESSAGE_BYTES:
             raise ValueError(f"radio.send(size_bytes={size}): must be from 0 to {LARGEST_MESSAGE_BYTES}")
         self._outbox.append(Message(sender=self._vehicle, body=content, size_bytes=size, to=to, priority=int(priority)))
+        return size
 
     def drain(self) -> list[Message]:
         """Take what was sent since the last call (for the host of the agent)."""
@@ -136,6 +170,7 @@ class Agent:
     sensors: tuple[str, ...] | None = None  # whose readings it looks at, by name; None: all. Others are not sent to its host
     follows: Follows | None = None  # set it to have the formation error of this vehicle measured
     _notes: dict[str, float | str | bool] | None = None
+    _shown: dict[str, Shown] | None = None
 
     def start(self, info: VehicleInfo) -> None:
         """Called once before the first tick."""
@@ -160,10 +195,71 @@ class Agent:
                 else float(value)
             )
 
+    def show(self, value: Shown) -> None:
+        """Have a map, sightings or a mosaic of this tick recorded, under ``<vehicle>/map``, ``/sightings``, ``/mosaic``.
+
+        It is copied as it would be on its way from a host: arrays may change afterwards.
+
+        Raises:
+            TypeError: it is none of these.
+            ValueError: numbers that are not finite, arrays of another shape or type.
+        """
+        if type(value) not in SHOWN:
+            raise TypeError(f"show({type(value).__name__}): only a ProbabilityMap, Sightings or a Mosaic can be shown")
+        try:
+            plain = _copied(value)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"show({type(value).__name__}): {error}") from None
+        if problem := unfit(plain):
+            raise ValueError(f"show({type(value).__name__}) with {problem}")
+        if self._shown is None:
+            self._shown = {}
+        self._shown[SHOWN[type(plain)]] = plain
+
+    def drain_shown(self) -> dict[str, Shown]:
+        """Take what was shown since the last call, by key (for the host of the agent)."""
+        shown, self._shown = self._shown, None
+        return shown or {}
+
     def drain_notes(self) -> dict[str, float | str | bool]:
         """Take what was noted since the last call (for the host of the agent)."""
         notes, self._notes = self._notes, None
         return notes or {}
+
+
+def _copied(value: Shown) -> Shown:
+    """The same in plain numbers and arrays of its own, as it would come over a wire."""
+    if isinstance(value, Sightings):
+        return msgspec.msgpack.decode(msgspec.msgpack.encode(value, enc_hook=_item), type=Sightings)
+    arrays = {name: np.array(getattr(value, name), order="C") for name in CELLS if hasattr(value, name)}
+    for each in arrays.values():
+        each.flags.writeable = False
+    place = {name: float(getattr(value, name)) for name in ("left", "bottom", "cell_m")}
+    return msgspec.structs.replace(value, **place, **arrays)
+
+
+def unfit(value: Shown) -> str:
+    """Why something shown cannot be recorded; empty: it can."""
+    if isinstance(value, Sightings):
+        numbers = [
+            number for each in value.found for number in (*each.place, *each.centre_px, each.angle, each.side_px, each.score)
+        ]
+        if not all(map(math.isfinite, numbers)):
+            return "numbers that are not finite"
+        return "" if value.width > 0 and value.height > 0 else f"a picture of {value.width} x {value.height} pixels"
+    furthest = max(abs(value.left), abs(value.bottom))
+    if not (furthest <= FURTHEST_M and 1e-6 <= value.cell_m <= FURTHEST_M):  # NaN is not either
+        return f"cells of {value.cell_m:g} m from ({value.left:g}, {value.bottom:g}) m"
+    cells = value.pixels if isinstance(value, Mosaic) else value.probability
+    if cells.size == 0:
+        return "no cells"
+    if isinstance(value, Mosaic):
+        fits = cells.ndim == 3 and cells.shape[2] == 3 and cells.dtype == np.uint8
+        return "" if fits else f"pixels {cells.shape} of {cells.dtype}, which are to be (rows, columns, 3) of uint8"
+    same = cells.ndim == 2 and cells.shape == value.seen.shape
+    if same and cells.dtype == np.uint8 and value.seen.dtype == np.bool_:
+        return ""
+    return "cells that are not (rows, columns) of uint8 and of bool"
 
 
 def check_body(body: Mapping[str, Any]) -> None:
@@ -181,6 +277,13 @@ def _depth(value: Any) -> int:
         depth += 1
         level = [inner for each in level for inner in (each.values() if isinstance(each, dict) else each)]
     return depth
+
+
+def _item(value: Any) -> Any:
+    """NumPy numbers become plain ones."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"cannot be a {type(value).__name__}")
 
 
 def _plain(value: Any) -> Any:

@@ -19,7 +19,7 @@ from cosim.hosts import Tell
 from cosim.kernel import Kernel
 from cosim.record import inputs
 from cosim.record.tables import load
-from cosim.result import Result, figures_of
+from cosim.result import Result, figures_of, mission_figures, mission_log
 from cosim.simulation import Progress, Simulation
 from cosim.types import Array
 
@@ -154,11 +154,14 @@ def plot(run_dir: Path, out: Path) -> list[Path]:
         window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
     except ValueError as error:  # a damaged table or scenario
         raise UsageError(f"{run_dir} cannot be read: {error}") from error
-    seen: Sequence[Array] = ()
+    world: Any = None
     with contextlib.suppress(VcmvspError):  # a world that is not to be had any more is not drawn
-        seen = worlds.outlines(worlds.world_of(str(scenario), {})[0])
+        world = worlds.world_of(str(scenario), {})[0]
+    seen: Sequence[Array] = () if world is None else worlds.outlines(world)
     within = window.get("from_s", 0.0), window.get("to_s")
     figures = figures_of(recording.states, recording.radio, recording.follows, within, seen)
+    if "mission" in recording.metrics:
+        figures |= mission_figures(mission_log(run_dir, recording.facts), recording.states, world)
     paths = {out / f"{name}.png": figure for name, figure in figures.items()}
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)

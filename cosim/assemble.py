@@ -1,6 +1,7 @@
 """From a scenario to federates: every part is found, checked and built here."""
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 
 from cosim import component, radio, real, registry, table
-from cosim.agent import Agent, AgentSpec
+from cosim.agent import SHOWN, Agent, AgentSpec
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError, VcmvspError
 from cosim.federate import Federate, Instants, RunInfo
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
     from cosim.outside import Vehicles
     from cosim.transport.topics import Topics
 
-TOPICS = ("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host", "real", "incident")
+TOPICS = (
+    *("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host", "real", "incident"),
+    *SHOWN.values(),
+)
 """Of every vehicle."""
 _NOT_SHARED = {"name", "pose", "position", "agent", "driver", "localisation", "params"}
 """Keys of a vehicle for which [vehicles] has no default."""
@@ -78,13 +82,13 @@ class Assembly:
         self._resolution = Resolution(scenario, source)
         world = self.world = self._build_world()
         air = self._build_radio(world, recorded_radio, tell)
-        models = {each.name: self._model(each) for each in scenario.vehicle}
-        described = real.of_scenario(scenario, source, self._resolution, models)
+        self._models = {each.name: self._model(each) for each in scenario.vehicle}
+        described = real.of_scenario(scenario, source, self._resolution, self._models)
         self.robots: Any = None  # the federate that drives real vehicles, if there are any to drive
         if described and playback is None:
             self.robots = registry.piece("hardware")(described, run=scenario.name, tell=tell, connect=robots)
         self._outside = playback or self.robots
-        physics = self._build_physics(world, models)
+        physics = self._build_physics(world)
         self.radius_m: Mapping[str, float] = physics.radius_m
         about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s}
         about["vehicles"] = [each.name for each in scenario.vehicle]
@@ -184,7 +188,8 @@ class Assembly:
 
     def _build_world(self) -> Any:
         portable, keep = self._resolution.portable, self._resolution.keep
-        world, resolved = component.world_of(self._scenario.world, self._source, portable=portable, keep=keep)
+        table_, seed = self._scenario.world, self._scenario.seed
+        world, resolved = component.world_of(table_, self._source, seed=seed, portable=portable, keep=keep)
         self._resolution.tables["world"] = resolved
         return world
 
@@ -197,8 +202,8 @@ class Assembly:
         federate: Federate = built.federate
         return federate
 
-    def _build_physics(self, world: Any, models: Mapping[str, Any]) -> Any:
-        specs = [self._vehicle_spec(each, models[each.name]) for each in self._scenario.vehicle]
+    def _build_physics(self, world: Any) -> Any:
+        specs = [self._vehicle_spec(each, self._models[each.name]) for each in self._scenario.vehicle]
         content = {"kind": "bullet", **self._scenario.physics}
         given = {"world": world, "vehicles": specs, "outside": self._outside}
         physics, resolved = self._component("physics", content, "physics", **given)
@@ -315,6 +320,8 @@ class Assembly:
         params = self._source.kept(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
         if own and len(params) < len(own.params):  # for another class than the file's: where it takes them
             defaults |= {name: value for name, value in own.params.items() if name not in params}
+        given = ((f"agents.{n}", n) for n in defaults), ((f"vehicle.{vehicle.name}.agent.{n}", n) for n in params)
+        replaced = {n: names for each in given for key, n in each if (names := self._source.replaced(key)) is not None}
         latency = own.latency_s if own and own.latency_s is not None else agents.latency_s
         return AgentSpec(
             vehicle=vehicle.name,
@@ -322,10 +329,17 @@ class Assembly:
             folder=str(self._source.folder.resolve()),
             params=params,
             defaults=defaults,
+            replaced=replaced,
             period_s=(own and own.period_s) or agents.period_s,
             latency_s=latency,
             source=self._source.name,
             sensors=tuple(self._sensors[vehicle.name]),
+            beside_m={
+                name: beside
+                for name, each in self._sensors[vehicle.name].items()
+                if (beside := math.hypot(*getattr(each, "position", (0.0, 0.0))[:2])) > 0.0
+            },
+            body=registry.piece("vehicle body")(self._models[vehicle.name]),
             fails_s=fate.fails_s,
             on_lost=fate.on_lost or agents.on_lost,
             hold_s=agents.hold_s if fate.hold_s is None else fate.hold_s,

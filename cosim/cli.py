@@ -10,6 +10,7 @@ import typer
 
 from cosim import cli_robot, cli_stop
 from cosim.cli_calibrate import calibrate_command
+from cosim.cli_calibrate_recognition import calibrate_recognition_command
 from cosim.cli_emulate import emulate_app
 from cosim.cli_explain import radio_command
 from cosim.cli_figure import figure_command
@@ -167,6 +168,7 @@ app.command("show")(show_command)
 app.command("world")(world_command)
 app.command("radio")(radio_command)
 app.command("calibrate")(calibrate_command)
+app.command("calibrate-recognition")(calibrate_recognition_command)
 app.command("watch")(watch_command)
 register(app)
 cli_stop.register(app)

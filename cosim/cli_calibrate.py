@@ -67,5 +67,5 @@ def _sightline(world: str) -> Any:
     from cosim import component, registry, scenario
 
     parsed, source = scenario.load(world)
-    built, _ = component.world_of(parsed.world, source)
+    built, _ = component.world_of(parsed.world, source, seed=parsed.seed)
     return registry.piece("sightline")(built.solids)

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import sys
+from base64 import b64decode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -153,6 +154,25 @@ def _follows(value: Any) -> str:
     return f"{value['leader']} at {_vector(value['slot'], 'm')}" if value["leader"] else "nobody"
 
 
+def _looks(value: Any) -> str:
+    return f"at {len(value['cells'])} cells, {sum(value['hits'])} with a target"
+
+
+def _map(value: Any) -> str:
+    probability, seen = (b64decode(value[name]) for name in ("probability", "seen"))
+    sure = sum(each > 0.9 * 255 for each in probability)
+    return f"{_sheet(value)}, {100 * sum(seen) / len(seen):.0f} % seen, {sure} with P > 0.9"
+
+
+def _sightings(value: Any) -> str:
+    found = [f"{each['target']} {each['score']:.2f} at {_vector(each['place'], 'm')}" for each in value["found"]]
+    return f"{value['sensor']}: {', '.join(found) or 'nothing'}"
+
+
+def _sheet(value: Any) -> str:
+    return f"{value['columns']} x {value['rows']} cells of {value['cell_m']:g} m"
+
+
 _WORDS: dict[str, Callable[[Any], str]] = {
     "state": _state,
     "states": lambda value: f"{len(value['names'])} vehicles",
@@ -164,6 +184,10 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "scan": _scan,
     "image": lambda value: f"{value['width']} x {value['height']} pixels",
     "measured": lambda value: _pairs(value["values"]),
+    "looks": _looks,
+    "map": _map,
+    "sightings": _sightings,
+    "mosaic": _sheet,
     "message": _message,
     "reception": _reception,
     "note": lambda value: _pairs(value["values"]),

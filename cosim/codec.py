@@ -26,7 +26,7 @@ class Decoder(Generic[T]):
     def __init__(self, kind: Any) -> None:
         self._decoder: msgspec.msgpack.Decoder[T] = msgspec.msgpack.Decoder(kind, dec_hook=_decode_array)
 
-    def decode(self, data: bytes) -> T:
+    def decode(self, data: bytes | memoryview) -> T:
         """The value."""
         try:
             return self._decoder.decode(data)
@@ -37,8 +37,8 @@ class Decoder(Generic[T]):
 
 
 def _encode_other(value: Any) -> Any:
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, np.ndarray) and (name := _names.get(value.dtype) or _name(value.dtype)):
+        return name, value.shape, value.data if value.flags.c_contiguous else value.tobytes()
     if isinstance(value, Later):
         return value.get()
     if isinstance(value, np.generic):
@@ -46,20 +46,23 @@ def _encode_other(value: Any) -> Any:
     raise NotImplementedError(f"cannot send a {type(value).__name__}")
 
 
-def _decode_array(kind: Any, value: Any) -> Any:
+def _decode_array(_: Any, value: Any) -> Any:
     """A read-only view of the bytes, said just as `encode` says it; dtypes that hold Python objects are refused."""
-    if getattr(kind, "__origin__", kind) is not np.ndarray:
-        raise NotImplementedError(f"cannot read a {kind}")
     name, shape, raw = value
-    dtype = _dtypes.get(name) or _dtype(name)
-    array = np.frombuffer(raw, dtype)
-    if [array.size] != shape:
+    dtype = _dtypes.get(name)  # which counts as false, though there is one
+    array = np.frombuffer(raw, _dtype(name) if dtype is None else dtype)
+    if shape != [len(array)]:
         array = array.reshape(shape)
         if list(array.shape) != shape:  # such as a size of -1, which NumPy works out
             raise ValueError(f"{name!r} of shape {shape!r} is no array's own description")
-    if dtype.kind == "b" and array.view(np.uint8).max(initial=0) > 1:
+    if name == "|b1" and array.view(np.uint8).max(initial=0) > 1:
         raise ValueError("a boolean is neither 0 nor 1")
     return array
+
+
+def _name(dtype: np.dtype[Any]) -> str:
+    """What a type says of itself; empty: its arrays do not travel."""
+    return _names.setdefault(dtype, dtype.str) if dtype.kind in "biuf" else ""
 
 
 def _dtype(name: str) -> np.dtype[Any]:
@@ -70,4 +73,5 @@ def _dtype(name: str) -> np.dtype[Any]:
 
 
 _dtypes: dict[str, np.dtype[Any]] = {}
+_names: dict[np.dtype[Any], str] = {}
 _encoder = msgspec.msgpack.Encoder(enc_hook=_encode_other)

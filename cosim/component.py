@@ -15,7 +15,7 @@ Keep = Callable[[Path], str]
 """Keeps a file that the scenario uses; how the resolved scenario names it."""
 
 FILES = ("file", "path", "picture")
-"""Keys that name a file, relative to the scenario's folder, wherever they stand in a table."""
+"""Keys that name a file, relative to the scenario's folder, wherever they stand in a table (`registry.located`)."""
 
 
 def name_of(path: Path) -> str:
@@ -36,6 +36,7 @@ def build(
     portable: Portable = str,
     given: Mapping[str, Any] | None = None,
     offered: Mapping[str, Any] | None = None,
+    absent: Mapping[str, Any] | None = None,
     keep: Keep = name_of,
 ) -> tuple[Any, dict[str, Any]]:
     """Build what a table with a ``kind`` describes.
@@ -48,6 +49,7 @@ def build(
         portable: how the resolved scenario names the kind.
         given: arguments that come from the program, not from the table.
         offered: the same, for those who have such a parameter.
+        absent: arguments for parameters whose default is None, where the table has none.
         keep: what becomes of files that it names.
 
     Returns:
@@ -61,6 +63,8 @@ def build(
     known = table.parameters(target)
     given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
     params = found(source.kept(content, key, known), source)
+    unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *given}
+    given |= {name: value for name, value in (absent or {}).items() if name in unset}
     built = table.call(target, params, key=key, origin=source, given=given)
     for path in getattr(built, "files", tuple)():  # those that its own files name
         keep(path)
@@ -68,14 +72,17 @@ def build(
 
 
 def world_of(
-    content: Mapping[str, Any], source: Source, *, portable: Portable = str, keep: Keep = name_of
+    content: Mapping[str, Any], source: Source, *, seed: int = 0, portable: Portable = str, keep: Keep = name_of
 ) -> tuple[Any, dict[str, Any]]:
     """The world that a table ``[world]`` describes, and the table with all its defaults; arguments as for `build`.
 
     Whatever goes wrong in building it is said with its place.
+
+    Args:
+        seed: of the run: that of a world whose own ``seed`` is None by default, and is not given.
     """
-    key = "world"
-    maker, resolved = build(key, {"kind": "empty", **content}, key=key, source=source, portable=portable, keep=keep)
+    key, content = "world", {"kind": "empty", **content}
+    maker, resolved = build(key, content, key=key, source=source, portable=portable, absent={"seed": seed}, keep=keep)
     try:
         world = maker.build()
     except ScenarioError as error:
@@ -94,12 +101,12 @@ def world_of(
 
 def found(params: Mapping[str, Any], source: Source) -> dict[str, Any]:
     """Parameters with the files that they name where these really are."""
-    return dict(_with_files(params, lambda name: str((source.folder / name).resolve())))
+    return dict(_with_files(params, lambda name: str(registry.located(name, source.folder))))
 
 
 def kept(params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
-    """Parameters with the files that they name kept, by the names under which they are."""
-    return dict(_with_files(params, lambda name: keep(Path(name))))
+    """Parameters with the files that they name kept, as far as there are such, by the names under which they are."""
+    return dict(_with_files(params, lambda name: keep(Path(name)) if Path(name).is_file() else name))
 
 
 def _with_files(content: Any, change: Callable[[str], str]) -> Any:

@@ -57,7 +57,7 @@ def site_of(parsed: Scenario, source: Source) -> Site:
     Raises:
         ScenarioError: they cannot be built.
     """
-    world, _ = component.world_of(parsed.world, source)
+    world, _ = component.world_of(parsed.world, source, seed=parsed.seed)
     built = radio.of_scenario(parsed, source, solids=world.solids)
     places = {each.name: each.start[0] for each in parsed.vehicle}
     return Site(built.channel, world.solids, built.radios, places)

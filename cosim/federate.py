@@ -71,6 +71,24 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     paced: bool = False  # by the wall clock: whoever has much to do until an instant may begin before
 
 
+class Needed:
+    """The instants at which states are needed in a run: those that somebody asks for, the start and the end."""
+
+    def __init__(self, run: RunInfo) -> None:
+        self._end_ns = run.duration_ns
+        self._trains = tuple(dict.fromkeys((each.ticks, each.offset_ns) for each in run.instants))  # equal ones once, in order
+
+    def hits(self, now_ns: int) -> bool:
+        """Whether now is one of them."""
+        return now_ns in (0, self._end_ns) or any(ticks.hits(now_ns - offset_ns) for ticks, offset_ns in self._trains)
+
+    def after(self, now_ns: int) -> int | None:
+        """The first that is later than now; None: the run is over."""
+        if now_ns >= self._end_ns:
+            return None
+        return min([self._end_ns, *(ticks.after(now_ns - offset_ns) + offset_ns for ticks, offset_ns in self._trains)])
+
+
 @runtime_checkable
 class Federate(Protocol):
     """A part of the simulation that runs in logical time."""

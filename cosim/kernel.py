@@ -15,7 +15,7 @@ same bytes in one process and in many.
 import heapq
 import traceback
 from collections.abc import Callable, Sequence
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import TypeVar
 
 import simpy
@@ -32,7 +32,9 @@ Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """Of a key: who reads every event, whom it wakes, who keeps only the newest."""
 Due = tuple[int, Slot, str, int, Event, Route]
 """An event and its place in the order of publication: time, slot, key, number."""
-_time = attrgetter("time_ns")
+Present = tuple[str, Event, Route]
+"""An event of the slot that is being worked off, behind its key."""
+_time, _key = attrgetter("time_ns"), itemgetter(0)
 
 
 class Kernel:
@@ -74,8 +76,8 @@ class Kernel:
         self._inbox: list[list[Event]] = [[] for _ in self._federates]
         self._newest: list[dict[str, Event]] = [{} for _ in self._federates]
         self._future: list[Due] = []  # heap of events not yet published
-        self._present: list[Due] = []  # those that belong to the slot that is being worked off
-        self._given = 0  # events given so far; keeps the order of giving among equal keys
+        self._present: list[Present] = []  # those that belong to the slot that is being worked off
+        self._given = 0  # events of the future given so far; keeps the order of giving among equal keys
         self._routes: dict[str, Route] = {}
         self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> whose answers are awaited there
 
@@ -235,16 +237,16 @@ class Kernel:
         home, routes = self._federates[index].slot, self._routes
         for event in events:
             when, key = event.time_ns, event.key
-            if when < now:
-                raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
-            at = slot if when == now else home
-            self._given += 1
             route = routes.get(key) or self._route(key)
-            due = when, at, key, self._given, event, route
             if when == now:
-                self._present.append(due)
+                self._present.append((key, event, route))
+                at = slot
+            elif when > now:
+                self._given += 1
+                at = home
+                heapq.heappush(self._future, (when, at, key, self._given, event, route))
             else:
-                heapq.heappush(self._future, due)
+                raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
             for woken in route[1]:
                 self._wake(woken, event, at)
 
@@ -258,20 +260,26 @@ class Kernel:
 
     def _publish(self, now: int, slot: Slot) -> None:
         """Record and route all events up to this slot of this instant."""
-        future, limit = self._future, (now, slot + 1)
+        future, limit, own = self._future, (now, slot), (now, slot + 1)
         due, self._present = self._present, []
-        while future and future[0] < limit:
-            due.append(heapq.heappop(future))
-        due.sort()  # by what is before the event: numbers differ
-        for _, _, key, _, event, (readers, _, keepers) in due:
+        before: list[Present] = []
+        ripe: list[Present] = []
+        while future and future[0] < own:
+            given = heapq.heappop(future)
+            (before if given < limit else ripe).append((given[2], *given[4:]))
+        if ripe:
+            due = ripe + due  # of one key, what was given earlier comes first
+        due.sort(key=_key)
+        observe, inboxes, newest = self._observe, self._inbox, self._newest
+        for key, event, (readers, _, keepers) in before + due if before else due:
             try:
-                self._observe(event)
+                observe(event)
             except (Exception, SystemExit) as error:
                 raise FederateError("recording", f"{type(error).__name__}: {error}") from error
             for index in readers:
-                self._inbox[index].append(event)
+                inboxes[index].append(event)
             for index in keepers:
-                self._newest[index][key] = event
+                newest[index][key] = event
 
     def _route(self, key: str) -> Route:
         route = self._routes.get(key)

@@ -90,7 +90,7 @@ class Progress(Shown):
 
 
 def summary(result: "Result") -> str:
-    """A finished run in four lines."""
+    """A finished run in a few lines."""
     metrics, about = result.metrics, result.about
     formation, radio = metrics["formation"], metrics["radio"]
     places = ", ".join(sorted(set(about["agents"].values())))
@@ -111,6 +111,8 @@ def summary(result: "Result") -> str:
         chain = formation["hop_gain"] is not None  # errors of links add up
         shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
         lines.append(f"formation: error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}")
+    if mission := metrics.get("mission"):
+        lines.append(f"mission:   {_of_mission(mission)}")
     for name, real in metrics.get("hardware", {}).items():
         lines.append(f"{name + ':':<10} {_of_real(real)}")
     if late := about["lateness"]:
@@ -126,6 +128,15 @@ def lateness(late: Mapping[str, Any]) -> str:
         f"{late['over_one_period']} of {late['instants']} ticks late by more than a period"
     )
     return words + (f"; the run slipped by {late['slipped_s']:.3f} s" if late["slipped_s"] else "")
+
+
+def _of_mission(mission: Mapping[str, Any]) -> str:
+    """What was found, and when."""
+    times = mission["found_s"]
+    found = ", ".join(f"{name} {'never' if time_s is None else f'{time_s:.1f} s'}" for name, time_s in times.items())
+    words = f"{mission['targets_found']} of {len(times)} targets found ({found}), {mission['targets_tracked']} tracked"
+    seen = mission["area_seen_ratio"]
+    return words + ("" if seen is None else f", {100 * seen:.0f} % of the area seen")
 
 
 def _of_real(real: Mapping[str, Any]) -> str:

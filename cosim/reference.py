@@ -167,6 +167,12 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "consensus": lambda: agents("consensus"),
     "team": team,
     "patrol": lambda: agents("patrol"),
+    "aerial": lambda: agents("aerial_route", "aerial_follower"),
+    "avoid": lambda: agents("avoid"),
+    "mission": lambda: agents("mission"),
+    "search": lambda: agents("search"),
+    "track": lambda: agents("track"),
+    "watching": lambda: "\n\n".join(lists([registry.find("agent", "track")])),
     "drivers": lambda: apart("driver"),
     "localisation": lambda: apart("localisation"),
     "fusion": lambda: own("fusion"),
@@ -234,9 +240,12 @@ def lists(classes: Iterable[Any]) -> list[str]:
                 waiting += [] if item in holders else [item]
                 listed = typing.get_origin(parameter.annotation) is tuple
                 holders.setdefault(item, {})[name] = f"each of the `{name}`" if listed else f"`{name}`"
-    return [
-        f"Of {', '.join(said.values())}:\n\n{parameter_table({item.__name__.lower(): item})}" for item, said in holders.items()
-    ]
+    columns: dict[str, dict[str, Any]] = {}  # of each table: what it is of, and the kinds that it may be
+    for item, said in holders.items():
+        config = item.__struct_config__
+        by, column = (f", by `{config.tag_field}`", config.tag) if config.tag_field else ("", item.__name__.lower())
+        columns.setdefault(f"Of {', '.join(said.values())}{by}:", {})[column] = item
+    return [f"{of}\n\n{parameter_table(kinds)}" for of, kinds in columns.items()]
 
 
 def parameter_table(columns: Mapping[str, Any], common: Any = None) -> str:

@@ -29,6 +29,7 @@ VERBS: Mapping[str, str] = {
     "sensor": "measure(scene, row, rng)",
     "agent": "act(obs, radio)",
     "estimator": "predict(report, age_s)",
+    "avoidance": "decide(view, task)",
     "path_loss": "loss_db(paths)",
     "walls": "loss_db(paths)",
     "shadowing": "loss_db(paths)",
@@ -50,10 +51,12 @@ PIECES: Mapping[str, str] = {
     "agent host": "agents.federate:AgentHost",
     "host process": "agents.serve:host",
     "flies": "physics.vehicles:flies",
+    "vehicle body": "physics.vehicles:body_of",
     "vehicle spec": "physics.vehicles:VehicleSpec",
     "positioning": "physics.positioning:Positioning",
     "world": "physics.world:World",
     "world pictures": "physics.draw",
+    "least clearance": "physics.clearance:least_clearance_m",
     "radio": "netsim.federate:RadioFederate",
     "recorded radio": "netsim.recorded:RecordedChannel",
     "channel": "netsim.channel:Channel",
@@ -80,6 +83,14 @@ PIECES: Mapping[str, str] = {
     "emulated autopilot": "hardware.emulate.autopilot:emulate",
     "emulated ros2 robot": "hardware.emulate.ros2:emulate",
     "fusion": "hardware.positioning.fusion:Fusion",
+    "scene": "physics.scene",
+    "reconnaissance": "agents.reconnaissance",
+    "ground point": "agents.reconnaissance.ground_point",
+    "watch": "agents.reconnaissance.watch",
+    "looks of a picture": "agents.reconnaissance.search_map:of_picture",
+    "recognition": "agents.reconnaissance.recognition",
+    "recognition ground": "agents.reconnaissance.recognition.ground",
+    "recognition inspection": "agents.reconnaissance.recognition.inspection",
 }
 """Pieces of parts that are no kinds of a scenario, for `piece`."""
 
@@ -129,6 +140,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "altimeter": "physics.sensors.altimeter:Altimeter",
         "compass": "physics.sensors.compass:Compass",
         "positioning": "physics.sensors.positioning:PositioningSensor",
+        "target_sensor": "physics.sensors.targets:TargetSensor",
     },
     "agent": {
         "trajectory": "agents.formation.trajectory:Trajectory",
@@ -137,8 +149,15 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "leader_follower": "agents.formation.leader_follower:LeaderFollower",
         "consensus": "agents.formation.consensus:Consensus",
         "patrol": "agents.patrol:Patrol",
+        "aerial_route": "agents.formation.aerial_route:AerialRoute",
+        "aerial_follower": "agents.formation.aerial_follower:AerialFollower",
+        "avoid": "agents.avoidance.avoid:Avoid",
+        "search": "agents.reconnaissance.search:Search",
+        "track": "agents.reconnaissance.track:Track",
+        "mission": "agents.mission.mission:Mission",
     },
     "estimator": {},  # a parameter of agents, which know their own
+    "avoidance": {},  # likewise
     "path_loss": {
         "log_distance": "netsim.propagation:LogDistance",
         "friis": "netsim.ground:Friis",
@@ -199,6 +218,21 @@ KINDS: Mapping[str, Mapping[str, str]] = {
 
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
+
+
+SHIPPED = Path(__file__).resolve().parent.parent / "scenarios"
+"""The built-in scenarios, and the files that come with them."""
+
+
+def located(name: str, folder: Path | None = None) -> Path:
+    """Where a file is that a scenario names: beside it, or else among those that come with the built-in scenarios.
+
+    Args:
+        name: as it is written.
+        folder: the scenario's; default: that of `looking_in`, or the current one.
+    """
+    own, shipped = ((each / name).resolve() for each in (folder or _folder.get() or Path(), SHIPPED))
+    return shipped if shipped.is_file() and not own.exists() else own
 
 
 @contextlib.contextmanager

@@ -45,7 +45,7 @@ class Resolution:
         path = registry.file_of(kind, self._source.folder)
         if not registry.is_file_kind(kind) or not path.is_file():  # that of a host elsewhere is not on this machine
             return kind
-        if foreign and not path.resolve().is_relative_to(self._source.folder.resolve()):
+        if foreign and self._lies_elsewhere(path):
             return kind
         return f"{self.keep(path)}:{kind.rpartition(':')[2]}"
 
@@ -151,11 +151,20 @@ class Resolution:
         params = {name: self._kept(value, foreign) for name, value in info.params.items() if name not in taken}
         return {"agent": {**full, **params}}
 
-    def _kept(self, value: Any, foreign: bool = False) -> Any:
-        """A parameter of an agent; a Python file that it names (``file.py:Class``), alone or in a table, is kept."""
+    def _kept(self, value: Any, foreign: bool = False, name: str = "") -> Any:
+        """A parameter of an agent; a Python file (``file.py:Class``) or ``picture`` that it or a table in it names is kept."""
         if isinstance(value, dict):
-            return {name: self._kept(each, foreign) for name, each in value.items()}
+            return {name: self._kept(each, foreign, name) for name, each in value.items()}
+        if isinstance(value, list):
+            return [self._kept(each, foreign) for each in value]
+        if name == "picture" and isinstance(value, str):
+            path = registry.located(value, self._source.folder)
+            return self.keep(path) if path.is_file() and not (foreign and self._lies_elsewhere(path)) else value
         return self.portable(value, foreign=foreign) if isinstance(value, str) else value
+
+    def _lies_elsewhere(self, path: Path) -> bool:
+        """Whether a file is none of the scenario's, nor came with the built-in ones."""
+        return not any(path.resolve().is_relative_to(each.resolve()) for each in (self._source.folder, registry.SHIPPED))
 
 
 def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:

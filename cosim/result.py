@@ -1,5 +1,6 @@
 """What a run gave, in memory and as files."""
 
+import contextlib
 import io
 import shutil
 from collections.abc import Mapping, Sequence
@@ -12,9 +13,10 @@ from cosim import worlds
 from cosim.errors import UsageError
 from cosim.files import Folder, to_json, writing
 from cosim.record.inputs import FILE
-from cosim.record.metrics import Window
+from cosim.record.metrics import Window, motion
+from cosim.record.mission_log import MissionLog, read_mission
 from cosim.record.recorder import Recorder
-from cosim.record.tables import Placement
+from cosim.record.tables import Placement, RunFacts
 from cosim.types import Array
 
 if TYPE_CHECKING:
@@ -49,6 +51,7 @@ class Result:
         self._recorder, self._files = recorder, dict(files)
         self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
         self._mcap, self._world = mcap, world
+        self._video = resolved["record"].get("video", False)
 
     @property
     def states(self) -> "pa.Table":
@@ -71,9 +74,23 @@ class Result:
         return self._recorder.follows
 
     def plot(self) -> "dict[str, Figure]":
-        """The run's figures, by name: ``trajectory`` and ``formation_error``."""
-        recorder = self._recorder
-        return figures_of(recorder.states, recorder.radio, recorder.follows, self._window, worlds.outlines(self._world))
+        """The run's figures, by name: ``trajectory``, ``formation_error`` and, with a recording, `mission_figures`."""
+        return self._figures(self._shown())
+
+    def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
+        recorder, outlines = self._recorder, worlds.outlines(self._world)
+        figures = figures_of(recorder.states, recorder.radio, recorder.follows, self._window, outlines)
+        return figures | mission_figures(shown, recorder.states, self._world)
+
+    def _shown(self) -> MissionLog | None:
+        """What agents showed, if they did, and it was recorded."""
+        facts = self._recorder.facts
+        if "mission" not in self.metrics or (self._mcap is None and self.folder is None):
+            return None
+        if self._mcap is not None:
+            return read_mission(io.BytesIO(self._mcap.getvalue()), facts.vehicles, facts.end_ns)
+        assert self.folder is not None  # noqa: S101
+        return mission_log(self.folder, facts)
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write everything that a run leaves into a folder."""
@@ -103,8 +120,11 @@ class Result:
         self._recorder.write_tables(folder)
         (folder / "metrics.json").write_text(to_json(self.metrics), "utf-8")
         (folder / "about.json").write_text(to_json(self.about), "utf-8")
-        for name, figure in self.plot().items():
+        shown = self._shown()
+        for name, figure in self._figures(shown).items():
             plots.save_png(figure, folder / f"{name}.png")
+        if self._video:
+            mission_video(folder / "mission.mp4", shown, self._recorder.states, self._world)
 
 
 def figures_of(
@@ -117,3 +137,34 @@ def figures_of(
         "trajectory": plots.trajectory(states, follows, outlines),
         "formation_error": plots.formation_error(states, radio, follows, window),
     }
+
+
+def mission_log(folder: Path, facts: RunFacts) -> MissionLog | None:
+    """What agents showed in a run that was saved, if its recording is still there."""
+    with contextlib.suppress(OSError), (folder / "run.mcap").open("rb") as stream:
+        return read_mission(stream, facts.vehicles, facts.end_ns)
+    return None
+
+
+def mission_figures(shown: MissionLog | None, states: "pa.Table", world: Any) -> "dict[str, Figure]":
+    """The figures of a reconnaissance, by name: ``mission``, and ``mosaic`` and ``detections`` where agents showed such."""
+    if not shown:
+        return {}
+    from cosim.record import mission_plot
+
+    moved, targets = motion(states), () if world is None else world.targets
+    figures = {"mission": mission_plot.mission(shown, moved, targets, () if world is None else worlds.outlines(world))}
+    if shown.mosaics:
+        figures["mosaic"] = mission_plot.mosaic(shown, moved, targets)
+    if mission_plot.chosen_pictures(shown):
+        figures["detections"] = mission_plot.detections(shown)
+    return figures
+
+
+def mission_video(path: Path, shown: MissionLog | None, states: "pa.Table", world: Any) -> None:
+    """Write the film of a reconnaissance, if there was one."""
+    if shown:
+        from cosim.record.mission_video import write_video
+
+        targets, outlines = ((), ()) if world is None else (world.targets, worlds.outlines(world))
+        write_video(path, shown, motion(states), targets, outlines)

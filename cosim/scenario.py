@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from cosim import table
+from cosim import registry, table
 from cosim.errors import ScenarioError, UsageError
 from cosim.repeat import names_copy, repeated
 from cosim.scenario_tables import (
@@ -26,7 +26,7 @@ from cosim.scenario_tables import (
 from cosim.source import Source
 
 RESERVED = ("world", "radio", "log", "tf")  # first chunks of keys that belong to no vehicle
-BUILT_IN = Path(__file__).resolve().parent.parent / "scenarios"
+BUILT_IN = registry.SHIPPED
 T = TypeVar("T")
 
 

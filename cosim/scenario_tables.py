@@ -117,6 +117,7 @@ class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
 
     period_s: Period = 0.1  # s between recorded states
     sensors: tuple[str, ...] = ()  # names of scanners and cameras whose readings are recorded; "*": all. Others always are
+    video: bool = False  # a film of a mission, mission.mp4: some seconds of work after the run
 
 
 class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):

@@ -139,6 +139,7 @@ class Simulation:
                 agents=assembly.infos,
                 radius_m=assembly.radius_m,
                 sensors=assembly.recorded_sensors,
+                world=assembly.world,
                 tell=lambda text: None if self._over else self._tell(text),
             )
             with self._inputs(stack):

@@ -27,6 +27,12 @@ class Source:
             if name != "kind" and (not switched or name in known or f"{key}.{name}" in self._set)
         }
 
+    def replaced(self, key: str) -> tuple[str, ...] | None:
+        """The names in a table whose values have been set, where another ``kind`` has been; None: that has not."""
+        if f"{key}.kind" not in self._set:
+            return None
+        return tuple(path.removeprefix(f"{key}.").partition(".")[0] for path in self._set if path.startswith(f"{key}."))
+
     def of(self, key: str) -> str:
         """The argument that set the key or something in it, or file and line."""
         for prefix in _prefixes(key):

@@ -12,8 +12,8 @@ import math
 import re
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any, Literal, Protocol, TypeVar
 
 import msgspec
 
@@ -65,13 +65,16 @@ def _parameters(target: Any) -> Mapping[str, Parameter]:
         hints = typing.get_type_hints(holder, include_extras=True)
     except (NameError, TypeError):
         hints = {}
+    made: dict[str, Callable[[], Any]] = {}  # defaults that are made anew each time
     if isinstance(target, type) and issubclass(target, msgspec.Struct):
         hints = typing.get_type_hints(target, include_extras=True)
+        made = {each.name: each.default_factory for each in msgspec.structs.fields(target) if callable(each.default_factory)}
     found: dict[str, Parameter] = {}
     for name, parameter in inspect.signature(target).parameters.items():
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
             required = parameter.default is parameter.empty
-            found[name] = Parameter(hints.get(name, Any), None if required else parameter.default, required)
+            default = None if required else made[name]() if name in made else parameter.default
+            found[name] = Parameter(hints.get(name, Any), default, required)
         elif parameter.kind is parameter.VAR_KEYWORD and isinstance(target, type):  # handed on to the next class in line
             line = [base for base in target.__mro__ if "__init__" in vars(base)]
             found |= {name: each for name, each in _parameters(line[1]).items() if name not in found}
@@ -129,6 +132,15 @@ def call(
         raise ScenarioError(problem, key=where, source=origin.of(where)) from error
 
 
+def fitted(value: Any, annotation: Any, kept: Collection[str]) -> Any:
+    """A table whose kind has been replaced, without what only its former kind has; what is ``kept`` stays."""
+    tables = [each for each in structs(annotation) if each.__struct_config__.tag_field and _may_be(each, value)]
+    if len(tables) != 1 or not isinstance(value, Mapping):
+        return value
+    known = {*_known(tables[0], value), *kept}
+    return {name: each for name, each in value.items() if name in known}
+
+
 def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iterable[str] = ()) -> dict[str, Any]:
     """The table with all defaults of ``target`` filled in, in plain TOML types; None and what is not plain are left out."""
     skipped, full = frozenset(without), {}
@@ -164,6 +176,8 @@ def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
         words, _, inside = str(error).partition(" - at `$")
+        if isinstance(error.__cause__, ValueError):  # of a table's own
+            raise _refused(words, f"{key}{inside[:-1]}", origin) from error
         if structs(annotation) and (inside or words.startswith("Object ")):
             raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
         raise _refused(_unlike(value, annotation), key, origin) from error
@@ -172,18 +186,52 @@ def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None
 
 
 def _inside(words: str, path: str, value: Any, annotation: Any) -> str:
-    """What is wrong at a path such as ``[0].size`` inside a list of tables, or a table."""
-    known = {name: each for struct in structs(annotation) for name, each in parameters(struct).items()}
+    """What is wrong at a path such as ``[0].size`` inside a list of tables, or a table, and the tables in it."""
+    for step in re.findall(r"\w+", path):
+        if step.isdigit():
+            value, annotation = value[int(step)], _item(annotation, int(step))
+        elif step in (known := _known(annotation, value)):
+            value, annotation = value[step], known[step].annotation
+        else:
+            return words
     if field := re.fullmatch(r"Object contains unknown field `(.*)`", words):
-        return unknown("key", field[1], known)
+        return unknown("key", field[1], _known(annotation, value))
     if field := re.fullmatch(r"Object missing required field `(.*)`", words):
-        return f"{field[1]} is missing; it must be {describe(known[field[1]].annotation)}"
-    name = re.match(r"(?:.*\.)?(\w+)", path)
-    if not name or name[1] not in known:
-        return words
-    for step in re.findall(r"\w+", path.partition(name[1])[0] + name[1]):
-        value = value[int(step) if step.isdigit() else step]
-    return _unlike(value, known[name[1]].annotation)
+        return f"{field[1]} is missing; it must be {describe(_known(annotation, value)[field[1]].annotation)}"
+    return _unlike(value, annotation)
+
+
+def _item(annotation: Any, number: int) -> Any:
+    """The annotation of an item of a list."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated:
+        return _item(inner[0], number)
+    if origin in (typing.Union, types.UnionType):
+        return next((found for each in inner if (found := _item(each, number)) is not Any), Any)
+    if not inner:
+        return Any
+    return inner[0] if len(inner) == 1 or inner[-1] is Ellipsis else inner[number]
+
+
+def _known(annotation: Any, value: Any) -> dict[str, Parameter]:
+    """The keys of the table, or of those, that a value of this annotation may be."""
+    tables = [each for each in structs(annotation) if _may_be(each, value)] or structs(annotation)
+    return {name: each for struct in tables for name, each in parameters(struct).items()} | _tags(tables)
+
+
+def _may_be(struct: type[msgspec.Struct], value: Any) -> bool:
+    """Whether a value does not say that it is a table of another kind."""
+    config = struct.__struct_config__
+    return not config.tag_field or not isinstance(value, Mapping) or value.get(config.tag_field, config.tag) == config.tag
+
+
+def _tags(tables: Iterable[type[msgspec.Struct]]) -> dict[str, Parameter]:
+    """The keys that say which of several tables is meant, and the words that each of them allows."""
+    words: dict[str, list[Any]] = {}
+    for each in tables:
+        if (config := each.__struct_config__).tag_field:
+            words.setdefault(config.tag_field, []).append(config.tag)
+    return {name: Parameter(Literal[tuple(allowed)], None, required=True) for name, allowed in words.items()}
 
 
 def _unlike(value: Any, annotation: Any) -> str:
@@ -244,13 +292,16 @@ def describe(annotation: Any) -> str:
     if origin is typing.Literal:
         return f"one of {', '.join(map(repr, inner))}"
     if origin in (typing.Union, types.UnionType):
-        return " or ".join(describe(each) for each in inner if each is not type(None))
+        return " or ".join(dict.fromkeys(describe(each) for each in inner if each is not type(None)))
     if origin is tuple and inner[-1] is not Ellipsis:
         return f"a list of {len(inner)} values, each {' / '.join(dict.fromkeys(map(describe, inner)))}"
     if origin in (tuple, list, collections.abc.Sequence):
         return f"a list, each item {describe(inner[0])}"
     if origin in (dict, collections.abc.Mapping) or annotation is dict:
         return "a table"
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        tag = annotation.__struct_config__.tag_field
+        return f"a table with its {tag}" if tag else "a table"
     return _WORDS.get(annotation, f"a {getattr(annotation, '__name__', annotation)}")
 
 

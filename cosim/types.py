@@ -129,7 +129,16 @@ class Measured(Value, frozen=True, kw_only=True, tag="measured"):
     values: dict[str, float]
 
 
-Reading = Odometry | Fix | Imu | Scan | Image | Measured
+class Looks(Value, frozen=True, kw_only=True, tag="looks"):
+    """What a detector says of the cells around it: square cells of the plane, of which (0, 0) has a corner in the origin."""
+
+    time_ns: int  # when it looked
+    cell_m: float
+    cells: Array  # (n, 2) int32: column, row; cell (i, j) is i * cell_m <= x < (i + 1) * cell_m, likewise j and y
+    hits: Array  # (n,) bool: "there is a target"
+
+
+Reading = Odometry | Fix | Imu | Scan | Image | Measured | Looks
 
 
 class Later:
@@ -196,6 +205,47 @@ class Note(Value, frozen=True, kw_only=True, tag="note"):
     """Numbers and words that an agent wants recorded (`Agent.note`)."""
 
     values: dict[str, float | str | bool]
+
+
+class ProbabilityMap(Value, frozen=True, kw_only=True, tag="map"):
+    """What a vehicle knows of an area that is searched, and what of it it has seen itself; row 0 is the south edge."""
+
+    left: float  # m, world
+    bottom: float  # m, world
+    cell_m: float
+    probability: Array  # (rows, columns) uint8, of a target in the cell, in 255ths
+    seen: Array  # (rows, columns) bool: looked at by this vehicle
+
+
+class Sighting(Value, frozen=True, kw_only=True):
+    """A target that was recognised in a picture."""
+
+    target: str
+    place: tuple[float, float]  # m, world, on the ground
+    centre_px: tuple[float, float]  # column, row; the middle of the first pixel is (0, 0)
+    angle: float  # rad, counter-clockwise in the picture
+    side_px: float
+    score: float  # 0 to 1
+
+
+class Sightings(Value, frozen=True, kw_only=True, tag="sightings"):
+    """What was recognised in one picture of a camera."""
+
+    sensor: str
+    time_ns: int  # when the picture was taken
+    width: int  # px
+    height: int
+    found: tuple[Sighting, ...]
+    jpeg: bytes = b""  # the picture itself; empty: not kept
+
+
+class Mosaic(Value, frozen=True, kw_only=True, tag="mosaic"):
+    """The ground as far as a vehicle has seen it, from above; row 0 is the south edge."""
+
+    left: float  # m, world
+    bottom: float  # m, world
+    cell_m: float
+    pixels: Array  # (rows, columns, 3) uint8, RGB; black: not seen
 
 
 class Follows(Value, frozen=True, kw_only=True, tag="follows"):
@@ -288,9 +338,13 @@ AnyValue = (
     | Scan
     | Image
     | Measured
+    | Looks
     | Message
     | Reception
     | Note
+    | ProbabilityMap
+    | Sightings
+    | Mosaic
     | Follows
     | Presence
     | RealStatus

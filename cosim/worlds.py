@@ -24,7 +24,7 @@ def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
         what: the word.
         settings: keys of the world or, for a scenario, of the scenario, and their values.
     """
-    path = Path(what)
+    path, seed = Path(what), 0
     if what in registry.KINDS["world"] or ":" in what:
         table_, source, name = {"kind": what}, Source("--set", Path()), what.rpartition(":")[2]
     elif path.suffix in (*FILES, *MESHES) and path.is_file() and not _is_scenario(path):
@@ -32,11 +32,11 @@ def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
         table_, source, name = {"kind": kind, "path": str(path.resolve())}, Source(what, Path()), path.stem
     elif what in scenarios.names() or path.is_file():
         parsed, source = scenarios.load(what, settings=settings)
-        table_, name, settings = dict(parsed.world), parsed.name, {}
+        table_, name, seed, settings = dict(parsed.world), parsed.name, parsed.seed, {}
     else:
         known = table.unknown("world", what, [*registry.KINDS["world"], *scenarios.names()])
         raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
-    world, _ = component.world_of({**table_, **settings}, source)
+    world, _ = component.world_of({**table_, **settings}, source, seed=seed)
     return world, name
 
 
@@ -51,6 +51,7 @@ def describe(world: Any, name: str) -> dict[str, Any]:
         "materials": dict(sorted(materials.items())),
         "movables": len(world.movables),
         "moving": len(world.moving),
+        "targets": len(world.targets),
         "bounds": world.bounds,
     }
 

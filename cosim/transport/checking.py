@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import tomli_w
 
-from cosim.agent import LARGEST_MESSAGE_BYTES, AgentInfo, AgentSpec, check_body
+from cosim.agent import LARGEST_MESSAGE_BYTES, SHOWN, AgentInfo, AgentSpec, check_body, unfit
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.federate import Event
 from cosim.scenario_tables import AgentTable
@@ -105,6 +105,8 @@ def _rare(value: Any, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
             raise ValueError(f"{vehicle}/host since {value.since_ns} ns, {value.state}, {value.late} late, at {due_ns} ns")
         if plain(value.why) != value.why:
             raise ValueError(f"{vehicle}/host with a reason that is too long or cannot be shown")
+    if type(value) in SHOWN and (problem := unfit(value)):
+        raise ValueError(f"{vehicle}/{SHOWN[type(value)]} with {problem}")
 
 
 _KINDS: dict[str, tuple[type, ...]] = {
@@ -113,6 +115,7 @@ _KINDS: dict[str, tuple[type, ...]] = {
     "note": (Note,),
     "send": (Message,),
     "host": (Presence,),
+    **{what: (kind,) for kind, what in SHOWN.items()},
 }
 
 

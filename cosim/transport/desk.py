@@ -32,7 +32,7 @@ class Desk:
         self.ended: str | None = None  # why there will be no more questions
         self.failure: VcmvspError | None = None  # ... if something went wrong here
 
-    def handle(self, question: bytes) -> bytes:
+    def handle(self, question: bytes | memoryview) -> bytes:
         """The answer to a question; whatever goes wrong becomes a `Failed`."""
         try:
             return wire.encode(self._answer(wire.questions.decode(question)))

@@ -1,6 +1,5 @@
 """The host's end of Eclipse Zenoh: dial in, join a run, answer its questions until it ends."""
 
-import os
 import queue
 import time
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from zenoh.handlers import Callback
 from cosim.errors import FederateError, UsageError
 from cosim.transport import security, wire
 from cosim.transport.desk import Desk
-from cosim.transport.zenoh import UNIX, common_names, opened
+from cosim.transport.zenoh import UNIX, common_names, opened, threads
 
 if TYPE_CHECKING:
     from cosim.certificates import Bundle
@@ -21,7 +20,7 @@ JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door
 _NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 _DIAL_S = 0.1
 _LOOK_S = 1.0
-THREADS = "(rx: (handover: app))"
+_READS = "(rx: (handover: app))"
 """Of Zenoh's threads in a host, that which waits for the socket also reads what comes, and calls back: as Zenoh has it, it
 would wake another one for each message, a tenth of an exchange. Callbacks of a host only hand over, so that nothing blocks it.
 Another one writes, so that the link lives while a callback waits for an agent that holds Python's lock."""
@@ -49,9 +48,10 @@ def serve(
         UsageError: the endpoint is none, or the hub refuses this host.
         FederateError: an agent of this host failed, or the run is gone.
     """
-    os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # which Zenoh reads when a process opens its first session
     name = security.OPEN if bundle is None else bundle.name
-    with dial(endpoint, bundle, on_state) as session:
+    with threads(_READS):
+        session = dial(endpoint, bundle, on_state)
+    with session:
         host = str(session.zid())
         questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
         key = security.host_key(name, host, "ask")
@@ -113,7 +113,7 @@ def _answer(
         while answers and next(iter(answers)) < oldest:
             del answers[next(iter(answers))]
         if number == last + 1:
-            answers[number] = wire.number.pack(number) + desk.handle(content[wire.numbers.size :])
+            answers[number] = wire.number.pack(number) + desk.handle(memoryview(content)[wire.numbers.size :])
             last = number
         if number in answers:
             says.put(answers[number])

@@ -19,7 +19,7 @@ from zenoh.handlers import Callback
 
 from cosim.federate import Event
 from cosim.transport import security, wire
-from cosim.types import Array, Image, Later, States, Value, VehicleState
+from cosim.types import Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
@@ -163,6 +163,29 @@ class _Picture(Value, frozen=True, kw_only=True, tag="image"):
     depth_m: str | None  # rows likewise, little-endian float32
 
 
+class _Map(Value, frozen=True, kw_only=True, tag="map"):
+    """A `ProbabilityMap` likewise."""
+
+    left: float
+    bottom: float
+    cell_m: float
+    columns: int
+    rows: int
+    probability: str  # rows from south to north, a byte a cell
+    seen: str  # likewise, 0 or 1
+
+
+class _Mosaic(Value, frozen=True, kw_only=True, tag="mosaic"):
+    """A `Mosaic` likewise."""
+
+    left: float
+    bottom: float
+    cell_m: float
+    columns: int
+    rows: int
+    pixels: str  # rows from south to north, 3 bytes a cell
+
+
 class _Unreadable(Value, frozen=True, kw_only=True, tag="error"):
     """In place of a value that cannot be shown."""
 
@@ -176,6 +199,8 @@ def _encoded(value: Any) -> tuple[str, bytes]:
             value = value.get()
         if isinstance(value, Image):
             value = _picture(value)
+        elif isinstance(value, ProbabilityMap | Mosaic):
+            value = _cells(value)
         return str(type(value).__struct_config__.tag), _encode(value)
     except Exception as error:
         return "error", _encode(_Unreadable(message=f"{type(error).__name__}: {error}"))
@@ -191,6 +216,21 @@ def _picture(image: Image) -> _Picture:
         focal_px=image.focal_px,
         depth_m=None if image.depth_m is None else _base64(image.depth_m.astype("<f4", copy=False)),
     )
+
+
+def _cells(shown: ProbabilityMap | Mosaic) -> _Map | _Mosaic:
+    cells = shown.pixels if isinstance(shown, Mosaic) else shown.probability
+    rows, columns = cells.shape[:2]
+    grid: dict[str, Any] = {
+        "left": shown.left,
+        "bottom": shown.bottom,
+        "cell_m": shown.cell_m,
+        "columns": columns,
+        "rows": rows,
+    }
+    if isinstance(shown, Mosaic):
+        return _Mosaic(**grid, pixels=_base64(cells))
+    return _Map(**grid, probability=_base64(cells), seen=_base64(shown.seen))
 
 
 def _base64(array: Array) -> str:

@@ -21,7 +21,7 @@ from cosim.codec import Decoder, encode
 from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from cosim.federate import Event, RunInfo
 
-PROTOCOL = 5
+PROTOCOL = 6
 """Version of this table; a host of another version is refused."""
 
 

@@ -10,10 +10,11 @@ Callbacks are always direct (no thread per callback) and only hand over to a que
 import contextlib
 import json
 import math
+import os
 import queue
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import zenoh
@@ -32,6 +33,10 @@ LOOPBACK = "tcp/127.0.0.1:0"
 
 UNIX = "unixsock-stream/"
 """How the children of a run reach it: the endpoint's beginning, before the path of a socket."""
+
+_READS = "(rx: (handover: acc))"
+"""Of Zenoh's threads in a hub for children, that which waits for their sockets also reads what comes, and calls back: as Zenoh
+has it, it would wake another one for each message. Where strangers knock, it has them to deal with, and others read."""
 
 COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
@@ -74,10 +79,11 @@ class Hub:
         if keys is not None:
             zenoh.init_log_from_env_or(security.LOG)
         secure = security.LIMITS if keys is None else security.hub_security(keys)
-        self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
+        self._strangers = not endpoint.startswith(UNIX)
+        with threads("()" if self._strangers else _READS):
+            self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
         self._keys, self._patience_s = keys, patience_s
-        self._strangers = not endpoint.startswith(UNIX)
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
         self._missing = True  # the run has no host yet for one of its agents, or has lost one
         self.gone: dict[Machine, float] = {}  # hosts whose token has gone, and when
@@ -345,6 +351,19 @@ class _Question(NamedTuple):
     content: bytes
     deadline_s: float
     last: float
+
+
+@contextlib.contextmanager
+def threads(shared: str) -> Iterator[None]:
+    """How Zenoh's threads share their work, which it reads when a process opens its first session; not for children of it."""
+    if "ZENOH_RUNTIME" in os.environ:
+        yield
+        return
+    os.environ["ZENOH_RUNTIME"] = shared
+    try:
+        yield
+    finally:
+        os.environ.pop("ZENOH_RUNTIME", None)
 
 
 def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.Session:
