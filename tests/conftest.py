@@ -1,10 +1,32 @@
 """What holds for all tests."""
 
 import os
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import settings
+
+from cosim.result import Result
 
 # Compiling the contention core takes longer than any test saves by it: only the tests that compare both do so.
 os.environ.setdefault("VCMVSP_COMPILED", "0")
 settings.register_profile("here", deadline=None)  # how long an example takes depends on what else the machine does
 settings.load_profile("here")
+
+DRAWN = Result._figures
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_figures() -> Iterator[None]:
+    """Runs in this process are saved without figures: to draw them takes ten times as long as the run of most tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Result, "_figures", lambda result, shown: {})
+        yield
+
+
+@pytest.fixture(scope="module")
+def figures(_no_figures: None) -> Iterator[None]:
+    """For test files that look at the figures of runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Result, "_figures", DRAWN)
+        yield

@@ -6,8 +6,11 @@ from typing import Any
 
 import pytest
 
-from agents.formation.formation import Formation
+from agents.avoidance import DynamicWindow, Gap, PotentialField, Vfh
+from agents.formation.formation import Formation, Passage
 from agents.formation.sending import Sending
+from agents.reconnaissance.mosaic import Mosaicking
+from agents.reconnaissance.watch import Wanted, Watching
 from cosim import reference, registry, repeat, scenario, scenario_tables, table
 from netsim.jammer import Source
 from netsim.materials import ITU_MATERIALS
@@ -15,8 +18,8 @@ from netsim.script import Change
 from physics.ground import Ground, Mark
 from physics.noise import Noise
 from physics.solids import MATERIAL_COLORS, Box, Cylinder, Prism
+from physics.targets import Target
 from physics.world import Light, Movable, Moving, Wind, Zone
-from physics.worlds.urban import Target
 
 FOLDER = Path(__file__).parent.parent / "scenarios"
 TEXT = (FOLDER / "README.md").read_text("utf-8")
@@ -52,7 +55,7 @@ HEADINGS = {
     "sensor": ("`sensors = { NAME = { kind = ... }, ... }`",),
     "driver": ("`driver = { kind = ... }` of a vehicle",),
     "localisation": ("`localisation = { kind = ... }` of a vehicle",),
-    "agent": ("Leaders", "Followers", "Consensus", "Patrols"),
+    "agent": ("Leaders", "Followers", "In the air", "Consensus", "Patrols", "Avoidance around any agent", "Missions"),
     **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
 }
 FROM_ELSEWHERE = {*reference.OFFERED}  # parameters that come from the rest of the scenario
@@ -130,6 +133,12 @@ def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str)
         ("`radio = { ... }`", "default", registry.piece("vehicle radio")),
         ("Formations, and when their members report", "formation", Formation),
         ("Formations, and when their members report", "sending", Sending),
+        ("Formations, and when their members report", "passage", Passage),
+        ("Formations, and when their members report", "potential_field", PotentialField),
+        *(("Missions", each.__name__.lower(), each) for each in (Watching, Wanted, Mosaicking)),
+        ("Formations, and when their members report", "gap", Gap),
+        ("Formations, and when their members report", "vfh", Vfh),
+        ("Formations, and when their members report", "dynamic_window", DynamicWindow),
         ("`[radio.script]`", "change", Change),
         ("`[radio.jammer]`", "source", Source),
     ],

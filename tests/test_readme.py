@@ -13,6 +13,7 @@ from cosim.cli import main
 from cosim.testing import check_agent
 
 README = (Path(__file__).parent.parent / "README.md").read_text("utf-8")
+pytestmark = pytest.mark.usefixtures("figures")
 BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", README, re.DOTALL)
 
 

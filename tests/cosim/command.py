@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+from pathlib import Path
 from typing import NamedTuple
 
 from cosim.cli import main
@@ -24,6 +25,12 @@ def vcmvsp(*arguments: str) -> Outcome:
         except SystemExit as end:
             code = end.code
     return Outcome(code or 0, out.getvalue(), err.getvalue())
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """What must not differ between two equal runs: all files but ``about.json``."""
+    paths = [path for path in sorted(folder.iterdir()) if path.name not in ("about.json", "__pycache__")]
+    return {path.name: path.read_bytes() for path in paths}
 
 
 def two_cars(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Self
 
 VCMVSP = [sys.executable, "-m", "cosim.cli"]
+UNDRAWN = ["-P", str(Path(__file__).with_name("undrawn.py"))]
 
 
 class Stage:
@@ -32,8 +33,12 @@ class Stage:
             process.communicate()
 
     def start(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
-        """Start ``vcmvsp`` with these arguments; ``before`` is a command that starts commands, such as ``ip netns exec``."""
-        return self.python("-m", "cosim.cli", *arguments, before=before)
+        """Start ``vcmvsp`` with these arguments; ``before`` is a command that starts commands, such as ``ip netns exec``.
+
+        A run leaves no figures.
+        """
+        program = UNDRAWN if arguments[0] == "run" else ["-m", "cosim.cli"]
+        return self.python(*program, *arguments, before=before)
 
     def python(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
         command = [*before, sys.executable, *arguments]

@@ -1,6 +1,7 @@
 """Events of vehicles and frames with known answers, and what a recorder makes of them."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -10,7 +11,7 @@ from cosim.clock import Ticks
 from cosim.federate import Event, RunInfo
 from cosim.frames import quaternion_from_yaw
 from cosim.record import Recorder
-from cosim.types import Follows, FrameReport, States, Velocity, frozen
+from cosim.types import Follows, FrameReport, Note, States, Velocity, frozen
 
 TENTH = Ticks.every(0.1)
 Pose = tuple[float, float, float]
@@ -50,11 +51,15 @@ def follows(vehicle: str, leader: str, slot: tuple[float, float], handle_m: floa
     return Event(f"{vehicle}/follows", time_ns, Follows(leader=leader, slot=slot, handle_m=handle_m))
 
 
-def recorded(names: Sequence[str], events: Iterable[Event], end_ns: int, ticks: Ticks = TENTH) -> Recorder:
+def note(vehicle: str, time_ns: int, **values: float | str | bool) -> Event:
+    return Event(f"{vehicle}/note", time_ns, Note(values=values))
+
+
+def recorded(names: Sequence[str], events: Iterable[Event], end_ns: int, ticks: Ticks = TENTH, world: Any = None) -> Recorder:
     """A recorder that has seen these events and is closed."""
     run = RunInfo(scenario="test", seed=3, duration_ns=end_ns, vehicles=tuple(names))
     agents = [AgentInfo(vehicle=name, agent="x", ticks=ticks, latency_ns=0, params={}, known=(), taken=()) for name in names]
-    recorder = Recorder(run, record_ticks=TENTH, mcap=None, agents=agents, radius_m={})
+    recorder = Recorder(run, record_ticks=TENTH, mcap=None, agents=agents, radius_m={}, world=world)
     for event in sorted(events, key=lambda event: event.time_ns):
         recorder.on(event)
     recorder.close(end_ns)

@@ -1,5 +1,6 @@
 """What an author of agents relies on: sizes of messages, plain content, notes, and streams of one's own."""
 
+import math
 from typing import Any
 
 import msgspec
@@ -9,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from cosim.codec import Decoder, encode
 from cosim.rng import stream
-from cosim.types import Message, VehicleState, Velocity
+from cosim.types import Message, Mosaic, ProbabilityMap, Sighting, Sightings, VehicleState, Velocity
 
 VEHICLES = ("car1", "car2", "car3")
 PLAIN = st.recursive(
@@ -127,6 +129,94 @@ def test_notes_are_plain_and_taken_once() -> None:
     assert one.drain_notes() == {"age_s": 0.1, "count": 4.0, "status": "waiting", "lost": True}
     assert one.drain_notes() == {}
     assert other.drain_notes() == {}
+
+
+def a_map(**changes: Any) -> ProbabilityMap:
+    cells = {"probability": np.full((2, 3), 127, np.uint8), "seen": np.zeros((2, 3), np.bool_)}
+    return ProbabilityMap(**{"left": 1.0, "bottom": 2.0, "cell_m": 0.5, **cells, **changes})
+
+
+def a_mosaic(**changes: Any) -> Mosaic:
+    return Mosaic(**{"left": 1.0, "bottom": 2.0, "cell_m": 0.5, "pixels": np.zeros((2, 3, 3), np.uint8), **changes})
+
+
+def a_sighting(**changes: Any) -> Sighting:
+    values = {"target": "a", "place": (0.0, 1.0), "centre_px": (4.0, 2.0), "angle": 0.1, "side_px": 9.0, "score": 0.9}
+    return Sighting(**{**values, **changes})
+
+
+def sightings(*found: Any, **changes: Any) -> Sightings:
+    return Sightings(**{"sensor": "camera", "time_ns": 5, "width": 8, "height": 6, "found": found, "jpeg": b"x", **changes})
+
+
+def test_what_is_shown_is_a_copy() -> None:
+    """An agent may go on drawing on its sheet: the recording has what was on it."""
+    agent, probability, seen, pixels = (
+        Agent(),
+        np.zeros((2, 2), np.uint8),
+        np.zeros((2, 2), bool),
+        np.zeros((2, 2, 3), np.uint8),
+    )
+    agent.show(a_map(probability=probability, seen=seen))
+    agent.show(a_mosaic(pixels=pixels))
+    for each in (probability, seen, pixels):
+        each[:] = 1
+    shown: dict[str, Any] = dict(agent.drain_shown())
+    assert not any(each.any() for each in (shown["map"].probability, shown["map"].seen, shown["mosaic"].pixels))
+    assert not any(each.flags.writeable for each in (shown["map"].probability, shown["map"].seen, shown["mosaic"].pixels))
+    assert agent.drain_shown() == {}
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        a_map(
+            left=np.float32(1.5), bottom=np.int64(2), probability=np.asfortranarray(np.arange(6, dtype=np.uint8).reshape(2, 3))
+        ),
+        a_mosaic(cell_m=1, pixels=np.arange(36, dtype=np.uint8).reshape(2, 6, 3)[:, ::2]),
+        sightings(a_sighting(place=(np.float32(0.1), np.float64(0.2)), score=np.float32(0.3)), width=np.int64(8)),
+    ],
+)
+def test_what_is_shown_is_what_would_come_over_a_wire(value: Any) -> None:
+    agent = Agent()
+    agent.show(value)
+    (plain,) = agent.drain_shown().values()
+    kind = type(value)
+    assert encode(plain) == encode(Decoder(kind).decode(encode(value)))
+    numbers = plain.found[0].place if isinstance(plain, Sightings) else (plain.left, plain.bottom, plain.cell_m)
+    assert {type(each) for each in numbers} == {float}
+
+
+UNFIT: list[tuple[Any, str]] = [
+    (sightings(a_sighting(score=math.nan)), "numbers that are not finite"),
+    (sightings(a_sighting(target=5)), "Expected `str`, got `int`"),
+    (sightings(a_sighting(target="\ud800")), "surrogates not allowed"),
+    (sightings(time_ns=None), "Expected `int`, got `None`"),
+    (sightings(width=0), "a picture of 0 x 6 pixels"),
+    (a_map(seen=np.zeros((2, 2), np.bool_)), "cells that are not (rows, columns) of uint8 and of bool"),
+    (a_map(probability=np.zeros((2, 3))), "cells that are not (rows, columns) of uint8 and of bool"),
+    (a_map(probability=np.zeros((0, 3), np.uint8), seen=np.zeros((0, 3), np.bool_)), "no cells"),
+    (a_map(left=math.inf), "cells of 0.5 m from (inf, 2) m"),
+    (a_map(cell_m=1e300), "cells of 1e+300 m from (1, 2) m"),
+    (a_map(left="west"), "could not convert string to float"),
+    (a_mosaic(pixels=np.zeros((2, 3), np.uint8)), "pixels (2, 3) of uint8"),
+    (a_mosaic(pixels=np.zeros((0, 3, 3), np.uint8)), "no cells"),
+    (a_mosaic(cell_m=0.0), "cells of 0 m from (1, 2) m"),
+]
+
+
+@pytest.mark.parametrize(("value", "words"), UNFIT)
+def test_what_no_recording_could_hold_is_not_shown(value: Any, words: str) -> None:
+    agent = Agent()
+    with pytest.raises(ValueError, match=rf"show\({type(value).__name__}\)") as caught:
+        agent.show(value)
+    assert words in str(caught.value)
+    assert agent.drain_shown() == {}
+
+
+def test_only_what_has_a_topic_is_shown() -> None:
+    with pytest.raises(TypeError, match=r"show\(Velocity\): only a ProbabilityMap, Sightings or a Mosaic"):
+        Agent().show(Velocity())  # type: ignore[arg-type]
 
 
 def test_an_agent_need_not_call_the_base_constructor() -> None:

@@ -19,7 +19,20 @@ from cosim.codec import Decoder, encode
 from cosim.federate import Event, RunInfo
 from cosim.text import plain
 from cosim.transport import checking, wire
-from cosim.types import AnyValue, Array, Fix, Follows, Message, Note, Presence, VehicleState, Velocity, Waypoint
+from cosim.types import (
+    AnyValue,
+    Array,
+    Fix,
+    Follows,
+    Message,
+    Note,
+    Presence,
+    ProbabilityMap,
+    Sightings,
+    VehicleState,
+    Velocity,
+    Waypoint,
+)
 
 NAMES = frozenset({"car1", "car2", "car3"})
 OWN = {"car2": 100, "car3": 250}
@@ -101,6 +114,9 @@ def deep(levels: int) -> Any:
     return value
 
 
+MAP = ProbabilityMap(
+    left=0.0, bottom=0.0, cell_m=1e300, probability=np.zeros((1, 1), np.uint8), seen=np.zeros((1, 1), np.bool_)
+)
 REFUSED: list[tuple[str, int, Any, str]] = [
     ("car9/command", 100, Velocity(), "speaks for car9"),
     ("car1/command", 100, Velocity(), "speaks for car1"),
@@ -131,6 +147,9 @@ REFUSED: list[tuple[str, int, Any, str]] = [
     ("car2/command", 100, Waypoint(position=(0.0, 0.0, math.nan)), "a command that is not finite"),
     ("car2/command", 100, Waypoint(position=(0.0, 0.0, 0.0), yaw=math.nan), "a command that is not finite"),
     ("car2/command", 100, Waypoint(position=(0.0, 0.0, 0.0), speed=math.inf), "a command that is not finite"),
+    ("car2/map", 100, MAP, "car2/map with cells of 1e"),
+    ("car2/mosaic", 100, MAP, "car2/mosaic of type ProbabilityMap"),
+    ("car2/sightings", 100, Sightings(sensor="c", time_ns=0, width=0, height=9, found=()), "with a picture of 0 x 9 pixels"),
     ("car2/follows", 100, Follows(leader="car2"), "follows car2, which is not another vehicle of this run"),
     ("car2/follows", 100, Follows(leader="car9"), "follows car9, which is not another vehicle of this run"),
     ("car2/send", 100, message(sender="car9"), "a message from car9 as one from car2"),

@@ -136,10 +136,12 @@ def test_robots_drive_while_there_is_an_operator() -> None:
 def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(
         "import time\n"
+        "from pathlib import Path\n"
         "from hardware.bench import Bench\n"
         "class Slow(Bench):\n"
         "    def open(self, start):\n"
-        "        time.sleep(1.5)\n"
+        "        while not Path(__file__).with_name('go').exists():\n"
+        "            time.sleep(0.02)\n"
         "        super().open(start)\n"
     )
     told = msgspec.structs.replace(mission(Part(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path))
@@ -152,6 +154,7 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
                 time.sleep(0.02)
         done = vcmvsp("stop")
         assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
+        (tmp_path / "go").touch()
         with pytest.raises(DriverError, match=OPERATOR_STOP):  # it might be taking off
             station.wait_ready()
     finally:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -45,6 +45,7 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     float | None: FLOATS | st.none(),
     int: TIMES,
     str: TEXT,
+    bytes: st.binary(max_size=16),
     str | None: TEXT | st.none(),
     tuple[str, ...]: st.lists(TEXT, max_size=3).map(tuple),
     tuple[str, ...] | None: st.lists(TEXT, max_size=3).map(tuple) | st.none(),
@@ -61,6 +62,8 @@ def instances(kind: Any) -> st.SearchStrategy[Any]:
         return st.builds(kind, **{name: instances(hint) for name, hint in typing.get_type_hints(kind).items()})
     if typing.get_origin(kind) is Literal:
         return st.sampled_from(typing.get_args(kind))
+    if kind not in BY_ANNOTATION and typing.get_origin(kind) is tuple:
+        return st.lists(instances(typing.get_args(kind)[0]), max_size=3).map(tuple)
     return BY_ANNOTATION[kind]
 
 
@@ -93,6 +96,7 @@ events: Decoder[list[Event]] = Decoder(list[Event])
 
 
 @pytest.mark.parametrize("kind", typing.get_args(AnyValue), ids=lambda kind: kind.__name__)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_every_value_comes_back_bit_for_bit(kind: Any, data: st.DataObject) -> None:
     value = data.draw(instances(kind))

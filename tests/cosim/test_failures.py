@@ -14,6 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
+from tests.cosim.hosting import UNDRAWN
+
 AGENTS = '''
 import os, signal, sys, time
 from cosim import Agent, Velocity
@@ -98,7 +100,7 @@ def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_p
     scenario, out = write(tmp_path, how), tmp_path / "out"
     shared_before = set(Path("/dev/shm").iterdir())
     begin = time.monotonic()
-    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out)]
+    command = [sys.executable, *UNDRAWN, "run", str(scenario), "--agents", where, "--out", str(out)]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     _, errors_said = run.communicate(timeout=60)
     assert time.monotonic() - begin < 40.0  # start-up, 1 s of deadline, clean-up; the demand of 5 s is for an idle machine

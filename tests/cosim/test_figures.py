@@ -16,7 +16,7 @@ import pytest
 import cosim
 from cosim import figures
 from cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
-from cosim.figures import loss, lossy, theory
+from cosim.figures import circle, gains, loss, lossy, rates, theory
 from cosim.figures.files import as_json, table, write
 from cosim.figures.kit import Curve, Figure, Heat, Job, Panel, Row, Runner, at_least, at_most, relative
 from cosim.figures.scenarios import ASIDE, K1, R, T, V, fleet, overshoot, rms, settling_s, step_follower, track
@@ -272,10 +272,20 @@ def test_the_integration_gives_the_published_errors(path: str, estimator: str, r
     assert lossy.rms(path, estimator, p, np.zeros(3, int)) == pytest.approx(reference, rel=0.1)
 
 
-# --- the quick figures, whole; of the slow ones a part ---
+# --- the quick figures, nearly whole; of the slow ones a part ---
 
 
-@pytest.mark.parametrize("name", ["24", "25", "30", "31", "32", "33"])
+@pytest.fixture
+def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the starts of figure 24's proof, one gain of 30 at its fine period, less time before the steps of 33."""
+    monkeypatch.setattr(circle, "PARTS", 1)
+    monkeypatch.setattr(circle, "STARTS", 50)
+    monkeypatch.setattr(gains, "FINE_GAINS", (2.0,))
+    monkeypatch.setattr(rates, "BEFORE_S", 60.0)
+
+
+@pytest.mark.usefixtures("fewer")
+@pytest.mark.parametrize("name", ["24", "25", "28", "30", "31", "32", "33", "stall", "levels"])
 def test_figure(name: str, tmp_path: Path) -> None:
     given = vcmvsp("figure", name, "--jobs", "1", "--json", "--out", str(tmp_path))
     answer = json.loads(given.out)

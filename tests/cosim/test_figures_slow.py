@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from cosim import figures
-from cosim.figures import chain, consensus, delay, lossy
+from cosim.figures import chain, consensus, delay, fields, gauge, lossy, passages
 from cosim.figures.files import write
 from cosim.figures.kit import Figure, Runner
 
@@ -89,3 +89,30 @@ def test_consensus_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(consensus, "GROWTH", {graph: consensus.GROWTH[graph][2:3] for graph in few})
     figure = made("consensus-delay", tmp_path, 4, ["last stable", "first unstable", "1 kHz", "no delay", "own point fresh"])
     assert len(figure.rows) == 4 + 1 + 1 + 1
+
+
+def test_29(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fields, "SPACINGS", {spacing: fields.SPACINGS[spacing] for spacing in (1.2, 1.5)})
+    figure = made("29", tmp_path, 4, ["tang 0", "tang 1", "spacing 1.2 m"])
+    assert len(figure.rows) == 2 * 5 + 1 + 1
+
+
+def test_41(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gauge, "DOORS", 80)
+    monkeypatch.setattr(gauge, "PARTS", 1)
+    monkeypatch.setattr(gauge, "DISTANCES", 10)
+    figure = made("41", tmp_path, 5, ["left door", "narrow door", "behind the robot", "40 doors", "80 random doors"])
+    assert len(figure.rows) == 2 * (3 + 2 + 2) + 4
+
+
+@pytest.mark.parametrize("name", ["42", "43"])
+def test_corridor(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(passages, "SEEDS", (1,))
+    assert len(made(name, tmp_path, 3, ["changes of shape", "changes of mode", "clearance"]).rows) == 6
+
+
+def test_passage_policies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(passages, "SEEDS", (1,))
+    monkeypatch.setattr(passages, "EXPECTED", {"corridor": passages.EXPECTED["corridor"]})
+    figure = made("passage-policies", tmp_path, 2, ["corridor, A2", "gates, B, p = 0.9", "low scanners", "at most 5"])
+    assert len(figure.rows) == 3 * 6 + 1 + 2 * 2 * 3

@@ -1,5 +1,6 @@
 """Hosts that somebody starts by hand: who is let in, what the resolved scenario says of them, and how they and the run end."""
 
+import contextlib
 import os
 import queue
 import signal
@@ -17,8 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import cosim
-from cosim.errors import FederateError
+from cosim.errors import FederateError, UsageError
 from cosim.transport import dialling, wire
+from cosim.transport.zenoh import threads
 from tests.cosim.hosting import Stage, ended, wait_for
 
 SCENARIO = """
@@ -171,6 +173,19 @@ def test_a_run_that_is_killed_ends_the_host(stage: ByHand) -> None:
     code, said = ended(host)
     assert code == 3
     assert "the run: is gone" in said
+
+
+@pytest.mark.parametrize("users", [None, "(tx: (worker_threads: 2))"])
+def test_how_a_session_shares_its_work_is_not_for_children_and_the_user_s_own_choice_wins(
+    users: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ZENOH_RUNTIME", raising=False)
+    if users:
+        monkeypatch.setenv("ZENOH_RUNTIME", users)
+    with contextlib.suppress(UsageError), threads("(rx: (handover: acc))"):
+        assert os.environ["ZENOH_RUNTIME"] == (users or "(rx: (handover: acc))")
+        raise UsageError("cannot listen")
+    assert os.environ.get("ZENOH_RUNTIME") == users
 
 
 def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:

@@ -13,8 +13,7 @@ import cosim
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.errors import AgentError
 from cosim.types import Follows, Velocity
-
-VCMVSP = [sys.executable, "-m", "cosim.cli"]
+from tests.cosim.hosting import UNDRAWN
 
 
 def alone(kind: str = "trajectory", **more: Any) -> dict[str, Any]:
@@ -37,7 +36,8 @@ class Doing(Agent):
 
 
 def test_runs_at_once_never_share_a_folder(tmp_path: Path) -> None:
-    command = [*VCMVSP, "run", "formation-circle", "--agents", "inprocess", "--set", "duration_s=2", "--quiet"]
+    short = ["--set", "duration_s=0.5", "--set", "physics.kind=kinematic", "--quiet"]
+    command = [sys.executable, *UNDRAWN, "run", "formation-circle", "--agents", "inprocess", *short]
     seeds = [subprocess.Popen([*command, "--set", f"radio.loss.probability=0.{n}"], cwd=tmp_path) for n in range(3)]
     assert [run.wait(60) for run in seeds] == [0, 0, 0]
     texts = {(path / "scenario.toml").read_text() for path in (tmp_path / "runs").iterdir()}

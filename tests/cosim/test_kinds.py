@@ -154,6 +154,7 @@ def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
     assert (outcome.code, "s.toml line 3: vehicle.q2.position: q2 and q1 overlap" in outcome.err) == (2, True), outcome.err
 
 
+@pytest.mark.usefixtures("figures")
 def test_solids_are_seen_in_the_figure_of_the_paths_which_say_how_much_of_them(tmp_path: Path) -> None:
     boxes = [{"center": [x, 2.0, 0.5], "size": [1.0, 1.0, 1.0]} for x in (3.0, 300.0)]
     (tmp_path / "s.toml").write_text(f"{PAIR}[world]\nkind = 'boxes'\nboxes = []\n")

@@ -25,7 +25,7 @@ from cosim.errors import VcmvspError
 from cosim.scenario import settings_of
 from cosim.transport import ssh
 from tests.cosim.command import vcmvsp
-from tests.cosim.hosting import VCMVSP, Stage, ended, wait_for
+from tests.cosim.hosting import UNDRAWN, VCMVSP, Stage, ended, wait_for
 from tests.cosim.sshing import Machine, played, served
 
 SCENARIO = """
@@ -88,7 +88,11 @@ class Launching(Stage):
         if not {"--listen", "--keys"} & {*more}:  # with keys, the file says where hosts dial, and the run listens there
             arguments += ["--listen", f"tcp/127.0.0.1:{self.port}"]
         process = subprocess.Popen(
-            [*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder, env=os.environ | self.environment
+            [sys.executable, *UNDRAWN, *arguments],
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=self.folder,
+            env=os.environ | self.environment,
         )
         self.processes.append(process)
         return process
@@ -196,7 +200,17 @@ def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Laun
     assert code == 0, said
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("machine", "end"),
+    [
+        ("played", signal.SIGINT),
+        ("played", signal.SIGTERM),
+        ("played", signal.SIGKILL),
+        ("sshd", signal.SIGKILL),  # the other end sees no more than that the connection is gone
+        ("asyncssh", signal.SIGTERM),
+    ],
+    indirect=["machine"],
+)
 def test_no_host_outlives_its_run(stage: Launching, machine: Machine, end: signal.Signals) -> None:
     pid = stage.folder / "pid"
     command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
@@ -247,6 +261,7 @@ def test_a_host_that_does_not_listen_to_signals_is_ended_too(stage: Launching) -
     assert gone(stage.folder / "pid")
 
 
+@pytest.mark.parametrize("machine", ["played"], indirect=True)  # ssh hands on the code that a command there ends with
 def test_a_host_that_cannot_start_ends_the_waiting_in_words(stage: Launching, machine: Machine) -> None:
     connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
     where = f"host far (ssh {machine.ssh})"
@@ -356,14 +371,15 @@ def test_what_is_wrong_with_a_file_of_hosts_is_said_before_anything_starts(
     assert not Path("out").exists()
 
 
-SHELLS = [name for name in ("sh", "dash", "bash", "zsh", "mksh", "yash", "busybox") if shutil.which(name)]
+NAMES = ("sh", "dash", "bash", "zsh", "mksh", "yash", "busybox")
+SHELLS = {os.path.realpath(path): path for name in NAMES if (path := shutil.which(name))}.values()  # sh is one of the others
 WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 
 
 def heard(shell: str, script: str) -> tuple[int | None, str]:
     """How a script ends, and what it says."""
     log = io.BytesIO()
-    far = ssh.Far([shell, "sh"] if shell == "busybox" else [shell], script, log, lambda _: None)
+    far = ssh.Far([shell, "sh"] if shell.endswith("busybox") else [shell], script, log, lambda _: None)
     assert far.wait(60.0)
     code = far.code
     far.release()

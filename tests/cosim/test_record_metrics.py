@@ -118,7 +118,8 @@ def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
     result = recorded("a", [states(0, {"a": (1.0, 2.0, 3.0)})], SECOND_NS).metrics(window=(20.0, None))
     lengths = ("rms_m", "max_m", "final_m")
     link = dict.fromkeys((*lengths, "mean_m", "settling_s", "overshoot", "convergence_1_s", "hop_gain"))
-    assert result["formation"] == {**link, "shape": dict.fromkeys(lengths), "per_follower": {}}
+    changes = {"shape_changes": 0, "mode_toggles": None, "avoid_s": None, "reformed_s": None}
+    assert result["formation"] == {**link, **changes, "shape": dict.fromkeys(lengths), "per_follower": {}}
     ages = dict.fromkeys(("mean", "p95", "max", "time_average", "peak"))
     assert result["radio"] == {
         "frames": 0, "receptions": 0, "delivery_ratio": None, "losses": {},
@@ -128,7 +129,7 @@ def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
     control = dict.fromkeys((*rms, "effort_m2_s"))
     assert result["control"] == {**control, "per_vehicle": {"a": control}}
     assert result["connectivity"] == dict.fromkeys(("mean", "min", "connected_share"))
-    assert result["safety"] == {"collisions": 0, "min_separation_m": None}
+    assert result["safety"] == {"collisions": 0, "min_separation_m": None, "min_clearance_m": None}
     parts = ["formation", "radio", "control", "connectivity", "agents", "safety"]
     assert list(result) == ["schema", "scenario", "seed", "duration_s", *parts, "digest"]
     assert (result["schema"], result["scenario"], result["seed"], result["duration_s"]) == ("vcmvsp.metrics/1", "test", 3, 1.0)

@@ -5,7 +5,9 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -23,7 +25,6 @@ from cosim.types import Message, NonNegative, Positive, Probability, Seconds, Se
 from netsim.presets import LAYERS, PRESETS, preset
 from tests.netsim.helpers import make_channel, send
 
-RADIO = reference.radio()
 ALL_BLOCKS = "''.join(write() for write in reference.BLOCKS.values())"
 REQUIRED = {"probability": 0.1, "quantiles": [[0.0, 0.0], [1.0, 0.1]], "file": "links.csv"}  # all others may be 0.1
 
@@ -80,6 +81,15 @@ class Sleet(Hail):
     grain_m: float = 0.001  # measured by nobody
 
 
+@pytest.fixture(scope="module", autouse=True)
+def blocks() -> Iterator[dict[str, str]]:
+    """All that is generated, once: it takes a while."""
+    written = {name: write() for name, write in reference.BLOCKS.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reference, "BLOCKS", {name: partial(written.get, name) for name in written})
+        yield written
+
+
 # --- the page -----------------------------------------------------------------------------------------------------------------
 
 
@@ -115,12 +125,12 @@ def test_a_page_without_a_place_for_it_is_refused() -> None:
         reference.updated("# Nothing\n")
 
 
-def test_it_is_the_same_in_every_process() -> None:
+def test_it_is_the_same_in_every_process(blocks: dict[str, str]) -> None:
     code = f"from cosim import reference; import sys; sys.stdout.buffer.write({ALL_BLOCKS}.encode())"
     for salt in ("1", "2"):
         environment = {**os.environ, "PYTHONHASHSEED": salt}
         told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=environment).stdout
-        assert told.decode() == eval(ALL_BLOCKS)
+        assert told.decode() == "".join(blocks.values())
 
 
 # --- what is in it ------------------------------------------------------------------------------------------------------------
@@ -142,10 +152,10 @@ def test_the_keys_of_a_kind_are_those_that_a_scenario_can_set(layer: str, kind: 
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_the_table_of_presets_together_with_the_defaults_is_each_preset(name: str) -> None:
-    heads, _, *rows = [line.strip("| ").split(" | ") for line in RADIO.split("\n\n")[1].splitlines()]
+def test_the_table_of_presets_together_with_the_defaults_is_each_preset(name: str, blocks: dict[str, str]) -> None:
+    heads, _, *rows = [line.strip("| ").split(" | ") for line in blocks["radio"].split("\n\n")[1].splitlines()]
     (row,) = [dict(zip(heads, row, strict=True)) for row in rows if row[0] == f"`{name}`"]
-    same = re.search(r"In all presets (.*?)\. The range", RADIO)
+    same = re.search(r"In all presets (.*?)\. The range", blocks["radio"])
     assert same
     said = {head.replace(" ", "_"): words for head, words in row.items() if head not in {"preset", "range"}}
     said |= {each.partition(" is ")[0].replace(" ", "_"): each.partition(" is ")[2] for each in same[1].split("; ")}

@@ -93,6 +93,15 @@ def test_truths_are_names_and_no_numbers() -> None:
     assert [text.get_text() for text in axes.get_xticklabels()] == ["true", "false"]
 
 
+def test_tables_are_named_by_their_kinds_where_these_differ() -> None:
+    gap, field, wide = '{"kind": "gap"}', '{"kind": "potential_field", "reach": 0.6}', '{"kind": "gap", "top": 5}'
+    (axes,) = figure_of({"agents.avoidance": [gap, field], "world": ['{"kind": "gates"}', '{"kind": "pillar"}']}).axes
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["gap", "potential_field"]
+    assert [bars.get_label() for bars in axes.containers] == ["gates", "pillar"]
+    (axes,) = figure_of({"agents.avoidance": [gap, wide]}).axes
+    assert [text.get_text() for text in axes.get_xticklabels()] == [gap, wide]
+
+
 def test_many_lines_stay_apart() -> None:
     (axes,) = figure_of({WHO: [f"e{i}" for i in range(20)], LOSS: [0.1, 0.5]}).axes
     assert len({(line.get_color(), line.get_marker()) for line in axes.lines}) == 20

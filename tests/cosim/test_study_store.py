@@ -21,6 +21,7 @@ from cosim.studies.examine import examined
 from cosim.studies.plan import Plan
 from cosim.studies.store import Store
 from cosim.studies.worker import failed
+from tests.cosim.command import vcmvsp
 from tests.cosim.studying import ESTIMATOR, LOSS, columns, mine, start, two
 
 NAP = "agents.nap_s"
@@ -307,7 +308,9 @@ def wait_for_lines(run: "subprocess.Popen[str]", folder: Path) -> None:
 ARGUMENTS = ("mine.toml", "--vary", f"{NAP}=0.1,0.101,0.102", "--seeds", "6", "--jobs", "2", "--json", "--quiet")
 
 
-def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(tmp_path: Path) -> None:
+def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     mine(tmp_path)
     killed = start(tmp_path, *ARGUMENTS, "--out", "killed")
     wait_for_lines(killed, tmp_path / "killed")
@@ -322,7 +325,8 @@ def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(
     out, err = start(tmp_path, *ARGUMENTS, "--out", "killed", "--resume").communicate(timeout=60)
     about = json.loads((tmp_path / "killed" / "about.json").read_text())
     assert 0 < about["runs_made"] < 18, err
-    whole_out, _ = start(tmp_path, *ARGUMENTS, "--out", "whole").communicate(timeout=60)
+    monkeypatch.chdir(tmp_path)
+    whole_out = vcmvsp("study", *ARGUMENTS, "--jobs", "1", "--out", "whole").out
     names = {path.name for path in (tmp_path / "whole").iterdir()}
     assert {path.name for path in (tmp_path / "killed").iterdir()} == names
     for name in names - {"about.json"}:

@@ -36,11 +36,15 @@ from cosim.types import (
     Later,
     Measured,
     Message,
+    Mosaic,
     Note,
     Odometry,
+    ProbabilityMap,
     Reading,
     Reception,
     Scan,
+    Sighting,
+    Sightings,
     States,
     VehicleState,
     Velocity,
@@ -181,6 +185,26 @@ def test_pictures_and_scans_can_be_read_again(hub: Hub, topics: Topics, stack: c
     ranges = np.array([0.5, np.inf, -np.inf, 0.1], np.float32)
     said = show(topics, "car1/scan", Scan(ranges=ranges, angle_min=-1.0, angle_step=0.5, range_max=8.0), ear)
     assert said["ranges"] == [0.5, None, None, float(np.float32(0.1))]
+
+
+def test_what_agents_show_can_be_read_again(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+    """Cell by cell, as bytes: lists of numbers would be four times as long."""
+    ear = Ear(stack.enter_context(client(hub.endpoint)))
+    rng, place = np.random.default_rng(1), {"left": -3.0, "bottom": 4.5, "cell_m": 0.5}
+    probability, seen = rng.integers(0, 255, (3, 5), np.uint8), rng.random((3, 5)) < 0.5
+    pixels = rng.integers(0, 255, (3, 5, 3), np.uint8)
+    said = show(topics, "uav1/map", ProbabilityMap(**place, probability=probability, seen=seen), ear)
+    assert (said["type"], said["columns"], said["rows"]) == ("map", 5, 3)
+    assert said.items() >= place.items()
+    for name, cells in (("probability", probability), ("seen", seen)):
+        assert np.array_equal(np.frombuffer(base64.b64decode(said[name]), np.uint8).reshape(3, 5), cells)
+    said = show(topics, "uav1/mosaic", Mosaic(**place, pixels=pixels), ear)
+    assert (said["type"], said["columns"], said["rows"]) == ("mosaic", 5, 3)
+    assert np.array_equal(np.frombuffer(base64.b64decode(said["pixels"]), np.uint8).reshape(3, 5, 3), pixels)
+    one = Sighting(target="a", place=(1.0, 2.0), centre_px=(3.0, 4.0), angle=0.5, side_px=6.0, score=0.75)
+    said = show(topics, "uav1/sightings", Sightings(sensor="c", time_ns=4, width=5, height=3, found=(one,), jpeg=b"\xff"), ear)
+    assert (said["type"], base64.b64decode(said["jpeg"])) == ("sightings", b"\xff")
+    assert msgspec.convert(said["found"], tuple[Sighting, ...]) == (one,)
 
 
 def test_nothing_is_worked_out_for_nobody(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:

@@ -22,15 +22,15 @@ def history(layer: GilbertElliott, times_s: Any, links: int) -> Bools:
 
 @pytest.mark.parametrize(("p", "r"), RATES)
 def test_stationary_loss(p: float, r: float) -> None:
-    """2000 links at 100 times far apart: 2e5 independent states, and losses in each."""
+    """2000 links at 50 times far apart: 1e5 independent states, and losses in each."""
     layer = GilbertElliott(p, r, bad_loss=0.8, good_loss=0.05)
-    times = np.arange(100) * 37.0 / (p + r)
+    times = np.arange(50) * 37.0 / (p + r)
     share = p / (p + r)
-    assert history(layer, times, 2000).mean() == pytest.approx(share, abs=4.5 * math.sqrt(share * (1 - share) / 2e5))
+    assert history(layer, times, 2000).mean() == pytest.approx(share, abs=4.5 * math.sqrt(share * (1 - share) / 1e5))
     rng = np.random.default_rng(1)
     lost = np.mean([layer.lost(many_frame(2000, round(t * 1e9)), lambda: rng.random((2000, 2))) for t in times])
     loss = share * 0.8 + (1 - share) * 0.05
-    assert lost == pytest.approx(loss, abs=4.5 * math.sqrt(loss * (1 - loss) / 2e5))
+    assert lost == pytest.approx(loss, abs=4.5 * math.sqrt(loss * (1 - loss) / 1e5))
 
 
 @pytest.mark.parametrize(("p", "r"), RATES)
@@ -50,7 +50,7 @@ def test_bursts_last_as_long_as_they_should(p: float, r: float) -> None:
         assert np.std(lengths) == pytest.approx(1.0 / rate, rel=0.08)
 
 
-@pytest.mark.parametrize(("p", "r"), RATES)
+@pytest.mark.parametrize(("p", "r"), [RATES[0], RATES[-1]])
 def test_autocorrelation(p: float, r: float) -> None:
     """exp(-(p + r) tau), whatever the time between the frames; across the ends of cells too (16 / (p + r) s)."""
     layer, rate = GilbertElliott(p, r), p + r

@@ -23,7 +23,7 @@ def bianchi(count: int, window: int = 32, stages: int = 5) -> tuple[float, float
     return tau, p
 
 
-@pytest.mark.parametrize("count", [3, 5, 10])
+@pytest.mark.parametrize("count", [3, 10])
 def test_saturated_unicast_is_bianchis(count: int) -> None:
     """Equal levels: nothing is received in a collision, whose end is followed by DIFS."""
     medium = open_air(count, Dsss(11e6), Dcf(lifetime_s=1e6, queue_frames=10**6))
@@ -42,7 +42,7 @@ def test_saturated_unicast_is_bianchis(count: int) -> None:
     assert received / until_ns == pytest.approx(success / slot_ns, rel=0.03)
 
 
-@pytest.mark.parametrize("count", [3, 10, 20])
+@pytest.mark.parametrize("count", [3, 20])
 def test_saturated_broadcast_sends_in_a_slot_with_2_over_w_plus_1(count: int) -> None:
     """Bianchi without retries: the share of collisions is 1 - (1 - 2 / 33)^(n - 1)."""
     medium = open_air(count, Dsss(11e6), Dcf(lifetime_s=1e6, queue_frames=10**6))

@@ -23,7 +23,7 @@ LOSS, DELAY, BURST, WHO = "radio.loss.probability", "radio.delay.seconds", "radi
 
 @cache
 def metrics(name: str, seed: int, *point: tuple[str, Any]) -> dict[str, Any]:
-    return cosim.run(name, seed=seed, set=dict(point), agents="inprocess").metrics
+    return cosim.run(name, seed=seed, set=dict(point), agents="inprocess", mcap=False).metrics
 
 
 def rms(name: str, point: dict[str, Any], seeds: int = 1) -> float:
@@ -33,8 +33,8 @@ def rms(name: str, point: dict[str, Any], seeds: int = 1) -> float:
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middle_of_it(name: str) -> None:
     study = scenario.load(name)[0].study
-    assert study.metrics[0] == "formation.rms_m"
-    for point in itertools.product(*({values[0], values[-1]} for values in study.vary.values())):
+    assert study.metrics[0] == ("safety.min_clearance_m" if name == "study-avoidance" else "formation.rms_m")
+    for point in itertools.product(*((values[0], values[-1]) for values in study.vary.values())):
         check(name, set=dict(zip(study.vary, point, strict=True)))
 
 
@@ -45,17 +45,9 @@ def test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middl
     ("who", "delay_s", "expected"),
     [
         ("hold", 0.1, 0.036),
-        ("hold", 0.5, 0.169),
-        ("hold", 1.0, 0.334),
         ("hold", 2.0, 0.656),
-        ("dr", 0.1, 0.0085),
         ("dr", 0.5, 0.041),
-        ("dr", 1.0, 0.095),
-        ("dr", 2.0, 0.253),
-        ("acc", 0.5, 0.0098),
         ("acc", 1.0, 0.037),
-        ("acc", 2.0, 0.154),
-        ("plan", 0.5, 0.0061),
         ("plan", 2.0, 0.0061),
     ],
 )
@@ -79,7 +71,7 @@ def test_the_age_over_loss_is_the_closed_form(probability: float) -> None:
 
 
 def test_losses_matter_less_the_more_a_follower_knows_of_its_leader() -> None:
-    hold, dr, acc, plan = (rms("study-loss", {WHO: who, LOSS: 0.7}, seeds=2) for who in ("hold", "dr", "acc", "plan"))
+    hold, dr, acc, plan = (rms("study-loss", {WHO: who, LOSS: 0.7}) for who in ("hold", "dr", "acc", "plan"))
     assert dr < 0.6 * hold
     assert acc < 0.7 * dr
     assert plan < 0.7 * acc
@@ -96,7 +88,7 @@ def test_loss_and_delay_add_up_to_an_age_for_those_who_take_messages_as_they_are
 
 def test_the_two_make_each_other_worse_for_those_who_extrapolate() -> None:
     nothing, lost, late, both = (
-        rms("study-loss-delay", {LOSS: p, DELAY: d}, 2) for p, d in ((0, 0), (0.8, 0), (0, 1.0), (0.8, 1.0))
+        rms("study-loss-delay", {LOSS: p, DELAY: d}) for p, d in ((0, 0), (0.8, 0), (0, 1.0), (0.8, 1.0))
     )
     assert nothing < lost < late < both
     assert both > lost + late - nothing

@@ -95,15 +95,14 @@ def test_the_age_is_the_delay_rounded_up_to_ticks_and_at_least_one(delay_s: floa
     assert way[..., 0] @ modes[:, -1] == pytest.approx(SMALL * sampled(0.5, age, len(way) - 1), abs=1e-14)
 
 
-@pytest.mark.parametrize(("share", "reference"), [(0.98, 0.966), (1.02, 1.035)])
-def test_the_bound_of_continuous_time(share: float, reference: float) -> None:
-    """At 1 kHz, 2 % below and above tau* = pi / (2 kappa lambda_max) on a path of five: growth per s."""
+def test_below_the_bound_of_continuous_time() -> None:
+    """At 1 kHz, 2 % below tau* = pi / (2 kappa lambda_max) on a path of five (a figure is above it): growth per s."""
     values, modes = modes_of("path", 5)
-    age = round(share * math.pi / (2.0 * values[-1]) / 1e-3)
+    age = round(0.98 * math.pi / (2.0 * values[-1]) / 1e-3)
     scenario = team(SMALL * modes[:, [-1, -1]], 2.6, period_s=1e-3, delay_s=1e-3 * age, graph="path", own="delayed")
     measured = growth(points(scenario)[1800:, :, 0] @ modes[:, -1], 100) ** 1000
     assert measured == pytest.approx(root(1e-3 * values[-1], age) ** 1000, rel=0.002)
-    assert measured == pytest.approx(reference, rel=0.01)
+    assert measured == pytest.approx(0.966, rel=0.01)
 
 
 def test_at_the_bound_it_swings_with_omega_kappa_lambda_max() -> None:
@@ -130,8 +129,8 @@ def test_without_delay_disagreement_decays_with_lambda_2(graph: Graph, count: in
     assert math.log(y[100] / y[400]) / (300 * period_s) == pytest.approx(lambda_2, rel=0.01)
 
 
-@pytest.mark.parametrize(("graph", "count", "last_stable"), GRAPHS)
-def test_with_the_own_point_fresh_they_meet_at_any_delay(graph: Graph, count: int, last_stable: int) -> None:
+@pytest.mark.parametrize(("graph", "count"), [("complete", 5), ("path", 5)])  # the quickest and the slowest
+def test_with_the_own_point_fresh_they_meet_at_any_delay(graph: Graph, count: int) -> None:
     """Two seconds, T degree < 1: stable, and never outside of where they started; the other form is far beyond its bound."""
     start = np.random.default_rng(2).uniform(-1.0, 1.0, (count, 2)).tolist()
     way = points(team(start, 150.0, delay_s=2.0, graph=graph))
@@ -147,7 +146,7 @@ def test_a_formation_forms_and_moves_over_a_lossy_radio(own: str) -> None:
     scenario = team(
         start, 90.0, delay_s=0.15, loss=0.5, graph="ring", gain=0.6, own=own, velocity=(0.5, 0.0), formation=formation
     )
-    result = cosim.run(scenario)
+    result = cosim.run(scenario, mcap=False)
     _, moved = poses(result)
     deep = math.sqrt(3.0)
     expected = [(-deep, -1.0), (-deep, 1.0), (-2 * deep, -2.0), (-2 * deep, 2.0)]
@@ -161,7 +160,7 @@ def test_robots_on_wheels_form_up_with_their_hand_points() -> None:
     start = [(0.0, 0.0, 0.0), (-2.0, 1.0, 3.0), (1.0, -3.0, -1.5), (-1.0, -1.0, 1.0)]
     formation = {"shape": "column", "spacing": 0.8}
     asked: dict[str, Any] = {"handle": 0.3, "heading": math.pi / 4, "velocity": (0.2, 0.2), "max_speed": 0.8}
-    result = cosim.run(team(start, 90.0, kind="kinematic", delay_s=1.0, graph="path", formation=formation, **asked))
+    result = cosim.run(team(start, 90.0, kind="kinematic", delay_s=1.0, graph="path", formation=formation, **asked), mcap=False)
     _, moved = poses(result)
     assert moved[-1, :, 2] % math.tau == pytest.approx(np.full(4, math.pi / 4), abs=1e-3)
     apart = np.diff(moved[-1, :, :2], axis=0)

@@ -185,6 +185,16 @@ def test_the_integration_gives_the_published_errors_with_inertia(path: str) -> N
             assert_published(row, number, case=(name, p))
 
 
+@pytest.mark.parametrize("path", PATHS)
+def test_the_integration_gives_the_published_errors_over_delay(path: str) -> None:
+    """The delay is the age: of whole periods, so all is as published, within 5 % and a digit."""
+    for at, delay_s in enumerate(DELAYS_S):
+        found = integrated(path, np.repeat(ALL, 2).tolist(), np.zeros((TICKS, 8), bool), round(delay_s / T))
+        for name, rms in zip(ALL, parts_rms(found, len(ALL)), strict=True):
+            published = DELAY[path][name][at]
+            assert rms == pytest.approx(published, abs=0.05 * published + (5e-5 if published < 0.01 else 5e-4)), (name, delay_s)
+
+
 def test_the_integration_gives_the_published_errors_with_delay_noise_and_bursts() -> None:
     """Of 240 and more each: 10 %, 20 % at p = 0.9; for ``dr`` in bursts of ten, what was published is a fifth too low."""
     count = 6 * BATCH
@@ -205,6 +215,8 @@ def test_the_integration_gives_the_published_errors_with_delay_noise_and_bursts(
         found = integrated("slalom", np.repeat(("hold", "dr", FREE), 2 * count).tolist(), np.tile(missed, 3), 0).reshape(3, -1)
         for row, number in zip(found, by_name, strict=True):
             assert_published(row, number, deviations=3.0, case=mean)
+    _, dr, free = parts_rms(found, 3)  # of the longest
+    assert dr < 0.9 * free
 
 
 # --- the platform ---
@@ -253,45 +265,38 @@ def mixed(path: str, p: float) -> cosim.Result:
     return run(path, crew_of(ALL, 4), lossy(p))
 
 
-@pytest.mark.parametrize("p", PROBABILITIES[1:])
+@pytest.mark.parametrize("p", [0.3, 0.5, 0.8])
 @pytest.mark.parametrize("path", PATHS)
 def test_the_error_at_a_loss(path: str, p: float) -> None:
     """Of each follower, as its own losses make it; and of each estimator with the losses of all, which does better."""
     result = mixed(path, p)
     found, missed = rms(result), losses(result)
-    count = missed.shape[1]
     assert found == pytest.approx(integrated(path, np.repeat(ALL, 4).tolist(), missed, 1), rel=1e-6)
     frames = missed[:-1].size
     assert missed[:-1].mean() == pytest.approx(p, abs=4.0 * math.sqrt(p * (1.0 - p) / frames))
     # all of them with all these losses
+    count = missed.shape[1]
     everyone = integrated(path, np.repeat(ALL, count).tolist(), np.tile(missed, len(ALL)), 1)
     hold, dr, acc, plan = parts_rms(everyone, len(ALL))
-    if 0.3 <= p <= 0.8:
-        assert dr <= 0.6 * hold
-        assert plan <= 0.6 * dr
+    assert dr <= 0.6 * hold
+    assert plan <= 0.6 * dr
     if path == "slalom":
-        assert acc <= (0.7 if p <= 0.8 else 1.0) * dr
+        assert acc <= 0.7 * dr
     elif p >= 0.8:
         assert acc > dr
     else:
         assert acc <= 1.1 * dr
 
 
-@pytest.mark.parametrize("delay_s", DELAYS_S)
+@pytest.mark.parametrize("delay_s", [0.3, 1.0, 2.0])
 @pytest.mark.parametrize("path", PATHS)
 def test_the_error_at_a_delay(path: str, delay_s: float) -> None:
-    """Published over the delay, which is the age: of whole periods, so they stand here as they are, within 5 % and a digit.
-
-    2 s is as far as a plan of twenty speeds besides those of now goes.
-    """
+    """2 s is as far as a plan of twenty speeds besides those of now goes."""
     result = run(path, crew_of(ALL, 2), lossy(delay_s=delay_s))
     found = rms(result)
     age = round(delay_s / T)
     assert found == pytest.approx(integrated(path, np.repeat(ALL, 2).tolist(), np.zeros((TICKS, 8), bool), age), rel=1e-6)
     of = dict(zip(ALL, parts_rms(found, len(ALL)), strict=True))
-    for name in ALL:
-        published = DELAY[path][name][DELAYS_S.index(delay_s)]
-        assert of[name] == pytest.approx(published, abs=0.05 * published + (5e-5 if published < 0.01 else 5e-4)), name
     if delay_s <= 0.5:
         assert of["dr"] <= 0.6 * of["hold"]
     v, w = plain.leader(path).speeds[FROM:TICKS].T  # what is kept moves on at v + L' w in that time
@@ -319,23 +324,20 @@ def in_bursts(mean_frames: float) -> cosim.Result:
     return run("slalom", crew_of(("hold", "dr", FREE), 8), bursts(mean_frames))
 
 
-@pytest.mark.parametrize("mean_frames", BURSTS)
+@pytest.mark.parametrize("mean_frames", [5, 10])
 def test_the_error_in_bursts_of_losses(mean_frames: int) -> None:
-    """Half of the frames lost, in rows of that mean length; in long ones a horizon pays."""
+    """Half of the frames lost, in rows of that mean length."""
     result = in_bursts(mean_frames)
     found, missed = rms(result), losses(result)
     kinds = ("hold", "dr", FREE)
     assert found == pytest.approx(integrated("slalom", np.repeat(kinds, 8).tolist(), missed, 1), rel=1e-6)
     begun = (missed[1:-1] & ~missed[:-2]).sum()
     assert missed[1:-1].sum() / begun == pytest.approx(mean_frames, rel=4.0 / math.sqrt(begun))
-    hold, dr, free = parts_rms(integrated("slalom", np.repeat(kinds, missed.shape[1]).tolist(), np.tile(missed, 3), 1), 3)
+    hold, dr, _ = parts_rms(integrated("slalom", np.repeat(kinds, missed.shape[1]).tolist(), np.tile(missed, 3), 1), 3)
     assert dr < 0.9 * hold
-    if mean_frames == 20:
-        assert dr < 0.9 * free
 
 
-@pytest.mark.parametrize("p", [0.0, 0.5, 0.8])
-@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize(("path", "p"), [("slalom", 0.0), ("slalom", 0.8), ("random", 0.5)])
 def test_followers_with_inertia(path: str, p: float) -> None:
     """Behind a leader without. Their poses are those of small steps, here as there."""
     each = 4 if p else 2
