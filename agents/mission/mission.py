@@ -21,15 +21,13 @@ from agents.formation.report import send_report
 from agents.mission.guard import Guard
 from agents.mission.roster import Claim, Roster, members_of
 from agents.mission.runner import Runner
-from agents.mission.table import Facts, State, step
+from agents.mission.table import TASKS, Facts, State, step
 from agents.nested import built
 from agents.reconnaissance.watch import Watch, Watching
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.errors import ScenarioError
 from cosim.table import unknown
 from cosim.types import NonNegative, Positive, Velocity, Waypoint
-
-TASKS = ("search", "formation", "track")
 
 
 class Mission(Agent):

@@ -15,16 +15,15 @@ Each says all of it again and again, so that a message may be lost. Of a sender 
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeGuard, get_args
+from typing import Any, NamedTuple, TypeGuard
 
-from agents.mission.table import Task
+from agents.mission.table import TASKS, Task
 from cosim.agent import Observation, Radio, VehicleInfo
 from cosim.clock import seconds_to_ns
 from cosim.table import unknown
 
 Point = tuple[float, float]
 
-TASKS: tuple[Task, ...] = get_args(Task)
 SAME_M = 3.0  # targets without a name that lie so near to one another are one
 APART_M = 20.0  # so far from one another even those of one name are two
 GIVEN_UP_NS = 60_000_000_000

@@ -28,12 +28,13 @@ facts of then decide, and avoid2 goes before all: nothing stands in line before 
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from cosim.clock import seconds_to_ns
 
 Task = Literal["search", "formation", "track"]
 Name = Literal["search", "formation", "track", "avoid1", "avoid2"]
+TASKS: tuple[Task, ...] = get_args(Task)
 
 DWELL_NS = seconds_to_ns(0.5)  # from switch to switch, at least
 CLEAR_NS = seconds_to_ns(0.5)  # so long nothing may be near before a level is left

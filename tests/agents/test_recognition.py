@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.reconnaissance.recognition import Detection, Detector, Seen, Target, Truth, calibrate, ground
+from agents.reconnaissance.recognition import Detection, Detector, Target, ground
 from agents.reconnaissance.recognition.ground import FOCAL_PX, Frame, frame, glyph, second_glyph, tilted
 from cosim.errors import ScenarioError
 from cosim.frames import wrap
@@ -251,31 +251,3 @@ def test_detectors_need_targets_of_different_names() -> None:
     for targets in ([], [GLYPH, GLYPH]):
         with pytest.raises(ScenarioError, match="target"):
             Detector(targets)
-
-
-def test_calibration_counts_the_cells_of_footprints(frames: list[Frame]) -> None:
-    """At 20 m and f 400 the picture is 32 x 24 m: 8 x 6 cells of 4 m, each 80 px."""
-    chosen = [made.seen for made in frames if made.seen.height_m == 20.0]
-    counted = calibrate(Detector([GLYPH]), chosen, 4.0)
-    assert (counted.targets, counted.found, counted.empty, counted.false) == (3, 3, 3 * 48 - 3, 0)
-    assert counted.p == 4 / 5
-    assert counted.q == 1 / (3 * 48 - 3 + 2)
-    moved = [
-        Seen(seen.image, 20.0, FOCAL_PX, (Truth("glyph", (seen.truths[0].u + 320) % 640, seen.truths[0].v),)) for seen in chosen
-    ]
-    wrong = calibrate(Detector([GLYPH]), moved, 4.0)
-    assert (wrong.targets, wrong.found, wrong.empty, wrong.false) == (3, 0, 3 * 48 - 3, 3)
-
-
-def test_calibration_counts_all_cells_that_are_wholly_in_the_picture() -> None:
-    """Those of 4 m at the corners too; of 4.5 m (90 px) 7 x 5, the middle of the lowest row 420 px down."""
-    corners = [(40.0, 40.0), (599.0, 40.0), (40.0, 439.0), (599.0, 439.0)]
-    made = [frame(np.random.default_rng(k), 20.0, places=[at], distractors=False).seen for k, at in enumerate(corners)]
-    counted = calibrate(Detector([GLYPH]), made, 4.0)
-    assert (counted.targets, counted.found, counted.empty, counted.false) == (4, 4, 4 * 47, 0)
-    low = frame(np.random.default_rng(0), 20.0, places=[(319.5, 419.5)], distractors=False).seen
-    counted = calibrate(Detector([GLYPH]), [low], 4.5)
-    assert (counted.targets, counted.found, counted.empty) == (1, 1, 34)
-    lower = frame(np.random.default_rng(0), 20.0, places=[(319.5, 471.5)], distractors=False).seen  # below the last row
-    counted = calibrate(Detector([GLYPH]), [lower], 4.5)
-    assert (counted.targets, counted.found, counted.empty) == (0, 0, 35)

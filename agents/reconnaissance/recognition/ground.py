@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from agents.reconnaissance.recognition.calibration import Seen, Truth
 from cosim.types import Array
 
 WIDTH, HEIGHT, FOCAL_PX = 640, 480, 400.0
@@ -93,6 +92,26 @@ def likenesses(picture: Array, rng: np.random.Generator) -> list[Array]:
 def save(picture: Array, path: Path) -> None:
     """Write a picture into a PNG file."""
     path.write_bytes(cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes())
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A target that is in a picture."""
+
+    name: str
+    u: float  # px, of its middle
+    v: float  # px
+    angle: float = 0.0  # rad, counter-clockwise
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A picture taken straight down, and all targets with their middles in it."""
+
+    image: Array  # (h, w, 3) uint8, RGB
+    height_m: float
+    focal_px: float
+    truths: tuple[Truth, ...] = ()
 
 
 @dataclass(frozen=True)
