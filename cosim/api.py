@@ -16,7 +16,7 @@ from cosim.clock import Clock, SimClock, WallClock
 from cosim.errors import Interrupted, UsageError, VcmvspError
 from cosim.files import Folder, writing
 from cosim.hosts import Tell
-from cosim.kernel import Kernel
+from cosim.kernel import Kernel, Observer
 from cosim.record import inputs
 from cosim.record.tables import load
 from cosim.result import Result, figures_of, mission_figures, mission_log
@@ -46,6 +46,7 @@ def run(
     mcap: bool = True,
     progress: Progress | None = None,
     tell: Tell = lambda _: None,
+    observe: Observer | None = None,
     watch: Callable[[], str | None] | None = None,
 ) -> Result:
     """Run a scenario to its end.
@@ -67,6 +68,7 @@ def run(
         mcap: without it, nothing but tables and metrics is kept, in memory, which takes two thirds of the time.
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
+        observe: called with every event at its own time, behind the recording. What it does changes nothing of the run.
         watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
 
     Raises:
@@ -99,7 +101,9 @@ def run(
             if playback is not None:
                 assembly.keep(Path(playback) / inputs.FILE)  # so that a replay can be replayed
             clock = _clock(assembly, realtime)
-            simulation = Simulation(assembly, clock, folder, progress, tell, mcap=mcap)
+            simulation = Simulation(
+                assembly, clock, folder, progress, tell, mcap=mcap, observers=() if observe is None else (observe,)
+            )
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
                 result = simulation.result(failure, started, time.process_time() - cpu)

@@ -14,6 +14,7 @@ from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError, VcmvspError
 from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
+from cosim.interventions import Operator, check_planned, checks
 from cosim.kernel import Kernel
 from cosim.resolve import Resolution
 from cosim.scenario_tables import AgentsTable, AgentTable, Scenario, VehicleTable
@@ -102,7 +103,8 @@ class Assembly:
         except BaseException:
             self._hosts.close()
             raise
-        self.federates: list[Federate] = [physics, air, *self._hosts.federates]
+        self.operator = self._build_operator(physics, air)
+        self.federates: list[Federate] = [physics, air, self.operator, *self._hosts.federates]
         if self._outside is not None:
             self.federates.append(self._outside)
         if self.robots is not None:
@@ -155,7 +157,9 @@ class Assembly:
     def resolved(self) -> dict[str, Any]:
         """The scenario with everything filled in (`cosim.resolve`)."""
         foreign = {vehicle for vehicle, place in self.where.items() if place == "zenoh"}
-        return self._resolution.scenario(self.infos, self._hosts.kinds, foreign)
+        resolved = self._resolution.scenario(self.infos, self._hosts.kinds, foreign)
+        done = [msgspec.to_builtins(each) for each in self.operator.all]
+        return {**resolved, **({"intervention": done} if done else {})}
 
     @property
     def topics(self) -> "Topics | None":
@@ -215,6 +219,12 @@ class Assembly:
                 problem = f"no vehicle takes this default: {table.unknown('key', name, allowed)}"
                 raise ScenarioError(problem, key=key, source=self._source.of(key))
         return physics
+
+    def _build_operator(self, physics: Any, air: Any) -> Operator:
+        planned, vehicles = self._scenario.intervention, [each.name for each in self._scenario.vehicle]
+        check = checks(vehicles, getattr(physics, "check_move", None), getattr(air, "check_change", None))
+        check_planned(planned, check, self._source)
+        return Operator(planned, vehicles, check)
 
     def _vehicle_class(self, vehicle: VehicleTable) -> Any:
         """The class of a vehicle's kind, looked up once: a file is not executed again for every vehicle."""

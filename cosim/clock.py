@@ -8,6 +8,7 @@ from typing import Protocol, Self
 import msgspec
 
 SECOND_NS = 1_000_000_000
+LISTEN_NS = 20_000_000  # between two looks at what those want who look on
 
 
 def seconds_to_ns(seconds: float) -> int:
@@ -65,6 +66,14 @@ class Ticks(msgspec.Struct, frozen=True, order=True):
 class Clock(Protocol):
     """What paces a run. The kernel asks it to wait before every instant that holds an event."""
 
+    @property
+    def speed(self) -> float | None:
+        """Simulated seconds per second; None: as fast as the machine allows, and nothing is ever late."""
+
+    @property
+    def slipped_ns(self) -> int:
+        """What was not made up for, in all."""
+
     def start(self) -> None:
         """Called once, when logical time 0 begins."""
 
@@ -77,6 +86,9 @@ class Clock(Protocol):
 
 class SimClock:
     """Logical time jumps from event to event: as fast as the machine allows. Never late."""
+
+    speed: float | None = None
+    slipped_ns = 0
 
     def start(self) -> None:
         """Nothing to note: there is no wall clock here."""
@@ -138,3 +150,65 @@ class WallClock:
         """Let all that is still to come begin so much later."""
         self._origin += by_ns
         self.slipped_ns += by_ns
+
+
+class LiveClock:
+    """Logical time as somebody wants it who looks on: standing still, at a pace, or as fast as the machine allows.
+
+    Args:
+        speed: simulated seconds per second at first; None: as fast as the machine allows.
+        listen: called some fifty times a second, also while time stands still: who it hears calls `go`.
+        now: the wall clock, ns.
+        sleep: waits for so many seconds.
+    """
+
+    def __init__(
+        self,
+        speed: float | None,
+        listen: Callable[[], None],
+        *,
+        now: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.speed, self.paused, self.slipped_ns = speed, False, 0
+        self._listen, self._now, self._sleep = listen, now, sleep
+        self._logical_ns, self._free_ns, self._heard_ns = 0, 0, 0
+        self._anchor = 0, 0  # a logical time, and when it was or is to be
+
+    def start(self) -> None:
+        """Let logical time 0 be now."""
+        self._anchor = 0, self._now()
+
+    def go(self, *, paused: bool, speed: float | None, step_ns: int = 0) -> None:
+        """Go on from here like this; paused, still for ``step_ns``."""
+        self.paused, self.speed, self._free_ns = paused, speed, self._logical_ns + step_ns
+        self._anchor = self._logical_ns, self._now()
+
+    def wait_until(self, due_ns: int) -> int:
+        """Wait as long as those who look on want it; the answer is how late it is, ns."""
+        late_ns = 0
+        while (left := self._left_ns(due_ns)) > 0:
+            self._sleep(min(left, LISTEN_NS) / SECOND_NS)
+        if self.speed is not None:
+            late_ns = -left
+        self._logical_ns = due_ns
+        return late_ns
+
+    def slip(self, by_ns: int) -> None:
+        """Let all that is still to come begin so much later."""
+        logical_ns, wall_ns = self._anchor
+        self._anchor = logical_ns, wall_ns + by_ns
+        self.slipped_ns += by_ns
+
+    def _left_ns(self, due_ns: int) -> int:
+        """How long to wait, as far as is known now; not more than 0: no longer."""
+        now_ns = self._now()
+        if now_ns - self._heard_ns >= LISTEN_NS:
+            self._heard_ns = now_ns
+            self._listen()
+        if self.paused and due_ns > self._free_ns:
+            return LISTEN_NS
+        if self.speed is None:
+            return 0
+        logical_ns, wall_ns = self._anchor
+        return wall_ns + round((due_ns - logical_ns) / self.speed) - now_ns

@@ -119,6 +119,14 @@ class Releasable(Protocol):
 
 
 @runtime_checkable
+class Polled(Protocol):
+    """A federate that somebody outside may want something of at any time."""
+
+    def poll(self, now_ns: int) -> bool:
+        """Called before each instant: whether to be stepped in it, in the federate's own slot."""
+
+
+@runtime_checkable
 class RemoteFederate(Federate, Releasable, Protocol):
     """A federate elsewhere: all that are due in a slot are asked before any is awaited.
 

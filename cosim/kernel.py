@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from cosim.clock import SECOND_NS, Clock, SimClock
 from cosim.errors import FederateError, VcmvspError
-from cosim.federate import Event, Federate, Releasable, RemoteFederate, RunInfo, Slot
+from cosim.federate import Event, Federate, Polled, Releasable, RemoteFederate, RunInfo, Slot
 from cosim.keys import matches
 
 T = TypeVar("T")
@@ -65,6 +65,7 @@ class Kernel:
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
+        self._polled = [(i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)]
         self._clock, self._tolerance_ns, self._strict = clock or SimClock(), tolerance_ns, strict
         self._observe: Observer = lambda _: None
         self._released, self._parted = False, list[VcmvspError]()  # what went wrong when federates were let go of
@@ -107,6 +108,9 @@ class Kernel:
                 self._wait_until(last)
                 if on_instant:
                     on_instant(last)
+                for index, federate in self._polled:
+                    if federate.poll(last):
+                        self._schedule(index, last)
             if self.stop:
                 raise KeyboardInterrupt
             self._env.step()
@@ -117,7 +121,7 @@ class Kernel:
         late_ns = self._await(lambda: self._clock.wait_until(when))
         self.now_ns = when
         too_late = self._tolerance_ns is not None and late_ns > self._tolerance_ns
-        if not isinstance(self._clock, SimClock) and (too_late or self._is_tick(when)):
+        if self._clock.speed is not None and (too_late or self._is_tick(when)):
             self.late_ns.append(late_ns)
         if too_late and not self._strict:
             self._clock.slip(late_ns)
@@ -175,7 +179,7 @@ class Kernel:
             event = simpy.Event(self._env)
             event._ok, event._value = True, None  # noqa: SLF001  triggered, as simpy.Timeout does it
             event.callbacks.append(lambda _: self._run_slot(when, slot))
-            self._env.schedule(event, priority=slot, delay=when - self.now_ns)  # type: ignore[arg-type]  # any integer sorts
+            self._env.schedule(event, priority=slot, delay=when - self._env.now)  # type: ignore[arg-type]  # any integer sorts
         return entry
 
     def _run_slot(self, now: int, slot: Slot) -> None:

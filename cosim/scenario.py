@@ -25,7 +25,7 @@ from cosim.scenario_tables import (
 )
 from cosim.source import Source
 
-RESERVED = ("world", "radio", "log", "tf")  # first chunks of keys that belong to no vehicle
+RESERVED = ("world", "radio", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = registry.SHIPPED
 T = TypeVar("T")
 

@@ -127,6 +127,43 @@ class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
     to_s: NonNegative | None = None  # default: the end
 
 
+class OutageTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="outage"):
+    """An ``[[intervention]]``: all frames from and to some vehicles are lost for some time."""
+
+    at_s: Seconds  # when
+    for_s: Positive  # for how long
+    vehicles: tuple[str, ...] = ()  # whose; none named: all
+
+
+class HaltTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="halt"):
+    """An ``[[intervention]]``: vehicles stand still whatever their agents command, or go on."""
+
+    at_s: Seconds  # when
+    vehicles: tuple[str, ...] = ()  # which; none named: all
+    halted: bool = True  # false: let them go on
+
+
+class MoveTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="move"):
+    """An ``[[intervention]]``: an obstacle that can be pushed is put somewhere else, and rests there."""
+
+    at_s: Seconds  # when
+    obstacle: str  # its name in the world
+    position: tuple[float, float]  # x, y m
+    yaw: float = 0.0  # rad
+
+
+class SetTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="set"):
+    """An ``[[intervention]]``: a number of the layers of loss and delay has another value from then on."""
+
+    at_s: Seconds  # when
+    key: str  # radio.loss.* or radio.delay.*
+    value: float
+
+
+InterventionTable = OutageTable | HaltTable | MoveTable | SetTable
+"""What an operator does during a run; the station's buttons add to these, so that a run can be repeated."""
+
+
 class StudyTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[study]``: what ``vcmvsp study`` does with this scenario unless told otherwise."""
 
@@ -151,6 +188,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     record: RecordTable = RecordTable()
     metrics: MetricsTable = MetricsTable()
     study: StudyTable = StudyTable()
+    intervention: tuple[InterventionTable, ...] = ()
     vehicle: tuple[VehicleTable, ...]
 
     @property

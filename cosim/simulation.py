@@ -7,7 +7,7 @@ import platform
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from typing import Any, BinaryIO
@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 
 from cosim.assemble import Assembly
-from cosim.clock import Clock, WallClock, seconds_to_ns
+from cosim.clock import SECOND_NS, Clock, seconds_to_ns
 from cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
 from cosim.federate import Event
 from cosim.files import Folder, finite
@@ -45,11 +45,13 @@ class Simulation:
         tell: Tell,
         *,
         mcap: bool,
+        observers: Sequence[Observer] = (),
     ) -> None:
         self._assembly, self._clock, self._folder = assembly, clock, folder
+        self._observers = tuple(observers)
         self._progress, self._tell, self._over = progress, tell, False
         self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
-        run = msgspec.structs.replace(assembly.run_info, paced=isinstance(clock, WallClock))
+        run = msgspec.structs.replace(assembly.run_info, paced=clock.speed is not None)
         self._kernel = Kernel(
             run, assembly.federates, clock=clock, tolerance_ns=self._tolerance_ns(), strict=assembly.clock.late == "stop"
         )
@@ -115,13 +117,16 @@ class Simulation:
         return failure
 
     def _observer(self, recorder: Recorder) -> Observer:
+        """The recording, and behind it all others that look on."""
         topics = self._assembly.topics
-        if topics is None:
+        others = (*(() if topics is None else (topics.on,)), *self._observers)
+        if not others:
             return recorder.on
 
         def on(event: Event) -> None:
             recorder.on(event)
-            topics.on(event)
+            for other in others:
+                other(event)
 
         return on
 
@@ -170,7 +175,7 @@ class Simulation:
         assembly, recorder = self._assembly, self._recorder
         if recorder is None:
             raise failure or VcmvspError("the run did not begin")
-        resolved = self._resolved
+        resolved = assembly.resolved() if assembly.operator.done else self._resolved  # with what was done live
         metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
         wall_s = (datetime.now(UTC) - started).total_seconds()
         about = {
@@ -197,19 +202,19 @@ class Simulation:
 
     def _tolerance_ns(self) -> int | None:
         """How late an instant may begin on the wall clock; None: there is no such clock."""
-        if not isinstance(self._clock, WallClock):
+        if self._clock.speed is None:
             return None
         wanted = self._assembly.clock.tolerance_s
         return seconds_to_ns(self._period_s() if wanted is None else wanted)
 
     def _period_s(self) -> float:
         """Of the quickest agent, on the wall clock."""
-        speed = self._clock.speed if isinstance(self._clock, WallClock) else 1.0
-        return min([float(info.ticks.period) / 1e9 for info in self._assembly.infos], default=0.1) / speed
+        periods = [float(info.ticks.period) / SECOND_NS for info in self._assembly.infos]
+        return min(periods, default=0.1) / (self._clock.speed or 1.0)
 
     def _lateness(self) -> dict[str, Any] | None:
         """How late instants began at which agents act, at wall pace."""
-        if not isinstance(self._clock, WallClock) or not self._kernel.late_ns:
+        if self._clock.speed is None or not self._kernel.late_ns:
             return None
         late_s = np.maximum(self._kernel.late_ns, 0) / 1e9
         p50, p99 = np.percentile(late_s, [50, 99])
@@ -220,7 +225,7 @@ class Simulation:
             "p99_s": float(p99),
             "max_s": float(late_s.max()),
             "over_one_period": int((late_s > self._period_s()).sum()),
-            "slipped_s": self._clock.slipped_ns / 1e9,
+            "slipped_s": self._clock.slipped_ns / SECOND_NS,
         }
 
 

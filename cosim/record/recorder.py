@@ -6,6 +6,7 @@ differences, which make the file small and a viewer useful:
 - ``world/states`` is kept at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
 - ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
 - ``world/scene`` draws a body per vehicle, the place that each follower means to keep and, once a second, the world's targets;
+  ``world/solids`` all that stands still, ``world/moving`` the frames of obstacles with a time-table;
 - maps, mosaics and sightings become grids and annotated pictures (`cosim.record.foxglove_shown`).
 
 An event is handled by the type of its value; one of another type is written as it is.
@@ -28,15 +29,17 @@ from cosim.clock import SECOND_NS, Ticks
 from cosim.codec import encode
 from cosim.errors import ScenarioError
 from cosim.federate import Event, RunInfo
-from cosim.record import foxglove, metrics
+from cosim.record import foxglove, metrics, words
 from cosim.record.digest import digest
 from cosim.record.tables import Placement, RunFacts, radio_table, states_table, write_table
 from cosim.record.viewer import Viewer
 from cosim.types import (
+    Changed,
     Contact,
     Fix,
     Follows,
     FrameReport,
+    Halted,
     Image,
     Imu,
     Incident,
@@ -45,8 +48,10 @@ from cosim.types import (
     Measured,
     Message,
     Mosaic,
+    Moved,
     Note,
     Odometry,
+    Outage,
     Presence,
     ProbabilityMap,
     RealStatus,
@@ -107,7 +112,7 @@ class Recorder:
         self._pack = msgspec.msgpack.Encoder(enc_hook=foxglove.to_json).encode
         self._tables: tuple[pa.Table, pa.Table] | None = None
         self._end_ns: int | None = None
-        self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, self._targets)
+        self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world)
         self._handlers: dict[type, Callable[[str, int, Any], None]] = {
             States: self._on_states,
             FrameReport: self._on_frame,
@@ -120,6 +125,7 @@ class Recorder:
             Presence: self._on_presence,
             RealStatus: self._on_status,
             Incident: self._on_incident,
+            **dict.fromkeys((Outage, Halted, Moved, Changed), self._on_intervention),
             Fix: self._on_fix,
             Scan: self._on_scan,
             Image: self._on_image,
@@ -248,10 +254,7 @@ class Recorder:
         self._presences.append((vehicle, presence))
         (self._mission.come_back if presence.state == "back" else self._mission.leave)(vehicle, time_ns)
         self._remember(key, time_ns, presence)
-        words = {"lost": "has lost its agent", "removed": "is without an agent for good", "back": "has its agent again"}
-        text = f"{vehicle} {words[presence.state]}" + (f": {presence.why}" if presence.why else "")
-        self.log("info" if presence.state == "back" else "warning", text, time_ns)
-        self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
+        self._tell_of(time_ns, *words.of_presence(vehicle, presence))
 
     def _on_status(self, key: str, time_ns: int, status: RealStatus) -> None:
         self._statuses.setdefault(_vehicle(key), []).append((time_ns, status))
@@ -260,8 +263,15 @@ class Recorder:
     def _on_incident(self, key: str, time_ns: int, incident: Incident) -> None:
         self._incidents.append((_vehicle(key), incident))
         self._remember(key, time_ns, incident)
-        text = f"{_vehicle(key)} {incident.what}: {incident.cause}"
-        self.log("info" if incident.what == "connected" else "warning", text, time_ns)
+        self._tell_of(time_ns, *words.of_incident(_vehicle(key), incident))
+
+    def _on_intervention(self, key: str, time_ns: int, done: words.Intervention) -> None:
+        self._remember(key, time_ns, done)
+        self._tell_of(time_ns, *words.of_intervention(done, time_ns))
+
+    def _tell_of(self, time_ns: int, level: str, text: str) -> None:
+        """Say in the log and on the terminal what happened."""
+        self.log(level, text, time_ns)
         self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
 
     def _on_fix(self, key: str, time_ns: int, fix: Fix) -> None:

@@ -283,6 +283,28 @@ def test_the_wall_clock_waits_for_every_instant_and_notes_lateness() -> None:
     assert wall[0] >= 1000
 
 
+def test_who_is_polled_is_stepped_in_the_instant_that_begins_before_all_others() -> None:
+    """Also at an instant that is nobody's of its slot."""
+    log: Log = []
+
+    class Asked(Script):
+        def poll(self, now_ns: int) -> bool:
+            return now_ns in (30, 70)
+
+    asked = Asked("asked", Slot.WORLD, {40: []}, log=log)
+    world = Script("world", Slot.WORLD, {0: [], 50: []}, log=log)
+    radio = Script("radio", Slot.RADIO, {30: [], 70: []}, log=log)
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), [world, radio, asked])
+    kernel.start()
+    kernel.run(lambda _: None)
+    assert [(name, when) for name, when, _ in log if when in (30, 70)] == [
+        ("asked", 30),
+        ("radio", 30),
+        ("asked", 70),
+        ("radio", 70),
+    ]
+
+
 def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
     log: Log = []
 
@@ -290,6 +312,8 @@ def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
         pass
 
     class Clock:
+        speed, slipped_ns = None, 0
+
         def start(self) -> None:
             pass
 

@@ -1,0 +1,139 @@
+"""What an operator does during a run: known beforehand, or asked for while it goes on.
+
+Both take the same way: at an instant of the run an event says what is done, and physics, radio and hardware obey it as they do
+commands and frames. What was asked for live is written into the resolved scenario with the time at which it was done, so that
+running that again gives the same bytes.
+"""
+
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+
+import msgspec
+
+from cosim.clock import SECOND_NS, seconds_to_ns
+from cosim.errors import ScenarioError
+from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.scenario_tables import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
+from cosim.source import Source
+from cosim.table import unknown
+from cosim.types import Changed, Halted, Moved, Outage
+
+Check = Callable[[InterventionTable], None]
+"""Raises `ValueError` for what cannot be done."""
+
+
+class Operator:
+    """The federate that publishes interventions.
+
+    =====================  =========  ===================================
+    key                    direction  value
+    =====================  =========  ===================================
+    ``operator/outage``    out        `Outage`
+    ``operator/halted``    out        `Halted`
+    ``operator/moved``     out        `Moved`
+    ``operator/changed``   out        `Changed`
+    =====================  =========  ===================================
+
+    Args:
+        planned: those of the scenario.
+        vehicles: all that there are.
+        check: of what is asked for live.
+    """
+
+    name = "operator"
+    slot = Slot.WORLD
+    wake_slot = Slot.WORLD
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self, planned: Sequence[InterventionTable], vehicles: Sequence[str], check: Check) -> None:
+        self._vehicles, self._check = tuple(vehicles), check
+        self._planned = sorted(planned, key=attrgetter("at_s"))
+        self._asked: list[InterventionTable] = []
+        self.done: list[InterventionTable] = []  # in the order in which they were
+
+    def start(self, run: RunInfo) -> int | None:
+        """Wait for the first that is planned."""
+        return self._next()
+
+    def ask(self, intervention: InterventionTable) -> None:
+        """Do this at the next instant, whatever time it names.
+
+        Raises:
+            ValueError: it cannot be done, and why.
+        """
+        self._check(intervention)
+        self._asked.append(intervention)
+
+    def poll(self, now_ns: int) -> bool:
+        """Whether there is anything to be done at the instant that begins."""
+        return bool(self._asked)
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """Do what is due and what was asked for, in this order."""
+        due = [each for each in self._planned if seconds_to_ns(each.at_s) <= now_ns]
+        self._planned = self._planned[len(due) :]
+        asked, self._asked = self._asked, []
+        doing = due + [_at(each, now_ns) for each in asked]
+        self.done += doing
+        return Step([self._event(each, now_ns) for each in doing], self._next())
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    @property
+    def all(self) -> list[InterventionTable]:
+        """What was done, and what is still planned."""
+        return self.done + self._planned
+
+    def _next(self) -> int | None:
+        return seconds_to_ns(self._planned[0].at_s) if self._planned else None
+
+    def _event(self, table: InterventionTable, now_ns: int) -> Event:
+        match table:
+            case OutageTable():
+                until_ns = now_ns + seconds_to_ns(table.for_s)
+                return Event("operator/outage", now_ns, Outage(vehicles=table.vehicles or self._vehicles, until_ns=until_ns))
+            case HaltTable():
+                halted = Halted(vehicles=table.vehicles or self._vehicles, halted=table.halted)
+                return Event("operator/halted", now_ns, halted)
+            case MoveTable():
+                return Event("operator/moved", now_ns, Moved(obstacle=table.obstacle, position=table.position, yaw=table.yaw))
+            case SetTable():
+                return Event("operator/changed", now_ns, Changed(key=table.key, value=table.value))
+
+
+def checks(
+    vehicles: Sequence[str],
+    check_move: Callable[[str, tuple[float, float], float], None],
+    check_set: Callable[[str, float], None],
+) -> Check:
+    """What can be done at all: vehicles that there are, obstacles that can be moved, keys that can be changed."""
+
+    def check(table: InterventionTable) -> None:
+        if isinstance(table, OutageTable | HaltTable):
+            for name in table.vehicles:
+                if name not in vehicles:
+                    raise ValueError(unknown("vehicle", name, vehicles))
+        elif isinstance(table, MoveTable):
+            check_move(table.obstacle, table.position, table.yaw)
+        else:
+            check_set(table.key, table.value)
+
+    return check
+
+
+def check_planned(planned: Sequence[InterventionTable], check: Check, source: Source) -> None:
+    """Refuse a scenario with an intervention that cannot be done."""
+    for number, table in enumerate(planned):
+        try:
+            check(table)
+        except ValueError as error:
+            key = f"intervention[{number}]"
+            raise ScenarioError(str(error), key=key, source=source.of(key)) from error
+
+
+def _at(table: InterventionTable, now_ns: int) -> InterventionTable:
+    """The same, at this time."""
+    return msgspec.structs.replace(table, at_s=now_ns / SECOND_NS)
