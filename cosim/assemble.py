@@ -82,7 +82,7 @@ class Assembly:
         agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)
         self._resolution = Resolution(scenario, source)
         world = self.world = self._build_world()
-        air = self._build_radio(world, recorded_radio, tell)
+        air = self.air = self._build_radio(world, recorded_radio, tell)
         self._models = {each.name: self._model(each) for each in scenario.vehicle}
         described = real.of_scenario(scenario, source, self._resolution, self._models)
         self.robots: Any = None  # the federate that drives real vehicles, if there are any to drive
@@ -197,14 +197,13 @@ class Assembly:
         self._resolution.tables["world"] = resolved
         return world
 
-    def _build_radio(self, world: Any, recorded: Path | None, tell: Tell) -> Federate:
+    def _build_radio(self, world: Any, recorded: Path | None, tell: Tell) -> Any:
         portable, keep = self._resolution.portable, self._resolution.keep
         built = radio.of_scenario(
             self._scenario, self._source, solids=world.solids, portable=portable, keep=keep, recorded=recorded, tell=tell
         )
         self._resolution.tables["radio"] = built.resolved
-        federate: Federate = built.federate
-        return federate
+        return built.federate
 
     def _build_physics(self, world: Any) -> Any:
         specs = [self._vehicle_spec(each, self._models[each.name]) for each in self._scenario.vehicle]
@@ -222,7 +221,7 @@ class Assembly:
 
     def _build_operator(self, physics: Any, air: Any) -> Operator:
         planned, vehicles = self._scenario.intervention, [each.name for each in self._scenario.vehicle]
-        check = checks(vehicles, getattr(physics, "check_move", None), getattr(air, "check_change", None))
+        check = checks(vehicles, physics.check_move, air.check_change)
         check_planned(planned, check, self._source)
         return Operator(planned, vehicles, check)
 

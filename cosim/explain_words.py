@@ -75,6 +75,7 @@ _CAUSES: Mapping[str, Callable[[Report], str]] = {
     "fading": _without("fading_db", lambda _: "the fading"),
     "script": lambda report: f"a change of the script left {_level(report)}",
     "trace": lambda report: f"the trace says {_level(report)}",
+    "outage": lambda report: f"the operator had cut off its sender or receiver; the frame came at {_level(report)}",
     "collision": _disturbed,
     "jammed": _disturbed,
     "packet error": _error,

@@ -15,11 +15,11 @@ from cosim.errors import ScenarioError
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.scenario_tables import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
 from cosim.source import Source
-from cosim.table import unknown
+from cosim.table import non_finite, unknown
 from cosim.types import Changed, Halted, Moved, Outage
 
-Check = Callable[[InterventionTable], None]
-"""Raises `ValueError` for what cannot be done."""
+Check = Callable[[InterventionTable, Sequence[InterventionTable]], None]
+"""Raises `ValueError` for what cannot be done, after what will have been done before it."""
 
 
 class Operator:
@@ -63,8 +63,12 @@ class Operator:
         Raises:
             ValueError: it cannot be done, and why.
         """
-        self._check(intervention)
-        self._asked.append(intervention)
+        raw = msgspec.to_builtins(intervention)
+        if (bad := non_finite(raw)) is not None:
+            raise ValueError(f"{bad} is no number to do anything with")
+        checked = msgspec.convert(raw, type(intervention))  # ranges, which no constructor looks at
+        self._check(checked, self._asked)
+        self._asked.append(checked)
 
     def poll(self, now_ns: int) -> bool:
         """Whether there is anything to be done at the instant that begins."""
@@ -107,11 +111,11 @@ class Operator:
 def checks(
     vehicles: Sequence[str],
     check_move: Callable[[str, tuple[float, float], float], None],
-    check_set: Callable[[str, float], None],
+    check_set: Callable[[str, float, Sequence[tuple[str, float]]], None],
 ) -> Check:
-    """What can be done at all: vehicles that there are, obstacles that can be moved, keys that can be changed."""
+    """What can be done at all: with vehicles that there are, obstacles that can be moved, and keys that can be changed."""
 
-    def check(table: InterventionTable) -> None:
+    def check(table: InterventionTable, earlier: Sequence[InterventionTable]) -> None:
         if isinstance(table, OutageTable | HaltTable):
             for name in table.vehicles:
                 if name not in vehicles:
@@ -119,16 +123,17 @@ def checks(
         elif isinstance(table, MoveTable):
             check_move(table.obstacle, table.position, table.yaw)
         else:
-            check_set(table.key, table.value)
+            check_set(table.key, table.value, [(each.key, each.value) for each in earlier if isinstance(each, SetTable)])
 
     return check
 
 
 def check_planned(planned: Sequence[InterventionTable], check: Check, source: Source) -> None:
     """Refuse a scenario with an intervention that cannot be done."""
-    for number, table in enumerate(planned):
+    order = sorted(range(len(planned)), key=lambda number: planned[number].at_s)
+    for place, number in enumerate(order):
         try:
-            check(table)
+            check(planned[number], [planned[each] for each in order[:place]])
         except ValueError as error:
             key = f"intervention[{number}]"
             raise ScenarioError(str(error), key=key, source=source.of(key)) from error

@@ -56,6 +56,8 @@ PIECES: Mapping[str, str] = {
     "positioning": "physics.positioning:Positioning",
     "world": "physics.world:World",
     "world pictures": "physics.draw",
+    "mesh colors": "physics.mesh_colors:mesh_colors",
+    "hull": "physics.bodies:hull_of",
     "least clearance": "physics.clearance:least_clearance_m",
     "radio": "netsim.federate:RadioFederate",
     "recorded radio": "netsim.recorded:RecordedChannel",

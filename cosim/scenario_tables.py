@@ -131,7 +131,7 @@ class OutageTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
     """An ``[[intervention]]``: all frames from and to some vehicles are lost for some time."""
 
     at_s: Seconds  # when
-    for_s: Positive  # for how long
+    for_s: Duration  # for how long
     vehicles: tuple[str, ...] = ()  # whose; none named: all
 
 

@@ -11,7 +11,10 @@ Events of a real vehicle, at the instants at which physics publishes those of si
 ``<vehicle>/incident``    Incident      connected, lost, stopped: with its cause
 ========================  ============  ===================================================================================
 
-Commands go to the robot at once. Physics shows the vehicle where `states` says that it is (`cosim.outside`).
+Commands go to the robot at once, and so does ``operator/halted`` (`Halted`): while a vehicle is halted, its robot is told zero
+velocity in place of what its agent commands, and all rules of safety go on; let go, it follows the newest command.
+
+Physics shows the vehicle where `states` says that it is (`cosim.outside`).
 """
 
 import contextlib
@@ -24,7 +27,7 @@ from cosim.clock import SECOND_NS, Ticks, WallClock
 from cosim.errors import FederateError
 from cosim.federate import Event, Needed, RunInfo, Slot, Step
 from cosim.real import RealVehicle
-from cosim.types import AnyValue, Array, States, VehicleState
+from cosim.types import AnyValue, Array, Halted, States, VehicleState
 from hardware.connecting import Connections
 from hardware.seat import Seat
 
@@ -55,7 +58,7 @@ class Hardware:
 
     def __init__(self, vehicles: Sequence[RealVehicle], *, run: str, tell: Callable[[str], None], connect: bool) -> None:
         self.names = tuple(each.name for each in vehicles)
-        self.reads = self.wakes = tuple(f"{name}/command" for name in self.names)
+        self.reads = self.wakes = (*(f"{name}/command" for name in self.names), "operator/halted")
         self.clock = WallClock()
         self.log: Log = lambda *_: None
         self.radius_m: Mapping[str, float] = {}  # of all vehicles; like the next, told by whoever knows
@@ -80,10 +83,7 @@ class Hardware:
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Take commands and reports, publish where it is time, and say what is wanted."""
         for event in inbox:
-            if isinstance(event.value, States):
-                self._world = event.time_ns, event.value
-            else:
-                self._seats[event.key.partition("/")[0]].command(event)
+            self._take(event)
         events: list[Event] = []
         for seat in self._seats.values():
             if seat.over is not None:
@@ -117,6 +117,16 @@ class Hardware:
         """Let go of all robots, which stand then."""
         if self._connections is not None:
             self._connections.close()
+
+    def _take(self, event: Event) -> None:
+        if isinstance(event.value, States):
+            self._world = event.time_ns, event.value
+        elif isinstance(event.value, Halted):
+            for name in event.value.vehicles:
+                if name in self._seats:  # others are simulated
+                    self._seats[name].halted = event.value.halted
+        else:
+            self._seats[event.key.partition("/")[0]].command(event)
 
     def _next(self, now_ns: int) -> int | None:
         needed_ns = self._needed.after(now_ns)

@@ -19,6 +19,8 @@ from hardware.driver import DriverError
 from hardware.reckoning import LONGEST_NS, ahead, planar
 from hardware.station.wire import OPERATOR_STOP, Order, Report
 
+HALTED = "operator's halt"
+"""Among the causes of a status: an intervention of the run holds the vehicle, until it lets it go."""
 KEPT_NS = 2 * SECOND_NS  # of reports: a run that is later than this on the wall clock is told of newer ones
 SILENT_NS = SECOND_NS  # a station that says nothing for so long hangs: it has something to say 50 times a second
 
@@ -45,6 +47,7 @@ class Seat:
         self.vehicle, self._clock = vehicle, clock
         self.station: Station | None = None  # None: not connected
         self.over: VcmvspError | None = None  # why the run is to end, once that is recorded
+        self.halted = False  # it is to stand whatever its agent commands, until it is let go
         self._heard_ns = self._looked_ns = 0  # when the station was last heard, and asked, on the monotonic clock
         x, y, yaw = vehicle.start
         place = (x, y, vehicle.height_m)
@@ -71,6 +74,8 @@ class Seat:
             return
         self._orders += 1
         command, given_ns = self._command
+        if self.halted and command is not None:
+            command = Velocity()  # as old as that of the agent, who must be heard all the same
         self.station.order(
             Order(
                 number=self._orders,
@@ -185,7 +190,8 @@ class Seat:
         sigma_m = None
         if newest.covariance is not None:
             sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(newest.covariance[:2, :2])[-1]), 0.0))
-        causes = tuple(dict.fromkeys(cause for report in fresh or [newest] for cause in report.causes))
+        held = (HALTED,) if self.halted else ()
+        causes = (*held, *dict.fromkeys(cause for report in fresh or [newest] for cause in report.causes))
         age_s = None
         if newest.sample:
             age_s = max(0, self._clock.monotonic_ns(now_ns) - newest.measured_ns) / SECOND_NS

@@ -9,7 +9,7 @@ With the mac ``ideal`` the fate of a frame is known when it is sent. With one th
 frame ends, after whatever else was sent meanwhile: `Channel.next_ns` says when that will be.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from heapq import heappop, heappush
 
 import numpy as np
@@ -24,6 +24,7 @@ from netsim.jammer import Jammer
 from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, sealed, unless_nothing
 from netsim.mac import Ideal, Mac, needs
 from netsim.medium import Codes, Decided, Fate, Levelled, Medium, Offered, Powered
+from netsim.operated import Operated
 from netsim.outcome import OnAir, Outcomes
 from netsim.radios import Radio
 from netsim.script import Script
@@ -68,9 +69,7 @@ class Channel:
         self.hearing = Hearing(phy, least.preamble_snr_db)
         self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
         self._varies = any(layer is not None for layer in (fading, script, trace))  # levels, from attempt to attempt
-        self._outcomes = Outcomes(
-            self.hearing, unless_nothing(loss), unless_nothing(delay), script, trace, delivery, fades=fading is not None
-        )
+        self.operated = Operated(loss=loss, delay=delay)
         self.start(seed=0)
 
     def start(self, seed: int) -> None:
@@ -85,6 +84,8 @@ class Channel:
         self._answers: dict[int, Floats] = {}  # by frame: levels of who acknowledges it, until it is offered
         self._coming: list[tuple[int, int, Offered]] = []  # heap of (time, frame): those of them on their way to the radio
         self.budgets.start()
+        self.operated.start()
+        self._outcomes = self._behind()
 
     @property
     def contends(self) -> bool:
@@ -178,6 +179,25 @@ class Channel:
 
     def close(self) -> None:
         """Nothing to release."""
+
+    def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
+        """Lose every frame from and to these vehicles that is on the air at any time of ``[from_ns, until_ns)``.
+
+        Frames whose fate is decided already are none of them, and all fare on the air as they would.
+        """
+        self.operated.cut_off(vehicles, from_ns, until_ns)
+        self._outcomes = self._behind()
+
+    def change(self, key: str, value: float) -> None:
+        """Give a number of a layer (`Operated.numbers`) another value, for all frames whose fate is still open."""
+        self.operated.change(key, value)
+        self._outcomes = self._behind()
+
+    def _behind(self) -> Outcomes:
+        """What is behind reception, as it is now."""
+        loss, delay, outages = map(unless_nothing, (*self.operated.layers.values(), self.operated.outages))
+        layers = loss, delay, self._script, self._trace, self._delivery
+        return Outcomes(self.hearing, *layers, fades=self.fading is not None, outages=outages)
 
     def _meet(self, names: tuple[str, ...]) -> None:
         if self._waiting:

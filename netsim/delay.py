@@ -1,5 +1,8 @@
 """Delays beyond the time on the air: relays, gateways, operating systems."""
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from cosim.clock import seconds_to_ns
@@ -17,6 +20,7 @@ class NoDelay:
         return np.zeros(frame.rssi_dbm.shape, np.int64)
 
 
+@dataclass(frozen=True)
 class FixedDelay:
     """A frame is received ``seconds`` after it was handed to the radio, give or take up to ``jitter_s``.
 
@@ -27,14 +31,10 @@ class FixedDelay:
 
     So agents at 10 Hz with ``seconds = 0.1`` hear each message exactly one period after it was sent. The jitter is uniform in
     [-jitter_s, +jitter_s], drawn for each frame and receiver; one that exceeds half the sending period lets frames overtake.
-
-    Args:
-        seconds: from sending to reception, time on the air included.
-        jitter_s: uniform, give or take.
     """
 
-    def __init__(self, seconds: Seconds, jitter_s: Seconds = 0.0) -> None:
-        self._fixed_ns, self._jitter_ns = seconds_to_ns(seconds), seconds_to_ns(jitter_s)
+    seconds: Seconds  # from sending to reception, time on the air included
+    jitter_s: Seconds = 0.0  # uniform, give or take
 
     @property
     def nothing(self) -> bool:
@@ -48,3 +48,11 @@ class FixedDelay:
         jitter = (2.0 * draw()[..., 0] - 1.0) * self._jitter_ns
         delay: Ints = self._fixed_ns + np.rint(jitter).astype(np.int64)
         return delay
+
+    @cached_property
+    def _fixed_ns(self) -> int:
+        return seconds_to_ns(self.seconds)
+
+    @cached_property
+    def _jitter_ns(self) -> int:
+        return seconds_to_ns(self.jitter_s)

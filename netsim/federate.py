@@ -7,7 +7,7 @@ import numpy as np
 from cosim.clock import seconds_to_ns
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.rng import stream
-from cosim.types import FrameReport, Message, Reception, Seconds, States
+from cosim.types import Changed, FrameReport, Message, Outage, Reception, Seconds, States
 from netsim.channel import Channel
 from netsim.recorded import RecordedChannel
 
@@ -20,6 +20,9 @@ class RadioFederate:
     ====================  =========  ===============================================================================
     ``world/states``      in         `States`: where everybody is; the newest counts
     ``<vehicle>/send``    in         `Message`: enters the channel at the event's time
+    ``operator/outage``   in         `Outage`: frames whose fate is open at the event's time are lost, as far as it concerns
+                                     them
+    ``operator/changed``  in         `Changed`: a number of a layer, for all frames whose fate is open then
     ``radio/frame``       out        `FrameReport`: what became of a frame, as soon as that is known: at its sending where
                                      nobody contends for the air, or a recording tells it (`netsim.recorded`), else when
                                      it ends; at the end of the run for the rest
@@ -36,7 +39,7 @@ class RadioFederate:
     name = "radio"
     slot = Slot.RADIO
     wake_slot = Slot.SEND
-    reads: tuple[str, ...] = ("*/send",)
+    reads: tuple[str, ...] = ("*/send", "operator/outage", "operator/changed")
     latest: tuple[str, ...] = ("world/states",)
     wakes: tuple[str, ...] = ("*/send",)
 
@@ -58,7 +61,8 @@ class RadioFederate:
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Report what is decided by now, and hand over what was sent, in that order."""
-        reports = self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
+        reports = self._obey(inbox)
+        reports += self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
         alone = len({event.value.sender for event in inbox if isinstance(event.value, Message)}) == 1
         for event in inbox:
             if isinstance(event.value, States):
@@ -75,6 +79,36 @@ class RadioFederate:
     def close(self) -> None:
         """Release the channel."""
         self._channel.close()
+
+    def adjustable(self) -> dict[str, float]:
+        """The keys that an operator may change while the run goes on, and what they are now: ``radio.loss.probability``."""
+        return self._channel.operated.numbers()
+
+    def check_change(self, key: str, value: float, earlier: Sequence[tuple[str, float]] = ()) -> None:
+        """Refuse a change that cannot be made; changes nothing.
+
+        Args:
+            key: as in `adjustable`.
+            value: what it is to be.
+            earlier: changes that are made before it.
+
+        Raises:
+            ValueError: there is no such key, or it cannot be this.
+        """
+        self._channel.operated.check(key, value, earlier)
+
+    def _obey(self, inbox: Sequence[Event]) -> list[FrameReport]:
+        """Do what the operator wants, each at its own time: the reports of frames that were decided before."""
+        reports: list[FrameReport] = []
+        for event in inbox:
+            value = event.value
+            if isinstance(value, Outage | Changed):
+                reports += self._channel.advance(event.time_ns - 1)
+            if isinstance(value, Outage):
+                self._channel.cut_off(value.vehicles, event.time_ns, value.until_ns)
+            elif isinstance(value, Changed):
+                self._channel.change(value.key, value.value)
+        return reports
 
     def _send(self, sent_ns: int, message: Message, *, alone: bool) -> list[FrameReport]:
         if self._states is None:

@@ -59,9 +59,11 @@ class Outcomes:
         delivery: Delivery | None,
         *,
         fades: bool,
+        outages: Script | None = None,
     ) -> None:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
-        losses: list[tuple[Any, int]] = [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
+        losses: list[tuple[Any, int]] = [(outages, SCRIPT_SLOT)]  # first: whatever else would be lost then, is lost by that
+        losses += [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
         self._losses = [(layer, slot) for layer, slot in losses if layer is not None]
         causes = [layer.cause for layer, _ in self._losses]
         causes += [] if delivery is None else [delivery.cause]

@@ -1,6 +1,6 @@
 """Frames that fare as they did in a run that was recorded: what was lost there is lost again, at the same receivers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from cosim.record.tables import RADIO_SCHEMA
 from cosim.types import Array, FrameReport, Message, frozen
 from netsim.channel import Channel
 from netsim.layers import Floats
+from netsim.operated import Operated
 
 _LAYERS = ("walls", "wall_loss_db", "shadowing_db", "fading_db", "snr_db", "path_loss_db")
 
@@ -131,6 +132,19 @@ class RecordedChannel:
     def finish(self) -> list[FrameReport]:
         """The same, as `Channel.finish`."""
         return self._channel.finish()
+
+    @property
+    def operated(self) -> Operated:
+        """What an operator may change of the channel: it concerns the frames that are drawn."""
+        return self._channel.operated
+
+    def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
+        """For the frames that are drawn, as `Channel.cut_off`: of the others the recording tells."""
+        self._channel.cut_off(vehicles, from_ns, until_ns)
+
+    def change(self, key: str, value: float) -> None:
+        """The same, as `Channel.change`."""
+        self._channel.change(key, value)
 
     def close(self) -> None:
         """Say how much was not in the recording."""

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cosim.types import Vec3
 from physics.bodies import hull_of, on_time, start_of
-from physics.engine import Motion, Touch
+from physics.engine import Motion, Touch, still
 from physics.scene import Scene
 from physics.vehicles import VehicleSpec
 from physics.world import Movable, Moving, World
@@ -20,13 +21,19 @@ class Stage:
         self._vehicles = tuple(spec.name for spec in vehicles)
         self._hulls = (*(spec.model.hull for spec in vehicles), *(hull_of(each.solid) for each in things))
         self.names = (*self._vehicles, *(each.name for each in things))
-        self._start_of_movables = start_of(world.movables)
+        self._standing = start_of(world.movables)
+
+    def put(self, number: int, place: Vec3, yaw: float) -> None:
+        """Let a movable stand with its centre there, m, turned by ``yaw`` rad, where nothing can push it."""
+        own = still(np.array([place]), np.array([yaw]))
+        before = self._standing
+        self._standing = Motion(*(np.concatenate([a[:number], b, a[number + 1 :]]) for a, b in zip(before, own, strict=True)))
 
     def scene(self, now_ns: int, motion: Motion, movables: Motion | None, touches: Sequence[Touch]) -> Scene:
         """The scene of an instant: how vehicles move, and movables if they do; obstacles keep to their time-tables."""
         bodies = [*motion[:4]]
         if len(self.names) > len(self._vehicles):
-            things = (self._start_of_movables if movables is None else movables, on_time(self._world.moving, now_ns))
+            things = (self._standing if movables is None else movables, on_time(self._world.moving, now_ns))
             bodies = [np.concatenate(each) for each in zip(bodies, *(each[:4] for each in things), strict=True)]
             for each in bodies:
                 each.flags.writeable = False

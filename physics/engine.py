@@ -69,6 +69,9 @@ class Engine(Protocol):
     def movables(self) -> Motion:
         """How every movable of the world moves now: no rows where nothing can push them."""
 
+    def put(self, number: int, place: Vec3, yaw: float) -> None:
+        """Put a movable somewhere, with its centre there, m, upright and turned by ``yaw`` rad: it is at rest from now on."""
+
     def touching(self, *, passing: bool) -> list[Touch]:
         """What touches now, by rows: asking changes nothing.
 
@@ -104,6 +107,9 @@ class Bodiless:
     def movables(self) -> Motion:
         """Nothing here can push anything."""
         return NO_BODIES
+
+    def put(self, number: int, place: Vec3, yaw: float) -> None:
+        """There is nothing to be put."""
 
     def touching(self, *, passing: bool) -> list[Touch]:
         """No bodies, no contacts."""

@@ -3,6 +3,9 @@
 `Physics` is the same for every engine. `KinematicPhysics` moves all vehicles without bodies; `BulletPhysics` gives a body to
 those that can have one and moves the others as `KinematicPhysics` would: nothing collides with them.
 
+Taken at the next step, each from its own time on: ``<vehicle>/command``, ``operator/halted`` (vehicles stand still until they
+are let go, when their newest commands count again) and ``operator/moved`` (a movable stands somewhere else).
+
 Published at every instant that somebody asked for (`RunInfo.instants`, the start and the end):
 
 ======================  ============  =======================================================================
@@ -19,7 +22,6 @@ are published by whoever moves them.
 """
 
 from collections.abc import Sequence
-from math import isfinite
 from typing import Annotated
 
 import msgspec
@@ -29,23 +31,24 @@ from cosim.clock import Ticks
 from cosim.errors import FederateError, ScenarioError
 from cosim.federate import Event, Needed, RunInfo, Slot, Step
 from cosim.outside import Outside
-from cosim.types import Array, Contact, NonNegative, Rate, States, Velocity, Waypoint
-from physics.aerial import AerialEngine
+from cosim.types import Array, Contact, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
+from physics.bodies_put import check_free, placed
 from physics.bodies_scene import Stage
 from physics.bodies_start import check_instants, check_lift, check_names, check_overlaps, check_places, check_sensors
+from physics.commands import Commands
 from physics.engine import Engine, Motion, Touch, gathered
 from physics.instruments import Instruments
-from physics.motion import MotionEngine
 from physics.outside import Reflected, check_shown
 from physics.pose_sources import PoseSources
 from physics.quadrotor import Quadrotor
+from physics.riders import riders
 from physics.urdf import UrdfDrive
-from physics.vehicles import DifferentialDrive, GroundVehicle, Point, VehicleSpec, flies
+from physics.vehicles import DifferentialDrive, VehicleSpec, flies
 from physics.world import World
 
-Command = Velocity | Waypoint
 PACE = Ticks.every(1 / 64)
 """How often an engine with steps of its own moves on where the wall clock paces the run, so that instants begin in time."""
+SOON_S = 0.2  # from asking whether a place is free to putting something there, at most
 
 
 class Physics:
@@ -67,7 +70,7 @@ class Physics:
     name = "physics"
     slot = Slot.WORLD
     wake_slot = Slot.APPLY
-    reads: tuple[str, ...] = ("*/command",)
+    reads: tuple[str, ...] = ("*/command", "operator/halted", "operator/moved")
     latest: tuple[str, ...] = ()
     wakes: tuple[str, ...] = ()
 
@@ -85,7 +88,6 @@ class Physics:
         self.world, self.vehicles = world, tuple(vehicles)
         self.radius_m = {spec.name: spec.model.radius_m for spec in self.vehicles}
         self._names = tuple(spec.name for spec in self.vehicles)
-        self._stage = Stage(world, self.vehicles, gravity)
         self._outside = outside
         names = () if outside is None else outside.names
         self._shown = [number for number, name in enumerate(self._names) if name in names]
@@ -101,6 +103,7 @@ class Physics:
     def start(self, run: RunInfo) -> int:
         """Build the engines; the first publication is at 0."""
         self._run, self._now_ns = run, 0
+        self._stage = Stage(self.world, self.vehicles, self.gravity)
         shown = [self.vehicles[number] for number in self._shown]
         self._reflected = Reflected(self._outside, shown) if self._outside and self._outside.names else None
         self._sources = PoseSources(self.vehicles, self._moved, run.seed)
@@ -112,26 +115,25 @@ class Physics:
         check_sensors(self.vehicles)
         check_shown(shown)
         self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
-        self._mover = {
+        mover = {
             self._names[number]: (engine, row, flies(self.vehicles[number].model))
             for engine, numbers in self._engines
             for row, number in enumerate(numbers.tolist())
             if number in self._moved
         }
         for spec in (self.vehicles[number] for number in self._moved):
-            if spec.name not in self._mover:
+            if spec.name not in mover:
                 problem = f"{spec.name} is a {type(spec.model).__name__}, which physics cannot move: "
                 problem += "derive it from GroundVehicle, Point or Quadrotor"
                 raise ScenarioError(problem, key=f"vehicle.{spec.name}.kind")
+        self._commands = Commands(mover, self._advance)
         self._sources.feed(0, self._motion())
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Obey every command from its own time on, up to now; then publish."""
         for event in inbox:
-            vehicle = event.key.partition("/")[0]
-            if vehicle in self._mover and isinstance(event.value, Command):  # others are moved by another federate
-                self._command(vehicle, event.time_ns, event.value)
+            self._take(event)
         if not self._is_due(now_ns):  # what is done now need not be done when it is
             for engine, _ in self._engines:
                 if engine.stepped:
@@ -145,21 +147,45 @@ class Physics:
         for engine, _ in self._engines:
             engine.close()
 
-    def _command(self, vehicle: str, time_ns: int, command: Command) -> None:
-        """Advance to the command's time and obey it from there on; ground vehicles take its forward speed and yaw rate."""
-        engine, row, flying = self._mover[vehicle]
-        if isinstance(command, Waypoint) and not flying:
-            problem = f"{vehicle} was given a Waypoint but cannot fly: send Velocity, or make it a quadrotor or a point"
-            raise FederateError(self.name, problem)
-        if not all(map(isfinite, _numbers(command, flying))):
-            raise FederateError(self.name, f"the command of {vehicle} is not finite: {command}")
-        if isinstance(command, Waypoint) and command.speed is not None and command.speed <= 0.0:
-            raise FederateError(self.name, f"the speed of the Waypoint of {vehicle} must be positive, not {command.speed} m/s")
-        self._advance(time_ns)
-        if isinstance(command, Velocity):
-            engine.command(row, command.linear, command.yaw_rate)
-        else:
-            engine.go_to(row, command.position, command.yaw, command.speed)
+    def check_move(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
+        """Refuse to put a movable where it cannot stand; changes nothing. Before the start, vehicles are not looked at.
+
+        Args:
+            obstacle: its name.
+            position: where, x, y m, world.
+            yaw: rad.
+
+        Raises:
+            ValueError: there is no such movable, or no room for it there.
+        """
+        number, place = placed(self.world, obstacle, position, yaw)
+        if self._engines:
+            self._check_free(number, place, yaw, SOON_S)
+
+    def _check_free(self, number: int, place: Vec3, yaw: float, within_s: float) -> None:
+        scene = self._stage.scene(self._now_ns, self._motion(), self._movables(), ())
+        check_free(scene, self._stage.names, len(self.vehicles) + number, place, yaw, within_s)
+
+    def _take(self, event: Event) -> None:
+        """Advance to the time of a command, or of what the operator does, and obey it from there on."""
+        match event.value:
+            case Halted(vehicles=vehicles, halted=halted):
+                self._commands.halt(vehicles, event.time_ns, halted=halted)
+            case Moved(obstacle=obstacle, position=position, yaw=yaw):
+                self._advance(event.time_ns)
+                self._put(obstacle, position, yaw)
+            case Velocity() | Waypoint():
+                self._commands.take(event.key.partition("/")[0], event.time_ns, event.value)
+
+    def _put(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
+        try:
+            number, place = placed(self.world, obstacle, position, yaw)
+            self._check_free(number, place, yaw, 0.0)  # an engine would fling them apart
+        except ValueError as error:
+            raise FederateError(self.name, str(error)) from error
+        self._stage.put(number, place, yaw)
+        for engine, _ in self._engines:
+            engine.put(number, place, yaw)
 
     def _advance(self, to_ns: int) -> None:
         """Move on, and feed the estimators on the way."""
@@ -216,12 +242,16 @@ class Physics:
             events.append(Event("world/states", now_ns, states))
         events += self._sources.measure(now_ns, motion)
         if self._is_sensing(now_ns):
-            movables = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
-            scene = self._stage.scene(now_ns, motion, movables[0] if movables else None, self._touches(passing=False))
+            scene = self._stage.scene(now_ns, motion, self._movables(), self._touches(passing=False))
             events += self._instruments.read(scene)
         if asked:
             events += self._sources.estimates(now_ns, motion) + self._contacts(now_ns, self._touches(passing=True))
         return events
+
+    def _movables(self) -> Motion | None:
+        """How movables move now; None: nothing can push them."""
+        found = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
+        return found[0] if found else None
 
     def _touches(self, *, passing: bool) -> list[Touch]:
         """What touches, in the federate's rows: vehicles in the scenario's order, then the other bodies of the world."""
@@ -241,34 +271,13 @@ class Physics:
         return [Event("world/contact", now_ns, each) for each in named]
 
 
-def _numbers(command: Command, flying: bool) -> list[float]:
-    """The numbers of a command that count."""
-    if isinstance(command, Velocity):
-        return [*(command.linear if flying else command.linear[:1]), command.yaw_rate]
-    return [*command.position, *(each for each in (command.yaw, command.speed) if each is not None)]
-
-
 class KinematicPhysics(Physics):
     """Every vehicle moves without a body: exactly as commanded, or with the lags and limits of its kind."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """One engine on the ground, one in the air, one for what is only shown."""
-        riders = _riders(self.vehicles, self._moved)
-        return [*riders, (self._reflected, self._shown)] if self._reflected else riders
-
-
-def _riders(vehicles: Sequence[VehicleSpec], numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
-    """Engines for vehicles that need no body."""
-    found: list[tuple[Engine, list[int]]] = []
-    ground = {n: model for n in numbers if isinstance(model := vehicles[n].model, GroundVehicle)}
-    air = {n: model for n in numbers if isinstance(model := vehicles[n].model, Point | Quadrotor)}
-    if ground:
-        at = [vehicles[n].start for n in ground], [vehicles[n].heading for n in ground]
-        found.append((MotionEngine([*ground.values()], *at), [*ground]))
-    if air:
-        at = [vehicles[n].start for n in air], [vehicles[n].heading for n in air]
-        found.append((AerialEngine([*air.values()], *at), [*air]))
-    return found
+        moved = riders(self.vehicles, self._moved)
+        return [*moved, (self._reflected, self._shown)] if self._reflected else moved
 
 
 class BulletPhysics(Physics):
@@ -298,4 +307,4 @@ class BulletPhysics(Physics):
             accelerations=any(spec.sensors for spec in specs),
             reflected=self._reflected,
         )
-        return [(bullet, bodies), *_riders(self.vehicles, [n for n in range(len(self.vehicles)) if n not in bodies])]
+        return [(bullet, bodies), *riders(self.vehicles, [n for n in range(len(self.vehicles)) if n not in bodies])]

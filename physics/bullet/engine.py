@@ -183,6 +183,11 @@ class BulletEngine:
         """How every movable moves now."""
         return self._things.read()
 
+    def put(self, number: int, place: Vec3, yaw: float) -> None:
+        """Put a movable somewhere, and have quadrotors look for it before the next step."""
+        self._things.put(number, place, yaw)
+        self._flyers.look_is_due = True
+
     def touching(self, *, passing: bool) -> list[Touch]:
         """What presses against each other in this step; with ``passing`` also what quadrotors have bounced off since then."""
         near = [self._flying[k] for k in np.flatnonzero(self._flyers.near).tolist()]

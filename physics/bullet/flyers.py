@@ -56,6 +56,7 @@ class Flyers:
         self._steps_a_look = max(1, round(1.0 / (_LOOK_HZ * step_s)))
         self.look_s = (self._steps_a_look + 1) * step_s  # ahead: Bullet leaves a body out of the step in which it wakes
         self._step = 0
+        self.look_is_due = True  # before the next step
         self.bodies = [self._build(model) for model in models]
         self.near = np.ones(n, bool)  # until the first look
         self._rows: list[int] = []  # those that are near
@@ -136,11 +137,6 @@ class Flyers:
         if self._rows:
             self._place(self._rows)  # those that were near before drift off by rounding
 
-    @property
-    def look_is_due(self) -> bool:
-        """Whether to look around before the next step."""
-        return self._step % self._steps_a_look == 0
-
     # --- a step -------------------------------------------------------------------------------------------------------------
 
     def push(self, now_ns: int) -> None:
@@ -156,6 +152,7 @@ class Flyers:
         self._before = fleet.velocity.copy()
         fleet.integrate(force, torque, self._step_s)
         self._step += 1
+        self.look_is_due = self._step % self._steps_a_look == 0
 
     def take(self) -> None:
         """After Bullet's step: believe it where a body touched something, and note whose has begun to."""

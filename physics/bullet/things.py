@@ -81,6 +81,14 @@ class Things:
                 physicsClientId=self._client,
             )
 
+    def put(self, number: int, place: Vec3, yaw: float) -> None:
+        """Put a movable somewhere, m, at rest; whatever leaned on it notices."""
+        body = self.movables[number]
+        p.resetBasePositionAndOrientation(body, place, turned(yaw), self._client)
+        p.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self._client)
+        for each in self.movables:
+            p.changeDynamics(each, -1, activationState=p.ACTIVATION_STATE_WAKE_UP, physicsClientId=self._client)
+
     def place(self, now_ns: int) -> None:
         """Put the moving obstacles where they belong, as fast as they go: what they meet is pushed."""
         if not self.moving:

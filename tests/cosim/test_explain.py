@@ -145,6 +145,10 @@ def test_a_loss_is_explained_by_what_caused_it(log: explain.Log, folder: Path) -
         ("jammed", "its SNR of 20.0 dB became a SINR of 3.0 dB"),
         ("packet error", "bits were wrong at a SINR of 3.0 dB, which 25.0 % of such frames survive"),
         ("receiver transmitting", "it was sending itself when the frame came at -74.0 dBm, 8.0 dB above the sensitivity"),
+        (
+            "outage",
+            "the operator had cut off its sender or receiver; the frame came at -74.0 dBm, 8.0 dB above the sensitivity",
+        ),
         ("traced loss", "not the radio's doing, which had received it at -74.0 dBm, 8.0 dB above the sensitivity"),
     ],
 )

@@ -1,5 +1,7 @@
 """What an operator does during a run: planned or live, it is the same run."""
 
+import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +37,7 @@ def run(interventions: list[dict[str, Any]], observe: Any = None, **settings: An
 @given(st.lists(st.integers(0, 10**10), max_size=20))
 def test_all_are_done_once_at_their_time_in_order(times_ns: list[int]) -> None:
     planned = [OutageTable(at_s=each / 1e9, for_s=1.0) for each in times_ns]
-    operator, done = Operator(planned, ["car1"], lambda _: None), list[Event]()
+    operator, done = Operator(planned, ["car1"], lambda *_: None), list[Event]()
     due = operator.start(INFO)
     while due is not None:
         step = operator.step(due, ())
@@ -46,7 +48,7 @@ def test_all_are_done_once_at_their_time_in_order(times_ns: list[int]) -> None:
 
 
 def test_what_is_asked_for_is_done_at_the_instant_that_begins() -> None:
-    operator = Operator([HaltTable(at_s=5.0)], ["car1", "car2"], lambda _: None)
+    operator = Operator([HaltTable(at_s=5.0)], ["car1", "car2"], lambda *_: None)
     assert not operator.poll(0)
     operator.ask(OutageTable(at_s=0.0, for_s=2.0, vehicles=("car2",)))
     assert operator.poll(1_234_567_891)
@@ -57,7 +59,7 @@ def test_what_is_asked_for_is_done_at_the_instant_that_begins() -> None:
 
 
 def test_what_cannot_be_done_is_refused_and_forgotten() -> None:
-    def check(table: InterventionTable) -> None:
+    def check(table: InterventionTable, earlier: Sequence[InterventionTable]) -> None:
         raise ValueError("no")
 
     operator = Operator([], ["car1"], check)
@@ -67,7 +69,7 @@ def test_what_cannot_be_done_is_refused_and_forgotten() -> None:
 
 
 def test_none_named_means_all() -> None:
-    operator = Operator([HaltTable(at_s=0.0)], ["car1", "car2"], lambda _: None)
+    operator = Operator([HaltTable(at_s=0.0)], ["car1", "car2"], lambda *_: None)
     (event,) = operator.step(0, ()).events
     assert event.value.vehicles == ("car1", "car2")  # type: ignore[union-attr]
 
@@ -77,7 +79,7 @@ def test_none_named_means_all() -> None:
     [
         ({"kind": "outage", "at_s": 1.0, "for_s": 1.0, "vehicles": ["car9"]}, "unknown vehicle 'car9'"),
         ({"kind": "outage", "at_s": 1.0}, "for_s is missing"),
-        ({"kind": "outage", "at_s": -1.0, "for_s": 1.0}, "at_s must be"),
+        ({"kind": "outage", "at_s": -1.0, "for_s": 1.0}, "at_s: must be"),
         ({"kind": "explode", "at_s": 1.0}, "kind"),
         ({"kind": "set", "at_s": 1.0, "key": "radio.loss.probability", "value": 2.0}, "probability"),
         ({"kind": "set", "at_s": 1.0, "key": "radio.loss.colour", "value": 2.0}, "colour"),
@@ -98,13 +100,14 @@ def test_during_an_outage_nothing_arrives_and_outside_all_fares_as_without_it() 
         assert mine["outcome"] == ("outage" if inside else other["outcome"])
 
 
-def test_what_was_done_live_is_repeated_to_the_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("preset", ["ideal", "wifi-b-1"])
+def test_what_was_done_live_is_repeated_to_the_byte(preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Asked for from within the run, at instants of all slots; the resolved scenario tells it."""
     orders: dict[int, InterventionTable] = {
         3: OutageTable(at_s=0.0, for_s=0.7),
-        50: SetTable(at_s=0.0, key="radio.loss.probability", value=0.7),
-        90: HaltTable(at_s=0.0, vehicles=("car1",)),
-        140: HaltTable(at_s=0.0, vehicles=("car1",), halted=False),
+        20: SetTable(at_s=0.0, key="radio.loss.probability", value=0.7),
+        33: HaltTable(at_s=0.0, vehicles=("car1",)),
+        50: HaltTable(at_s=0.0, vehicles=("car1",), halted=False),
     }
     seen: list[Operator] = []
     built = Assembly._build_operator
@@ -114,7 +117,7 @@ def test_what_was_done_live_is_repeated_to_the_byte(tmp_path: Path, monkeypatch:
         return seen[-1]
 
     monkeypatch.setattr(Assembly, "_build_operator", build)
-    instants = 0
+    instants, settings = 0, {"radio.preset": preset}
 
     def progress(now_ns: int, end_ns: int) -> None:
         nonlocal instants
@@ -122,11 +125,26 @@ def test_what_was_done_live_is_repeated_to_the_byte(tmp_path: Path, monkeypatch:
         if instants in orders:
             seen[-1].ask(orders[instants])
 
-    live = cosim.run(SCENARIO, progress=progress, mcap=False)
-    assert live.scenario.count("[[intervention]]") == len(orders)
+    live = cosim.run(SCENARIO, set=settings, progress=progress, mcap=False)
+    assert len(tomllib.loads(live.scenario)["intervention"]) == len(orders)
     path = tmp_path / "again.toml"
     path.write_text(live.scenario)
     again = cosim.run(path, mcap=False)
     assert again.metrics == live.metrics
-    assert again.metrics["digest"] != cosim.run(SCENARIO, mcap=False).metrics["digest"]
+    assert again.metrics["digest"] != cosim.run(SCENARIO, set=settings, mcap=False).metrics["digest"]
     assert again.scenario == live.scenario
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        OutageTable(at_s=0.0, for_s=-1.0),
+        OutageTable(at_s=0.0, for_s=float("inf")),
+        OutageTable(at_s=0.0, for_s=float("nan")),
+        SetTable(at_s=0.0, key="radio.loss.probability", value=float("nan")),
+    ],
+)
+def test_live_numbers_that_a_scenario_could_not_have_are_refused(table: InterventionTable) -> None:
+    operator = Operator([], ["car1"], lambda *_: None)
+    with pytest.raises(ValueError, match=r"no number|Expected"):
+        operator.ask(table)

@@ -17,6 +17,7 @@ from netsim.channel import Channel
 from netsim.delay import NoDelay
 from netsim.delivery import Delivery
 from netsim.loss import Bernoulli
+from netsim.operated import Outages
 from netsim.outcome import UNDER_WAY, Outcomes
 from netsim.phy import Dsss
 from netsim.script import Script
@@ -62,7 +63,7 @@ def test_the_lines_of_a_scenario() -> None:
 def test_every_outcome_is_explained(tmp_path: Path) -> None:
     (tmp_path / "links.csv").write_text("time_s,sender,receiver,loss\n0,a,b,1\n")
     trace = Trace(str(tmp_path / "links.csv"))
-    known = {UNDER_WAY}
+    known = {UNDER_WAY, Outages.cause}
     for loss in (Bernoulli(0.5), GilbertElliott()):
         for script, fades in ((Script(), True), (Script(), False), (None, False)):
             outcomes = Outcomes(Hearing(Dsss(), 4.0), loss, NoDelay(), script, trace, Delivery(), fades=fades)

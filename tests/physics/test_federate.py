@@ -50,7 +50,7 @@ def test_it_is_a_federate(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[car(), car("car2", 1.0, model=AmigoBot())])
     assert isinstance(physics, Federate)
     assert (physics.name, physics.slot, physics.wake_slot) == ("physics", Slot.WORLD, Slot.APPLY)
-    assert (physics.reads, physics.wakes) == (("*/command",), ())
+    assert (physics.reads, physics.wakes) == (("*/command", "operator/halted", "operator/moved"), ())
     assert physics.radius_m == {"car1": 0.25, "car2": 0.18}
 
 

@@ -1,0 +1,71 @@
+"""Commands on their way to the engines: what cannot be followed is refused, and who is halted stands still meanwhile."""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
+
+from cosim.errors import FederateError
+from cosim.types import Velocity, Waypoint
+from physics.engine import Engine
+
+Command = Velocity | Waypoint
+_STILL = Velocity()  # ground: the wheels stand; air: it hovers
+
+
+class Commands:
+    """Hands each vehicle's newest command to its engine.
+
+    Args:
+        mover: of each vehicle that physics moves: its engine, its row there, and whether it flies.
+        advance: moves all on to a time, ns.
+    """
+
+    def __init__(self, mover: Mapping[str, tuple[Engine, int, bool]], advance: Callable[[int], None]) -> None:
+        self._mover, self._advance = mover, advance
+        self._newest: dict[str, Command] = {}
+        self._halted: set[str] = set()
+
+    def take(self, vehicle: str, time_ns: int, command: Command) -> None:
+        """Obey a command from its time on, ground vehicles its forward speed and yaw rate; of others it is none of ours."""
+        if vehicle not in self._mover:
+            return
+        _check(vehicle, command, self._mover[vehicle][2])
+        self._newest[vehicle] = command
+        if vehicle not in self._halted:
+            self._advance(time_ns)
+            self._obey(vehicle, command)
+
+    def halt(self, vehicles: Sequence[str], time_ns: int, *, halted: bool) -> None:
+        """Have vehicles stand still from a time on, or follow their newest commands again."""
+        self._advance(time_ns)
+        for vehicle in vehicles:
+            if vehicle not in self._mover or (vehicle in self._halted) == halted:
+                continue
+            (self._halted.add if halted else self._halted.discard)(vehicle)
+            self._obey(vehicle, _STILL if halted else self._newest.get(vehicle, _STILL))
+
+    def _obey(self, vehicle: str, command: Command) -> None:
+        engine, row, _ = self._mover[vehicle]
+        if isinstance(command, Velocity):
+            engine.command(row, command.linear, command.yaw_rate)
+        else:
+            engine.go_to(row, command.position, command.yaw, command.speed)
+
+
+def _check(vehicle: str, command: Command, flying: bool) -> None:
+    """Refuse what a vehicle cannot follow."""
+    problem = ""
+    if isinstance(command, Waypoint) and not flying:
+        problem = f"{vehicle} was given a Waypoint but cannot fly: send Velocity, or make it a quadrotor or a point"
+    elif not all(map(isfinite, _numbers(command, flying))):
+        problem = f"the command of {vehicle} is not finite: {command}"
+    elif isinstance(command, Waypoint) and command.speed is not None and command.speed <= 0.0:
+        problem = f"the speed of the Waypoint of {vehicle} must be positive, not {command.speed} m/s"
+    if problem:
+        raise FederateError("physics", problem)
+
+
+def _numbers(command: Command, flying: bool) -> list[float]:
+    """The numbers of a command that count."""
+    if isinstance(command, Velocity):
+        return [*(command.linear if flying else command.linear[:1]), command.yaw_rate]
+    return [*command.position, *(each for each in (command.yaw, command.speed) if each is not None)]

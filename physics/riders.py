@@ -1,0 +1,23 @@
+"""Engines for vehicles that need no body."""
+
+from collections.abc import Sequence
+
+from physics.aerial import AerialEngine
+from physics.engine import Engine
+from physics.motion import MotionEngine
+from physics.quadrotor import Quadrotor
+from physics.vehicles import GroundVehicle, Point, VehicleSpec
+
+
+def riders(vehicles: Sequence[VehicleSpec], numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
+    """One engine on the ground and one in the air, each with the numbers of the vehicles that it moves, of those given."""
+    found: list[tuple[Engine, list[int]]] = []
+    ground = {n: model for n in numbers if isinstance(model := vehicles[n].model, GroundVehicle)}
+    air = {n: model for n in numbers if isinstance(model := vehicles[n].model, Point | Quadrotor)}
+    if ground:
+        at = [vehicles[n].start for n in ground], [vehicles[n].heading for n in ground]
+        found.append((MotionEngine([*ground.values()], *at), [*ground]))
+    if air:
+        at = [vehicles[n].start for n in air], [vehicles[n].heading for n in air]
+        found.append((AerialEngine([*air.values()], *at), [*air]))
+    return found

@@ -1,0 +1,279 @@
+"""What an operator does to vehicles and movables of a run: who is halted stands, what is moved is there; the rest goes on."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from cosim.errors import FederateError
+from cosim.federate import Event, Instants, RunInfo
+from cosim.types import Array, Contact, Halted, Moved, States, Velocity, Waypoint
+from physics.federate import BulletPhysics, KinematicPhysics, Physics
+from physics.quadrotor import Quadrotor
+from physics.scanner import RangeScanner
+from physics.solids import Box, Cylinder
+from physics.vehicles import P2DX, Inertial, Kinematic, Point, Vehicle, VehicleSpec
+from physics.world import Movable, Moving, World
+from tests.physics.outsiders import Courses, straight
+from tests.physics.stepping import stepped
+
+BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+TENTH = (Instants(Ticks.every(0.1)),)
+CRATE = Movable(name="crate", solid=Box(center=(5.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=5.0)
+BARREL = Movable(name="barrel", solid=Cylinder(center=(8.0, 3.0, 0.5), radius=0.3, height=1.0), mass_kg=5.0)
+CART = Moving(name="cart", solid=CRATE.solid, times_s=(0.0, 1.0), way=((-5.0, 0.0, 0.2, 0.0), (-5.0, 0.0, 0.2, 0.0)))
+WALL = Box(center=(2.0, 4.0, 0.5), size=(0.2, 2.0, 1.0))
+WORLD = World(solids=(WALL,), movables=(CRATE, BARREL), moving=(CART,), bounds=(-20.0, -20.0, 20.0, 20.0), name="yard")
+
+
+def spec(
+    name: str, x: float = 0.0, y: float = 0.0, z: float = 0.0, *, model: Vehicle | None = None, **more: Any
+) -> VehicleSpec:
+    return VehicleSpec(name=name, model=model or P2DX(), position=(x, y, z), **more)
+
+
+def drive(at_s: float, name: str, v: float, w: float = 0.0) -> Event:
+    return Event(f"{name}/command", seconds_to_ns(at_s), Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
+
+
+def fly(at_s: float, name: str, *place: float) -> Event:
+    return Event(f"{name}/command", seconds_to_ns(at_s), Waypoint(position=place, speed=2.0))  # type: ignore[arg-type]
+
+
+def halt(at_s: float, *names: str, halted: bool = True) -> Event:
+    return Event("operator/halted", seconds_to_ns(at_s), Halted(vehicles=names, halted=halted))
+
+
+def move(at_s: float, name: str, x: float, y: float, yaw: float = 0.0) -> Event:
+    return Event("operator/moved", seconds_to_ns(at_s), Moved(obstacle=name, position=(x, y), yaw=yaw))
+
+
+def play(
+    physics: Physics, told: Sequence[Event], seconds: float, instants: Sequence[Instants] = TENTH, *, paced: bool = False
+) -> list[Event]:
+    names = tuple(each.name for each in physics.vehicles)
+    run = RunInfo(
+        scenario="test", seed=1, duration_ns=seconds_to_ns(seconds), vehicles=names, instants=tuple(instants), paced=paced
+    )
+    told = sorted(told, key=lambda each: each.time_ns)
+    return [event for events in stepped(physics, run, told) for event in events]
+
+
+def ways(events: Sequence[Event], row: int = 0) -> Array:
+    """Positions (t, 3) m of a vehicle."""
+    return np.array([event.value.position[row] for event in events if isinstance(event.value, States)])
+
+
+def ranges(events: Sequence[Event]) -> dict[int, float]:
+    """What the scanner of car1 saw straight ahead, m, by tenths of a second."""
+    found: list[tuple[int, Any]] = [(event.time_ns // 10**8, event.value) for event in events if event.key == "car1/scan"]
+    return {tick: float(later.get().ranges[0]) for tick, later in found}
+
+
+def others(events: Sequence[Event]) -> list[str | None]:
+    """What was touched, in order."""
+    return [event.value.other for event in events if isinstance(event.value, Contact)]
+
+
+@BOTH
+def test_who_is_halted_stands_and_goes_on_by_its_newest_command(kind: type[Physics]) -> None:
+    physics = kind(world=World(), vehicles=[spec("car1"), spec("car2", y=3.0)])
+    told = [drive(0.0, "car1", 0.4), drive(0.0, "car2", 0.4), halt(2.0, "car1"), drive(3.0, "car1", -0.2)]
+    events = play(physics, [*told, halt(5.0, "car1", halted=False), halt(5.0, "car2", halted=False)], 8.0)
+    mine, other = ways(events)[:, 0], ways(events, 1)[:, 0]
+    assert mine[20] == pytest.approx(other[20], abs=5e-3)
+    stood = mine[30]
+    assert mine[20] <= stood < mine[20] + 0.3  # it brakes as it does at any command
+    assert mine[30:51] == pytest.approx(stood, abs=5e-3)
+    assert mine[80] - mine[70] == pytest.approx(-0.2, abs=0.01)  # what it was told while it stood
+    assert other[80] - other[70] == pytest.approx(0.4, abs=0.01)
+
+
+def test_who_was_told_nothing_new_goes_on_as_before() -> None:
+    physics = KinematicPhysics(
+        world=World(), vehicles=[spec("car1", model=Kinematic()), spec("car2", y=3.0, model=Kinematic())]
+    )
+    told = [drive(0.0, "car1", 0.5, 0.3), halt(1.0, "car1", "car2"), halt(1.5, "car2", "car1", halted=False)]
+    events = play(physics, told, 3.0)
+    plain = play(physics, told[:1], 2.5)
+    assert ways(events)[15:] == pytest.approx(ways(plain)[10:], abs=1e-12)
+    assert np.ptp(ways(events)[10:16], axis=0) == pytest.approx(0.0, abs=0.0)
+    assert np.ptp(ways(events, 1), axis=0) == pytest.approx(0.0, abs=0.0)
+
+
+@BOTH
+@pytest.mark.parametrize("model", [Quadrotor(), Point(tau_s=0.3)], ids=["quadrotor", "point"])
+def test_who_is_halted_in_the_air_hovers_and_flies_on_to_its_waypoint(kind: type[Physics], model: Vehicle) -> None:
+    physics = kind(world=World(), vehicles=[spec("uav", z=2.0, model=model)])
+    told = [fly(0.0, "uav", 8.0, 0.0, 3.0), halt(1.0, "uav"), halt(6.0, "uav", halted=False)]
+    way = ways(play(physics, told, 14.0))
+    assert 1.0 < way[10, 0] <= way[60, 0] < 4.0
+    assert way[40:61] == pytest.approx(np.tile(way[60], (21, 1)), abs=0.03)
+    assert way[-1] == pytest.approx((8.0, 0.0, 3.0), abs=0.05)
+
+
+def test_commands_are_refused_from_who_is_halted_too() -> None:
+    physics = KinematicPhysics(world=World(), vehicles=[spec("car1")])
+    with pytest.raises(FederateError, match="car1 was given a Waypoint but cannot fly"):
+        play(physics, [halt(0.0, "car1"), fly(0.5, "car1", 1.0, 1.0, 1.0)], 1.0)
+
+
+@BOTH
+def test_who_is_moved_from_outside_is_not_halted_here(kind: type[Physics]) -> None:
+    vehicles = [spec("real"), spec("car1", y=3.0)]
+    physics = kind(world=World(), vehicles=vehicles, outside=Courses(real=straight(0.0, 0.5)))
+    assert ways(play(physics, [halt(0.3, "real", "car1")], 1.0))[-1] == pytest.approx((0.5, 0.0, 0.0))
+
+
+def test_what_is_done_at_any_time_counts_from_that_time_on_however_often_physics_is_stepped() -> None:
+    told = [drive(0.0, "car1", 0.4), halt(1.037, "car1"), halt(1.241, "car1", halted=False), move(1.5031, "crate", 1.0, 0.5)]
+    told += [fly(0.0, "uav", 2.0, 2.0, 1.0), halt(1.1, "uav")]
+
+    def once(*more: Instants, paced: bool = False) -> list[bytes]:
+        physics = BulletPhysics(world=WORLD, vehicles=[spec("car1"), spec("uav", y=2.0, z=1.0, model=Quadrotor())])
+        events = play(physics, told, 3.0, (*TENTH, *more), paced=paced)
+        rows = [(event.time_ns, event.value.position.tobytes()) for event in events if isinstance(event.value, States)]
+        return [row for time_ns, row in rows if time_ns % 10**8 == 0]
+
+    assert once() == once(Instants(Ticks.rate(60.0))) == once(paced=True)
+
+
+# --- movables ---------------------------------------------------------------------------------------------------------------
+
+RAYS = RangeScanner(beams=2, field_of_view=0.02, range_max=20.0, rate_hz=10.0, position=(0.0, 0.0, 0.2))
+
+
+@BOTH
+def test_what_was_moved_is_where_it_was_put_and_scanners_see_it_there(kind: type[Physics]) -> None:
+    physics = kind(world=WORLD, vehicles=[spec("car1", sensors={"scan": RAYS})])
+    told = [move(1.0, "crate", 0.0, 6.0), move(2.0, "barrel", 3.0, 0.0), move(3.0, "crate", 2.0, 0.0, math.pi / 4)]
+    events = play(physics, told, 4.0)
+    seen = ranges(events)
+    for tick, edge_m in (
+        (9, 4.8),
+        (11, math.inf),
+        (19, math.inf),
+        (21, 2.7),
+        (29, 2.7),
+        (31, 1.735),  # of its edge, the beams being 0.01 rad aside
+        (39, 1.735),
+    ):
+        assert seen[tick] == pytest.approx(edge_m, abs=0.01), tick
+
+
+def test_what_was_pushed_over_and_away_stands_at_rest_again() -> None:
+    physics = BulletPhysics(world=World(movables=(CRATE,)), vehicles=[spec("car1", 4.0)])
+    play_on = stepped(
+        physics,
+        RunInfo(scenario="t", seed=1, duration_ns=6 * SECOND_NS, vehicles=("car1",), instants=TENTH),
+        [drive(0.0, "car1", 0.6), halt(3.0, "car1"), move(3.5, "crate", 9.0, 1.0, 0.3)],
+    )
+    before, after = list[Array](), list[Array]()
+    for tick, _ in enumerate(play_on):
+        motion = physics._movables()
+        assert motion is not None
+        (before if tick < 35 else after).append(np.concatenate([motion.position[0], motion.velocity[0]]))
+    assert before[30][0] > 5.3  # it was pushed
+    assert after == [pytest.approx((9.0, 1.0, 0.2, 0.0, 0.0, 0.0), abs=2e-2)] * 26
+
+
+def test_what_leaned_on_it_falls() -> None:
+    """Though it was asleep."""
+    lid = Movable(name="lid", solid=Box(center=(5.0, 0.0, 0.45), size=(0.3, 0.3, 0.1)), mass_kg=1.0)
+    physics = BulletPhysics(world=World(movables=(CRATE, lid)), vehicles=[spec("car1")])
+    run = RunInfo(scenario="t", seed=1, duration_ns=6 * SECOND_NS, vehicles=("car1",), instants=TENTH)
+    for _ in stepped(physics, run, [move(5.0, "crate", 8.0, 0.0)]):
+        motion = physics._movables()
+    assert motion is not None
+    assert motion.position == pytest.approx(np.array([(8.0, 0.0, 0.2), (5.0, 0.0, 0.05)]), abs=5e-3)
+
+
+def test_a_quadrotor_meets_at_once_what_is_put_in_its_way() -> None:
+    """Though it looks around for other bodies only 20 times a second, the last time just before."""
+
+    def run(*told: Event) -> list[Event]:
+        physics = BulletPhysics(world=World(movables=(BARREL,)), vehicles=[spec("uav", z=0.5, model=Quadrotor())])
+        return play(physics, [fly(0.0, "uav", 9.0, 0.0, 0.5), *told], 1.2, [Instants(Ticks.rate(120.0))])
+
+    reach = 0.3 + Quadrotor().radius_m
+    x = ways(run())[122, 0] + reach + 0.02
+    events = run(move(122 / 120, "barrel", x, 0.0))
+    assert others(events)[:1] == ["barrel"]
+    assert ways(events)[:, 0].max() < x - reach + 0.03
+
+
+@BOTH
+def test_a_new_start_has_everything_where_the_world_puts_it(kind: type[Physics]) -> None:
+    physics = kind(world=WORLD, vehicles=[spec("car1", sensors={"scan": RAYS})])
+    first = play(physics, [move(0.0, "crate", 0.0, 6.0)], 0.5)
+    again = play(physics, [], 0.5)
+    assert ranges(first)[4] == math.inf
+    assert ranges(again)[4] < 5.0
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "position", "yaw", "words"),
+    [
+        ("crat", (0.0, 0.0), 0.0, r"unknown movable 'crat'; did you mean 'crate'\? \(allowed: barrel, crate\)"),
+        ("cart", (0.0, 0.0), 0.0, r"'cart' keeps to a time-table; what can be moved: barrel, crate"),
+        ("crate", (math.nan, 0.0), 0.0, r"crate needs a finite place, not \(nan, 0\.0\), yaw 0\.0"),
+        ("crate", (0.0, 0.0), math.inf, r"crate needs a finite place"),
+        ("crate", (23.0, 0.0), 0.0, r"crate cannot stand at \(23, 0\): that is 3 m outside the world \(yard\)"),
+        ("crate", (1.75, 4.0), 0.0, r"crate cannot stand at \(1\.75, 4\): it would reach 0\.05 m into .*box"),
+    ],
+)
+@BOTH
+def test_where_nothing_can_stand_is_refused_at_any_time(
+    kind: type[Physics], obstacle: str, position: tuple[float, float], yaw: float, words: str
+) -> None:
+    physics = kind(world=WORLD, vehicles=[spec("car1")])
+    with pytest.raises(ValueError, match=words):
+        physics.check_move(obstacle, position, yaw)
+    physics.start(RunInfo(scenario="t", seed=1, duration_ns=SECOND_NS, vehicles=("car1",), instants=TENTH))
+    with pytest.raises(ValueError, match=words):
+        physics.check_move(obstacle, position, yaw)
+    physics.close()
+
+
+@BOTH
+def test_a_place_that_somebody_takes_is_refused_once_they_are_there(kind: type[Physics]) -> None:
+    vehicles = [spec("car1", model=Inertial()), spec("uav", y=-2.0, z=0.3, model=Quadrotor())]
+    physics = kind(world=WORLD, vehicles=vehicles)
+    physics.check_move("crate", (0.0, 0.0), 0.0)  # who starts there may have gone
+    physics.start(RunInfo(scenario="t", seed=1, duration_ns=3 * SECOND_NS, vehicles=("car1", "uav"), instants=TENTH))
+    for position, name in (((0.0, 0.0), "car1"), ((0.0, -2.0), "uav"), ((8.0, 3.0), "barrel"), ((-5.0, 0.3), "cart")):
+        with pytest.raises(ValueError, match=f"{name} is there"):
+            physics.check_move("crate", position, 0.0)
+    for position in ((5.1, 0.0), (1.0, 0.0), (0.0, 1.0)):  # its own place is free
+        physics.check_move("crate", position, 0.3)
+    physics.step(0, [])
+    now = 0
+    while now < 2 * SECOND_NS:
+        now += SECOND_NS // 10
+        physics.step(now, [drive(0.0, "car1", 0.5)] if now == SECOND_NS // 10 else [])
+    x = 0.5 * 2.0
+    physics.check_move("crate", (0.0, 0.0), 0.0)
+    with pytest.raises(ValueError, match="car1 is there"):
+        physics.check_move("crate", (x, 0.0), 0.0)
+    physics.close()
+
+
+@BOTH
+def test_a_move_onto_somebody_ends_the_run_with_its_reason(kind: type[Physics]) -> None:
+    physics = kind(world=WORLD, vehicles=[spec("car1")])
+    with pytest.raises(FederateError, match=r"crate cannot stand at \(0, 0\): car1 is there"):
+        play(physics, [move(0.5, "crate", 0.0, 0.0)], 1.0)
+
+
+def test_who_comes_soon_takes_its_place_already() -> None:
+    physics = KinematicPhysics(world=WORLD, vehicles=[spec("car1", model=Kinematic())])
+    physics.start(RunInfo(scenario="t", seed=1, duration_ns=SECOND_NS, vehicles=("car1",), instants=TENTH))
+    near = (0.5 * 0.511 + 0.2 + 0.05, 0.0)
+    physics.check_move("crate", near, 0.0)
+    physics.step(SECOND_NS // 10, [drive(0.1, "car1", 1.0)])
+    physics.step(SECOND_NS // 5, [])
+    with pytest.raises(ValueError, match="car1 is there"):
+        physics.check_move("crate", (near[0] + 0.1 + 0.1, 0.0), 0.0)
