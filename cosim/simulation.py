@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
-from typing import Any, BinaryIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
 import numpy as np
@@ -29,6 +30,9 @@ from cosim.result import Result
 from cosim.text import plain
 from cosim.types import Presence
 
+if TYPE_CHECKING:
+    from cosim.view.live import Live
+
 Progress = Callable[[int, int], None]
 ABOUT_SCHEMA = "vcmvsp.about/1"
 
@@ -46,15 +50,18 @@ class Simulation:
         *,
         mcap: bool,
         observers: Sequence[Observer] = (),
+        live: "Live | None" = None,
     ) -> None:
         self._assembly, self._clock, self._folder = assembly, clock, folder
-        self._observers = tuple(observers)
+        self._observers, self._live = (*observers, *(() if live is None else (live.on,))), live
         self._progress, self._tell, self._over = progress, tell, False
         self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
         run = msgspec.structs.replace(assembly.run_info, paced=clock.speed is not None)
         self._kernel = Kernel(
             run, assembly.federates, clock=clock, tolerance_ns=self._tolerance_ns(), strict=assembly.clock.late == "stop"
         )
+        if live is not None:
+            live.stop, live.tell = self._stop, tell
         self._mcap = io.BytesIO() if mcap and folder is None else None
         self._recorder: Recorder | None = None
         self._kept: InputLog | None = None
@@ -97,11 +104,11 @@ class Simulation:
                 signal.signal(number, handler)
 
     def _go(self, recorder: Recorder) -> VcmvspError | None:
-        kernel, progress, end_ns = self._kernel, self._progress, self._assembly.run_info.duration_ns
+        kernel = self._kernel
         failure: VcmvspError | None = None
         begin = time.monotonic()
         try:
-            kernel.run(self._observer(recorder), on_instant=None if progress is None else lambda now: progress(now, end_ns))
+            kernel.run(self._observer(recorder), on_instant=self._on_instant())
         except KeyboardInterrupt:
             failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
         except VcmvspError as error:
@@ -114,7 +121,25 @@ class Simulation:
                 recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
         recorder.close(kernel.now_ns)
+        if self._live is not None:
+            self._live.close(str(failure or "the run is complete"))
         return failure
+
+    def _stop(self) -> None:
+        self._kernel.stop = True
+
+    def _on_instant(self) -> Callable[[int], None] | None:
+        """What is told of each instant before it begins: who shows how far the run is, and who listens to those who look on."""
+        progress, live, end_ns = self._progress, self._live, self._assembly.run_info.duration_ns
+        if live is None:
+            return None if progress is None else lambda now: progress(now, end_ns)
+
+        def both(now_ns: int) -> None:
+            live.on_instant(now_ns)
+            if progress is not None:
+                progress(now_ns, end_ns)
+
+        return both
 
     def _observer(self, recorder: Recorder) -> Observer:
         """The recording, and behind it all others that look on."""
@@ -136,6 +161,7 @@ class Simulation:
             stream: BinaryIO | None = self._mcap
             if self._folder is not None:
                 stream = stack.enter_context((self._folder.claim() / "run.mcap").open("wb" if self._folder.force else "xb"))
+                self._write_scenario(self._folder.path)
             assembly = self._assembly
             self._recorder = Recorder(
                 assembly.run_info,
@@ -160,15 +186,18 @@ class Simulation:
         stream: BinaryIO | None = None
         if self._folder is not None:
             stream = stack.enter_context((self._folder.path / FILE).open("wb" if self._folder.force else "xb"))
-            (self._folder.path / "scenario.toml").write_text(tomli_w.dumps(self._resolved), "utf-8")  # should the run be killed
-            for name, content in self._assembly.files.items():
-                (self._folder.path / name).write_bytes(content)
         self._kept = InputLog(stream)
         robots.log = self._kept.on
         try:
             yield
         finally:
             self._kept.close()
+
+    def _write_scenario(self, folder: Path) -> None:
+        """Write the scenario and its files, for those who look at the recording of a run that goes on, or was killed."""
+        (folder / "scenario.toml").write_text(tomli_w.dumps(self._resolved), "utf-8")
+        for name, content in self._assembly.files.items():
+            (folder / name).write_bytes(content)
 
     def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> Result:
         """The result, written to the folder if there is one."""

@@ -248,6 +248,7 @@ class Recorder:
     def _on_contact(self, key: str, time_ns: int, contact: Contact) -> None:
         self._collisions += 1
         self._remember(key, time_ns, contact)
+        self.log(*words.of_contact(contact), time_ns)
 
     def _on_presence(self, key: str, time_ns: int, presence: Presence) -> None:
         vehicle = _vehicle(key)

@@ -1,7 +1,7 @@
 """Events that a person wants to be told of, in words: for the log of the recording, and for the terminal."""
 
 from cosim.clock import SECOND_NS
-from cosim.types import Changed, Halted, Incident, Moved, Outage, Presence
+from cosim.types import Changed, Contact, Halted, Incident, Moved, Outage, Presence
 
 Intervention = Outage | Halted | Moved | Changed
 _BECAME = {"lost": "has lost its agent", "removed": "is without an agent for good", "back": "has its agent again"}
@@ -16,6 +16,11 @@ def of_presence(vehicle: str, presence: Presence) -> tuple[str, str]:
 def of_incident(vehicle: str, incident: Incident) -> tuple[str, str]:
     """Likewise: what befell a real vehicle."""
     return "info" if incident.what == "connected" else "warning", f"{vehicle} {incident.what}: {incident.cause}"
+
+
+def of_contact(contact: Contact) -> tuple[str, str]:
+    """Likewise: what a vehicle touches."""
+    return "warning", f"{contact.vehicle} touches {contact.other or 'something that stands still'}"
 
 
 def of_intervention(done: Intervention, time_ns: int) -> tuple[str, str]:

@@ -99,7 +99,10 @@ class Pace(Value, frozen=True, kw_only=True):
 
 
 class Shown(Value, frozen=True, kw_only=True):
-    """How things stand at an instant. Mappings hold the newest of each key so far; what has not changed may be left out."""
+    """How things stand at an instant. Mappings hold the newest of each key so far; what has not changed may be left out.
+
+    One that is earlier than the one before it begins anew: nothing is left out.
+    """
 
     time_ns: int
     states: States | None = None

@@ -1,0 +1,122 @@
+"""What it costs a run to be looked at: with a page that reads, and with one that stands still.
+
+``python -m bench.view`` prints the table. Medians of pairs: read the ratios. Another core takes the process that serves the
+page: so CPU seconds of the run's process are what reading costs, and wall-clock time shows that nobody is waited for.
+"""
+
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from bench.measure import Row, in_turn, measured, table
+from bench.workloads import star
+from cosim import scenario as scenarios
+from cosim.assemble import Assembly
+from cosim.federate import Event
+from cosim.kernel import Kernel
+from cosim.record.recorder import Recorder
+from cosim.view.scenery import scenery_of
+from cosim.view.viewer import Viewer
+
+VEHICLES, RUN_S, ROUNDS = 10, 60.0, 5
+MOST = 1.10
+
+PAGE = """
+import sys, urllib.parse
+from websockets.sync.client import connect
+import viser
+parts = urllib.parse.urlsplit(sys.argv[1])
+token = urllib.parse.parse_qs(parts.query)["token"][0]
+with connect(
+    f"ws://{parts.netloc}/", origin=f"http://{parts.netloc}", subprotocols=[f"viser-v{viser.__version__}"],
+    additional_headers={"Cookie": f"vcmvsp-view-{parts.port}={token}"}, compression=None, max_size=None,
+) as page:
+    page.recv()
+    print("here", flush=True)
+    for _ in page:
+        pass
+"""
+
+
+def rows() -> list[Row]:
+    """All of them."""
+    return measured((read, stalled))
+
+
+def read() -> Row:
+    """A page is connected, and takes everything."""
+    with Viewer.open(_scenery(), port=0) as viewer:
+        page = subprocess.Popen([sys.executable, "-c", PAGE, viewer.url], stdout=subprocess.PIPE)
+        assert page.stdout is not None
+        page.stdout.readline()
+        try:
+            return _row("with a page that reads, CPU time", viewer, time.process_time)
+        finally:
+            page.kill()
+            page.communicate()
+
+
+def stalled() -> Row:
+    """The process that serves the page stands still."""
+    with Viewer.open(_scenery(), port=0) as viewer:
+        os.kill(viewer._process.pid, signal.SIGSTOP)
+        try:
+            return _row("with a viewer that stands still, wall-clock time", viewer, time.perf_counter)
+        finally:
+            os.kill(viewer._process.pid, signal.SIGCONT)
+
+
+def _scenario() -> dict[str, Any]:
+    return star(VEHICLES, physics="kinematic", duration_s=RUN_S)
+
+
+def _scenery() -> Any:
+    return scenery_of(*scenarios.load(_scenario()), live=True)
+
+
+def _row(what: str, viewer: Viewer, clock: Callable[[], float]) -> Row:
+    ours, other, ratio = in_turn(lambda: _run_s(viewer.feed.on, clock), lambda: _run_s(None, clock), ROUNDS)
+    name = f"{VEHICLES} kinematic vehicles, 10 Hz, recorded, shown thirty times a second {what}; beside it unseen"
+    return Row(name, f"{RUN_S / ours:.0f} sim s / s", f"{RUN_S / other:.0f}", ratio, f"<= {MOST:g}x", ratio <= MOST)
+
+
+def _run_s(observe: Callable[[Event], None] | None, clock: Callable[[], float]) -> float:
+    """One run in this process, without set-up and files."""
+    parsed, source = scenarios.load(_scenario())
+    with Assembly(parsed, source) as assembly:
+        kernel = Kernel(assembly.run_info, assembly.federates)
+        kernel.start()
+        recorder = Recorder(
+            assembly.run_info,
+            record_ticks=assembly.record_ticks,
+            mcap=None,
+            agents=assembly.infos,
+            radius_m=assembly.radius_m,
+        )
+
+        def both(event: Event) -> None:
+            recorder.on(event)
+            if observe is not None:
+                observe(event)
+
+        begin = clock()
+        kernel.run(both)
+        seconds = clock() - begin
+        recorder.close(kernel.now_ns)
+        kernel.close()
+    return seconds
+
+
+def main() -> None:
+    """Print the table."""
+    print(f"Python {platform.python_version()}, {os.cpu_count()} cores\n")
+    print(table(rows()))
+
+
+if __name__ == "__main__":
+    main()

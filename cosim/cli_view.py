@@ -1,0 +1,72 @@
+"""``vcmvsp view``: a recorded run in the browser."""
+
+import contextlib
+import json as jsons
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.cli_options import AsJson
+
+if TYPE_CHECKING:
+    from cosim.view.player import Player
+    from cosim.view.player_recording import Recording
+
+PERIOD_S = 1.0 / 30.0  # between two pictures
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def view_command(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left, or still writes.")],
+    port: Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Where the page is; 0: any that is free.")] = 8080,
+    host: Annotated[str, typer.Option(metavar="HOST", help="Address of this machine on which it is.")] = "127.0.0.1",
+    json: AsJson = False,
+) -> None:
+    """Show a recorded run in the browser: open the URL that is printed. Ctrl-C ends it.
+
+    What was recorded can be played, stopped and sought through; the run is not made again.
+
+    Example: vcmvsp view runs/formation-circle-1
+    """
+    from cosim.view.player import Player
+    from cosim.view.player_recording import Recording
+
+    with contextlib.suppress(KeyboardInterrupt), contextlib.closing(Recording(run_dir)) as recording:
+        for trouble in recording.troubles:
+            _say(f"{run_dir}: {trouble}")
+        _serve(Player(recording), recording, host, port, as_json=json)
+
+
+def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as_json: bool) -> None:
+    """Show it until Ctrl-C; it goes on as soon as somebody looks."""
+    from cosim.view.gate import close_server, open_server
+    from cosim.view.gate_rules import new_token, url_of
+    from cosim.view.shown import Go
+    from cosim.view.station import Station
+
+    token = new_token()
+    server = open_server(host, port, token)
+    try:
+        station = Station(server, recording.scenery, player.order)
+        url = url_of(host, server.get_port(), token)
+        sys.stdout.write(jsons.dumps({"url": url}) + "\n" if as_json else f"{url}\n")
+        sys.stdout.flush()
+        if host not in LOOPBACK:
+            _say(f"{host}: whoever reads along on the network can see the page: it is plain HTTP")
+        station.show(player.show())
+        while not server.get_clients():
+            time.sleep(PERIOD_S)
+        player.order(Go(speed=1.0))
+        while True:
+            station.show(player.show())
+            time.sleep(PERIOD_S)
+    finally:
+        close_server(server)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()

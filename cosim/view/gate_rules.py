@@ -1,0 +1,147 @@
+"""The rules of the gate before the page: which requests pass, what is said to others, and what browsers are told to keep to."""
+
+import hmac
+import ipaddress
+import secrets
+import socket
+import urllib.parse
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+MOST_PAGES = 32  # that are connected at a time
+ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  a word of the user's
+
+
+def new_token() -> str:
+    """A secret for a URL."""
+    return secrets.token_urlsafe(24)
+
+
+def url_of(host: str, port: int, token: str) -> str:
+    """What a browser is given."""
+    name = "localhost" if host in ANYWHERE else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{port}/?token={token}"
+
+
+class Gate:
+    """Decides who is let in.
+
+    Args:
+        host: that is listened on.
+        port: likewise.
+        token: what those who are let in bring.
+        protocol: what their page speaks.
+    """
+
+    def __init__(self, host: str, port: int, token: str, protocol: str) -> None:
+        self.port, self._token, self._protocol = port, token.encode(), protocol
+        self._names = {"127.0.0.1", "localhost", "::1", host.lower()}
+        self._anywhere = host in ANYWHERE
+        if self._anywhere:
+            self._names.add(socket.gethostname().lower())
+        self._cookie = f"vcmvsp-view-{port}"  # cookies know no ports
+
+    def before(self, process_request: Callable[..., Any]) -> Callable[..., Any]:
+        """What answers a request: the gate, and behind it what did before."""
+
+        def answer(connection: "ServerConnection", request: "Request") -> "Response | None":
+            response = self._answer(connection, request)
+            if response is None:
+                response = process_request(connection, request)
+            if response is not None:
+                self._add_headers(request, response)
+            return response
+
+        return answer
+
+    def _answer(self, connection: "ServerConnection", request: "Request") -> "Response | None":
+        """A refusal, or the cookie; None: the request may pass."""
+        headers = request.headers
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        upgrade = bool(headers.get_all("Upgrade"))
+        if len(hosts) != 1 or not self._is_ours(hosts[0]):
+            return connection.respond(HTTPStatus.FORBIDDEN, "This page goes by another name: open the URL as it was printed.\n")
+        own = {f"{scheme}://{hosts[0]}" for scheme in ("http", "https")}
+        if not own.issuperset(origins) or len(origins) > 1 or (upgrade and not origins):
+            return connection.respond(HTTPStatus.FORBIDDEN, "A page from elsewhere may not connect to this one.\n")
+        if not upgrade and (given := _tokens(request.path)):
+            return self._welcome(connection) if self._is_token(given[0]) else self._refuse(connection)
+        if not any(self._is_token(each) for each in self._cookies(headers.get_all("Cookie"))):
+            return self._refuse(connection)
+        if not upgrade:
+            return None
+        offered = {each.strip() for value in headers.get_all("Sec-WebSocket-Protocol") for each in value.split(",")}
+        if self._protocol not in offered or headers.get_all("Upgrade") != ["websocket"]:
+            return connection.respond(HTTPStatus.BAD_REQUEST, f"This page speaks {self._protocol}: load it again.\n")
+        if len(connection.server.connections) >= MOST_PAGES:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_PAGES} pages are connected: close one.\n")
+        return None
+
+    def _is_ours(self, host: str) -> bool:
+        """Whether a page that was dialled by this name, and port, is this one."""
+        try:
+            parts = urllib.parse.urlsplit(f"//{host}")
+            name, port = parts.hostname or "", parts.port or 80
+        except ValueError:
+            return False
+        if port != self.port or parts.path or parts.query or parts.username is not None:
+            return False
+        return name in self._names or (self._anywhere and _is_address(name))  # no name can be bound to where it is none
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(errors="replace"), self._token)
+
+    def _cookies(self, values: list[str]) -> list[str]:
+        pairs = [each.strip().partition("=") for value in values for each in value.split(";")]
+        return [value for name, _, value in pairs if name == self._cookie]
+
+    def _refuse(self, connection: "ServerConnection") -> "Response":
+        return connection.respond(HTTPStatus.FORBIDDEN, "Open the URL that was printed, with its token.\n")
+
+    def _welcome(self, connection: "ServerConnection") -> "Response":
+        response = connection.respond(HTTPStatus.SEE_OTHER, "")
+        response.headers["Location"] = "/"
+        response.headers["Set-Cookie"] = f"{self._cookie}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
+        response.headers["Cache-Control"] = "no-store"
+        return response
+
+    def _add_headers(self, request: "Request", response: "Response") -> None:
+        hosts = request.headers.get_all("Host")
+        own = f" ws://{hosts[0]} wss://{hosts[0]}" if len(hosts) == 1 and self._is_ours(hosts[0]) else ""
+        rules = {
+            "default-src": "'none'",
+            "script-src": "'self' 'unsafe-inline' 'unsafe-eval' blob:",  # viser's page unpacks itself
+            "style-src": "'self' 'unsafe-inline'",
+            "img-src": "'self' data: blob:",
+            "font-src": "'self' data:",
+            "connect-src": f"'self' data: blob:{own}",
+            "worker-src": "'self' blob:",
+            "base-uri": "'none'",
+            "form-action": "'none'",
+            "frame-ancestors": "'none'",
+        }
+        response.headers["Content-Security-Policy"] = "; ".join(f"{name} {value}" for name, value in rules.items())
+        response.headers["X-Content-Type-Options"] = "nosniff"
+        response.headers["X-Frame-Options"] = "DENY"
+        response.headers["Referrer-Policy"] = "no-referrer"
+        response.headers["Cross-Origin-Resource-Policy"] = "same-origin"
+
+
+def _tokens(path: str) -> list[str]:
+    try:
+        return urllib.parse.parse_qs(urllib.parse.urlsplit(path).query).get("token", [])
+    except ValueError:
+        return []
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,109 @@
+"""From a scenario to what the control station is told once: its vehicles, and what stands around them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim import component, registry, table
+from cosim.agent import AgentInfo
+from cosim.clock import SECOND_NS, seconds_to_ns
+from cosim.scenario_tables import Scenario, VehicleTable
+from cosim.source import Source
+from cosim.types import frozen
+from cosim.view.shown import Craft, Obstacle, Scenery
+
+
+def scenery_of(
+    scenario: Scenario,
+    source: Source,
+    *,
+    world: Any = None,
+    infos: Sequence[AgentInfo] = (),
+    live: bool = False,
+    may: Sequence[str] = (),
+    keys: Mapping[str, float] | None = None,
+) -> Scenery:
+    """What does not change during a run of a scenario. No agent, radio or engine is built for it.
+
+    Args:
+        scenario: of the run, or of the recording.
+        source: where it was read from.
+        world: that of the run, if it has been built already.
+        infos: what agents said of themselves; else the scenario says it.
+        live: it is a run that goes on.
+        may: tags of the orders that it obeys.
+        keys: of the scenario, that may be changed, and their values.
+
+    Raises:
+        ScenarioError: the world, or the kind of a vehicle, cannot be built.
+    """
+    if world is None:
+        world, _ = component.world_of(scenario.world, source, seed=scenario.seed)
+    vertices, triangles = world.mesh()
+    agents = {info.vehicle: info for info in infos}
+    kinds: dict[str, Any] = {}  # a file is executed once, not for each vehicle
+    return Scenery(
+        scenario=scenario.name,
+        seed=scenario.seed,
+        duration_ns=seconds_to_ns(scenario.duration_s),
+        vehicles=tuple(_craft(each, scenario, source, agents.get(each.name), kinds) for each in scenario.vehicle),
+        vertices=frozen(vertices, np.float32),
+        triangles=frozen(triangles, np.uint32),
+        colors=frozen(registry.piece("mesh colors")(world)),
+        obstacles=_obstacles(world, "move" in may),
+        targets=tuple((each.name, *each.place(0.0)) for each in world.targets),
+        bounds=world.bounds,
+        live=live,
+        may=tuple(may),
+        keys=dict(keys or {}),
+    )
+
+
+def _craft(vehicle: VehicleTable, scenario: Scenario, source: Source, info: AgentInfo | None, kinds: dict[str, Any]) -> Craft:
+    model = _model(vehicle, source, kinds)
+    agent, period_s = _agent(vehicle, scenario, info)
+    return Craft(
+        name=vehicle.name,
+        kind=vehicle.kind,
+        size=model.hull.size,
+        offset=model.hull.offset,
+        flies=registry.piece("flies")(model),
+        real=vehicle.is_real,
+        agent=agent,
+        period_s=period_s,
+        sensors={name: str(content.get("kind", "")) for name, content in vehicle.sensors.items()},
+    )
+
+
+def _model(vehicle: VehicleTable, source: Source, kinds: dict[str, Any]) -> Any:
+    """What a vehicle is; parameters that its kind does not take do not count here: the run has refused them."""
+    key = f"vehicle.{vehicle.name}"
+    if vehicle.kind not in kinds:
+        kinds[vehicle.kind] = registry.find("vehicle", vehicle.kind, folder=source.folder, key=f"{key}.kind", origin=source)
+    kind = kinds[vehicle.kind]
+    params = {name: value for name, value in vehicle.params.items() if name in table.parameters(kind)}
+    return table.call(kind, component.found(params, source), key=key, origin=source)
+
+
+def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) -> tuple[str, float | None]:
+    """The kind of a vehicle's agent, empty if it has none, and its period, s, as far as it is known."""
+    if info is not None:
+        return info.agent, float(info.ticks.period) / SECOND_NS
+    if vehicle.agent is None:
+        return "", None
+    kind = vehicle.agent.kind or str(scenario.agents.defaults.get("kind", ""))
+    return kind, vehicle.agent.period_s or scenario.agents.period_s
+
+
+def _obstacles(world: Any, may_be_moved: bool) -> tuple[Obstacle, ...]:
+    """Bodies that can be pushed, which the one who looks may move, and those that keep to a time-table."""
+    hull_of, placed = registry.piece("hull"), []
+    for each in world.movables:
+        pose = (*each.solid.center, getattr(each.solid, "yaw_rad", 0.0))
+        placed.append((each.name, hull_of(each.solid), pose, may_be_moved))
+    placed += [(each.name, hull_of(each.solid), each.pose(0.0), False) for each in world.moving]
+    return tuple(
+        Obstacle(name=name, shape=hull.kind, size=hull.size, pose=pose, color=hull.color, may_be_moved=movable)
+        for name, hull, pose, movable in placed
+    )
