@@ -1,5 +1,6 @@
 """``vcmvsp run``, and what other commands share with it that run a scenario."""
 
+import contextlib
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -8,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.cli_options import AsJson
-from cosim.errors import UsageError
+from cosim.errors import UsageError, VcmvspError
 from cosim.streams import stdout_to_stderr
 
 if TYPE_CHECKING:
     from cosim.api import Result
+    from cosim.view.viewing import Viewing
 
 Sets = Annotated[
     list[str] | None,
@@ -31,6 +33,9 @@ Realtime = Annotated[
 Twin = Annotated[bool, typer.Option("--twin", help="Simulate the scenario's real vehicles.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-SEED].")]
 Force = Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")]
+View = Annotated[bool, typer.Option("--view", help="Show the run in the browser while it goes on, at real-time pace.")]
+ViewHost = Annotated[str, typer.Option(metavar="HOST", help="What the page is served on; other machines see it unencrypted.")]
+ViewPort = Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Likewise; 0: any that is free.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
 
 
@@ -51,6 +56,9 @@ def run_command(
     json: AsJson = False,
     quiet: Quiet = False,
     twin: Twin = False,
+    view: View = False,
+    view_host: ViewHost = "127.0.0.1",
+    view_port: ViewPort = 8080,
 ) -> None:
     """Run a scenario; leaves recording, tables, metrics, figures.
 
@@ -62,7 +70,8 @@ def run_command(
         raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
     where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
     sets = simulated(scenario, set_ or []) if twin else set_ or []
-    conduct(api.run, scenario, sets, out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, **where)
+    page = (view_host, view_port) if view else None
+    conduct(api.run, scenario, sets, out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, page=page, **where)
 
 
 def simulated(scenario: str, sets: Sequence[str]) -> list[str]:
@@ -83,9 +92,10 @@ def conduct(
     realtime: float | None,
     json: bool,
     quiet: bool,
+    page: tuple[str, int] | None = None,
     **options: Any,
 ) -> None:
-    """Call `cosim.run`, or what takes its place, and show how far it is and what came out."""
+    """Call `cosim.run`, or what takes its place, and show how far it is and what came out; where there is a page, there too."""
     from cosim import scenario as scenarios
     from cosim.files import to_json
     from cosim.progress import Progress, lateness, summary
@@ -95,24 +105,53 @@ def conduct(
     if realtime is not None and not 0.0 < realtime < float("inf"):
         raise UsageError(f"--realtime {realtime}: must be a positive number")
     settings = scenarios.settings_of(sets)
-    with Progress(quiet=quiet) as progress, stdout_to_stderr():
-        result = run(
-            scenario,
-            seed=seed,
-            set=settings,
-            realtime=realtime,
-            out=out if out is not None else _default_folder(scenario, settings, seed),
-            numbered=out is None,
-            progress=progress.on_instant,
-            tell=progress.tell,
-            **options,
-        )
-    if json:
-        sys.stdout.write(to_json(result.metrics))
-    elif not quiet:
-        sys.stdout.write(summary(result))
-    elif (late := result.about["lateness"]) and late["over_one_period"]:
-        sys.stderr.write(f"vcmvsp: {lateness(late)}\n")
+    with contextlib.ExitStack() as stack:
+        if page is not None:
+            options["view"] = stack.enter_context(_viewing(page))
+        with stdout_to_stderr(), Progress(quiet=quiet) as progress:
+            result = run(
+                scenario,
+                seed=seed,
+                set=settings,
+                realtime=realtime,
+                out=out if out is not None else _default_folder(scenario, settings, seed),
+                numbered=out is None,
+                progress=progress.on_instant,
+                tell=progress.tell,
+                observe=progress.observer(lambda: _agents(scenario, settings)),
+                **options,
+            )
+        if json:
+            sys.stdout.write(to_json(result.metrics))
+        elif not quiet:
+            sys.stdout.write(summary(result))
+        elif (late := result.about["lateness"]) and late["over_one_period"]:
+            sys.stderr.write(f"vcmvsp: {lateness(late)}\n")
+        if page is not None and sys.stderr.isatty():
+            sys.stdout.flush()
+            sys.stderr.write("The page shows the end of the run until you press Ctrl-C.\n")
+            options["view"].stay()
+
+
+def _viewing(page: tuple[str, int]) -> "Viewing":
+    """Where the run is shown, once there is anything to show; its address is told even to who wants to hear nothing else."""
+    from cosim.view.viewing import Viewing
+
+    def opened(url: str) -> None:
+        sys.stderr.write(f"control station: {url}\n")
+        sys.stderr.flush()
+
+    return Viewing(*page, opened=opened)
+
+
+def _agents(scenario: str, settings: dict[str, Any]) -> dict[str, str]:
+    """The kind of each vehicle's agent; nothing where the scenario cannot be read, which the run itself says better."""
+    from cosim import scenario as scenarios
+
+    with contextlib.suppress(VcmvspError):
+        parsed, _ = scenarios.load(scenario, settings=settings)
+        return {each.name: each.agent.kind or "" for each in parsed.vehicle if each.agent is not None}
+    return {}
 
 
 def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
