@@ -32,6 +32,7 @@ check: setup
 
 docs: setup
 	$(BIN)/python -m cosim.reference --write
+	$(BIN)/python -m cosim.reference_index --write
 
 # Each worker and each program that a test starts imports what is compiled once, whatever the environment says of bytecode. Files
 # go to workers in their order, so that none that takes long comes last.

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from bench import avoidance, bare, camera, drones, federation, mission, radio, scanner, sensors, studies, vehicles
+from bench import avoidance, bare, camera, drones, federation, mission, radio, scanner, sensors, studies, vehicles, view
 from bench.measure import Row, in_turn, measured, table
 from bench.workloads import run_cpu_s, star
 from cosim import scenario as scenarios

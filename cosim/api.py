@@ -1,27 +1,26 @@
 """``cosim.run``: a scenario in, a `Result` out. What the command line does, notebooks and studies do through here."""
 
-import contextlib
 import time
-import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cosim import registry, scenario_tables, worlds
+from cosim import registry, scenario_tables
 from cosim import scenario as scenarios
 from cosim.agent import Agent
 from cosim.assemble import Assembly
 from cosim.clock import Clock, SimClock, WallClock
-from cosim.errors import Interrupted, UsageError, VcmvspError
+from cosim.errors import Interrupted, UsageError
 from cosim.files import Folder, writing
 from cosim.hosts import Tell
 from cosim.kernel import Kernel, Observer
 from cosim.record import inputs
-from cosim.record.tables import load
-from cosim.result import Result, figures_of, mission_figures, mission_log
+from cosim.result import Result, figures_again
 from cosim.simulation import Progress, Simulation
-from cosim.types import Array
+
+if TYPE_CHECKING:
+    from cosim.view.viewing import Viewing
 
 Runs = scenario_tables.Runs
 
@@ -47,6 +46,7 @@ def run(
     progress: Progress | None = None,
     tell: Tell = lambda _: None,
     observe: Observer | None = None,
+    view: "Viewing | None" = None,
     watch: Callable[[], str | None] | None = None,
 ) -> Result:
     """Run a scenario to its end.
@@ -69,6 +69,8 @@ def run(
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
         observe: called with every event at its own time, behind the recording. What it does changes nothing of the run.
+        view: where the run is shown while it goes on, and interfered with (`cosim.view.viewing.Viewing`); it then keeps to the
+            wall clock, at speed 1 unless ``realtime`` says otherwise, until somebody there wants another.
         watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
 
     Raises:
@@ -100,10 +102,12 @@ def run(
         ) as assembly:
             if playback is not None:
                 assembly.keep(Path(playback) / inputs.FILE)  # so that a replay can be replayed
-            clock = _clock(assembly, realtime)
-            simulation = Simulation(
-                assembly, clock, folder, progress, tell, mcap=mcap, observers=() if observe is None else (observe,)
-            )
+            clock, live = _clock(assembly, realtime), None
+            if view is not None:
+                live = view.live(parsed, source, assembly, realtime or 1.0)
+                clock = live.clock
+            observers = () if observe is None else (observe,)
+            simulation = Simulation(assembly, clock, folder, progress, tell, mcap=mcap, observers=observers, live=live)
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
                 result = simulation.result(failure, started, time.process_time() - cpu)
@@ -148,27 +152,14 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
         return assembly.resolved()
 
 
-def plot(run_dir: Path, out: Path) -> list[Path]:
-    """Draw the figures of a run that was saved, into the folder ``out``; the answer is what was written."""
+def plot(run_dir: Path, out: Path, *, svg: bool = False) -> list[Path]:
+    """Draw the figures of a run that was saved, into the folder ``out``, as PNG or as SVG; the answer is what was written."""
     from cosim.record import plots
 
-    scenario = run_dir / "scenario.toml"
-    try:
-        recording = load(run_dir)
-        window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
-    except ValueError as error:  # a damaged table or scenario
-        raise UsageError(f"{run_dir} cannot be read: {error}") from error
-    world: Any = None
-    with contextlib.suppress(VcmvspError):  # a world that is not to be had any more is not drawn
-        world = worlds.world_of(str(scenario), {})[0]
-    seen: Sequence[Array] = () if world is None else worlds.outlines(world)
-    within = window.get("from_s", 0.0), window.get("to_s")
-    figures = figures_of(recording.states, recording.radio, recording.follows, within, seen)
-    if "mission" in recording.metrics:
-        figures |= mission_figures(mission_log(run_dir, recording.facts), recording.states, world)
-    paths = {out / f"{name}.png": figure for name, figure in figures.items()}
+    figures = figures_again(run_dir)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        for path, figure in paths.items():
-            plots.save_png(figure, path)
-    return list(paths)
+        save, kind = (plots.save_svg, "svg") if svg else (plots.save_png, "png")
+        for name, figure in figures.items():
+            save(figure, out / f"{name}.{kind}")
+    return [out / f"{name}.{kind}" for name in figures]

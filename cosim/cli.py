@@ -13,15 +13,20 @@ from cosim.cli_calibrate import calibrate_command
 from cosim.cli_calibrate_recognition import calibrate_recognition_command
 from cosim.cli_emulate import emulate_app
 from cosim.cli_explain import radio_command
+from cosim.cli_export import export_command
 from cosim.cli_figure import figure_command
 from cosim.cli_keys import keys_app
 from cosim.cli_kinds import list_command, show_command, world_command
 from cosim.cli_launch import launch_command
+from cosim.cli_new import new_command
 from cosim.cli_options import AsJson
 from cosim.cli_radio import register
+from cosim.cli_reference import reference_command
 from cosim.cli_replay import replay_command
+from cosim.cli_report import report_command
 from cosim.cli_run import ScenarioName, Sets, run_command
 from cosim.cli_study import study_command
+from cosim.cli_view import view_command
 from cosim.cli_watch import watch_command
 from cosim.errors import Interrupted, UsageError, VcmvspError
 from cosim.streams import stdout_to_stderr
@@ -33,7 +38,6 @@ app = typer.Typer(
     name="vcmvsp",
     help="Simulate many vehicles and the radio between them.\n\nStart with: vcmvsp run formation-circle",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,  # rich help costs a third of a second at every start
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -96,6 +100,7 @@ def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
 def plot_command(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to put the figures [RUN_DIR].")] = None,
+    svg: Annotated[bool, typer.Option("--svg", help="As drawings (SVG) instead of pictures (PNG).")] = False,
 ) -> None:
     """Draw the figures of a run again.
 
@@ -103,7 +108,7 @@ def plot_command(
     """
     from cosim import api
 
-    for path in api.plot(run_dir, out or run_dir):
+    for path in api.plot(run_dir, out or run_dir, svg=svg):
         sys.stdout.write(f"{path}\n")
 
 
@@ -159,16 +164,21 @@ def drive_command(
 
 
 app.command("replay")(replay_command)
+app.command("export")(export_command)
+app.command("report")(report_command)
 app.add_typer(emulate_app)
 app.command("launch")(launch_command)
 app.command("study")(study_command)
 app.command("figure")(figure_command)
+app.command("new")(new_command)
+app.command("reference")(reference_command)
 app.command("list")(list_command)
 app.command("show")(show_command)
 app.command("world")(world_command)
 app.command("radio")(radio_command)
 app.command("calibrate")(calibrate_command)
 app.command("calibrate-recognition")(calibrate_recognition_command)
+app.command("view")(view_command)
 app.command("watch")(watch_command)
 register(app)
 cli_stop.register(app)
@@ -178,6 +188,10 @@ app.add_typer(keys_app)
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: one message and an exit code for whatever goes wrong."""
+    if "_VCMVSP_COMPLETE" in os.environ:  # a shell asks what can stand next
+        from cosim import cli_complete
+
+        cli_complete.answer(app)
     for number in (
         signal.SIGINT,
         signal.SIGTERM,

@@ -45,7 +45,7 @@ def figure_command(
     from cosim.studies.progress import StudyProgress
 
     try:
-        with StudyProgress(quiet=quiet) as progress, stdout_to_stderr():
+        with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
             figure = make(Runner(jobs or cores(), lambda done, of: progress.on_run(done, 0, of)))
             written = files.write(name, figure, out)
     except KeyboardInterrupt:

@@ -2,7 +2,7 @@
 
 import functools
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -33,5 +33,5 @@ def launch_command(
     from cosim.launch import launch
 
     run = functools.partial(launch, hosts=hosts)
-    where = {"listen": listen, "keys": keys, "insecure": insecure}
+    where: dict[str, Any] = {"listen": listen, "keys": keys, "insecure": insecure}
     conduct(run, scenario, set_ or [], out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, **where)

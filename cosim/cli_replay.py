@@ -47,6 +47,17 @@ def replay_command(
     def again(_: str, **options: Any) -> "Result":
         return replay(run_dir, **{**options, "numbered": out is None}, twin=twin, radio=radio)
 
-    where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
+    where: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
     folder = beside(run_dir) if out is None else out
-    conduct(again, str(run_dir), set_ or [], folder, seed=seed, realtime=None, force=force, json=json, quiet=quiet, **where)
+    conduct(
+        again,
+        str(run_dir / "scenario.toml"),
+        set_ or [],
+        folder,
+        seed=seed,
+        realtime=None,
+        force=force,
+        json=json,
+        quiet=quiet,
+        **where,
+    )

@@ -58,7 +58,7 @@ def study_command(
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")
     settings = scenarios.settings_of(simulated(scenario, set_ or []) if twin else set_ or [])
-    with StudyProgress(quiet=quiet) as progress, stdout_to_stderr():
+    with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
         studied = engine.conduct(
             scenario,
             vary=grid.vary_of(vary or []),
@@ -74,6 +74,7 @@ def study_command(
             force=force,
             progress=progress.on_run,
             checking=progress.on_check,
+            noted=progress.on_value,
         )
     plan, table = studied.plan, studied.table
     summary = summarise(table, list(plan.vary), plan.metrics)

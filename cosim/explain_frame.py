@@ -23,13 +23,14 @@ _NEGLIGIBLE_DB = 1e-6
 Budget = dict[str, Any]
 
 
-def frame_report(log: Log, pair: Pair, which: str) -> dict[str, Any]:
+def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True) -> dict[str, Any]:
     """One frame of a link.
 
     Args:
         log: of the run.
         pair: sender, receiver.
         which: the frame's number; ``lost``, the first that was lost; ``worst``, the one with the lowest SINR on the air.
+        with_scenario: build the run's radio, too, which knows what the receiver needs. It may take longer than all the rest.
 
     Raises:
         UsageError: there is no such frame on this link.
@@ -40,7 +41,7 @@ def frame_report(log: Log, pair: Pair, which: str) -> dict[str, Any]:
     outcome, materials = frame.words("outcome")[0], frame.words("wall_materials")[0]
     if row["received_ns"] > log.facts.end_ns:
         outcome = UNDER_WAY
-    radio = _radio(log, pair)
+    radio = _radio(log, pair) if with_scenario else None
     report = {
         "sender": pair[0],
         "receiver": pair[1],

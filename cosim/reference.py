@@ -5,6 +5,7 @@ docstrings and comments (`cosim.meanings`): what a key means is said where its t
 """
 
 import argparse
+import functools
 import inspect
 import json
 import math
@@ -108,14 +109,20 @@ def vehicles() -> str:
 def families(group: str) -> str:
     """What the kinds of a group have in common, then each kind and those that it comes from, then the tables that they hold."""
     classes = {kind: registry.find(group, kind) for kind in registry.KINDS[group]}
-    bases = [base for each in classes.values() for base in each.__mro__[1:] if "__annotations__" in vars(base)]
-    ((common, _),) = Counter(bases).most_common(1)
+    common = common_of(classes.values())
     alike: dict[Any, dict[str, Any]] = {}
     for kind, each in classes.items():
         line = each.__mro__
         alike.setdefault(line[line.index(common) - 1] if common in line else each, {})[kind] = each
     parts = [parameter_table({"default": common}), *(kinds(each, common) for each in alike.values())]
     return "\n\n".join([*parts, *lists([common, *classes.values()])])
+
+
+def common_of(classes: Iterable[Any]) -> Any:
+    """The base class that most of these have."""
+    bases = [base for each in classes for base in each.__mro__[1:] if "__annotations__" in vars(base)]
+    ((common, _),) = Counter(bases).most_common(1)
+    return common
 
 
 def radio() -> str:
@@ -225,10 +232,14 @@ def _length(metres: float) -> str:
 
 def kinds(classes: Mapping[str, Any], common: Any = None) -> str:
     """What each kind is, and the parameters of them all, but for those that are as in a common class."""
-    about = {kind: re.sub(r" \(kind ``[^`]*``\)", "", summary(each)) for kind, each in classes.items()}
-    lines = [f"- `{kind}`: {markdown(words)}" for kind, words in about.items()]
+    lines = [f"- `{kind}`: {about(each)}" for kind, each in classes.items()]
     with_keys = {kind: each for kind, each in classes.items() if keys(each, common)}
     return "\n".join(lines) + (f"\n\n{parameter_table(with_keys, common)}" if with_keys else "")
+
+
+def about(target: Any) -> str:
+    """What a class is, in a line, without the name of its kind."""
+    return markdown(re.sub(r" \(kind ``[^`]*``\)", "", summary(target)))
 
 
 def lists(classes: Iterable[Any]) -> list[str]:
@@ -256,10 +267,8 @@ def parameter_table(columns: Mapping[str, Any], common: Any = None) -> str:
         for name, parameter in keys(target, common).items():
             if name not in means:
                 raise ValueError(f"{target.__name__}.{name}: say what it means, in a comment behind it or under Args")
-            words, without = means[name], ""
-            if parameter.default is None:
-                words, _, without = re.sub(r"\b(None|default): ", "\0", words).partition("\0")
-            row = name, type_of(name, parameter.annotation), markdown(words.rstrip("; "))
+            words, without = said(parameter, means[name])
+            row = name, type_of(name, parameter.annotation), markdown(words)
             rows.setdefault(row, {})[column] = default_of(parameter, without)
     cells = [
         [f"`{name}`", kind, *(row.get(each, ABSENT) for each in columns), means] for (name, kind, means), row in rows.items()
@@ -267,6 +276,15 @@ def parameter_table(columns: Mapping[str, Any], common: Any = None) -> str:
     return grid(["key", "type, unit", *columns, "meaning"], cells)
 
 
+def said(parameter: table.Parameter, words: str) -> tuple[str, str]:
+    """What a key means and, where its default is None, what holds without it: ``how long; None: for ever``."""
+    if parameter.default is not None:
+        return words.rstrip("; "), ""
+    meaning, _, without = re.sub(r"\b(None|default): ", "\0", words).partition("\0")
+    return meaning.rstrip("; "), without
+
+
+@functools.cache
 def first_meanings(target: Any) -> dict[str, str]:
     """What the first of its base classes that speaks of a parameter says; what others add is of their own default."""
     found: dict[str, str] = {}
@@ -285,12 +303,17 @@ def keys(target: Any, common: Any = None) -> dict[str, table.Parameter]:
 
 def type_of(name: str, annotation: Any) -> str:
     """Unit, by the end of the name, and what values are allowed."""
-    unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
+    unit = unit_of(name)
     words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", table.describe(annotation))
     listed = "list of tables" if typing.get_origin(annotation) is tuple else "table"
     words = f"{listed}: see below" if table.structs(annotation) else _short(words)
     words = re.sub(r"^a number ?", "", words) if unit or words != "a number" else words
     return ", ".join(filter(None, [unit, words.removeprefix("a ")]))
+
+
+def unit_of(name: str) -> str:
+    """The unit of a key, by the end of its name; empty: it has none, or its meaning says it."""
+    return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
 
 
 def _short(numbers: str) -> str:
@@ -302,11 +325,16 @@ def default_of(parameter: table.Parameter, without: str) -> str:
     """``required``, the default as TOML or, where that is None, what then holds; of a table what is unlike its own defaults."""
     if parameter.required:
         return "required"
-    value = parameter.default
+    value = changed(parameter.default)
+    return markdown(without or "none") if value is None else f"`{toml(table.plain(value))}`"
+
+
+def changed(value: Any) -> Any:
+    """A default; of a table what is unlike the table's own defaults."""
     if isinstance(value, msgspec.Struct):
         known = table.parameters(type(value))
-        value = {name: own for name in known if (own := getattr(value, name)) != known[name].default}
-    return markdown(without or "none") if value is None else f"`{toml(table.plain(value))}`"
+        return {name: own for name in known if (own := getattr(value, name)) != known[name].default}
+    return value
 
 
 def toml(value: Any) -> str:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import shutil
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import tomli_w
 
 from cosim import worlds
-from cosim.errors import UsageError
+from cosim.errors import UsageError, VcmvspError
 from cosim.files import Folder, to_json, writing
 from cosim.record.inputs import FILE
 from cosim.record.metrics import Window, motion
 from cosim.record.mission_log import MissionLog, read_mission
 from cosim.record.recorder import Recorder
-from cosim.record.tables import Placement, RunFacts
+from cosim.record.tables import Placement, RunFacts, load
 from cosim.types import Array
 
 if TYPE_CHECKING:
@@ -112,6 +113,7 @@ class Result:
     def write(self, folder: Path) -> None:
         """Everything but the MCAP file, which is written as the run goes on."""
         from cosim.record import plots
+        from cosim.report import run as report
 
         self.folder = folder
         (folder / "scenario.toml").write_text(self.scenario, "utf-8")
@@ -121,10 +123,35 @@ class Result:
         (folder / "metrics.json").write_text(to_json(self.metrics), "utf-8")
         (folder / "about.json").write_text(to_json(self.about), "utf-8")
         shown = self._shown()
-        for name, figure in self._figures(shown).items():
+        figures = self._figures(shown)
+        for name, figure in figures.items():
             plots.save_png(figure, folder / f"{name}.png")
         if self._video:
             mission_video(folder / "mission.mp4", shown, self._recorder.states, self._world)
+        report.write(folder, {name: plots.svg(figure) for name, figure in figures.items()})
+
+
+def figures_again(run_dir: Path) -> "dict[str, Figure]":
+    """The figures of a run that was saved, by name, from its tables.
+
+    Raises:
+        UsageError: they are not there, or cannot be read.
+    """
+    scenario = run_dir / "scenario.toml"
+    try:
+        recording = load(run_dir)
+        window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
+    except ValueError as error:  # a damaged table or scenario
+        raise UsageError(f"{run_dir} cannot be read: {error}") from error
+    world: Any = None
+    with contextlib.suppress(VcmvspError):  # a world that is not to be had any more is not drawn
+        world = worlds.world_of(str(scenario), {})[0]
+    seen: Sequence[Array] = () if world is None else worlds.outlines(world)
+    within = window.get("from_s", 0.0), window.get("to_s")
+    figures = figures_of(recording.states, recording.radio, recording.follows, within, seen)
+    if "mission" in recording.metrics:
+        figures |= mission_figures(mission_log(run_dir, recording.facts), recording.states, world)
+    return figures
 
 
 def figures_of(

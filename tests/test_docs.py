@@ -1,6 +1,7 @@
 """The reference of scenario keys says what the software does. (`test_gallery.py` tests the gallery.)"""
 
 import re
+import typing
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,12 @@ def assert_documents(documented: dict[str, str], target: Any, without: set[str])
 def test_every_key_of_a_table_is_documented(heading: str, target: Any, rest: str) -> None:
     (documented,) = TABLES[heading]
     assert_documents(documented["default"], target, {rest})
+
+
+@pytest.mark.parametrize("target", typing.get_args(scenario_tables.InterventionTable))
+def test_every_key_of_an_intervention_is_documented(target: Any) -> None:
+    (documented,) = TABLES["`[[intervention]]`"]
+    assert_documents(documented[target.__struct_config__.tag], target, set())
 
 
 @pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registry.KINDS.items() for kind in kinds])

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from cosim import theory
 from cosim.api import Result
-from cosim.figures import theory
 from cosim.figures.kit import Curve, Figure, Job, Panel, Row, Runner, absolute, at_most, relative
 from cosim.figures.scenarios import K1, UNLIMITED, fleet, lossy, rms, tracks
 from cosim.types import Array

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
+from cosim import theory
 from cosim.api import Result
-from cosim.figures import theory
 from cosim.figures.kit import Curve, Figure, Job, Panel, Row, Runner, absolute, at_most
 from cosim.figures.scenarios import (
     AHEAD,

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.figures import theory
+from cosim import theory
 from cosim.figures.kit import Curve, Figure, Job, Panel, Row, Runner, absolute, at_least, relative
 from cosim.figures.scenarios import AHEAD, T, Tracks, fleet, overshoot, settling_s, step_follower, track
 from cosim.types import Array

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from cosim import theory
 from cosim.api import Result
-from cosim.figures import lossy, theory
+from cosim.figures import lossy
 from cosim.figures.kit import Curve, Figure, Job, Panel, Row, Runner, at_most, relative
 from cosim.figures.scenarios import K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, errors_from, fleet, rms
 from cosim.figures.scenarios import lossy as radio

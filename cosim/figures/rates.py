@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cosim.figures import theory
+from cosim import theory
 from cosim.figures.kit import Curve, Figure, Job, Panel, Row, Runner, absolute, relative
 from cosim.figures.scenarios import AHEAD, K1, Tracks, V, fleet, overshoot, settling_s, step_follower, track
 from cosim.types import Array

@@ -45,7 +45,7 @@ def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
         at_least("median rank of the target, one colour over four", 1.5, middle[1] / middle[4]),
     ]
     panels = [*_maps(), _reached(ranks), _hues(hues)]
-    return Figure("First stage: the target's colours in about its shares", panels, rows, columns=3)
+    return Figure("Fig. 46: first stage: the target's colours in about its shares", panels, rows, columns=3)
 
 
 def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
@@ -136,7 +136,7 @@ def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
         absolute(f"told up to 7 px off: {least}", 1.0, min(each.match for each in shifted), 1.0 - TARGET_MATCH),
     ]  # fmt: skip
     panels = [_likenesses(), _by_turn(turned), _by_shift(shifted), _scores(rings, match), *_angles(seen, errors)]
-    return Figure("Later stages: what turning does not change, then correlation", panels, rows, columns=3)
+    return Figure("Fig. 47: later stages: what turning does not change, then correlation", panels, rows, columns=3)
 
 
 def _judged(height_m: float, numbers: Sequence[int]) -> list[Judged]:

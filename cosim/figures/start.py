@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.figures import theory
+from cosim import theory
 from cosim.figures.kit import Curve, Figure, Panel, Runner, absolute
 from cosim.figures.scenarios import K1, T, V, fleet, settling_s, track
 

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from cosim.record.palette import OKABE_ITO
-from cosim.record.plots import GREY, styled
+from cosim.record.style import ABOVE, GREY, LEVEL, styled
 from cosim.types import Array
 
 _BLUE, _RED = OKABE_ITO[1], OKABE_ITO[2]
@@ -45,15 +45,16 @@ def draw_calibration(
         correlation_distance_m: of the fitted correlation; None where rows are independent.
     """
     figure = Figure(figsize=(7.0, 6.2), layout="constrained")
+    figure.suptitle("Levels over distance, and how alike neighbouring ones are")
     above, below = figure.subplots(2, 1, height_ratios=(3.0, 1.6))
     _draw_levels(above, distance_m, level_dbm, line_m, line_dbm, sigma_db)
     lost = np.isnan(level_dbm)
     if sensitivity_dbm is not None:
-        above.axhline(sensitivity_dbm, color=GREY, linestyle="--", linewidth=0.9, zorder=2, label="sensitivity")
+        above.axhline(sensitivity_dbm, **LEVEL, zorder=2, label="sensitivity")
         floor = np.full(int(lost.sum()), sensitivity_dbm)
         above.plot(distance_m[lost], floor, "v", color=_RED, markersize=4.0, alpha=0.5, zorder=4, label=f"lost ({floor.size})")
     above.set_ylabel("received level + walls [dBm]" if walls else "received level [dBm]")
-    above.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2, columnspacing=1.2)
+    above.legend(ncols=5, **ABOVE)
 
     below.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
     below.plot(moved_m, correlation, "o", color="black", markersize=3.5, zorder=3, label="residuals of received rows")
@@ -63,8 +64,8 @@ def draw_calibration(
     below.set_xlim(left=0.0)
     below.set_ylim(-0.5, 1.05)
     below.set_xlabel("displacement of both ends together, $\\delta$ [m]")
-    below.set_ylabel("correlation")
-    below.legend(loc="upper right")
+    below.set_ylabel("correlation [1]")
+    below.legend(ncols=2, **ABOVE)
     return figure
 
 

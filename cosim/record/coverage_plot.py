@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cosim.record.palette import OKABE_ITO
-from cosim.record.plots import MAP, style
+from cosim.record.style import ABOVE, MAP, style
 from cosim.types import Array
 
 if TYPE_CHECKING:
@@ -102,13 +102,12 @@ def _titles(figure: Figure, axes: Axes, found: "Map") -> None:
         f"{found.scenario}: coverage of {found.vehicle} ({found.preset}, seed {found.seed}, "
         f"receivers {found.height_m:g} m high)\n"
         f"{share:.0f} % of the area hears it at {found.floor_dbm:.1f} dBm or more; "
-        f"{100.0 * found.success.mean():.0f} % of the frames arrive, all places taken together",
-        fontsize=9,
+        f"{100.0 * found.success.mean():.0f} % of the frames arrive, all places taken together"
     )
     materials = sorted({solid.material for solid in found.solids})
     if materials:
         lines = [Line2D([], [], color=_color_of(materials, each), linewidth=3) for each in materials]
-        axes.legend(lines, materials, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(materials), borderaxespad=0.2)
+        axes.legend(lines, materials, ncols=len(materials), **ABOVE)
 
 
 def _color_of(materials: Sequence[str], material: str) -> str:

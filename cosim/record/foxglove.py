@@ -1,9 +1,9 @@
-"""Messages that Foxglove and Lichtblick draw by themselves, and JSON Schemas that both can read.
+"""Messages that Foxglove and Lichtblick draw by themselves.
 
 The structs carry the names and fields of Foxglove's published schemas
 (https://docs.foxglove.dev/docs/sdk/schemas); of a scene entity's primitives only those drawn here. Lengths m, angles rad,
 world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left, z up). What agents show has
-its messages in `cosim.record.foxglove_shown`.
+its messages in `cosim.record.foxglove_shown`; schemas are made in `cosim.record.foxglove_schema`.
 """
 
 from typing import Any, Literal
@@ -11,7 +11,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from cosim.types import Image, Looks, Scan
+from cosim.types import Array, Image, Scan
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
 
@@ -149,6 +149,16 @@ class TextPrimitive(FoxgloveMessage, frozen=True):
     text: str
 
 
+class TriangleListPrimitive(FoxgloveMessage, frozen=True):
+    """Triangles of one colour: three indices each into the points, counter-clockwise seen from outside."""
+
+    pose: Pose
+    points: list[Vector3]
+    color: Color
+    indices: list[int]
+    colors: list[Color] = []
+
+
 class SceneEntity(FoxgloveMessage, frozen=True):
     """Something to draw, moving with its frame."""
 
@@ -161,6 +171,7 @@ class SceneEntity(FoxgloveMessage, frozen=True):
     cubes: list[CubePrimitive] = []
     cylinders: list[CylinderPrimitive] = []
     lines: list[LinePrimitive] = []
+    triangles: list[TriangleListPrimitive] = []
     texts: list[TextPrimitive] = []
 
 
@@ -182,21 +193,22 @@ class Log(FoxgloveMessage, frozen=True):
 
 
 class LaserScan(FoxgloveMessage, frozen=True):
-    """One sweep; a beam without return is null, as JSON knows no infinity."""
+    """One sweep; a beam without return is null, as JSON knows no infinity. The range is additional to Foxglove's fields."""
 
     timestamp: Time
     frame_id: str
     pose: Pose
     start_angle: float
     end_angle: float
-    ranges: list[float]
+    ranges: list[float | None]
     intensities: list[float] = []
+    range_max: float | None = None  # m
 
     @classmethod
     def of(cls, scan: Scan, vehicle: str, time_ns: int) -> "LaserScan":
         """A sweep of the scanner at the vehicle's centre."""
         end = scan.angle_min + (len(scan.ranges) - 1) * scan.angle_step
-        return cls(Time.of(time_ns), vehicle, Pose(), scan.angle_min, end, scan.ranges.tolist())
+        return cls(Time.of(time_ns), vehicle, Pose(), scan.angle_min, end, scan.ranges.tolist(), range_max=scan.range_max)
 
 
 class RawImage(FoxgloveMessage, frozen=True):
@@ -216,18 +228,32 @@ class RawImage(FoxgloveMessage, frozen=True):
         height, width, _ = image.pixels.shape
         return cls(Time.of(time_ns), vehicle, width, height, "rgb8", 3 * width, image.pixels.tobytes())
 
+    @property
+    def pixels(self) -> Array:
+        """(height, width, 3) uint8, RGB."""
+        return np.frombuffer(self.data, np.uint8).reshape(self.height, self.width, 3)
 
-def schema_of(message_type: type) -> tuple[str, bytes]:
-    """Schema name and JSON Schema of a message type: ``foxglove.*`` for those above, ``vcmvsp.*`` for the platform's values."""
-    name = message_type.__name__
-    known = issubclass(message_type, FoxgloveMessage)
-    title = f"foxglove.{name}" if known else f"vcmvsp.{name.removesuffix('Report')}"
-    (root,), definitions = msgspec.json.schema_components([message_type], schema_hook=_array_schema)
-    schema = _simple(root, definitions)
-    if message_type is Looks:
-        schema["properties"] |= {"cells": _listed(_listed({"type": "integer"})), "hits": _listed({"type": "boolean"})}
-    schema["title"] = title
-    return title, msgspec.json.encode(schema)
+
+class CameraCalibration(FoxgloveMessage, frozen=True):
+    """A pinhole without distortion; the matrices are written row by row."""
+
+    timestamp: Time
+    frame_id: str
+    width: int
+    height: int
+    K: list[float]  # 3 x 3, px: focal lengths and principal point
+    P: list[float]  # 3 x 4: K, and nothing beside it
+    distortion_model: str = "plumb_bob"
+    D: tuple[float, ...] = (0.0,) * 5
+    R: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+    @classmethod
+    def of(cls, image: Image, vehicle: str, time_ns: int) -> "CameraCalibration":
+        """Of the camera that took a picture; its principal point is the middle of the picture."""
+        height, width, _ = image.pixels.shape
+        f, u, v = image.focal_px, 0.5 * (width - 1), 0.5 * (height - 1)  # the middle of the first pixel is (0, 0)
+        matrix, projection = [f, 0.0, u, 0.0, f, v, 0.0, 0.0, 1.0], [f, 0.0, u, 0.0, 0.0, f, v, 0.0, 0.0, 0.0, 1.0, 0.0]
+        return cls(Time.of(time_ns), vehicle, width, height, matrix, projection)
 
 
 def to_json(value: Any) -> Any:
@@ -235,38 +261,3 @@ def to_json(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"cannot record a {type(value).__name__}; use numbers, strings, bytes, lists and mappings")
-
-
-def _listed(items: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-def _array_schema(annotation: Any) -> dict[str, Any]:
-    if annotation is np.ndarray:
-        return _listed({"type": "number"})
-    raise TypeError(f"no JSON Schema for {annotation}")
-
-
-def _simple(node: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """The same schema for a simple reader: every node has a ``type``, every object its ``properties``.
-
-    Foxglove's and Lichtblick's readers follow no references, and know no unions and no tuples; they ask a schema for the names
-    of fields only. So a field that may also be null, or of a second type, is described by its first type and not required.
-    """
-    if "$ref" in node:
-        return _simple(definitions[node["$ref"].rsplit("/", 1)[1]], definitions)
-    if "anyOf" in node:
-        first = next(option for option in node["anyOf"] if option.get("type") != "null")
-        return _simple(first, definitions)
-    if "enum" in node:
-        return {"type": "string" if isinstance(node["enum"][0], str) else "integer", "enum": node["enum"]}
-    if node["type"] == "object":
-        fields = node.get("properties", {})
-        simple = {name: _simple(field, definitions) for name, field in fields.items()}
-        return {"type": "object", "properties": simple, "required": [name for name in fields if "anyOf" not in fields[name]]}
-    if node["type"] == "array":
-        return {
-            "type": "array",
-            "items": _simple(node["prefixItems"][0] if "prefixItems" in node else node["items"], definitions),
-        }
-    return {key: node[key] for key in ("type", "contentEncoding", "minimum", "maximum") if key in node}

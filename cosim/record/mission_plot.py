@@ -19,11 +19,14 @@ from cosim.record.foxglove_shown import corners_of, label_of
 from cosim.record.metrics import Motion, Target, target_at
 from cosim.record.mission_log import MissionLog, surest_map
 from cosim.record.palette import COMMANDERS, PROBABILITY, TARGET, color_of
-from cosim.record.plots import GREY, MAP, draw_vehicle, style
+from cosim.record.plots import draw_vehicle
+from cosim.record.style import ABOVE, GREY, MAP, style
 from cosim.types import Array, Sighting, Sightings
 
 INSTANTS = 4  # at which the map is shown, evenly to the end of the run
 SHEET = 12  # pictures with detections, at most
+HATCHES = {"search": "", "formation": "\\\\\\\\", "track": "..", "avoid1": "////", "avoid2": "xxxx"}
+HATCH = "#ffffff80"
 EDGE = "0.15"  # of a target's mark
 COLORS = LinearSegmentedColormap.from_list("probability", PROBABILITY)
 MARKED: dict[str, Any] = {
@@ -47,6 +50,7 @@ def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines:
     with style(MAP):
         heights = 1.1 + 0.3 * len(log.vehicles), 0.9 + 2.35 * _slenderness(log)  # inches
         figure = Figure(figsize=(11.0, sum(heights)), layout="constrained")
+        figure.suptitle("Who commanded each vehicle, and the map of the search")
         above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights).flat
         _timeline(above.add_subplot(), log, targets)
         _maps(below, log, moved, targets, outlines)
@@ -56,7 +60,8 @@ def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines:
 def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
     """The ground as all vehicles together saw it, their tracks, where they recognised what, and true places at the end."""
     with style(MAP):
-        figure = Figure(figsize=(7.0, 7.0), layout="constrained")
+        figure = Figure(figsize=(7.0, 7.2), layout="constrained")
+        figure.suptitle("The ground as the vehicles saw it")
         axes = figure.add_subplot()
         axes.set_facecolor("0.25")
         for each in log.mosaics.values():
@@ -81,7 +86,8 @@ def detections(log: MissionLog) -> Figure:
         chosen = chosen_pictures(log)
         columns = min(len(chosen), 4) or 1
         rows = -(-len(chosen) // columns) or 1
-        figure = Figure(figsize=(3.0 * columns, 2.55 * rows), layout="constrained")
+        figure = Figure(figsize=(3.0 * columns, 2.55 * rows + 0.3), layout="constrained")
+        figure.suptitle("Targets that were recognised")
         for axes, (time_ns, name, seen) in zip(figure.subplots(rows, columns, squeeze=False).flat, chosen, strict=False):
             pixels = cv2.imdecode(np.frombuffer(seen.jpeg, np.uint8), cv2.IMREAD_COLOR)
             if pixels is not None:
@@ -135,7 +141,7 @@ def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
                 continue
             told.add(commander)
             span = begin / SECOND_NS, (end - begin) / SECOND_NS
-            axes.broken_barh([span], (row - 0.3, 0.6), facecolor=COMMANDERS.get(commander, GREY))
+            axes.broken_barh([span], (row - 0.3, 0.6), **_band(commander))
         for time_ns, target in log.noted.lost(name):
             axes.plot(time_ns / SECOND_NS, row, zorder=5, **GIVEN_UP)
             _say(axes, time_ns / SECOND_NS, row + 0.42, target, "top")
@@ -149,11 +155,21 @@ def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
     for side in ("left", "top", "right"):
         axes.spines[side].set_visible(False)
     axes.tick_params(axis="y", length=0.0)
-    shown: list[Artist] = [Patch(color=color, label=name) for name, color in COMMANDERS.items() if name in told]
-    shown += [Patch(color=GREY, label="other")] if told - COMMANDERS.keys() else []
+    shown: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in told]
+    shown += [Patch(**_band("other"), label="other")] if told - COMMANDERS.keys() else []
     for mark, words in ((MARKED, "found"), (FALSE, "no target there"), (GIVEN_UP, "given up")):
         shown.append(Line2D([], [], label=words, **mark))
-    axes.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(shown), borderaxespad=0.2)
+    axes.legend(handles=shown, ncols=len(shown), **ABOVE)
+
+
+def _band(commander: str) -> dict[str, Any]:
+    """Colour of the time of a commander, and a pattern for those who see no difference of colours."""
+    return {
+        "facecolor": COMMANDERS.get(commander, GREY),
+        "hatch": HATCHES.get(commander, "--"),
+        "edgecolor": HATCH,
+        "linewidth": 0.0,
+    }
 
 
 def _finds(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:

@@ -1,80 +1,41 @@
 """The figures of a run, from its tables alone: `trajectory` seen from above and `formation_error` over time.
 
-This is the only module that knows the plotting library. It uses figure objects and no global state, one style whatever the
-user's own settings are, and writes the same bytes for the same run.
+How any figure becomes a file is here, too. Figure objects are used and no global state, and the same run gives the same bytes.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import wraps
+import re
+from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.collections import Collection, PolyCollection, QuadMesh
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
+from matplotlib.lines import Line2D
 
 from cosim.clock import SECOND_NS
 from cosim.record.columns import names_of, numbers
 from cosim.record.metrics import SETTLED_M, Motion, Window, formation_errors, links, motion
-from cosim.record.palette import OKABE_ITO, color_of
+from cosim.record.palette import color_of
+from cosim.record.style import ABOVE, GREY, LEVEL, SVG, line_of, style, styled
 from cosim.record.tables import Placement
 from cosim.types import Array
 
-DPI = 120
 SNAPSHOTS = 5  # instants at which the formation is drawn, start and end among them
-STYLE: dict[str, Any] = {
-    "figure.dpi": DPI,
-    "savefig.dpi": DPI,
-    "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.2,
-    "path.simplify": False,  # it turns circles into polygons
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "svg.fonttype": "none",  # text stays text
-    "svg.hashsalt": "vcmvsp",  # the same names inside for the same figure
-}
-MAP = {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
-"""For `style`: of maps, which fill their axes."""
-GREY = "0.55"
-P = ParamSpec("P")
-
-
-@contextmanager
-def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Matplotlib's own defaults, `STYLE`, and ``more``, whatever a user's matplotlibrc says."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        wanted: Any = {**STYLE, **(more or {})}
-        mpl.rcParams.update(wanted)
-        yield
-
-
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """A function that draws in this style."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with style():
-            return draw(*args, **kwargs)
-
-    return drawn
+NAMED = 8  # rows of lost messages, each a line of text high: more of them have no names
+DENSE = 1000  # marks of a curve, or pieces of a collection: more than this are a picture within a drawing
+FINE = 100  # cells of a grid, likewise: between finer ones seams would show
 
 
 @styled
 def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
-    """Where the vehicles went, seen from above: a dot where each starts, arrowheads on the way and a larger one where it ends.
+    """Where the vehicles went, seen from above: a marker where each starts, arrowheads on its way, a larger one at its end.
 
     At a few instants thin lines join followers and leaders, so that the shape of the formation shows. ``outlines``, (k, 2) m
     each, are what stood about.
@@ -82,6 +43,7 @@ def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Se
     moved = motion(states)
     x, y, _ = moved.position
     figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    figure.suptitle("Where the vehicles went")
     axes = figure.add_subplot()
     solids = PolyCollection(outlines, facecolor="0.88", edgecolor="0.72", linewidth=0.5, zorder=1)
     axes.add_collection(solids, autolim=False)  # the paths say how much of the world is shown
@@ -90,8 +52,7 @@ def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Se
     for instant in shown:
         _draw_formation(axes, moved, follows, instant)
     for i, name in enumerate(moved.names):
-        axes.plot(x[:, i], y[:, i], **_line(moved, name), label=name, zorder=3)
-        axes.plot(x[:1, i], y[:1, i], "o", color=color_of(i), markersize=4.5, zorder=4)
+        axes.plot(x[:, i], y[:, i], **{**line_of(i), "markevery": [0]}, label=name, zorder=3)
         for instant in shown[1:]:
             pose = x[instant, i], y[instant, i], moved.yaw[instant, i]
             draw_vehicle(axes, pose, color_of(i), 14.0 if instant == shown[-1] else 9.0)
@@ -114,7 +75,7 @@ def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placeme
     errors = formation_errors(moved, follows)
     if radio.num_rows and errors:
         figure = Figure(figsize=(7.0, 5.0), layout="constrained")
-        rows = min(0.3 + 0.08 * len(errors), 1.5)
+        rows = min(0.3 + 0.12 * len(errors), 1.5)
         above, middle, below = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.8, rows))
         _draw_ages(middle, moved, radio, follows, list(errors))
         _draw_losses(below, moved, radio, follows, list(errors))
@@ -122,10 +83,11 @@ def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placeme
         figure = Figure(figsize=(7.0, 3.2), layout="constrained")
         above = figure.add_subplot()
         above.set_xlabel("time [s]")
+    figure.suptitle("How well the formation is kept")
     time = moved.time_ns / SECOND_NS
     for name, error in errors.items():
-        above.plot(time, error, **_line(moved, name), label=name, zorder=3)
-    above.axhline(SETTLED_M, color=GREY, linestyle="--", linewidth=0.9, zorder=2, label="5 cm")
+        above.plot(time, error, **line_of(moved.column(name)), label=name, zorder=3)
+    above.axhline(SETTLED_M, **LEVEL, zorder=2, label="settled: 5 cm")
     above.set_ylabel("formation error |z| [m]")
     _choose_scale(above, list(errors.values()))
     if len(time):
@@ -143,22 +105,34 @@ def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placeme
 def save_png(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG: no date, no library version inside."""
     with style():
-        canvas: Any = FigureCanvasAgg(figure)
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # it leaves the last bit of a position to chance: round it away
-        for axes in figure.axes:
-            left, bottom, width, height = (round(edge, 6) for edge in axes.get_position().bounds)
-            axes.set_position((left, bottom, width, height))
+        canvas = _laid_out(figure)
         canvas.print_png(str(path), metadata={"Software": None})
 
 
+def save_svg(figure: Figure, path: str | Path) -> None:
+    """Write a figure as SVG: the same bytes for the same figure."""
+    Path(path).write_text(svg(figure), "utf-8")
+
+
+def svg(figure: Figure) -> str:
+    """A figure as the text of an SVG file: the same for the same figure, text as text, of dense parts a picture."""
+    with style(SVG):
+        _laid_out(figure)
+        _make_light(figure)
+        stream = StringIO()
+        dpi, figure.dpi = figure.dpi, SVG["savefig.dpi"]  # as savefig does, which draws everything twice
+        canvas: Any = FigureCanvasSVG(figure)
+        canvas.print_svg(stream, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+        figure.dpi = dpi
+    return _PATH.sub(_shorter, stream.getvalue())
+
+
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write ``stem``.png and ``stem``.svg: the same bytes for the same figure; text in the SVG stays text."""
-    png, svg = (stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg"))
-    save_png(figure, png)  # it also rounds the layout, which the SVG then has, too
-    with style():
-        figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-    return [png, svg]
+    """Write ``stem``.png and ``stem``.svg."""
+    png, drawing = (stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg"))
+    save_png(figure, png)
+    save_svg(figure, drawing)
+    return [png, drawing]
 
 
 def draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size: float) -> None:
@@ -203,7 +177,7 @@ def _draw_ages(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Pla
             if (name, leader) in heard:
                 at = moved.time_ns[np.searchsorted(moved.time_ns, heard[name, leader].received_ns[0]) :]
                 age = heard[name, leader].age_ns(at) / SECOND_NS
-                axes.plot(at / SECOND_NS, age, **_line(moved, name), linewidth=0.9, zorder=3)
+                axes.plot(at / SECOND_NS, age, **{**line_of(moved.column(name)), "marker": ""}, linewidth=0.9, zorder=3)
     axes.set_ylabel("age of\ninformation [s]")
     axes.set_ylim(bottom=0.0)
 
@@ -215,7 +189,9 @@ def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[P
     if followers:
         axes.eventplot(lost, colors=colors, lineoffsets=list(range(len(lost))), linelengths=0.75, linewidths=0.7)
     axes.set_ylim(len(lost) - 0.5, -0.5)
-    axes.set_yticks([])
+    named = followers if len(followers) <= NAMED else []
+    axes.set_yticks(range(len(named)), named, fontsize="small")
+    axes.tick_params(axis="y", length=0.0)
     axes.grid(visible=False)
     axes.spines["left"].set_visible(False)
     axes.set_ylabel("lost", rotation="horizontal", ha="right", va="center")
@@ -225,12 +201,6 @@ def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[P
 def _leaders(name: str, follows: Sequence[Placement]) -> list[str]:
     of_name = (placement.follows.leader for placement in follows if placement.vehicle == name)
     return list(dict.fromkeys(leader for leader in of_name if leader is not None))
-
-
-def _line(moved: Motion, name: str) -> dict[str, Any]:
-    """Colour and line style of a vehicle: dashes tell the second and third round of colours from the first."""
-    index = moved.column(name)
-    return {"color": color_of(index), "linestyle": ("-", "--", ":")[index // len(OKABE_ITO) % 3]}
 
 
 def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
@@ -245,8 +215,40 @@ def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
 def _legend(axes: Axes) -> None:
     """Names above the plot, where they hide nothing; of very many vehicles only the first."""
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(
-        handles[:18], labels[:18], loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, borderaxespad=0.2, columnspacing=1.2
-    )
+    axes.legend(handles[:18], labels[:18], ncols=6, **ABOVE)
     if len(labels) > 18:
         axes.set_title(f"and {len(labels) - 18} more", loc="right", fontsize="small")
+
+
+def _laid_out(figure: Figure) -> Any:
+    """A canvas for a figure that is drawn in the style of now, its layout worked out once: then nothing is left to chance."""
+    canvas: Any = FigureCanvasAgg(figure)
+    engine = figure.get_layout_engine()
+    if engine is not None and not isinstance(engine, PlaceHolderLayoutEngine):
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+        for axes in figure.axes:  # the last bit of a position differs from time to time
+            left, bottom, width, height = (round(edge, 6) for edge in axes.get_position().bounds)
+            axes.set_position((left, bottom, width, height))
+    for line in figure.findobj(Line2D):
+        line.recache(always=True)
+    return canvas
+
+
+def _make_light(figure: Figure) -> None:
+    """Let what is dense be a picture within a drawing."""
+    for line in figure.findobj(Line2D):
+        line.set_rasterized(np.size(line.get_xdata()) > DENSE and line.get_marker() not in ("", "None"))
+    for collection in figure.findobj(Collection):
+        most = FINE if isinstance(collection, QuadMesh) else DENSE
+        collection.set_rasterized(len(collection.get_paths()) > most)
+
+
+_PATH = re.compile(r'(<path [^>]*?\bd=")([^"]*)')
+_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+
+
+def _shorter(found: re.Match[str]) -> str:
+    """A path with coordinates to the hundredth of a point."""
+    numbers = _NUMBER.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), found[2])
+    return f"{found[1]}{numbers}"

@@ -1,15 +1,26 @@
-"""The drawing of a run in a 3D viewer: body, heading and name of each vehicle, the place that each follower keeps, targets."""
+"""The drawing of a run in a 3D viewer: body, heading and name of each vehicle, the place that each follower keeps, targets.
+
+What stands about is drawn once for all (`solids`), what keeps to a time-table in a frame of its own (`moving_frames`). Bodies
+that can be pushed are not drawn: a recording does not say where they are.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+import numpy as np
+
+from cosim import registry
 from cosim.clock import SECOND_NS
+from cosim.frames import quaternion_from_yaw
 from cosim.record.foxglove import (
     ArrowPrimitive,
     Color,
     CubePrimitive,
     CylinderPrimitive,
     Duration,
+    FrameTransform,
+    FrameTransforms,
     LinePrimitive,
     Pose,
     Quaternion,
@@ -17,14 +28,18 @@ from cosim.record.foxglove import (
     SceneUpdate,
     TextPrimitive,
     Time,
+    TriangleListPrimitive,
     Vector3,
 )
 from cosim.record.metrics import Target
 from cosim.record.palette import TARGET, rgb, rgb_of
-from cosim.types import Follows
+from cosim.types import Array, Follows
 
 TARGET_HEIGHT_M = 0.05
 DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known
+MOST_TRIANGLES = 200_000  # of a world that is drawn: more are some 30 MB of JSON, before compression
+DIGITS = 4  # of coordinates, m: a tenth of a millimetre
+OBSTACLE_OPACITY = 0.9
 _RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
 
 
@@ -43,6 +58,60 @@ def scene(
         if name in places and places[name].leader is not None:
             entities.append(_place(name, places[name], radius, color, now))
     return SceneUpdate([*entities, *(_target(target, now, time_ns / SECOND_NS) for target in targets)])
+
+
+def solids(world: Any) -> SceneUpdate | None:
+    """What a world consists of: its solids by their colours, and obstacles with a time-table in their own frames.
+
+    None: there is nothing, or more than `MOST_TRIANGLES`, which no viewer would like.
+    """
+    vertices, triangles = world.mesh()
+    if len(triangles) > MOST_TRIANGLES:
+        return None
+    now, entities = Time(0, 0), []
+    if len(triangles):
+        parts = _by_color(np.round(vertices, DIGITS), triangles, registry.piece("mesh colors")(world))
+        entities.append(SceneEntity(now, "world", "solids", Duration(), False, triangles=parts))
+    entities += [_obstacle(each, now) for each in world.moving]
+    return SceneUpdate(entities) if entities else None
+
+
+def moving_frames(world: Any, time_ns: int) -> FrameTransforms:
+    """Where the obstacles with a time-table are."""
+    now, transforms = Time.of(time_ns), []
+    for each in world.moving:
+        x, y, z, yaw = each.pose(time_ns / SECOND_NS)
+        qw, qx, qy, qz = quaternion_from_yaw(yaw)
+        turn = Quaternion(qx, qy, qz, qw)
+        transforms.append(FrameTransform(now, "world", _frame_of(each), Vector3(x, y, z), turn))
+    return FrameTransforms(transforms)
+
+
+def _frame_of(moving: Any) -> str:
+    return f"obstacle/{moving.name}"
+
+
+def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[TriangleListPrimitive]:
+    """A list of triangles for each colour, with those points that it needs."""
+    found, which = np.unique(colors, axis=0, return_inverse=True)
+    parts = []
+    for number, (red, green, blue) in enumerate(found.tolist()):
+        used, indices = np.unique(triangles[which.ravel() == number], return_inverse=True)
+        points = [Vector3(*point) for point in vertices[used].tolist()]
+        color = Color(red / 255, green / 255, blue / 255)
+        parts.append(TriangleListPrimitive(Pose(), points, color, indices.ravel().tolist()))
+    return parts
+
+
+def _obstacle(moving: Any, now: Time) -> SceneEntity:
+    """A box or a cylinder in its own frame, and its name."""
+    hull = registry.piece("hull")(moving.solid)
+    red, green, blue = (part / 255 for part in hull.color)
+    color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(*hull.size), _frame_of(moving)
+    text = TextPrimitive(Pose(Vector3(0.0, 0.0, hull.size[2])), True, 14.0, True, color, moving.name)
+    cubes = [CubePrimitive(Pose(), size, color)] if hull.kind == "box" else []
+    cylinders = [] if cubes else [CylinderPrimitive(Pose(), size, 1.0, 1.0, color)]
+    return SceneEntity(now, frame, frame, Duration(), True, cubes=cubes, cylinders=cylinders, texts=[text])
 
 
 def _body(name: str, radius: float, color: Color, now: Time) -> SceneEntity:

@@ -5,7 +5,6 @@ They are drawn from the summary (`cosim.studies.summary`) alone, in the style of
 
 import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -18,30 +17,14 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from cosim.record.palette import OKABE_ITO
-from cosim.record.plots import MAP, style
+from cosim.record.labels import label_of
+from cosim.record.palette import color_of
+from cosim.record.style import MAP, marker_of, style
 from cosim.types import Array
 
 MAP_COLORS = "cividis"  # keeps its order in grey and under every common form of colour blindness
 ANNOTATED_CELLS = 60  # a map of more cells has no numbers in them
 DECADES = 30.0  # a metric whose means span more than this is drawn on a logarithmic scale
-MARKERS = "osD^v*XP"
-_UNITS = {"s": "s", "m": "m", "hz": "Hz", "dbm": "dBm", "db": "dB", "rad": "rad", "deg": "degrees", "kg": "kg", "seconds": "s"}
-_WORDS = {"probability": "{table} probability", "seconds": "{table}", "count": "{table} count", "kind": "{table}"}
-_METRICS = {
-    "formation.rms_m": "formation error, RMS [m]",
-    "formation.mean_m": "formation error, mean [m]",
-    "formation.max_m": "formation error, greatest [m]",
-    "formation.final_m": "formation error at the end [m]",
-    "formation.settling_s": "settled after [s]",
-    "radio.delivery_ratio": "share of frames delivered",
-    "radio.age_s.mean": "age of information, mean [s]",
-    "radio.age_s.p95": "age of information, 95th percentile [s]",
-    "radio.age_s.max": "age of information, greatest [s]",
-    "radio.delay_s.mean": "delay, mean [s]",
-    "safety.min_separation_m": "smallest distance of two vehicles [m]",
-    "safety.min_clearance_m": "smallest distance to an obstacle [m]",
-}
 
 
 class Table(NamedTuple):
@@ -80,7 +63,7 @@ def lines(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str], title:
         _axis(panels, len(metrics), table, x_key)
         _legend(figure, panels[0], others)
         if title:
-            figure.suptitle(title, fontsize=10)
+            figure.suptitle(title)
         return figure
 
 
@@ -127,25 +110,8 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
         figure.supxlabel(label_of(x_key), fontsize=9)
         figure.supylabel(label_of(y_key), fontsize=9)
         if title:
-            figure.suptitle(title, fontsize=10)
+            figure.suptitle(title)
         return figure
-
-
-def label_of(key: str) -> str:
-    """A key or a metric in words, with its unit where the name tells one: ``radio.delay.jitter_s`` is ``jitter [s]``."""
-    if key in _METRICS:
-        return _METRICS[key]
-    *above, last = key.split(".")
-    stem, _, suffix = last.rpartition("_")
-    if stem.isdigit() or not stem or suffix not in _UNITS:
-        stem = last
-    unit = _UNITS.get(suffix, "")
-    words = _WORDS.get(stem, stem).format(table=above[-1] if above else "")
-    if above and re.fullmatch(r"(mean|max|rms|p\d+|final)", stem):
-        words = f"{above[-1]} {stem}"
-    elif above[:-1] == ["radio", "losses"] or above == ["radio", "losses"]:
-        words = f"lost: {last}"
-    return words.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
 # --- panels ------------------------------------------------------------------------------------------------------------------
@@ -217,8 +183,8 @@ def _look(index: int, count: int, *, ordered: bool) -> dict[str, Any]:
     """Colour and marker of a line: from dark to light where the lines have an order, else as vehicles are told apart."""
     if ordered:
         shade = mpl.colormaps["viridis"](0.9 * index / max(1, count - 1))
-        return {"color": shade, "marker": MARKERS[index % len(MARKERS)]}
-    return {"color": OKABE_ITO[index % len(OKABE_ITO)], "marker": MARKERS[index % len(MARKERS)]}
+        return {"color": shade, "marker": marker_of(index)}
+    return {"color": color_of(index), "marker": marker_of(index)}
 
 
 def _field(table: Table, what: tuple[str, str, str], rows: list[int]) -> Array:

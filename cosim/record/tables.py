@@ -161,13 +161,19 @@ def write_table(table: pa.Table, path: Path) -> None:
     pq.write_table(table, path, row_group_size=1 << 20, compression="zstd", **encodings)
 
 
+def read_table(path: Path) -> pa.Table:
+    """Read Parquet; `pyarrow.parquet.read_table` would do, but it imports pandas wherever that is installed."""
+    with pq.ParquetFile(path) as file:
+        return file.read()
+
+
 def load(run_dir: str | Path) -> Recording:
     """Read a run directory back: ``states.parquet``, ``radio.parquet`` and, if it is there, ``metrics.json``."""
     folder = Path(run_dir)
     for name in ("states.parquet", "radio.parquet"):
         if not (folder / name).is_file():
             raise UsageError(f"{folder}: no {name} here; name the directory that a run left (runs/<name>-<seed> or its --out)")
-    states, radio = (pq.read_table(folder / name) for name in ("states.parquet", "radio.parquet"))
+    states, radio = (read_table(folder / name) for name in ("states.parquet", "radio.parquet"))
     facts = (states.schema.metadata or {}).get(FACTS)
     if facts is None:
         raise UsageError(f"{folder / 'states.parquet'}: not written by vcmvsp (its schema metadata lacks {FACTS.decode()})")

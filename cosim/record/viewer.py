@@ -1,10 +1,11 @@
 """``run.mcap``: the events of a run as messages that viewers draw (`cosim.record.foxglove`), each under its key.
 
-What Foxglove has no schema for is written as it is. Two things can be told only once an instant is over: which estimates differ
-from the truth, and how the scene looks.
+What Foxglove has no schema for is written as it is. Pictures stay raw: in compressed chunks they are smaller than PNG files,
+written five times as fast, and come back as they were. Two things can be told only once an instant is over: which estimates
+differ from the truth, and how the scene looks.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO
 
 from cosim.clock import SECOND_NS
@@ -13,9 +14,10 @@ from cosim.frames import quaternion_from_yaw
 from cosim.record import foxglove
 from cosim.record.foxglove_shown import messages_of
 from cosim.record.mcap import McapLog
-from cosim.record.metrics import Target
-from cosim.record.scene import scene
+from cosim.record.scene import moving_frames, scene, solids
 from cosim.types import Fix, Follows, Image, Mosaic, ProbabilityMap, Scan, Sightings, VehicleState
+
+CALIBRATION = "calibration"  # under the key of a camera
 
 
 class Viewer:
@@ -25,13 +27,15 @@ class Viewer:
         stream: open and binary; it stays its owner's to close.
         run: what the federates are told of the run.
         radius_m: radius of each vehicle's body.
-        targets: of the world.
+        world: what the vehicles move in; None: nothing of it is drawn.
     """
 
-    def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], targets: Sequence[Target]) -> None:
+    def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: Any = None) -> None:
         about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
         self._log = McapLog(stream, about)
-        self._vehicles, self._radius_m, self._targets = run.vehicles, radius_m, targets
+        self._vehicles, self._radius_m, self._world = run.vehicles, radius_m, world
+        self._targets = () if world is None else world.targets
+        self._calibrated: set[str] = set()  # keys of cameras
         self._scene_is_due, self._scene_ns = True, 0
         self._estimates: list[tuple[str, VehicleState]] = []  # of the present instant
         self._putters: dict[type, Callable[[str, Any, int], None]] = {
@@ -42,6 +46,9 @@ class Viewer:
             VehicleState: self._put_estimate,
             **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._put_shown),
         }
+        standing = None if world is None else solids(world)
+        if standing is not None:
+            self._log.write("world/solids", standing, 0)
 
     def put(self, key: str, value: Any, time_ns: int) -> None:
         """An event; times never decrease."""
@@ -56,6 +63,8 @@ class Viewer:
             transforms.append(foxglove.FrameTransform(now, "world", name, place, turn))
             self._log.write(f"{name}/state", state, time_ns)
         self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
+        if self._world is not None and self._world.moving:
+            self._log.write("world/moving", moving_frames(self._world, time_ns), time_ns)
 
     def say(self, level: str, text: str, time_ns: int) -> None:
         """A line of the log."""
@@ -97,7 +106,11 @@ class Viewer:
         self._log.write(key, foxglove.LaserScan.of(scan, key.partition("/")[0], time_ns), time_ns)
 
     def _put_image(self, key: str, image: Image, time_ns: int) -> None:
-        self._log.write(key, foxglove.RawImage.of(image, key.partition("/")[0], time_ns), time_ns)
+        vehicle = key.partition("/")[0]
+        if image.focal_px > 0.0 and key not in self._calibrated:
+            self._calibrated.add(key)
+            self._log.write(f"{key}/{CALIBRATION}", foxglove.CameraCalibration.of(image, vehicle, time_ns), time_ns)
+        self._log.write(key, foxglove.RawImage.of(image, vehicle, time_ns), time_ns)
 
     def _put_shown(self, key: str, shown: ProbabilityMap | Sightings | Mosaic, time_ns: int) -> None:
         number = self._vehicles.index(key.partition("/")[0])

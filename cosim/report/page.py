@@ -34,6 +34,11 @@ class Rows:
     rows: Sequence[Sequence[Any]]
     kind: str = "rows"
 
+    @property
+    def numeric(self) -> frozenset[int]:
+        """The columns in which there are numbers."""
+        return frozenset(place for row in self.rows for place, value in enumerate(row) if _is_number(value))
+
 
 @dataclass(frozen=True)
 class Facts:
@@ -93,7 +98,8 @@ def _template() -> jinja2.Template:
         lstrip_blocks=True,
     )
     environment.filters["cell"] = cell
-    environment.tests["number"] = lambda value: isinstance(value, int | float) and not isinstance(value, bool)
+    environment.filters["breakable"] = _breakable
+    environment.tests["number"] = _is_number
     return environment.get_template("page.html.jinja")
 
 
@@ -108,6 +114,10 @@ def cell(value: Any) -> str:
     return str(value)
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _digits(value: float) -> str:
     """Four significant digits, and no exponent where it can be read without one."""
     if value == 0.0 or not math.isfinite(value):
@@ -117,6 +127,11 @@ def _digits(value: float) -> str:
         text = f"{value:.{places}f}"
         return text.rstrip("0").rstrip(".") if "." in text else text
     return f"{value:.3e}"
+
+
+def _breakable(name: str) -> Markup:
+    """A name that may go on in a new line behind each of its parts."""
+    return Markup(re.sub(r"(?<=[a-z0-9])([_.])(?=[a-z0-9])", r"\1<wbr>", str(Markup.escape(name))))  # noqa: S704  escaped
 
 
 def _inline(figure: Figure, number: int) -> Markup:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, int], None]
 Checking = Callable[[int, int], None]
+Noted = Callable[[str, float], None]
 ABOUT_SCHEMA = "vcmvsp.study-about/1"
 
 
@@ -96,6 +97,7 @@ def conduct(
     force: bool,
     progress: Progress,
     checking: Checking = lambda *_: None,
+    noted: Noted = lambda *_: None,
     numbered: bool = False,
 ) -> Studied:
     """`study`, with what it was.
@@ -103,6 +105,7 @@ def conduct(
     Args:
         scenario, vary, seeds, seed, settings, metrics, jobs, cluster, out, resume, force, progress: as there.
         checking: called with (checked, total) points before the first run.
+        noted: called with the name of the first metric and its value in each run that is made.
         numbered: where ``out`` exists already, take ``out-2``, ``out-3``, ...
     """
     started, begin = datetime.now(UTC), time.monotonic()
@@ -122,7 +125,7 @@ def conduct(
         with _answers(plan, out, resume=resume, force=force) as answers:
             before = len(answers.rows)
             try:
-                _run(plan, answers, ask, progress)
+                _run(plan, answers, ask, progress, noted)
             except KeyboardInterrupt:
                 again = "; the same command with --resume goes on" if out else ""
                 raise Interrupted(f"interrupted: {len(answers.rows)} of {plan.size} runs are done{again}") from None
@@ -136,7 +139,7 @@ def conduct(
 Ask = Callable[[Iterator[tuple[plans.Run, Job]], int], Iterator[Answered]]
 
 
-def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress) -> None:
+def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress, noted: Noted) -> None:
     """Have all runs made that are still to be made."""
     total, done, failed = plan.size, len(answers.rows), 0
     known = frozenset(answers.rows)
@@ -144,7 +147,11 @@ def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress) -> None:
     progress(done, failed, total)
     for run, row in ask(asked, total - done):
         answers.add(run.key, row)
-        done, failed = done + 1, failed + (rows.decode(row).error is not None)
+        answer = rows.decode(row)
+        done, failed = done + 1, failed + (answer.error is not None)
+        for name in plan.metrics[:1]:
+            if isinstance(value := answer.values.get(name), int | float):
+                noted(name, value)
         progress(done, failed, total)
 
 

@@ -1,18 +1,23 @@
 """What a study leaves to look at: its summary as a table, figures, and a page with both and all that is needed to repeat it."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import date, datetime, time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import tomli_w
 
 from cosim import scenario as scenarios
-from cosim.report.page import Code, Facts, Figure, Rows, Section, Words, page
+from cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
+from cosim.report.run import FILE
 from cosim.studies.plan import Plan
+from cosim.studies.store import PLAN, so_far
 from cosim.studies.summary import summarise, to_csv
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as FigureOfPlots
 
 LISTED_FAILURES = 100
 
@@ -29,26 +34,60 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
     Returns:
         What was written.
     """
-    from cosim.record import plots, study_plot
+    from cosim.record import plots
 
-    keys, metrics = list(plan.vary), list(plan.metrics)
-    summary = summarise(table, keys, metrics)
+    summary = summarise(table, list(plan.vary), plan.metrics)
     written = [folder / "summary.csv"]
     written[0].write_text(to_csv(summary), "utf-8")
-    drawn: list[Path] = []
-    if metrics:
-        title = Path(plan.scenario).stem
-        many = len(plan.seeds) > 1
-        means = f"{title}: means of {len(plan.seeds)} runs" if many else title
-        drawn += plots.save(
-            study_plot.lines(summary, keys, metrics, f"{means} with 95 % bands" if many else title), folder / "study"
-        )
-        if (over_two := study_plot.heat_map(summary, keys, metrics[0], means)) is not None:
-            drawn += plots.save(over_two, folder / "study-map")
-    report = folder / "report.html"
-    drawings = [path for path in drawn if path.suffix == ".svg"]
+    drawn = [path for name, figure in _figures(summary, plan).items() for path in plots.save(figure, folder / name)]
+    drawings = {path.stem: path.read_text("utf-8") for path in drawn if path.suffix == ".svg"}
+    report = folder / FILE
     report.write_text(_page(table, summary, plan, drawings, repeatable=repeatable), "utf-8")
     return [*written, *drawn, report]
+
+
+def report_again(folder: Path, out: Path | None = None) -> Path:
+    """Write the page of a study anew, from its folder: also of one that was cut, or goes on.
+
+    Args:
+        folder: that the study has left.
+        out: write there instead.
+
+    Raises:
+        UsageError: its plan or its rows cannot be read.
+    """
+    from cosim.record import plots
+
+    plan = Plan.read(folder / PLAN)
+    table = so_far(folder, plan)
+    summary = summarise(table, list(plan.vary), plan.metrics)
+    drawings = {name: plots.svg(figure) for name, figure in _figures(summary, plan).items()}
+    path = out or folder / FILE
+    path.write_text(_page(table, summary, plan, drawings, repeatable=_is_file(plan)), "utf-8")
+    return path
+
+
+def _figures(summary: pa.Table, plan: Plan) -> "dict[str, FigureOfPlots]":
+    """The figures, by the names of their files."""
+    from cosim.record import study_plot
+
+    keys, metrics = list(plan.vary), list(plan.metrics)
+    if not metrics or not summary.num_rows:
+        return {}
+    title = Path(plan.scenario).stem
+    many = len(plan.seeds) > 1
+    means = f"{title}: means of {len(plan.seeds)} runs" if many else title
+    figures = {"study": study_plot.lines(summary, keys, metrics, f"{means} with 95 % bands" if many else title)}
+    if (over_two := study_plot.heat_map(summary, keys, metrics[0], means)) is not None:
+        figures["study-map"] = over_two
+    return figures
+
+
+def _is_file(plan: Plan) -> bool:
+    """Whether the scenario had a name or a file when the study began: one that was a mapping has only its own name."""
+    if Path(plan.scenario).suffix == ".toml":
+        return True
+    return plan.scenario in scenarios.names() and scenarios.text_of(plan.scenario) == plan.scenario_toml
 
 
 def command_of(plan: Plan) -> str:
@@ -86,21 +125,51 @@ def _quoted(text: str) -> str:
     return tomli_w.dumps({"value": text}).removeprefix("value = ").strip()
 
 
-def _page(table: pa.Table, summary: pa.Table, plan: Plan, drawings: Sequence[Path], *, repeatable: bool) -> str:
+def _page(table: pa.Table, summary: pa.Table, plan: Plan, drawings: Mapping[str, str], *, repeatable: bool) -> str:
     failures = _failures(table, list(plan.vary))
-    points, seeds = summary.num_rows, len(plan.seeds)
-    lead = f"{_count(table.num_rows, 'run')}: {_count(points, 'point')} with {_count(seeds, 'seed')} each"
+    shown = {"study": "Means at each point, and where they may lie.", "study-map": "Means over the first two keys."}
     sections = [
         Section("What was varied", [Facts(_varied(plan))]),
-        Section("Figures", [Figure(path.read_text("utf-8"), f"{path.stem} of {plan.scenario}") for path in drawings]),
-        Section("Summary", [Words(_EXPLAINED), _table(summary, plan)]),
+        Section("Figures", [Figure(svg, shown[name]) for name, svg in drawings.items()]),
+        Section("Summary", [Words(_EXPLAINED), _table(summary, plan)]) if summary.num_rows else None,
         _failed(failures, list(plan.vary)) if failures else None,
-        Section("Again", [Code(command_of(plan))]) if repeatable else None,
+        Section("Again", _again(plan, unfinished=bool(failures) or table.num_rows < plan.size)) if repeatable else None,
         Section("Scenario", [Code(plan.scenario_toml, folded="its file, without what was varied or set")]),
         Section("Versions", [Facts(list(plan.versions.items()))]),
     ]
-    lead += f"; {len(failures)} failed" if failures else ""
+    lead = " ".join(_lead(table, summary, plan, len(failures)))
     return page(f"Study of {plan.scenario}", lead, [each for each in sections if each is not None and each.parts])
+
+
+def _lead(table: pa.Table, summary: pa.Table, plan: Plan, failed: int) -> Iterator[str]:
+    """What was run, and between which means each metric lies."""
+    points, seeds = plan.size // len(plan.seeds), len(plan.seeds)
+    failures = f"; {failed} failed" if failed else ""
+    yield f"{_count(plan.size, 'run')}: {_count(points, 'point')} with {_count(seeds, 'seed')} each{failures}."
+    if table.num_rows < plan.size:
+        yield f"Of these only {table.num_rows} are done yet: the study was cut, or goes on."
+    columns = summary.to_pydict()
+    for metric in plan.metrics:
+        means = [(mean, row) for row, mean in enumerate(columns[f"{metric}.mean"]) if mean is not None]
+        if len(means) < 2:
+            continue
+        (low, at_low), (high, at_high) = min(means), max(means)
+        lowest, highest = (", ".join(f"{key} {cell(columns[key][row])}" for key in plan.vary) for row in (at_low, at_high))
+        if low == high:
+            yield f"{metric} is {cell(low)} everywhere."
+        else:
+            yield f"{metric} is {cell(low)} on average at {lowest}, and {cell(high)} at {highest}."
+
+
+def _again(plan: Plan, *, unfinished: bool) -> list[Part]:
+    """How to repeat the study, and how to go on with it."""
+    command = command_of(plan)
+    parts: list[Part] = [Code(command)]
+    if unfinished:
+        parts += [Words("The rest, and what failed; --out names the folder of this study:"), Code(f"{command} --resume")]
+    else:
+        parts.append(Words("With --resume, and more --seeds or more values, it goes on where it ended."))
+    return parts
 
 
 _EXPLAINED = (
@@ -137,7 +206,7 @@ def _failures(table: pa.Table, keys: Sequence[str]) -> list[list[Any]]:
 
 
 def _failed(failures: list[list[Any]], keys: Sequence[str]) -> Section:
-    parts: list[Any] = [Rows([*keys, "seed", "error"], failures[:LISTED_FAILURES])]
+    parts: list[Part] = [Rows([*keys, "seed", "error"], failures[:LISTED_FAILURES])]
     if len(failures) > LISTED_FAILURES:
         parts.append(Words(f"And {len(failures) - LISTED_FAILURES} more: see study.parquet, column error."))
     return Section("Failed runs", parts)

@@ -117,15 +117,15 @@ def table_of(plan: Plan, answers: Mapping[str, bytes]) -> pa.Table:
     return pa.table(columns)
 
 
-def answers_of(table: pa.Table, keys: Sequence[str]) -> dict[str, bytes]:
-    """The answers (`packed`) from which a table was made; failed runs have none, and are run again."""
+def answers_of(table: pa.Table, keys: Sequence[str], *, failed: bool = False) -> dict[str, bytes]:
+    """The answers (`packed`) from which a table was made; those of ``failed`` runs only if wanted: they are run again."""
     answers: dict[str, bytes] = {}
     names = [name for name in table.column_names if name not in (*keys, "seed", "error")]
     for batch in table.to_batches(max_chunksize=500):
         for row in batch.to_pylist():
-            if row["error"] is None:
+            if failed or row["error"] is None:
                 run = Run(tuple(row[key] for key in keys), row["seed"])
-                answers[run.key] = packed(encode(Row({name: row[name] for name in names})))
+                answers[run.key] = packed(encode(Row({name: row[name] for name in names}, row["error"])))
     return answers
 
 

@@ -21,11 +21,10 @@ from typing import IO, Self
 
 import msgspec
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cosim.errors import UsageError
 from cosim.files import Folder, writing
-from cosim.record.tables import write_table
+from cosim.record.tables import read_table, write_table
 from cosim.studies import rows
 from cosim.studies.plan import Plan, check_same
 
@@ -166,17 +165,39 @@ class Store(Answers):
         wanted = {run.key for run in self.plan.runs}
         try:
             if (self._folder / TABLE).exists():
-                self.rows |= rows.answers_of(pq.read_table(self._folder / TABLE), list(stored.vary))
-            text = (self._folder / JOURNAL).read_bytes() if (self._folder / JOURNAL).exists() else b""
+                self.rows |= rows.answers_of(read_table(self._folder / TABLE), list(stored.vary))
+            lines = list(_journal(self._folder))
         except (OSError, ValueError, KeyError) as error:
             problem = " ".join(str(error).split())
             raise UsageError(f"--resume {self._folder}: its rows cannot be read: {problem}") from error
-        for line in text.split(b"\n"):
-            with contextlib.suppress(msgspec.DecodeError):  # half a line, or what a power cut left of one: it is run again
-                told = msgspec.json.decode(line, type=Line)
-                if rows.decode(told.row).error is None:  # failed runs are run again
-                    self.rows[told.run] = rows.packed(bytes(told.row))
+        for told in lines:
+            if rows.decode(told.row).error is None:  # failed runs are run again
+                self.rows[told.run] = rows.packed(bytes(told.row))
         self.rows = {run: row for run, row in self.rows.items() if run in wanted}
+
+
+def so_far(folder: Path, plan: Plan) -> pa.Table:
+    """The table of a study that is in a folder, with what only its journal has yet: it may be cut, or go on.
+
+    Raises:
+        UsageError: it cannot be read.
+    """
+    try:
+        table = read_table(folder / TABLE) if (folder / TABLE).exists() else rows.table_of(plan, {})
+        answers = {line.run: rows.packed(bytes(line.row)) for line in _journal(folder)}
+        if not answers:
+            return table
+        return rows.table_of(plan, rows.answers_of(table, list(plan.vary), failed=True) | answers)
+    except (OSError, ValueError, KeyError) as error:
+        raise UsageError(f"{folder}: its rows cannot be read: {' '.join(str(error).split())}") from error
+
+
+def _journal(folder: Path) -> Iterator[Line]:
+    """The lines that can be read."""
+    text = (folder / JOURNAL).read_bytes() if (folder / JOURNAL).exists() else b""
+    for line in text.split(b"\n"):
+        with contextlib.suppress(msgspec.DecodeError):  # half a line, or what a power cut left of one: it is run again
+            yield msgspec.json.decode(line, type=Line)
 
 
 @contextlib.contextmanager

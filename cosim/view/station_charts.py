@@ -36,8 +36,10 @@ class History:
         """Take in how things stand; whether anything is new: time must have gone on, and where it went back all is new."""
         if known.times_back != self._times_back:
             self._times_back = known.times_back
-            for each in (self.time_s, self._counts, *self.numbers):
-                each.clear()
+            self.time_s.clear()
+            self._counts.clear()
+            for numbers in self.numbers:
+                numbers.clear()
         if self.time_s and known.time_ns / SECOND_NS <= self.time_s[-1]:
             return False
         self.time_s.append(known.time_ns / SECOND_NS)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import viser
 
 from cosim.view.shown import Halt, Order, Scenery, Sensors
-from cosim.view.station_inputs import picked
+from cosim.view.station_inputs import picked, write
 from cosim.view.station_known import Known
 
 
@@ -30,7 +30,7 @@ class Choice:
         self._sensors = gui.add_folder("Show its readings", visible=False)
         self._which.on_update(lambda _: self._changed())
         for button, halted in zip(self._stops, (True, False), strict=False):
-            button.on_click(lambda _, halted=halted: give(Halt(vehicles=(self.name,), halted=halted)))
+            button.on_click(self._halts(halted))
         server.on_client_connect(lambda _: self._ask())
         server.on_client_disconnect(lambda _: self._ask())
         self._changed()
@@ -60,7 +60,7 @@ class Choice:
 
     def choose(self, row: int) -> None:
         """Choose another one."""
-        self._which.value = self._scenery.vehicles[row].name
+        write(self._which, self._scenery.vehicles[row].name)
 
     def draw(self, known: Known) -> None:
         """Say what can be ordered now."""
@@ -77,9 +77,15 @@ class Choice:
         with self._sensors:
             for sensor, kind in sensors.items():
                 box = self._server.gui.add_checkbox(f"{sensor} ({kind})", initial_value=sensor in self._ticked)
-                box.on_update(lambda event, sensor=sensor: self._tick(sensor, event.target.value))
+                box.on_update(self._ticks(sensor))
                 self._boxes.append(box)
         self._ask()
+
+    def _halts(self, halted: bool) -> Callable[[object], None]:
+        return lambda _: self._give(Halt(vehicles=(self.name,), halted=halted))
+
+    def _ticks(self, sensor: str) -> Callable[[viser.GuiEvent[viser.GuiCheckboxHandle]], None]:
+        return lambda event: self._tick(sensor, event.target.value)
 
     def _tick(self, sensor: str, ticked: bool) -> None:
         (self._ticked.add if ticked else self._ticked.discard)(sensor)

@@ -9,7 +9,7 @@ from typing import Protocol
 import viser
 
 from cosim.view.shown import Change, End, Halt, Order, Outage, Scenery
-from cosim.view.station_inputs import picked
+from cosim.view.station_inputs import picked, write
 from cosim.view.station_known import Known
 from cosim.view.station_move import Mover
 from cosim.view.station_pace import Pacing, Timeline
@@ -101,7 +101,7 @@ class Changes:
         self._set.disabled = bool(known.pace.over)
 
     def _begin(self) -> None:
-        self._value.value = self._values[picked(self._key)]
+        write(self._value, self._values[picked(self._key)])
 
     def _send(self) -> None:
         key, value = picked(self._key), self._value.value

@@ -44,6 +44,11 @@ class Known:
     Rows are vehicles in the order of the scenery; a vehicle that was never shown is somewhere that is not a number.
     """
 
+    time_ns: int
+    lines: deque[Line]
+    told: int  # lines so far: tells whether there are new ones
+    sent: Array | None
+    received: Array | None
     obstacles: dict[str, tuple[float, float, float, float]]
     targets: dict[str, tuple[float, float]]
     places: dict[str, Follows]
@@ -99,12 +104,11 @@ class Known:
     def _forget(self, time_ns: int) -> None:
         self.time_ns = time_ns
         self.pace, self.halted = Pace(), ()
-        self.lines: deque[Line] = deque(maxlen=LINES)
-        self.told = 0  # lines so far: tells whether there are new ones
+        self.lines = deque(maxlen=LINES)
+        self.told = 0
         for field in MAPPINGS:
             setattr(self, field, {})
-        self.sent: Array | None = None
-        self.received: Array | None = None
+        self.sent = self.received = None
         count = len(self.names)
         self.link_sent_ns = np.full((count, count), NEVER_NS, np.int64)  # newest frame of the row's vehicle for the column's
         self.link_rssi_dbm = np.zeros((count, count))

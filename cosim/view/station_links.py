@@ -40,7 +40,7 @@ class Links:
         points = np.zeros((self._room, 2, 3))
         colors = np.zeros((self._room, 2, 3), np.uint8)
         got = known.link_received[sender, receiver]
-        shade = np.where(got[:, None], rssi_colors(known.link_rssi_dbm[sender, receiver]), np.uint8(LOST_RGB))
+        shade = np.where(got[:, None], rssi_colors(known.link_rssi_dbm[sender, receiver]), np.array(LOST_RGB, np.uint8))
         blinks = ~got & bool(int(now_s / BLINK_S) % 2)  # away every other moment
         points[: len(sender), 0] = here
         points[: len(sender), 1] = np.where(blinks[:, None], here, 0.5 * (here + there))

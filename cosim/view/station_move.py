@@ -7,7 +7,7 @@ import viser
 
 from cosim.frames import quaternion_from_yaw, yaw_of
 from cosim.view.shown import Move, Order, Scenery
-from cosim.view.station_inputs import picked
+from cosim.view.station_inputs import picked, write
 from cosim.view.station_known import Known
 
 
@@ -46,16 +46,19 @@ class Mover:
     def _begin(self) -> None:
         """Start from where the obstacle is."""
         x, y, z, yaw = self._pose[picked(self._which)]
-        self._x.value, self._y.value, self._yaw.value = round(x, 3), round(y, 3), round(yaw, 3)
+        self._write(x, y, yaw)
         self._gizmo.position, self._gizmo.wxyz = (x, y, z), quaternion_from_yaw(yaw)
         self._gizmo.visible = self._dragged.value and not self._dragged.disabled
 
     def _drag(self, event: viser.TransformControlsEvent) -> None:
         w, x, y, z = np.asarray(event.target.wxyz, float).tolist()
-        self._x.value, self._y.value = (round(float(part), 3) for part in event.target.position[:2])
-        self._yaw.value = round(yaw_of((w, x, y, z)), 3)
+        self._write(float(event.target.position[0]), float(event.target.position[1]), yaw_of((w, x, y, z)))
         if event.phase == "end":
             self._send()
+
+    def _write(self, x: float, y: float, yaw: float) -> None:
+        for part, number in ((self._x, x), (self._y, y), (self._yaw, yaw)):
+            write(part, round(number, 3))
 
     def _send(self) -> None:
         self._give(Move(obstacle=picked(self._which), position=(self._x.value, self._y.value), yaw=self._yaw.value))

@@ -7,7 +7,7 @@ import viser
 
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.view.shown import Go, Order, Pace, Scenery, Seek
-from cosim.view.station_inputs import picked
+from cosim.view.station_inputs import picked, write
 from cosim.view.station_known import Known
 from cosim.view.station_look import Every
 
@@ -46,7 +46,7 @@ class Pacing:
             word = FASTEST if pace.speed is None else _word(pace.speed)
             if word not in self._speed.options:
                 self._speed.options = (*self._speed.options, word)
-            self._speed.value = word
+            write(self._speed, word)
         self._told = pace
 
     def _chosen(self, event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
@@ -80,7 +80,7 @@ class Timeline:
         """Let the slider follow the recording, unless a hand is on it."""
         now_s = self._clock()
         if now_s - self._hand_s > HAND_S and self._often.due(now_s):
-            self._slider.value = min(round(known.time_ns / SECOND_NS, 2), self._end_s)
+            write(self._slider, min(round(known.time_ns / SECOND_NS, 2), self._end_s))
 
     def _moved(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
         if event.client_id is not None:  # else it is what `draw` has set

@@ -1,6 +1,7 @@
 """What vehicles sense and know, in the browser: scans as points, pictures, and maps and mosaics on the floor."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import viser
@@ -40,9 +41,9 @@ class Scans:
             if key in self._nodes:
                 self._nodes[key].points = points
             else:
-                color = tuple(int(part) for part in self._colors[row])
+                red, green, blue = self._colors[row].tolist()
                 self._nodes[key] = self._server.scene.add_point_cloud(
-                    f"/scans/{key}", points, color, point_size=0.06, point_shape="circle", precision="float32"
+                    f"/scans/{key}", points, (red, green, blue), point_size=0.06, point_shape="circle", precision="float32"
                 )
 
 
@@ -95,8 +96,8 @@ class Ground:
 
     def draw(self, known: Known, chosen: str, now_s: float) -> None:
         """Draw that of the chosen vehicle, if it is new."""
-        told: dict[str, ProbabilityMap | Mosaic] = {MAP: known.maps, MOSAIC: known.mosaics}.get(self.kind, {})
-        ground = told.get(chosen)
+        told: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.maps, MOSAIC: known.mosaics}
+        ground = told.get(self.kind, {}).get(chosen)
         if self._node is not None:
             self._node.visible = ground is not None
         if ground is None or ground is self._drawn or not self._often.due(now_s):

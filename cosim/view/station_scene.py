@@ -129,12 +129,13 @@ def _add_solids(server: viser.ViserServer, scenery: Scenery) -> None:
         return
     kinds, which = by_color(np.asarray(scenery.colors))
     for index, color in enumerate(kinds):
+        red, green, blue = color.tolist()
         used, faces = np.unique(scenery.triangles[which == index], return_inverse=True)
         server.scene.add_mesh_simple(
             f"/world/{index}",
             vertices=np.asarray(scenery.vertices)[used],
             faces=faces.reshape(-1, 3),
-            color=tuple(int(part) for part in color),
+            color=(red, green, blue),
             flat_shading=True,
             side="double",
         )

@@ -49,11 +49,11 @@ class Vehicles:
         self._rows = np.flatnonzero(~flies), np.flatnonzero(flies)
         shapes = ("ground", box()), ("air", quadrotor())
         self._bodies = [
-            Batch(server, f"/vehicles/{name}", mesh, colors[rows], clicked=lambda index, rows=rows: choose(int(rows[index])))
+            Batch(server, f"/vehicles/{name}", mesh, colors[rows], clicked=_clicked(rows, choose))
             for (name, mesh), rows in zip(shapes, self._rows, strict=True)
         ]
-        self._noses = Batch(server, "/vehicles/noses", nose(), np.tile(np.uint8(WHITE), (count, 1)))
-        self._stopped = Batch(server, "/stopped", disc(), np.tile(np.uint8(STOPPED_RGB), (count, 1)), opacity=0.45)
+        self._noses = Batch(server, "/vehicles/noses", nose(), np.tile(np.array(WHITE, np.uint8), (count, 1)))
+        self._stopped = Batch(server, "/stopped", disc(), np.tile(np.array(STOPPED_RGB, np.uint8), (count, 1)), opacity=0.45)
         air = self._rows[1]
         self._drops = Segments(server, "/heights", np.repeat(colors[air, None], 2, axis=1), 1.0)
         vertices, faces = ring()
@@ -105,3 +105,8 @@ class Vehicles:
         for _ in range(min(LABELS_AT_ONCE, len(self._labels))):
             row = self._label = (self._label + 1) % len(self._labels)
             self._labels[row].position = centre[row] + (0.0, 0.0, 0.5 * float(self._size[row, 2]) + ABOVE_M)
+
+
+def _clicked(rows: Array, choose: Callable[[int], None]) -> Callable[[int], None]:
+    """What a click at one of these bodies does."""
+    return lambda index: choose(int(rows[index]))

@@ -12,7 +12,7 @@ from cosim import progress
 from cosim import scenario as scenarios
 from tests.cosim.command import contents, two_cars, vcmvsp
 
-FILES = ["about.json", "metrics.json", "radio.parquet", "run.mcap", "scenario.toml", "states.parquet"]
+FILES = ["about.json", "metrics.json", "radio.parquet", "report.html", "run.mcap", "scenario.toml", "states.parquet"]
 
 CHATTY = """
 import sys

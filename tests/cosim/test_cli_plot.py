@@ -37,6 +37,10 @@ def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
         assert (code, err) == (0, "")
         assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
         assert contents(folder / "again") == figures
+    code, out, err = vcmvsp("plot", "out", "--out", "drawn", "--svg")
+    assert (code, err) == (0, "")
+    assert sorted(out.splitlines()) == ["drawn/formation_error.svg", "drawn/trajectory.svg"]
+    assert (folder / "drawn" / "trajectory.svg").read_text().startswith("<?xml")
 
 
 def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: Path) -> None:

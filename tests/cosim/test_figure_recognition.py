@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.reconnaissance.recognition import Detection, Truth
+from agents.reconnaissance.recognition import Detection
+from agents.reconnaissance.recognition.ground import Truth
 from agents.reconnaissance.recognition.inspection import colour_map, inspect
 from cosim.figures import recognition_stages
 from cosim.figures.recognition_frames import KINDS, Tally, box, made_up, photographed, target, together

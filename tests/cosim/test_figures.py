@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim import figures
+from cosim import figures, theory
 from cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
-from cosim.figures import circle, gains, loss, lossy, rates, theory
+from cosim.figures import circle, gains, loss, lossy, rates
 from cosim.figures.files import as_json, table, write
 from cosim.figures.kit import Curve, Figure, Heat, Job, Panel, Row, Runner, at_least, at_most, relative
 from cosim.figures.scenarios import ASIDE, K1, R, T, V, fleet, overshoot, rms, settling_s, step_follower, track

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import cosim
 from cosim import certificates
+from tests.cosim.command import contents
 from tests.cosim.hosting import Stage, ended, wait_for
 from tests.cosim.namespaces import MIDDLE, PORT, RUN, Network
 
@@ -66,13 +67,10 @@ class Far(Stage):
         connect = ["--connect", self.network.endpoint(number), "--keys", keys]
         return self.start("agent", *whose, *connect, before=self.network.inside(f"far{number}"))
 
-    def files(self, folder: Path) -> dict[str, bytes]:
-        return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name != "about.json"}
-
     def reference(self) -> dict[str, bytes]:
         """The files of the same run in this process."""
         cosim.run(self.folder / "far.toml", agents="inprocess", out=self.folder / "reference")
-        return self.files(self.folder / "reference")
+        return contents(self.folder / "reference")
 
 
 @contextlib.contextmanager
@@ -97,7 +95,7 @@ def test_three_far_hosts_one_of_them_late_on_busy_machines_give_the_files_of_one
         code, said = ended(run)
         assert code == 0, said
         assert [ended(host)[0] for host in hosts] == [0, 0, 0]
-        assert far.files(far.out) == far.reference()
+        assert contents(far.out) == far.reference()
 
 
 def test_one_far_host_that_is_cut_off_for_three_seconds_gives_the_files_of_one_process(tmp_path: Path) -> None:
@@ -112,7 +110,7 @@ def test_one_far_host_that_is_cut_off_for_three_seconds_gives_the_files_of_one_p
         cutting.join()
         assert code == 0, said
         assert ended(host)[0] == 0
-        assert far.files(far.out) == far.reference()
+        assert contents(far.out) == far.reference()
         assert json.loads((far.out / "about.json").read_text())["lateness"]["max_s"] > 1.5  # the cut was felt
 
 
@@ -176,7 +174,7 @@ def test_intruders_from_other_machines_are_refused_and_hear_nothing(tmp_path: Pa
         assert [ended(host)[0] for host in hosts] == [0, 0]
         assert spy.poll() is None
         assert (tmp_path / "heard").read_text().split() == ["vcmvsp/hub/alive"] * 2  # that the run is there, and leaves
-        assert far.files(far.out) == far.reference()
+        assert contents(far.out) == far.reference()
 
 
 FORGER = """

@@ -1,13 +1,12 @@
 """A page is one well-formed file that asks nothing of anybody, and shows what it was given as text."""
 
 import re
-from html.parser import HTMLParser
 
 import pytest
 
 from cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
+from tests.cosim.reading import Reader
 
-VOID = {"meta", "link", "br", "hr", "img", "input"}
 HOSTILE = "<script>alert(1)</script> & \"quoted\" 'too'"
 DRAWING = """<?xml version="1.0"?>
 <!DOCTYPE svg PUBLIC "-//W3C//DTD SVG 1.1//EN" "http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd">
@@ -17,41 +16,6 @@ DRAWING = """<?xml version="1.0"?>
  <g id="axes_1" clip-path="url(#clip)"><use xlink:href="#dot" width="3" height="4"/><text>loss</text></g>
 </svg>
 """
-
-
-class Reader(HTMLParser):
-    """Tags that do not match, what is asked for, and names."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.asked: list[str] = []
-        self.ids: list[str] = []
-        self.words = ""
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in VOID:
-            self.open.append(tag)
-        for name, value in attrs:
-            if name in {"src", "href", "xlink:href", "srcset", "data", "action", "poster"}:
-                self.asked.append(value or "")
-            if name == "id":
-                self.ids.append(value or "")
-            self.asked += re.findall(r"url\(([^)]*)\)", value or "")
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.words += data
 
 
 def whole() -> str:
@@ -84,12 +48,12 @@ def test_nothing_is_fetched_from_anywhere() -> None:
 
 def test_what_is_given_is_text_and_never_markup() -> None:
     read = Reader(whole())
-    assert read.words.count(HOSTILE) == 10  # title twice, lead, heading, head and cell, fact and its name, code, paragraph
+    assert read.words.count(HOSTILE) == 11  # title twice, lead, heading, caption, head and cell, fact and name, code, paragraph
 
 
 def test_names_in_two_drawings_do_not_collide_and_all_that_are_meant_exist() -> None:
     read = Reader(whole())
-    assert len(read.ids) == len(set(read.ids)) == 6
+    assert len(read.ids) == len(set(read.ids)) == 7  # three of each, and of the section
     assert {each[1:] for each in read.asked} <= set(read.ids)
 
 

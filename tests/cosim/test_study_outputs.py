@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 import cosim
 from cosim.record import study_plot
+from cosim.record.labels import label_of
 from cosim.scenario import settings_of
 from cosim.studies.grid import vary_of
 from cosim.studies.outputs import command_of, toml_of, write
@@ -171,12 +172,14 @@ def test_a_third_key_gives_a_map_for_each_of_its_values() -> None:
         ("agents.k1", "k1"),
         ("duration_s", "duration [s]"),
         ("radio.losses.collision", "lost: collision"),
-        ("radio.delay_s.p95", "delay s p95"),
+        ("radio.delay_s.p95", "delay p95 [s]"),
+        ("control.acceleration_rms_m_s2", "acceleration rms [m/s²]"),
+        ("formation.convergence_1_s", "convergence [1/s]"),
         ("formation.rms_m", "formation error, RMS [m]"),
     ],
 )
 def test_axes_are_named_in_words_with_units(key: str, words: str) -> None:
-    assert study_plot.label_of(key) == words
+    assert label_of(key) == words
 
 
 # --- files -------------------------------------------------------------------------------------------------------------------

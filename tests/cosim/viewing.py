@@ -188,13 +188,9 @@ class Looking:
     def told(self, act: Callable[[], None]) -> list[Any]:
         """The messages for the pages that come of it."""
         messages: list[Any] = []
-        connection = self.server._websock_server
-        before = connection.queue_message
-        connection.queue_message = messages.append  # type: ignore[method-assign]
-        try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(self.server._websock_server, "queue_message", messages.append)
             act()
-        finally:
-            connection.queue_message = before  # type: ignore[method-assign]
         return messages
 
 

@@ -41,6 +41,9 @@ class Jumper:
     def movables(self) -> Motion:
         return still(np.empty((0, 3)), np.empty(0))
 
+    def put(self, number: int, place: Vec3, yaw: float) -> None:
+        raise AssertionError("it has nothing that could be put elsewhere")
+
     def touching(self, *, passing: bool) -> list[Touch]:
         return [Touch(0, 1, (0.5, 0.0, 0.0))]
 

@@ -15,6 +15,7 @@ import cosim
 from cosim.figures import scenarios
 from cosim.figures.scenarios import AHEAD, ASIDE, K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, R, T, V, W
 from tests.agents.loops import formation_error
+from tests.cosim.command import contents
 
 __all__ = ["AHEAD", "K1", "LEFT", "LEFT_BEHIND", "NEVER_LOST", "RIGHT_BEHIND", "R", "T", "V", "W", "fleet", "lossy"]
 
@@ -54,4 +55,4 @@ def errors(result: cosim.Result) -> tuple[Floats, Floats]:
 
 def files(folder: Path) -> dict[str, bytes]:
     """Everything that a run left and that must not differ between equal runs."""
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.name != "about.json"}
+    return contents(folder)

@@ -8,8 +8,8 @@ import pytest
 import cosim
 from agents.formation import LeaderFollower
 from agents.formation.law import Place
+from cosim import theory
 from cosim.agent import Observation, Radio
-from cosim.figures import theory
 from cosim.types import Follows, Velocity
 from tests.responses import overshoot, servo_step, settling_s
 from tests.validation.fleet import AHEAD, K1, LEFT, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, R, T, V, W, errors, fleet, poses

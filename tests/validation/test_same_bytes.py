@@ -27,6 +27,7 @@ NAMES = {
     "metrics.json",
     "trajectory.png",
     "formation_error.png",
+    "report.html",
 }
 SHORT = {"duration_s": 4.0, "metrics.from_s": 2.0}  # three p2dx in Bullet; loss and jitter are on
 COMMAND = [sys.executable, "-m", "cosim.cli"]
@@ -116,7 +117,7 @@ def test_agents_as_objects(reference: dict[str, bytes], tmp_path: Path) -> None:
     leader, follower = Trajectory("circle", 0.3, 0.15), LeaderFollower("car1", 1.0, 30.0)
     cosim.run("formation-circle", set=SHORT, agents={"car1": leader, "car2": follower}, out=tmp_path / "out")
     left = files(tmp_path / "out")
-    assert {name for name in NAMES if left[name] != reference[name]} <= {"scenario.toml"}
+    assert {name for name in NAMES if left[name] != reference[name]} <= {"scenario.toml", "report.html"}
 
 
 def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> None:

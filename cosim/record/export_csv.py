@@ -1,0 +1,129 @@
+"""A recording as CSV files, for spreadsheets and whatever else reads nothing better; units stand in the headers.
+
+``states.csv`` has the true states, ``radio.csv`` a row per frame and receiver, ``commands.csv`` what agents commanded,
+``notes.csv`` what they noted. Each sensor that gives numbers has a file of its name, with the vehicles below one another. Times
+are those of the run, s; an empty cell is a number that there was not. Scans, pictures and maps are not exported: they are no
+rows.
+"""
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow import csv as arrow_csv
+
+from cosim.clock import SECOND_NS
+from cosim.frames import yaw_of
+from cosim.record.export_source import Source, Values
+from cosim.record.foxglove import PoseInFrame
+from cosim.record.mcap import Recorded
+from cosim.record.tables import RADIO_SCHEMA, RunFacts, radio_table
+from cosim.types import FrameReport, Imu, Odometry, VehicleState, Velocity, Waypoint
+
+AXES = "xyz"
+TURN = ("qw", "qx", "qy", "qz")  # world_from_body
+STATE = (*(f"{a}_m" for a in AXES), *TURN, *(f"v{a}_m_s" for a in AXES), *(f"w{a}_rad_s" for a in AXES))
+COLUMNS: Mapping[type, Sequence[str]] = {
+    VehicleState: STATE,
+    Odometry: ("x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"),
+    Imu: ("measured_s", *(f"a{a}_m_s2" for a in AXES), *(f"w{a}_rad_s" for a in AXES)),
+    PoseInFrame: ("measured_s", "x_m", "y_m", "z_m", "yaw_rad", "sigma_m", "sigma_rad"),
+    Velocity: ("vx_m_s", "vy_m_s", "vz_m_s", "yaw_rate_rad_s"),
+    Waypoint: ("to_x_m", "to_y_m", "to_z_m", "to_yaw_rad", "speed_m_s"),
+}
+"""The columns of each type of value; what comes by name, as notes do, has its names for columns."""
+FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates"}
+"""By topic, where the name is another than the topic's."""
+RADIO = "radio"
+RADIO_TIMES = ("sent_ns", "received_ns", "delay_ns", "copy_ns", "air_time_ns", "queue_ns", "access_ns")
+
+
+def write_csv(source: Source, folder: Path) -> None:
+    """Write the files into ``folder``, which is there and empty."""
+    headers = _headers(source)
+    reports: list[FrameReport] = []
+    with ExitStack() as stack:
+        writers = {}
+        for name, header in headers.items():
+            stream = stack.enter_context((folder / f"{name}.csv").open("w", encoding="utf-8", newline=""))
+            writers[name] = csv.writer(stream)
+            writers[name].writerow(("time_s", "vehicle", *header))
+        for said, value in _read(source):
+            if isinstance(value, FrameReport):
+                reports.append(value)
+            elif (row := _row(value)) is not None:
+                vehicle, name = _place(said.topic)
+                writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
+    _write_radio(reports, source, folder / f"{RADIO}.csv")
+
+
+def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
+    """Messages with their values."""
+    values = Values()
+    for said in source:
+        yield said, values.of(said)
+
+
+def _headers(source: Source) -> dict[str, list[str]]:
+    """The columns of each file: those of all values that are to stand in it."""
+    found: dict[str, dict[str, None]] = {}
+    for said, value in _read(source):
+        if (row := _row(value)) is not None:
+            found.setdefault(_place(said.topic)[1], {}).update(dict.fromkeys(row))
+    return {name: list(columns) for name, columns in found.items()}
+
+
+def _place(topic: str) -> tuple[str, str]:
+    """The vehicle that a topic tells of, and the file in which that stands."""
+    vehicle, _, what = topic.partition("/")
+    if what in FILES:
+        return vehicle, FILES[what]
+    taken = what == RADIO or what in FILES.values()
+    return vehicle, f"{what.replace('/', '_')}{'_sensor' if taken else ''}"
+
+
+def _row(value: Any) -> Mapping[str, Any] | None:
+    """The cells of a row by their columns; None: of a kind that has none."""
+    names = getattr(value, "values", None)
+    if isinstance(names, dict):
+        return names
+    columns = COLUMNS.get(type(value))
+    return None if columns is None else dict(zip(columns, _cells(value), strict=True))
+
+
+def _cells(value: Any) -> Sequence[Any]:
+    match value:
+        case VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w):
+            return (*p, *q, *v, *w)
+        case Odometry(pose=pose, v=v, w=w):
+            return (*pose, v, w)
+        case Imu(acceleration=a, angular_velocity=w, time_ns=at_ns):
+            return (at_ns / SECOND_NS, *a, *w)
+        case Velocity(linear=v, yaw_rate=w):
+            return (*v, w)
+        case Waypoint(position=p, yaw=yaw, speed=speed):
+            return (*p, yaw, speed)
+    at, place, turn = value.timestamp, value.pose.position, value.pose.orientation
+    yaw = yaw_of((turn.w, turn.x, turn.y, turn.z))
+    return (at.sec + at.nsec / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, value.sigma_rad)
+
+
+def _write_radio(reports: Sequence[FrameReport], source: Source, path: Path) -> None:
+    """The table of the radio, with times in s."""
+    facts = RunFacts(scenario=source.scenario, seed=int(source.seed), end_ns=0, vehicles=source.vehicles)
+    table = radio_table(reports, facts)
+    columns = [_in_seconds(table[name]) if name in RADIO_TIMES else _plain(table[name]) for name in RADIO_SCHEMA.names]
+    headers = [f"{name.removesuffix('_ns')}_s" if name in RADIO_TIMES else name for name in RADIO_SCHEMA.names]
+    arrow_csv.write_csv(pa.table(columns, names=headers), path, arrow_csv.WriteOptions(quoting_style="needed"))
+
+
+def _in_seconds(column: Any) -> Any:
+    return pc.divide(column.cast(pa.float64()), float(SECOND_NS))
+
+
+def _plain(column: Any) -> Any:
+    return column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column
