@@ -132,7 +132,7 @@ def main() -> int:
     rows = measured((kernel_row, bullet_row, federation_row, start_row))
     print("measuring: the radio ...", file=sys.stderr, flush=True)
     rows += radio.rows()
-    for part in (vehicles, sensors, drones, scanner, camera, avoidance, mission, studies, federation):
+    for part in (vehicles, sensors, drones, scanner, camera, avoidance, mission, studies, view, federation):
         rows += part.rows()
     print(table(rows))
     return 0 if all(row.holds for row in rows) else 1
