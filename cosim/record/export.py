@@ -9,6 +9,8 @@ from cosim.errors import UsageError
 from cosim.record.export_source import FILE, Source
 
 FOLDERS = ("rosbag2", "csv")
+NAMES = {"rosbag2": "rosbag2", "csv": "csv", "mp4": "run.mp4", "layout": "layout.json"}
+"""What the outputs are called unless somebody says otherwise."""
 Progress = Callable[[str, float], None]
 """Takes what is being written, and how far that is, 0 to 1; the recording is read more than once, and it begins anew then."""
 
@@ -45,7 +47,7 @@ def export(
     wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
     paths = {name: Path(path) for name, path in wanted.items() if path is not None}
     if not paths:
-        raise UsageError("nothing to export: give --rosbag2 DIR, --csv DIR, --mp4 FILE or --layout FILE")
+        raise UsageError("nothing to export: give --rosbag2, --csv, --mp4, --layout, or several of them")
     folder = Path(run_dir)
     for name, path in paths.items():
         _check(name, path, folder, force=force)
@@ -55,7 +57,7 @@ def export(
     for name, path in paths.items():
         how_far = _named(progress, name)
         source.progress = how_far
-        with _whole(name, path) as place:
+        with _whole(path) as place:
             _write(name, source, place, how_far)
     return list(paths.values())
 
@@ -88,29 +90,29 @@ def _named(progress: Progress, name: str) -> Callable[[float], None]:
 
 def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:
     """Refuse what cannot be written, or is there already, before anything takes its time."""
-    option, is_folder = f"--{name} {path}", name in FOLDERS
+    is_folder = name in FOLDERS
     if name == "mp4" and path.suffix.lower() != ".mp4":
-        raise UsageError(f"{option}: the name must end in .mp4")
+        raise UsageError(f"{path}: the name must end in .mp4")
     if not path.name:
-        raise UsageError(f"{option}: names no {'folder' if is_folder else 'file'} of its own")
+        raise UsageError(f"{path}: names no {'folder' if is_folder else 'file'} of its own")
     try:
         if path.is_dir() and not is_folder:
-            raise UsageError(f"{option}: is a folder, not a file")
+            raise UsageError(f"{path}: is a folder, not a file")
         if path.exists() and not path.is_dir() and is_folder:
-            raise UsageError(f"{option}: is a file, not a folder")
+            raise UsageError(f"{path}: is a file, not a folder")
         if is_folder and path.is_dir() and path.samefile(run_dir):
-            raise UsageError(f"{option}: is the run's own folder; give another one")
+            raise UsageError(f"{path}: is the run's own folder; give another one")
         if path.is_file() and (run_dir / FILE).is_file() and path.samefile(run_dir / FILE):
-            raise UsageError(f"{option}: is the recording itself; give another name")
+            raise UsageError(f"{path}: is the recording itself; give another name")
         if not force and path.exists() and (not is_folder or any(path.iterdir())):
-            problem = "is not empty; give another folder" if is_folder else "is there already; give another name"
-            raise UsageError(f"{option}: {problem}, or --force to overwrite")
+            problem = "is not empty" if is_folder else "is there already"
+            raise UsageError(f"{path}: {problem}; give another folder (--out), or --force to overwrite")
     except OSError as error:
-        raise UsageError(f"{option}: {error.strerror}") from error
+        raise UsageError(f"{path}: {error.strerror}") from error
 
 
 @contextlib.contextmanager
-def _whole(name: str, path: Path) -> Iterator[Path]:
+def _whole(path: Path) -> Iterator[Path]:
     """A place beside the output, of the same name; what is there in the end takes the output's place, if all went well."""
     beside = path.parent / f".{path.name}.part"
     try:
@@ -129,4 +131,4 @@ def _whole(name: str, path: Path) -> Iterator[Path]:
         finally:
             shutil.rmtree(beside, ignore_errors=True)
     except OSError as error:
-        raise UsageError(f"--{name} {path}: cannot be written: {error.strerror or error}") from error
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -13,7 +13,7 @@ import pytest
 from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from cosim.record import export_csv, load
-from cosim.record.export import export
+from cosim.record.export import NAMES, export
 from cosim.record.export_source import Values
 from cosim.record.mcap import Recorded, messages
 from tests.cosim import exporting
@@ -135,37 +135,53 @@ def leaves(node: Any) -> list[str]:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "nothing to export: give --rosbag2 DIR, --csv DIR, --mp4 FILE or --layout FILE"),
-        (("--mp4", "film.avi"), "--mp4 film.avi: the name must end in .mp4"),
-        (("--csv", "full"), "--csv full: is not empty; give another folder, or --force to overwrite"),
-        (("--rosbag2", "full"), "--rosbag2 full: is not empty"),
-        (("--layout", "full/a.json"), "--layout full/a.json: is there already; give another name, or --force"),
-        (("--layout", "full", "--force"), "--layout full: is a folder, not a file"),
-        (("--csv", "full/a.json", "--force"), "--csv full/a.json: is a file, not a folder"),
-        (("--csv", "x", "--rosbag2", "x"), "two exports of the same name"),
-        (("--csv", "full/a.json/b"), "--csv full/a.json/b: "),
+        ((), "nothing to export: give --rosbag2, --csv, --mp4, --layout, or several of them"),
+        (("--csv", "--out", "full"), "full/csv: is not empty; give another folder (--out), or --force to overwrite"),
+        (("--layout", "--out", "full"), "full/layout.json: is there already; give another folder (--out), or --force"),
+        (("--csv", "--layout", "--out", "full/layout.json"), "full/layout.json/csv: "),
     ],
 )
 def test_what_cannot_be_written_is_said_before_anything_is(
     arguments: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full/a.json").write_text("mine")
+    (tmp_path / "full/csv").mkdir(parents=True)
+    for name in ("csv/a.csv", "layout.json"):
+        (tmp_path / "full" / name).write_text("mine")
     outcome = vcmvsp("export", str(exporting.run_of("lab-patrol")), *arguments)
     assert (outcome.code, outcome.out) == (2, "")
     assert words in outcome.err
-    assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["full", "a.json"]
-    assert (tmp_path / "full/a.json").read_text() == "mine"
+    assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["full", "csv", "a.csv", "layout.json"]
+    assert (tmp_path / "full/layout.json").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "force", "words"),
+    [
+        ("mp4", "film.avi", False, "film.avi: the name must end in .mp4"),
+        ("layout", "full", True, "full: is a folder, not a file"),
+        ("csv", "full/a.json", True, "full/a.json: is a file, not a folder"),
+    ],
+)
+def test_a_file_is_no_folder_nor_a_folder_a_file(name: str, path: str, force: bool, words: str, tmp_path: Path) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/a.json").write_text("mine")
+    with pytest.raises(UsageError, match=words):
+        export(exporting.run_of("lab-patrol"), force=force, **{name: tmp_path / path})  # type: ignore[arg-type]  # one of four
+
+
+def test_two_outputs_need_two_names(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="two exports of the same name"):
+        export(exporting.run_of("lab-patrol"), csv=tmp_path / "x", rosbag2=tmp_path / "x")
 
 
 def test_a_folder_without_a_recording_is_named(tmp_path: Path) -> None:
     for folder, words in ((tmp_path, "no run.mcap here"), (tmp_path / "none", "there is no such folder")):
-        outcome = vcmvsp("export", str(folder), "--csv", str(tmp_path / "out"))
+        outcome = vcmvsp("export", str(folder), "--csv", "--out", str(tmp_path / "out"))
         assert (outcome.code, outcome.out) == (2, "")
         assert words in outcome.err
     (tmp_path / "run.mcap").write_bytes(b"no recording")
-    assert "is no recording of a run" in vcmvsp("export", str(tmp_path), "--csv", str(tmp_path / "out")).err
+    assert "is no recording of a run" in vcmvsp("export", str(tmp_path), "--csv", "--out", str(tmp_path / "out")).err
     assert not (tmp_path / "out").exists()
 
 
@@ -180,13 +196,13 @@ def test_the_recording_itself_is_never_overwritten(tmp_path: Path) -> None:
 
 
 def test_with_force_old_files_give_way_and_others_stay(tmp_path: Path) -> None:
-    (tmp_path / "tables").mkdir()
-    (tmp_path / "tables/states.csv").write_text("old")
-    (tmp_path / "tables/mine.txt").write_text("mine")
-    outcome = vcmvsp("export", str(exporting.run_of("lab-patrol")), "--csv", str(tmp_path / "tables"), "--force", "--quiet")
-    assert (outcome.code, outcome.out, outcome.err) == (0, f"{tmp_path / 'tables'}\n", "")
-    assert len(rows(tmp_path / "tables/states.csv")) == 63
-    assert (tmp_path / "tables/mine.txt").read_text() == "mine"
+    (tmp_path / "csv").mkdir()
+    (tmp_path / "csv/states.csv").write_text("old")
+    (tmp_path / "csv/mine.txt").write_text("mine")
+    outcome = vcmvsp("export", str(exporting.run_of("lab-patrol")), "--csv", "--out", str(tmp_path), "--force", "--quiet")
+    assert (outcome.code, outcome.out, outcome.err) == (0, f"{tmp_path / 'csv'}\n", "")
+    assert len(rows(tmp_path / "csv/states.csv")) == 63
+    assert (tmp_path / "csv/mine.txt").read_text() == "mine"
 
 
 def test_of_an_export_that_fails_nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,11 +223,10 @@ def test_of_an_export_that_fails_nothing_stays(tmp_path: Path, monkeypatch: pyte
 @pytest.mark.parametrize("part", [0.4, 0.7, 0.999])
 def test_of_a_run_that_was_killed_all_is_exported_that_is_there(part: float, tmp_path: Path) -> None:
     folder, out = exporting.cut("lab-patrol", tmp_path / "killed", part), tmp_path / "out"
-    outputs = {"rosbag2": out / "bag", "csv": out / "tables", "mp4": out / "run.mp4", "layout": out / "layout.json"}
-    options = [word for name, path in outputs.items() for word in (f"--{name}", str(path))]
-    outcome = vcmvsp("export", str(folder), *options)
+    outputs = {name: out / called for name, called in NAMES.items()}
+    outcome = vcmvsp("export", str(folder), *(f"--{name}" for name in outputs), "--out", str(out))
     assert (outcome.code, outcome.out.split()) == (0, [str(path) for path in outputs.values()])
-    left = rows(out / "tables/states.csv")
+    left = rows(out / "csv/states.csv")
     whole = recorded("lab-patrol", "ugv1/state")
     assert 0 < len(left) // 3 <= len(whole)
     if part < 0.9:  # else it is the index that is missing, and no message
