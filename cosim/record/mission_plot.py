@@ -276,4 +276,4 @@ def _square(axes: Axes) -> None:
 
 def _vehicles_legend(figure: Figure, log: MissionLog, more: Sequence[Line2D]) -> None:
     lines = [Line2D([], [], color=color_of(index), label=name) for index, name in enumerate(log.vehicles)]
-    figure.legend(handles=[*lines, *more], loc="outside upper left", ncols=6, frameon=False)
+    figure.legend(handles=[*lines, *more], loc="outside lower left", ncols=6, frameon=False)

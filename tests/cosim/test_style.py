@@ -215,7 +215,7 @@ def test_every_figure_has_a_title_in_one_size(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_legends_hide_nothing(name: str) -> None:
-    """They lie beside their axes, and within the figure."""
+    """They lie beside their axes and titles, and within the figure."""
     figure = every()[name]
     plots.svg(figure)  # works the layout out
     axes = [each for each in figure.axes if each.get_visible()]
@@ -225,7 +225,7 @@ def test_legends_hide_nothing(name: str) -> None:
         box = legend.get_window_extent()
         assert figure.bbox.padded(1.0).containsx(box.x0)
         assert figure.bbox.padded(1.0).containsx(box.x1)
-        for each in axes:
+        for each in (*axes, figure._suptitle):  # type: ignore[attr-defined]
             inside = each.get_window_extent()
             assert (
                 min(box.x1, inside.x1) - max(box.x0, inside.x0) < 1.0 or min(box.y1, inside.y1) - max(box.y0, inside.y0) < 1.0
