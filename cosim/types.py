@@ -327,6 +327,14 @@ class Contact(Value, frozen=True, kw_only=True, tag="contact"):
     other: str | None
 
 
+class Pushed(Value, frozen=True, kw_only=True, tag="pushed"):
+    """Where obstacles are that can be pushed; those that nobody has touched, too."""
+
+    names: tuple[str, ...]
+    position: Array  # (n, 3) m, world, of their centres
+    attitude: Array  # (n, 4) w, x, y, z; world_from_body
+
+
 class Outage(Value, frozen=True, kw_only=True, tag="outage"):
     """The operator has all frames from and to these vehicles lost."""
 
@@ -380,6 +388,7 @@ AnyValue = (
     | Incident
     | FrameReport
     | Contact
+    | Pushed
     | Outage
     | Changed
     | Moved

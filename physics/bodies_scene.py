@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.types import Vec3
+from cosim.types import Pushed, Vec3, frozen
 from physics.bodies import hull_of, on_time, start_of
 from physics.engine import Motion, Touch, still
 from physics.scene import Scene
@@ -22,12 +22,21 @@ class Stage:
         self._hulls = (*(spec.model.hull for spec in vehicles), *(hull_of(each.solid) for each in things))
         self.names = (*self._vehicles, *(each.name for each in things))
         self._standing = start_of(world.movables)
+        self._told = self._standing.position, self._standing.attitude
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
         """Let a movable stand with its centre there, m, turned by ``yaw`` rad, where nothing can push it."""
         own = still(np.array([place]), np.array([yaw]))
         before = self._standing
         self._standing = Motion(*(np.concatenate([a[:number], b, a[number + 1 :]]) for a, b in zip(before, own, strict=True)))
+
+    def pushed(self, movables: Motion | None) -> Pushed | None:
+        """Where movables are, in an engine or else here; None: where they were when this was asked before, or at the start."""
+        now = self._standing if movables is None else movables
+        if all(map(np.array_equal, (now.position, now.attitude), self._told)):
+            return None
+        position, attitude = self._told = frozen(now.position), frozen(now.attitude)
+        return Pushed(names=tuple(each.name for each in self._world.movables), position=position, attitude=attitude)
 
     def scene(self, now_ns: int, motion: Motion, movables: Motion | None, touches: Sequence[Touch]) -> Scene:
         """The scene of an instant: how vehicles move, and movables if they do; obstacles keep to their time-tables."""

@@ -13,6 +13,7 @@ Published at every instant that somebody asked for (`RunInfo.instants`, the star
 ``<vehicle>/estimate``  VehicleState  what the vehicle takes for its own state
 ``<vehicle>/odometry``  Odometry      what its wheels say, if it has any
 ``world/contact``       Contact       when two bodies, or a body and a solid, touch that did not at the last instant
+``world/pushed``        Pushed        where the movables are, whenever that has changed
 ======================  ============  =======================================================================
 
 and what sensors say, at their own ticks: ``<vehicle>/fix`` of a positioning sensor, ``<vehicle>/<sensor>`` of all others.
@@ -246,7 +247,13 @@ class Physics:
             events += self._instruments.read(scene)
         if asked:
             events += self._sources.estimates(now_ns, motion) + self._contacts(now_ns, self._touches(passing=True))
+            events += self._pushes(now_ns)
         return events
+
+    def _pushes(self, now_ns: int) -> list[Event]:
+        """Where movables are, if that is not where they were told to be last."""
+        pushed = self._stage.pushed(self._movables())
+        return [] if pushed is None else [Event("world/pushed", now_ns, pushed)]
 
     def _movables(self) -> Motion | None:
         """How movables move now; None: nothing can push them."""

@@ -7,6 +7,7 @@ rows.
 """
 
 import csv
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,7 +18,6 @@ import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
 
 from cosim.clock import SECOND_NS
-from cosim.frames import yaw_of
 from cosim.record.export_source import Source, Values
 from cosim.record.foxglove import PoseInFrame
 from cosim.record.mcap import Recorded
@@ -92,7 +92,13 @@ def _row(value: Any) -> Mapping[str, Any] | None:
     if isinstance(names, dict):
         return names
     columns = COLUMNS.get(type(value))
-    return None if columns is None else dict(zip(columns, _cells(value), strict=True))
+    if columns is None:
+        return None
+    return {name: _said(cell) for name, cell in zip(columns, _cells(value), strict=True)}
+
+
+def _said(cell: Any) -> Any:
+    return None if isinstance(cell, float) and math.isnan(cell) else cell
 
 
 def _cells(value: Any) -> Sequence[Any]:
@@ -107,9 +113,9 @@ def _cells(value: Any) -> Sequence[Any]:
             return (*v, w)
         case Waypoint(position=p, yaw=yaw, speed=speed):
             return (*p, yaw, speed)
-    at, place, turn = value.timestamp, value.pose.position, value.pose.orientation
-    yaw = yaw_of((turn.w, turn.x, turn.y, turn.z))
-    return (at.sec + at.nsec / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, value.sigma_rad)
+    at, place, yaw = value.timestamp, value.pose.position, value.yaw
+    sigma_rad = None if yaw is None else value.sigma_rad
+    return (at.sec + at.nsec / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, sigma_rad)
 
 
 def _write_radio(reports: Sequence[FrameReport], source: Source, path: Path) -> None:
@@ -126,4 +132,6 @@ def _in_seconds(column: Any) -> Any:
 
 
 def _plain(column: Any) -> Any:
+    if pa.types.is_floating(column.type):
+        return pc.if_else(pc.is_nan(column), None, column)
     return column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column

@@ -20,6 +20,7 @@ from cosim.types import Imu, Odometry, Vec3, VehicleState, Velocity, Waypoint
 
 WORLD = "world"
 LOG_LEVELS = {1: 10, 2: 20, 3: 30, 4: 40, 5: 50}  # foxglove.LogLevel -> rcl_interfaces/Log
+ANY_HEADING = math.pi**2 / 3.0  # rad2, variance of one that may be any: ROS would take 0 for certainty
 UNKNOWN = -1.0  # first element of a covariance: this part of the message says nothing
 
 
@@ -99,26 +100,25 @@ def waypoint(said: Waypoint, time_ns: int) -> Any:
 
 
 def fix(said: foxglove.PoseInFrame) -> Any:
-    """geometry_msgs/PoseWithCovarianceStamped, at the time at which it was measured."""
+    """geometry_msgs/PoseWithCovarianceStamped, at the time at which it was measured; a heading that was not told may be any."""
     at, turn = said.pose.position, said.pose.orientation
     covariance = np.zeros(36)
-    covariance[[0, 7, 14]], covariance[35] = said.sigma_m**2, said.sigma_rad**2
+    covariance[[0, 7, 14]], covariance[35] = said.sigma_m**2, ANY_HEADING if said.yaw is None else said.sigma_rad**2
     there = pose((at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z))
-    measured_ns = said.timestamp.sec * 1_000_000_000 + said.timestamp.nsec
     return make(
         "geometry_msgs/PoseWithCovarianceStamped",
-        header=header(measured_ns, said.frame_id),
+        header=header(_ns(said.timestamp), said.frame_id),
         pose=make("geometry_msgs/PoseWithCovariance", pose=there, covariance=covariance),
     )
 
 
 def imu(said: Imu, vehicle: str, time_ns: int) -> Any:
-    """sensor_msgs/Imu without an orientation, which it says."""
+    """sensor_msgs/Imu without an orientation, which it says, at the time at which it was measured, where it says that."""
     unknown = np.zeros(9)
     unknown[0] = UNKNOWN
     return make(
         "sensor_msgs/Imu",
-        header=header(time_ns, vehicle),
+        header=header(said.time_ns or time_ns, vehicle),
         orientation=_turn(1.0, 0.0, 0.0, 0.0),
         orientation_covariance=unknown,
         angular_velocity=vector(*said.angular_velocity),
@@ -128,14 +128,14 @@ def imu(said: Imu, vehicle: str, time_ns: int) -> Any:
     )
 
 
-def scan(said: foxglove.LaserScan, time_ns: int) -> Any:
-    """sensor_msgs/LaserScan; a beam without return is infinite (REP 117)."""
+def scan(said: foxglove.LaserScan) -> Any:
+    """sensor_msgs/LaserScan, at the time at which it was measured; a beam without return is infinite (REP 117)."""
     ranges = np.array([math.inf if each is None else each for each in said.ranges], np.float32)
     finite = ranges[np.isfinite(ranges)]
     most = said.range_max if said.range_max is not None else float(finite.max(initial=0.0))
     return make(
         "sensor_msgs/LaserScan",
-        header=header(time_ns, said.frame_id),
+        header=header(_ns(said.timestamp), said.frame_id),
         angle_min=said.start_angle,
         angle_max=said.end_angle,
         angle_increment=(said.end_angle - said.start_angle) / max(1, len(ranges) - 1),
@@ -148,11 +148,11 @@ def scan(said: foxglove.LaserScan, time_ns: int) -> Any:
     )
 
 
-def image(said: foxglove.RawImage, frame: str, time_ns: int) -> Any:
-    """sensor_msgs/Image."""
+def image(said: foxglove.RawImage, frame: str) -> Any:
+    """sensor_msgs/Image, at the time at which it was taken."""
     return make(
         "sensor_msgs/Image",
-        header=header(time_ns, frame),
+        header=header(_ns(said.timestamp), frame),
         height=said.height,
         width=said.width,
         encoding=said.encoding,
@@ -162,18 +162,18 @@ def image(said: foxglove.RawImage, frame: str, time_ns: int) -> Any:
     )
 
 
-def compressed_image(said: CompressedImage, frame: str, time_ns: int) -> Any:
-    """sensor_msgs/CompressedImage."""
+def compressed_image(said: CompressedImage, frame: str) -> Any:
+    """sensor_msgs/CompressedImage, likewise."""
     data = np.frombuffer(said.data, np.uint8)
-    return make("sensor_msgs/CompressedImage", header=header(time_ns, frame), format=said.format, data=data)
+    return make("sensor_msgs/CompressedImage", header=header(_ns(said.timestamp), frame), format=said.format, data=data)
 
 
-def camera_info(said: foxglove.CameraCalibration, frame: str, time_ns: int) -> Any:
-    """sensor_msgs/CameraInfo."""
+def camera_info(said: foxglove.CameraCalibration, picture: Any) -> Any:
+    """sensor_msgs/CameraInfo of a sensor_msgs/Image, with the same header."""
     whole = make("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     return make(
         "sensor_msgs/CameraInfo",
-        header=header(time_ns, frame),
+        header=picture.header,
         height=said.height,
         width=said.width,
         distortion_model=said.distortion_model,
@@ -219,6 +219,10 @@ def string(text: str) -> Any:
 def clock(time_ns: int) -> Any:
     """rosgraph_msgs/Clock."""
     return make("rosgraph_msgs/Clock", clock=stamp(time_ns))
+
+
+def _ns(at: foxglove.Time) -> int:
+    return at.sec * 1_000_000_000 + at.nsec
 
 
 def _odometry(time_ns: int, vehicle: str, position: Vec3, attitude: Sequence[float], linear: Vec3, angular: Vec3) -> Any:

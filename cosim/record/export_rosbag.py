@@ -4,7 +4,7 @@
 topic of the recording         topic of the bag                  type
 =============================  ================================  ====================================================
 ``/tf``, ``world/moving``      ``/tf``, and ``/clock``           tf2_msgs/TFMessage, rosgraph_msgs/Clock
-``<vehicle>/state``            the same, and ``<vehicle>/path``  nav_msgs/Odometry, the truth; nav_msgs/Path at the start
+``<vehicle>/state``            the same, and ``.../path``        nav_msgs/Odometry, the truth; nav_msgs/Path at the start
 ``<vehicle>/estimate``         the same                          nav_msgs/Odometry
 wheel odometry                 the same                          nav_msgs/Odometry
 ``<vehicle>/command``          the same; ``.../waypoint``        geometry_msgs/TwistStamped, PoseStamped
@@ -20,7 +20,8 @@ all others, ``radio/frame``    the same                          std_msgs/String
 =============================  ================================  ====================================================
 
 Names of topics are those of the recording with ``_`` for what ROS does not allow. The recording does not say how a camera is
-mounted: frames of pictures, ``<vehicle>/<sensor>``, are not in ``/tf``.
+mounted: frames of pictures, ``<vehicle>/<sensor>``, are not in ``/tf``. Messages are stamped with when they were measured, and
+stand in the bag at when they arrived.
 """
 
 import re
@@ -64,7 +65,7 @@ class Bag:
             Waypoint: lambda said, value: self._put(said, ros.waypoint(value, said.time_ns), "/waypoint"),
             Imu: lambda said, value: self._put(said, ros.imu(value, _vehicle(said.topic), said.time_ns)),
             foxglove.PoseInFrame: lambda said, value: self._put(said, ros.fix(value)),
-            foxglove.LaserScan: lambda said, value: self._put(said, ros.scan(value, said.time_ns)),
+            foxglove.LaserScan: lambda said, value: self._put(said, ros.scan(value)),
             foxglove.SceneUpdate: lambda said, value: self._put(said, markers(value, said.time_ns)),
             foxglove.FrameTransforms: self._take_transforms,
             foxglove.RawImage: self._take_image,
@@ -76,7 +77,7 @@ class Bag:
 
     def path(self, vehicle: str, places: list[tuple[int, VehicleState]]) -> None:
         """Put the whole way of a vehicle at the beginning."""
-        self._write(f"{vehicle}/path", ros.path(places), 0, latched=True)
+        self._write(f"{vehicle}/state/path", ros.path(places), 0, latched=True)
 
     def take(self, said: Recorded) -> None:
         """Put a message."""
@@ -109,10 +110,10 @@ class Bag:
         self._write("tf", ros.transforms(value, said.time_ns), said.time_ns)
 
     def _take_image(self, said: Recorded, value: foxglove.RawImage) -> None:
-        self._put(said, ros.image(value, said.topic, said.time_ns), "/image_raw")
+        picture = ros.image(value, said.topic)
+        self._put(said, picture, "/image_raw")
         if said.topic in self._calibrations:
-            info = ros.camera_info(self._calibrations[said.topic], said.topic, said.time_ns)
-            self._put(said, info, "/camera_info")
+            self._put(said, ros.camera_info(self._calibrations[said.topic], picture), "/camera_info")
 
     def _take_calibration(self, said: Recorded, value: foxglove.CameraCalibration) -> None:
         self._calibrations[said.topic.removesuffix(f"/{CALIBRATION}")] = value
@@ -121,7 +122,7 @@ class Bag:
         self._write("rosout", ros.log(value, said.time_ns), said.time_ns)
 
     def _take_compressed(self, said: Recorded, value: CompressedImage) -> None:
-        self._put(said, ros.compressed_image(value, said.topic, said.time_ns), "/compressed")
+        self._put(said, ros.compressed_image(value, said.topic), "/compressed")
 
     def _take_grid(self, said: Recorded, value: Grid) -> None:
         if value.fields[0].name == "probability":

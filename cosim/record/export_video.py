@@ -14,6 +14,7 @@ import numpy as np
 
 from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
+from cosim.explain import RECEIVED, UNDER_WAY
 from cosim.frames import yaw_of
 from cosim.record.export_source import Source, Values
 from cosim.record.foxglove import FrameTransforms, SceneEntity, SceneUpdate, TriangleListPrimitive
@@ -119,8 +120,8 @@ class _Film:
         self._lost.sort()
 
     def _take_frame(self, report: FrameReport) -> None:
-        for receiver, received_ns in zip(report.receivers, report.received_ns.tolist(), strict=True):
-            if received_ns < 0:
+        for receiver, outcome in zip(report.receivers, report.outcome, strict=True):
+            if outcome not in (RECEIVED, UNDER_WAY):
                 self._lost.append((report.sent_ns, report.sender, receiver))
 
     def _take_solids(self, scene: SceneUpdate) -> None:

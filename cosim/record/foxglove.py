@@ -11,6 +11,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from cosim.frames import yaw_of
 from cosim.types import Array, Image, Scan
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
@@ -71,6 +72,13 @@ class PoseInFrame(FoxgloveMessage, frozen=True):
     pose: Pose
     sigma_m: float
     sigma_rad: float
+
+    @property
+    def yaw(self) -> float | None:
+        """The heading, rad; one that is exactly east, and sure, was not told."""
+        turn = self.pose.orientation
+        yaw = yaw_of((turn.w, turn.x, turn.y, turn.z))
+        return yaw if yaw or self.sigma_rad else None
 
 
 class FrameTransform(FoxgloveMessage, frozen=True):

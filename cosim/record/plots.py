@@ -20,6 +20,7 @@ from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.lines import Line2D
 
 from cosim.clock import SECOND_NS
+from cosim.explain import RECEIVED, UNDER_WAY
 from cosim.record.columns import names_of, numbers
 from cosim.record.metrics import SETTLED_M, Motion, Window, formation_errors, links, motion
 from cosim.record.palette import color_of
@@ -205,10 +206,11 @@ def _leaders(name: str, follows: Sequence[Placement]) -> list[str]:
 
 def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
     """When frames of this link were sent that were lost, s."""
-    (receivers, to), (senders, by) = names_of(radio, "receiver"), names_of(radio, "sender")
+    (receivers, to), (senders, by), (words, outcome) = (names_of(radio, name) for name in ("receiver", "sender", "outcome"))
     if receiver not in receivers or sender not in senders:
         return np.empty(0)
-    lost = (to == receivers.index(receiver)) & (by == senders.index(sender)) & (numbers(radio, "received_ns", null=-1) < 0)
+    open_or_there = [number for number, word in enumerate(words) if word in (RECEIVED, UNDER_WAY)]
+    lost = (to == receivers.index(receiver)) & (by == senders.index(sender)) & ~np.isin(outcome, open_or_there)
     return np.asarray(numbers(radio, "sent_ns")[lost] / SECOND_NS)
 
 

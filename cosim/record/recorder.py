@@ -6,7 +6,7 @@ differences, which make the file small and a viewer useful:
 - ``world/states`` is kept at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
 - ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
 - ``world/scene`` draws a body per vehicle, the place that each follower means to keep and, once a second, the world's targets;
-  ``world/solids`` all that stands still, ``world/moving`` the frames of obstacles with a time-table;
+  ``world/solids`` all that stands still, ``world/moving`` the frames of obstacles;
 - maps, mosaics and sightings become grids and annotated pictures (`cosim.record.foxglove_shown`).
 
 An event is handled by the type of its value; one of another type is written as it is.
@@ -54,6 +54,7 @@ from cosim.types import (
     Outage,
     Presence,
     ProbabilityMap,
+    Pushed,
     RealStatus,
     Scan,
     Sightings,
@@ -128,6 +129,7 @@ class Recorder:
             **dict.fromkeys((Outage, Halted, Moved, Changed), self._on_intervention),
             Fix: self._on_fix,
             Scan: self._on_scan,
+            Pushed: self._on_pushed,
             Image: self._on_image,
             **dict.fromkeys((Looks, ProbabilityMap, Sightings, Mosaic), self._on_cells),
         }
@@ -288,6 +290,10 @@ class Recorder:
     def _on_scan(self, key: str, time_ns: int, scan: Scan) -> None:
         self._others.update(self._pack((key, time_ns, scan.time_ns)) + scan.ranges.tobytes())
         self._write(key, time_ns, scan)
+
+    def _on_pushed(self, key: str, time_ns: int, pushed: Pushed) -> None:
+        self._others.update(self._pack((key, time_ns)) + pushed.position.tobytes() + pushed.attitude.tobytes())
+        self._write(key, time_ns, pushed)
 
     def _on_image(self, key: str, time_ns: int, image: Image) -> None:
         self._others.update(self._pack((key, time_ns, image.time_ns)) + image.pixels.tobytes())

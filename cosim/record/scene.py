@@ -33,7 +33,7 @@ from cosim.record.foxglove import (
 )
 from cosim.record.metrics import Target
 from cosim.record.palette import TARGET, rgb, rgb_of
-from cosim.types import Array, Follows
+from cosim.types import Array, Follows, Pushed
 
 TARGET_HEIGHT_M = 0.05
 DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known
@@ -72,23 +72,28 @@ def solids(world: Any) -> SceneUpdate | None:
     if len(triangles):
         parts = _by_color(np.round(vertices, DIGITS), triangles, registry.piece("mesh colors")(world))
         entities.append(SceneEntity(now, "world", "solids", Duration(), False, triangles=parts))
-    entities += [_obstacle(each, now) for each in world.moving]
+    entities += [_obstacle(each, now) for each in (*world.movables, *world.moving)]
     return SceneUpdate(entities) if entities else None
 
 
-def moving_frames(world: Any, time_ns: int) -> FrameTransforms:
-    """Where the obstacles with a time-table are."""
+def moving_frames(world: Any, pushed: Pushed | None, time_ns: int) -> FrameTransforms:
+    """Where the obstacles are that may move: those with a time-table, and those that can be pushed."""
+    standing = [(each.name, (*each.solid.center, getattr(each.solid, "yaw_rad", 0.0))) for each in world.movables]
+    driven = [(each.name, each.pose(time_ns / SECOND_NS)) for each in world.moving]
+    upright = [*driven, *(standing if pushed is None else ())]
+    placed: list[tuple[str, Sequence[float], Sequence[float]]] = [
+        (name, (x, y, z), quaternion_from_yaw(yaw)) for name, (x, y, z, yaw) in upright
+    ]
+    if pushed is not None:
+        placed += zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True)
     now, transforms = Time.of(time_ns), []
-    for each in world.moving:
-        x, y, z, yaw = each.pose(time_ns / SECOND_NS)
-        qw, qx, qy, qz = quaternion_from_yaw(yaw)
-        turn = Quaternion(qx, qy, qz, qw)
-        transforms.append(FrameTransform(now, "world", _frame_of(each), Vector3(x, y, z), turn))
+    for name, place, (qw, qx, qy, qz) in placed:
+        transforms.append(FrameTransform(now, "world", _frame_of(name), Vector3(*place), Quaternion(qx, qy, qz, qw)))
     return FrameTransforms(transforms)
 
 
-def _frame_of(moving: Any) -> str:
-    return f"obstacle/{moving.name}"
+def _frame_of(name: str) -> str:
+    return f"obstacle/{name}"
 
 
 def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[TriangleListPrimitive]:
@@ -107,7 +112,7 @@ def _obstacle(moving: Any, now: Time) -> SceneEntity:
     """A box or a cylinder in its own frame, and its name."""
     hull = registry.piece("hull")(moving.solid)
     red, green, blue = (part / 255 for part in hull.color)
-    color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(*hull.size), _frame_of(moving)
+    color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(*hull.size), _frame_of(moving.name)
     text = TextPrimitive(Pose(Vector3(0.0, 0.0, hull.size[2])), True, 14.0, True, color, moving.name)
     cubes = [CubePrimitive(Pose(), size, color)] if hull.kind == "box" else []
     cylinders = [] if cubes else [CylinderPrimitive(Pose(), size, 1.0, 1.0, color)]

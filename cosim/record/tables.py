@@ -6,7 +6,7 @@ The schema metadata of both carry who ran (`RunFacts`), so that either file can 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -170,6 +170,12 @@ def read_table(path: Path) -> pa.Table:
 def load(run_dir: str | Path) -> Recording:
     """Read a run directory back: ``states.parquet``, ``radio.parquet`` and, if it is there, ``metrics.json``."""
     folder = Path(run_dir)
+    recording, metrics = load_tables(folder), folder / "metrics.json"
+    return replace(recording, metrics=msgspec.json.decode(metrics.read_bytes())) if metrics.is_file() else recording
+
+
+def load_tables(folder: Path) -> Recording:
+    """Both tables of a run directory, without its numbers."""
     for name in ("states.parquet", "radio.parquet"):
         if not (folder / name).is_file():
             raise UsageError(f"{folder}: no {name} here; name the directory that a run left (runs/<name>-<seed> or its --out)")
@@ -177,13 +183,7 @@ def load(run_dir: str | Path) -> Recording:
     facts = (states.schema.metadata or {}).get(FACTS)
     if facts is None:
         raise UsageError(f"{folder / 'states.parquet'}: not written by vcmvsp (its schema metadata lacks {FACTS.decode()})")
-    metrics = folder / "metrics.json"
-    return Recording(
-        states=states,
-        radio=radio,
-        facts=msgspec.json.decode(facts, type=RunFacts),
-        metrics=msgspec.json.decode(metrics.read_bytes()) if metrics.is_file() else {},
-    )
+    return Recording(states=states, radio=radio, facts=msgspec.json.decode(facts, type=RunFacts), metrics={})
 
 
 class _Names:

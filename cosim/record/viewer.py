@@ -15,7 +15,7 @@ from cosim.record import foxglove
 from cosim.record.foxglove_shown import messages_of
 from cosim.record.mcap import McapLog
 from cosim.record.scene import moving_frames, scene, solids
-from cosim.types import Fix, Follows, Image, Mosaic, ProbabilityMap, Scan, Sightings, VehicleState
+from cosim.types import Fix, Follows, Image, Mosaic, ProbabilityMap, Pushed, Scan, Sightings, VehicleState
 
 CALIBRATION = "calibration"  # under the key of a camera
 
@@ -37,12 +37,14 @@ class Viewer:
         self._targets = () if world is None else world.targets
         self._calibrated: set[str] = set()  # keys of cameras
         self._scene_is_due, self._scene_ns = True, 0
+        self._pushed: Pushed | None = None
         self._estimates: list[tuple[str, VehicleState]] = []  # of the present instant
         self._putters: dict[type, Callable[[str, Any, int], None]] = {
             Fix: self._put_fix,
             Follows: self._put_follows,
             Image: self._put_image,
             Scan: self._put_scan,
+            Pushed: self._put_pushed,
             VehicleState: self._put_estimate,
             **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._put_shown),
         }
@@ -63,8 +65,8 @@ class Viewer:
             transforms.append(foxglove.FrameTransform(now, "world", name, place, turn))
             self._log.write(f"{name}/state", state, time_ns)
         self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
-        if self._world is not None and self._world.moving:
-            self._log.write("world/moving", moving_frames(self._world, time_ns), time_ns)
+        if self._world is not None and (self._world.moving or self._world.movables):
+            self._log.write("world/moving", moving_frames(self._world, self._pushed, time_ns), time_ns)
 
     def say(self, level: str, text: str, time_ns: int) -> None:
         """A line of the log."""
@@ -89,6 +91,9 @@ class Viewer:
         """Write the end of the file."""
         self._log.finish()
 
+    def _put_pushed(self, key: str, pushed: Pushed, time_ns: int) -> None:
+        self._pushed = pushed  # it is written with the states
+
     def _put_estimate(self, key: str, estimate: VehicleState, time_ns: int) -> None:
         self._estimates.append((key, estimate))  # the truth of this instant may come later within it
 
@@ -103,14 +108,14 @@ class Viewer:
         self._log.write(key, foxglove.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad), time_ns)
 
     def _put_scan(self, key: str, scan: Scan, time_ns: int) -> None:
-        self._log.write(key, foxglove.LaserScan.of(scan, key.partition("/")[0], time_ns), time_ns)
+        self._log.write(key, foxglove.LaserScan.of(scan, key.partition("/")[0], scan.time_ns or time_ns), time_ns)
 
     def _put_image(self, key: str, image: Image, time_ns: int) -> None:
         vehicle = key.partition("/")[0]
         if image.focal_px > 0.0 and key not in self._calibrated:
             self._calibrated.add(key)
             self._log.write(f"{key}/{CALIBRATION}", foxglove.CameraCalibration.of(image, vehicle, time_ns), time_ns)
-        self._log.write(key, foxglove.RawImage.of(image, vehicle, time_ns), time_ns)
+        self._log.write(key, foxglove.RawImage.of(image, vehicle, image.time_ns or time_ns), time_ns)
 
     def _put_shown(self, key: str, shown: ProbabilityMap | Sightings | Mosaic, time_ns: int) -> None:
         number = self._vehicles.index(key.partition("/")[0])

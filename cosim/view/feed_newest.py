@@ -11,6 +11,7 @@ import numpy as np
 
 from cosim.clock import SECOND_NS
 from cosim.federate import Event
+from cosim.frames import yaw_of
 from cosim.record import words
 from cosim.types import (
     Array,
@@ -29,6 +30,7 @@ from cosim.types import (
     Outage,
     Presence,
     ProbabilityMap,
+    Pushed,
     RealStatus,
     Reception,
     Scan,
@@ -67,7 +69,6 @@ class Newest:
     def __init__(self, scenery: Scenery, moving: Poses, targets: Places) -> None:
         self._moving, self._targets = moving, targets
         self._rows = {craft.name: row for row, craft in enumerate(scenery.vehicles)}
-        self._heights = {obstacle.name: obstacle.pose[2] for obstacle in scenery.obstacles}
         self._asked: frozenset[str] = frozenset()
         self._states: States | None = None
         self._values: dict[str, Any] = {}
@@ -75,7 +76,7 @@ class Newest:
         self._frames: dict[str, FrameReport] = {}
         self._heard: dict[str, int] = {}
         self._noted: set[str] = set()
-        self._moved: dict[str, Pose] = {}
+        self._pushed: dict[str, Pose] = {}
         self._lines: deque[Line] = deque(maxlen=MOST_LINES)
         # These are since the start.
         self._notes: dict[str, dict[str, float | str | bool]] = {}
@@ -94,8 +95,8 @@ class Newest:
             Incident: self._on_incident,
             Contact: self._on_contact,
             Halted: self._on_halted,
-            Moved: self._on_moved,
-            **dict.fromkeys((Outage, Changed), self._on_intervention),
+            Pushed: self._on_pushed,
+            **dict.fromkeys((Outage, Changed, Moved), self._on_intervention),
         }
 
     def on(self, event: Event) -> None:
@@ -142,7 +143,7 @@ class Newest:
         return Shown(
             time_ns=time_ns,
             states=self._states,
-            obstacles={**{name: pose(time_s) for name, pose in self._moving.items()}, **self._moved},
+            obstacles={**{name: pose(time_s) for name, pose in self._moving.items()}, **self._pushed},
             targets={name: place(time_s) for name, place in self._targets.items()},
             notes={vehicle: self._notes[vehicle] for vehicle in sorted(self._noted)},
             links=tuple(map(_link, self._frames.values())),
@@ -158,7 +159,7 @@ class Newest:
     def forget(self) -> None:
         """What has been shown need not be shown again."""
         self._states = None
-        for each in (self._values, self._frames, self._heard, self._noted, self._moved, self._lines):
+        for each in (self._values, self._frames, self._heard, self._noted, self._pushed, self._lines):
             each.clear()
 
     # --- events -------------------------------------------------------------------------------------------------------------
@@ -211,9 +212,9 @@ class Newest:
         (self._halted.update if halted.halted else self._halted.difference_update)(halted.vehicles)
         self._on_intervention(key, time_ns, halted)
 
-    def _on_moved(self, key: str, time_ns: int, moved: Moved) -> None:
-        self._moved[moved.obstacle] = (*moved.position, self._heights.get(moved.obstacle, 0.0), moved.yaw)
-        self._on_intervention(key, time_ns, moved)
+    def _on_pushed(self, key: str, time_ns: int, pushed: Pushed) -> None:
+        for name, place, attitude in zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True):
+            self._pushed[name] = (*place, yaw_of(attitude))
 
     def _on_intervention(self, key: str, time_ns: int, done: words.Intervention) -> None:
         self._tell(time_ns, *words.of_intervention(done, time_ns))

@@ -89,7 +89,7 @@ class Gate:
             name, port = parts.hostname or "", parts.port or 80
         except ValueError:
             return False
-        if port != self.port or parts.path or parts.query or parts.username is not None:
+        if parts.netloc != host or parts.username is not None or port != self.port:  # a name and a port, and nothing else
             return False
         return name in self._names or (self._anywhere and _is_address(name))  # no name can be bound to where it is none
 

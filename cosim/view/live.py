@@ -59,6 +59,8 @@ class Live:
         if not self._feed.open and not self._alone:
             self._alone = True
             self.tell(f"the control station has gone{self._feed.problem and f': {self._feed.problem}'}; the run goes on")
+            if isinstance(self.clock, LiveClock) and self.clock.paused:  # nobody is left who could let it
+                self.clock.go(paused=False, speed=self.clock.speed)
 
     def close(self, why: str) -> None:
         """Show how the run ended."""

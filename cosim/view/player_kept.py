@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 
-from cosim.types import Moved
 from cosim.view import player_values as values
 from cosim.view.player_counts import Counts
 from cosim.view.player_file import Taker
 from cosim.view.player_notes import Notes
 from cosim.view.shown import Line
 
-FRAMES, LOG, HALTED, MOVED = "radio/frame", "log", "operator/halted", "operator/moved"
+FRAMES, LOG, HALTED = "radio/frame", "log", "operator/halted"
 NOTE = "note"  # of each vehicle
 LINES = 200  # of the log, at once
 
@@ -27,7 +26,6 @@ class Kept:
         self.lines: list[Line] = []
         self.notes: dict[str, Notes] = {}  # by topic
         self._halted: list[tuple[int, tuple[str, ...]]] = []
-        self._moved: list[tuple[int, Moved]] = []
 
     @property
     def vehicles(self) -> tuple[str, ...]:
@@ -39,7 +37,7 @@ class Kept:
         if topic.partition("/")[2] == NOTE:
             self.notes[topic] = Notes()
             return self.notes[topic].take
-        takers = {FRAMES: self._take_frame, LOG: self._take_line, HALTED: self._take_halted, MOVED: self._take_moved}
+        takers = {FRAMES: self._take_frame, LOG: self._take_line, HALTED: self._take_halted}
         return takers.get(topic)
 
     def close(self) -> None:
@@ -51,10 +49,6 @@ class Kept:
     def halted(self, time_ns: int) -> tuple[str, ...]:
         """Whom the operator has stopped."""
         return next((names for when_ns, names in reversed(self._halted) if when_ns <= time_ns), ())
-
-    def moved(self, time_ns: int) -> dict[str, Moved]:
-        """Where the operator has put obstacles."""
-        return {moved.obstacle: moved for when_ns, moved in self._moved if when_ns <= time_ns}
 
     def said(self, time_ns: int, since_ns: int | None) -> tuple[Line, ...]:
         """The newest lines of the log; ``since_ns``: those that were later."""
@@ -74,6 +68,3 @@ class Kept:
         stand = {name for name in (self._halted[-1][1] if self._halted else ()) if name not in said.vehicles}
         stand |= {*said.vehicles} if said.halted else set()
         self._halted.append((time_ns, tuple(name for name in self.vehicles if name in stand)))
-
-    def _take_moved(self, time_ns: int, data: bytes) -> None:
-        self._moved.append((time_ns, values.moved_of(data)))

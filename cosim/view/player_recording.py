@@ -15,13 +15,13 @@ from cosim.record.viewer import CALIBRATION
 from cosim.types import Fix, Image, Scan, Sightings, States
 from cosim.view import player_values as values
 from cosim.view.player_file import Messages, Topic
-from cosim.view.player_kept import FRAMES, HALTED, LOG, MOVED, NOTE, Kept
+from cosim.view.player_kept import FRAMES, HALTED, LOG, NOTE, Kept
 from cosim.view.player_scenery import Stage, bare_stage, stage_of
 from cosim.view.shown import Line, Scenery, Shown
 
 T = TypeVar("T")
 FILE = "run.mcap"
-DRAWING = "world/scene"
+DRAWING, MOVING = "world/scene", "world/moving"
 SCAN, IMAGE, FIX = "foxglove.LaserScan", "foxglove.RawImage", "foxglove.PoseInFrame"  # schemas
 STATE, HEARD, SIGHTINGS = "state", "heard", "sightings"
 NEWEST: Mapping[str, tuple[str, Callable[[bytes], Any]]] = {
@@ -74,7 +74,6 @@ class Recording:
         self.ending = damage or (kept.lines[-1].text if kept.lines else "the recording ends here")
         self._stage = self._staged()
         kept.lines[:0] = [Line(time_ns=0, level="warning", text=text) for text in self.troubles]
-        self._height_m = {each.name: each.pose[2] for each in self._stage.scenery.obstacles}
 
     def close(self) -> None:
         """Let go of the file."""
@@ -221,12 +220,12 @@ class Recording:
         return self._message(topic, number, lambda data: values.image_of(data, lens))
 
     def _obstacles(self, time_ns: int) -> dict[str, tuple[float, float, float, float]]:
-        """Where those are that keep to a time-table, and those that were put somewhere."""
+        """Where those are that keep to a time-table, and those that can be pushed."""
         moving = () if self._stage.world is None else self._stage.world.moving
-        places = {each.name: each.pose(time_ns / SECOND_NS) for each in moving}
-        for name, moved in self._kept.moved(time_ns).items():
-            places[name] = *moved.position, self._height_m.get(name, 0.0), moved.yaw
-        return places
+        places: dict[str, tuple[float, float, float, float]] = {}
+        if (topic := self._file.topics.get(MOVING)) is not None and (number := topic.newest(time_ns)) >= 0:
+            places = self._message(topic, number, values.frames_of)
+        return places | {each.name: each.pose(time_ns / SECOND_NS) for each in moving}
 
     def _targets(self, time_ns: int) -> dict[str, tuple[float, float]]:
         targets = () if self._stage.world is None else self._stage.world.targets
@@ -252,7 +251,7 @@ def _is_wanted(topic: str, schema: str) -> bool:
     """Whether messages of a topic are shown."""
     what = topic.partition("/")[2]
     of_vehicle = what in NEWEST or what in (STATE, HEARD, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
-    of_run = topic in (FRAMES, LOG, HALTED, MOVED, DRAWING)
+    of_run = topic in (FRAMES, LOG, HALTED, MOVING, DRAWING)
     return of_vehicle or of_run or _is_reading(schema) or schema == FIX or topic.endswith(f"/{CALIBRATION}")
 
 

@@ -20,7 +20,6 @@ from cosim.types import (
     Halted,
     Image,
     Mosaic,
-    Moved,
     Presence,
     ProbabilityMap,
     RealStatus,
@@ -67,6 +66,18 @@ class _Fix(msgspec.Struct):
     sigma_rad: float | None
 
 
+class _Transform(msgspec.Struct):
+    """A `FrameTransform`, likewise."""
+
+    child_frame_id: str
+    translation: _Numbers4
+    rotation: _Numbers4
+
+
+class _Frames(msgspec.Struct):
+    transforms: list[_Transform]
+
+
 class _Note(msgspec.Struct):
     values: dict[str, Any]
 
@@ -89,6 +100,7 @@ _read_jpeg = msgspec.json.Decoder(CompressedImage).decode
 _read_sightings = msgspec.json.Decoder(ImageAnnotations).decode
 _read_grid = msgspec.json.Decoder(Grid).decode
 _read_fix = msgspec.json.Decoder(_Fix).decode
+_read_frames = msgspec.json.Decoder(_Frames).decode
 _read_note = msgspec.json.Decoder(_Note).decode
 _read_frame = msgspec.json.Decoder(_Frame).decode
 _read_log = msgspec.json.Decoder(Log).decode
@@ -97,7 +109,6 @@ follows_of = msgspec.json.Decoder(Follows).decode
 presence_of = msgspec.json.Decoder(Presence).decode
 real_of = msgspec.json.Decoder(RealStatus).decode
 halted_of = msgspec.json.Decoder(Halted).decode
-moved_of = msgspec.json.Decoder(Moved).decode
 
 
 def states_of(names: tuple[str, ...], rows: Sequence[State]) -> States:
@@ -123,6 +134,16 @@ def fix_of(data: bytes) -> Fix:
         sigma_m=_number(said.sigma_m),
         sigma_rad=sigma_rad,
     )
+
+
+def frames_of(data: bytes) -> dict[str, tuple[float, float, float, float]]:
+    """Where obstacles are: x, y, z m, and yaw rad, by name."""
+    found = {}
+    for each in _read_frames(data).transforms:
+        at, turn = each.translation, each.rotation
+        yaw = yaw_of((_number(turn.w), _number(turn.x), _number(turn.y), _number(turn.z)))
+        found[each.child_frame_id.removeprefix("obstacle/")] = _number(at.x), _number(at.y), _number(at.z), yaw
+    return found
 
 
 def scan_of(data: bytes) -> Scan:

@@ -5,9 +5,7 @@ station answers with what the one who looks at it wants (`Order`). A recording i
 """
 
 from collections.abc import Mapping
-from typing import Any, Literal
-
-import msgspec
+from typing import Literal
 
 from cosim.types import (
     Array,
@@ -94,7 +92,6 @@ class Pace(Value, frozen=True, kw_only=True):
     paused: bool = False
     speed: float | None = None  # simulated seconds per second that are wanted; None: as fast as it can
     achieved: float | None = None  # over the last second
-    late_ns: int = 0  # how late the last instant began, at wall pace
     over: str = ""  # why the run has ended; empty: it goes on
 
 
@@ -184,5 +181,3 @@ class End(Value, frozen=True, kw_only=True, tag="end"):
 
 
 Order = Sensors | Go | Seek | Halt | Outage | Move | Change | End
-orders: Any = msgspec.msgpack.Decoder(Order)
-"""Decodes orders; what is none raises `msgspec.ValidationError`."""

@@ -70,8 +70,7 @@ class Station:
             self._trails.sample(known)
             self._charts.sample(known, now_s)
             if not self._aimed:
-                self._aimed = True
-                self._scene.aim(known)
+                self._aimed = self._scene.aim(known)
             if self._server.get_clients():
                 self.draw()
 

@@ -12,6 +12,7 @@ Mesh = tuple[Array, Array]  # vertices (v, 3) float32 and triangles (t, 3) uint3
 TINY = 1e-6  # the scale of what is not to be seen
 WEAKEST_DBM, STRONGEST_DBM = -95.0, -40.0
 """Between these the colours of links lie."""
+LIGHTEST = 200  # of the 255 steps of viridis: what comes after, yellow, is lost on a light floor
 WHITE = (255, 255, 255)
 FLOOR, FLOOR_DARK, SKY_DARK = (236, 238, 240), (150, 154, 160), (84, 88, 94)
 TARGET_RGB, EDGE_RGB, LOST_RGB, STOPPED_RGB = (240, 228, 66), (38, 38, 38), (220, 30, 30), (220, 30, 30)
@@ -52,7 +53,7 @@ def css_of(row: int, *, dark: bool = False) -> str:
 def rssi_colors(rssi_dbm: Array) -> Array:
     """Colours of received powers, from weak and dark to strong and light: (n,) dBm -> (n, 3) uint8."""
     share = (rssi_dbm - WEAKEST_DBM) / (STRONGEST_DBM - WEAKEST_DBM)
-    return _viridis()[np.clip(np.nan_to_num(share) * 255.0, 0, 255).astype(np.uint8)]
+    return _viridis()[np.clip(np.nan_to_num(share) * LIGHTEST, 0, LIGHTEST).astype(np.uint8)]
 
 
 def linear(colors: Array) -> Array:

@@ -46,11 +46,10 @@ def run_page(known: Known) -> str:
             f" at {pace.speed:g}x" if pace.speed else " as fast as it can"
         )
         state += f", reaches {pace.achieved:.2g}x" if pace.achieved is not None else ""
-    late = f", {pace.late_ns / 1e6:.0f} ms late" if pace.late_ns > 0 else ""
     rows = [
         ("scenario", f"{_text(scenery.scenario)}, seed {scenery.seed}"),
         ("time", f"<b>{now:.2f} s</b> of {end:g} s"),
-        ("pace", f"{state}{late}"),
+        ("pace", state),
     ]
     return _boxed(_table(rows))
 

@@ -1,6 +1,5 @@
 """What stands around the vehicles, in the browser: the floor, the solids, obstacles that move, and targets."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ MARGIN_M, WIDE_M = 5.0, 40.0
 FLOOR_Z_M = -0.01  # of what is drawn, so that what lies on it is seen
 SUN = (0.4, -0.7, 1.0)
 TARGET_M = 0.4  # radius of a target's mark
+VIEW, NEAREST_M = 0.8, 7.0  # how far off the camera begins: of the diagonal of what it is to see, and at least
 
 
 class Scene:
@@ -82,19 +82,24 @@ class Scene:
         self.floor.plane_color = floor
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
-    def aim(self, known: Known) -> None:
-        """Let the camera begin where it sees all vehicles; those who look already keep theirs."""
+    def aim(self, known: Known) -> bool:
+        """Let the camera begin where it sees all vehicles and what stands about them, also on pages that are open already.
+
+        Returns:
+            Whether it is known by now where the vehicles are.
+        """
         seen = known.position[np.isfinite(known.position).all(axis=1)]
+        found = len(seen) > 0 or not known.names
         west, south, east, north = self._extent
-        world = math.hypot(east - west, north - south) if len(known.scenery.vertices) else 0.0
-        if not len(seen):
-            seen = np.array([(0.5 * (west + east), 0.5 * (south + north), 0.0)])
+        if len(known.scenery.vertices) or not len(seen):
+            seen = np.concatenate([seen, [(west, south, 0.0), (east, north, 0.0)]])
         low, high = seen.min(axis=0), seen.max(axis=0)
-        distance = max(1.3 * float(np.linalg.norm(high - low)), 0.3 * world, 5.0)
+        distance = max(VIEW * float(np.linalg.norm(high - low)), NEAREST_M)
         middle = 0.5 * (low + high)
-        camera = self._server.initial_camera
-        camera.look_at = middle
-        camera.position = middle + distance * np.array([-0.25, -0.6, 0.6])
+        for camera in (self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())):
+            camera.position = middle + distance * np.array([-0.25, -0.6, 0.6])
+            camera.look_at = middle  # after the position, which takes it along
+        return found
 
 
 def extent_of(scenery: Scenery) -> tuple[float, float, float, float]:

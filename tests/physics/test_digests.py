@@ -157,7 +157,18 @@ def alone() -> Digest:
 
 
 def test_something_of_everything_is_in_it(alone: Digest) -> None:
-    assert set(alone.kinds) == {"States", "VehicleState", "Odometry", "Fix", "Imu", "Measured", "Scan", "Image", "Contact"}
+    assert set(alone.kinds) == {
+        "States",
+        "VehicleState",
+        "Odometry",
+        "Fix",
+        "Imu",
+        "Measured",
+        "Scan",
+        "Image",
+        "Contact",
+        "Pushed",
+    }
     assert alone.kinds["States"] == 81
     assert alone.kinds["Image"] == 6 * 21
     assert digests(run(mixed_world(), seed=2))[0].bits != alone.bits

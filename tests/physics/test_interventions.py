@@ -10,7 +10,7 @@ import pytest
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import FederateError
 from cosim.federate import Event, Instants, RunInfo
-from cosim.types import Array, Contact, Halted, Moved, States, Velocity, Waypoint
+from cosim.types import Array, Contact, Halted, Moved, Pushed, States, Velocity, Waypoint
 from physics.federate import BulletPhysics, KinematicPhysics, Physics
 from physics.quadrotor import Quadrotor
 from physics.scanner import RangeScanner
@@ -162,6 +162,17 @@ def test_what_was_moved_is_where_it_was_put_and_scanners_see_it_there(kind: type
         (39, 1.735),
     ):
         assert seen[tick] == pytest.approx(edge_m, abs=0.01), tick
+
+
+@BOTH
+def test_where_movables_are_is_told_whenever_that_changes(kind: type[Physics]) -> None:
+    events = play(kind(world=WORLD, vehicles=[spec("car1")]), [move(1.0, "crate", 0.0, 6.0)], 5.0)
+    told = [(event.time_ns, event.value) for event in events if isinstance(event.value, Pushed)]
+    times = [time_ns for time_ns, _ in told if time_ns >= 10**9]
+    assert times[0] == 10**9
+    assert times == [10**9] or (kind is BulletPhysics and times[-1] < 4 * 10**9)  # until it sleeps
+    assert told[-1][1].names == ("crate", "barrel")
+    assert told[-1][1].position == pytest.approx(np.array([(0.0, 6.0, 0.2), (8.0, 3.0, 0.5)]), abs=2e-3)
 
 
 def test_what_was_pushed_over_and_away_stands_at_rest_again() -> None:
