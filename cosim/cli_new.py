@@ -117,6 +117,8 @@ def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
         raise UsageError(f"{here}: there is a built-in {part} of that name; give another one, such as my-{snake}")
     if part == "scenario":
         return
+    if part == "channel" and snake == "received":  # recordings call by this name what is not lost
+        raise UsageError(f"{here}: losses would count as received; give another name, such as my-{snake}")
     spec = importlib.util.find_spec(snake)
     if spec is not None and spec.origin != str((folder / f"{snake}.py").resolve()):
         raise UsageError(

@@ -135,10 +135,11 @@ def conduct(
 
 def _viewing(page: tuple[str, int]) -> "Viewing":
     """Where the run is shown, once there is anything to show; its address is told even to who wants to hear nothing else."""
+    from cosim.view.gate_rules import caution
     from cosim.view.viewing import Viewing
 
     def opened(url: str) -> None:
-        sys.stderr.write(f"control station: {url}\n")
+        sys.stderr.write(f"control station: {url}\n{caution(page[0])}")
         sys.stderr.flush()
 
     return Viewing(*page, opened=opened)

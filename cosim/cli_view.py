@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from cosim.view.player_recording import Recording
 
 PERIOD_S = 1.0 / 30.0  # between two pictures
-LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 def view_command(
@@ -43,7 +42,7 @@ def view_command(
 def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as_json: bool) -> None:
     """Show it until Ctrl-C; it goes on as soon as somebody looks."""
     from cosim.view.gate import close_server, open_server
-    from cosim.view.gate_rules import new_token, url_of
+    from cosim.view.gate_rules import caution, new_token, url_of
     from cosim.view.shown import Go
     from cosim.view.station import Station
 
@@ -54,8 +53,7 @@ def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as
         url = url_of(host, server.get_port(), token)
         sys.stdout.write(jsons.dumps({"url": url}) + "\n" if as_json else f"{url}\n")
         sys.stdout.flush()
-        if host not in LOOPBACK:
-            _say(f"{host}: whoever reads along on the network can see the page: it is plain HTTP")
+        sys.stderr.write(caution(host))
         station.show(player.show())
         while not server.get_clients():
             time.sleep(PERIOD_S)

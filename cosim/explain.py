@@ -17,7 +17,7 @@ from cosim import table
 from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from cosim.record.columns import names_of, nulls, numbers
-from cosim.record.tables import load
+from cosim.record.tables import load_tables
 from cosim.types import Array
 
 SCHEMA = "vcmvsp.radio/1"
@@ -45,7 +45,7 @@ class Log:
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no directory of a run; for a scenario, ask for --coverage VEHICLE")
         try:
-            recording = load(folder)
+            recording = load_tables(folder)
         except ValueError as error:  # a damaged table
             raise UsageError(f"{folder} cannot be read: {error}") from error
         missing = [name for name in (*_NAMES, *NUMBERS) if name not in recording.radio.column_names]

@@ -68,6 +68,11 @@ class Operator:
             raise ValueError(f"{bad} is no number to do anything with")
         checked = msgspec.convert(raw, type(intervention))  # ranges, which no constructor looks at
         self._check(checked, self._asked)
+        match checked:
+            case MoveTable():
+                self._check_alone(checked)
+            case SetTable():
+                self._check_planned(checked)
         self._asked.append(checked)
 
     def poll(self, now_ns: int) -> bool:
@@ -90,6 +95,22 @@ class Operator:
     def all(self) -> list[InterventionTable]:
         """What was done, and what is still planned."""
         return self.done + self._planned
+
+    def _check_alone(self, move: MoveTable) -> None:
+        """Refuse a second obstacle at one instant: each was checked against where the other is now; both may want one place."""
+        if any(isinstance(each, MoveTable) and each.obstacle != move.obstacle for each in self._asked):
+            raise ValueError(f"{move.obstacle} stays: another obstacle is moved at this instant, let the run go on first")
+
+    def _check_planned(self, change: SetTable) -> None:
+        """Refuse what would make a change impossible that is still planned."""
+        before = [*self._asked, change]
+        for each in self._planned:
+            if isinstance(each, SetTable):
+                try:
+                    self._check(each, before)
+                except ValueError as error:
+                    raise ValueError(f"what is planned at {each.at_s:g} s could not be done then: {error}") from error
+                before.append(each)
 
     def _next(self) -> int | None:
         return seconds_to_ns(self._planned[0].at_s) if self._planned else None

@@ -192,7 +192,9 @@ def _of_radio(radio: Mapping[str, Any]) -> str:
         return ""
     lost = ", ".join(f"{count} {cause}" for cause, count in radio["losses"].items()) or "none lost"
     age_s = radio["age_s"]["mean"]
-    words = f"{radio['frames']} frames, {100 * radio['delivery_ratio']:.1f} % delivered ({lost})"
+    ratio = radio["delivery_ratio"]
+    arrived = "all still under way" if ratio is None else f"{100 * ratio:.1f} % delivered ({lost})"
+    words = f"{radio['frames']} frames, {arrived}"
     return words + ("" if age_s is None else f", age {1000 * age_s:.0f} ms")
 
 

@@ -12,6 +12,7 @@ import msgspec
 from cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Vec3
 
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
+Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # m
 Runs = Literal["inprocess", "process", "zenoh"]
 SIMULATED = "none"  # the kind of a driver, or a localisation, that is left out: without a driver, the simulated twin takes part
 PoseSource = Literal["truth", "odometry", "positioning", "fusion"]
@@ -148,8 +149,8 @@ class MoveTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
 
     at_s: Seconds  # when
     obstacle: str  # its name in the world
-    position: tuple[float, float]  # x, y m
-    yaw: float = 0.0  # rad
+    position: tuple[Coordinate, Coordinate]  # x, y m
+    yaw: Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)] = 0.0  # rad
 
 
 class SetTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="set"):

@@ -126,6 +126,9 @@ class Simulation:
         return failure
 
     def _stop(self) -> None:
+        """End the run as Ctrl-C does: while it waits, at once, for where time stands still it would wait for ever."""
+        if self._kernel.waiting:
+            raise KeyboardInterrupt
         self._kernel.stop = True
 
     def _on_instant(self) -> Callable[[int], None] | None:

@@ -8,10 +8,13 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
+import numpy as np
+
 from cosim import table
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
-from netsim.script import Change, Script
+from cosim.types import frozen
+from netsim.script import Change, Effects, Script
 
 
 class Outages(Script):
@@ -23,6 +26,12 @@ class Outages(Script):
     def nothing(self) -> bool:
         """Whether there was none yet."""
         return not self.changes
+
+    def _together(self, present: tuple[int, ...], sender: str, receivers: tuple[str, ...]) -> Effects:
+        """As of any script, but quicker: a hundred vehicles that are cut off together have ten thousand links."""
+        cut_off = {name for k in present for links in self.changes[k].links for name in links.split("/")}
+        passes = np.array([not (sender in cut_off or receiver in cut_off) for receiver in receivers], float)
+        return Effects(frozen(passes), frozen(np.zeros(len(receivers))), frozen(np.zeros(len(receivers), np.int64)))
 
 
 class Operated:

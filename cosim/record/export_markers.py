@@ -5,16 +5,17 @@ from typing import Any
 import numpy as np
 
 from cosim.record import foxglove
-from cosim.record.export_ros import header, make, point, pose, vector
+from cosim.record.export_ros import WORLD, header, make, point, pose, vector
 
 ARROW, CUBE, CYLINDER, LINE_STRIP, LINE_LIST, TEXT, TRIANGLES = 0, 1, 3, 4, 5, 9, 11  # visualization_msgs/Marker
+DELETE_ALL = 3  # an action
 LINE_M = 0.03  # width of lines that have no width in metres
 TEXT_M = 0.3  # height of letters, likewise
 
 
 def markers(said: foxglove.SceneUpdate, time_ns: int) -> Any:
-    """visualization_msgs/MarkerArray: a marker for each primitive, which stays until the next one of its name and number."""
-    listed: list[Any] = []
+    """visualization_msgs/MarkerArray: a marker for each primitive; first, one that deletes those of the scene before."""
+    listed: list[Any] = [_marker(header=header(time_ns, WORLD), **_nothing(), action=DELETE_ALL) for _ in said.deletions]
     for entity in said.entities:
         parts = [_arrow(each) for each in entity.arrows]
         parts += [_solid(CUBE, each) for each in entity.cubes] + [_solid(CYLINDER, each) for each in entity.cylinders]
@@ -42,6 +43,12 @@ def _marker(**fields: Any) -> Any:
         "mesh_use_embedded_materials": False,
     }
     return make("visualization_msgs/Marker", **{**usual, **fields})
+
+
+def _nothing() -> dict[str, Any]:
+    """Of a marker that draws nothing."""
+    shape = {"type": ARROW, "pose": pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), "scale": vector(0.0, 0.0, 0.0)}
+    return {"ns": "", "id": 0, "frame_locked": False, "color": make("std_msgs/ColorRGBA", r=0.0, g=0.0, b=0.0, a=0.0), **shape}
 
 
 def _arrow(said: foxglove.ArrowPrimitive) -> dict[str, Any]:

@@ -14,11 +14,11 @@ import numpy as np
 
 from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
-from cosim.explain import RECEIVED, UNDER_WAY
 from cosim.frames import yaw_of
 from cosim.record.export_source import Source, Values
 from cosim.record.foxglove import FrameTransforms, SceneEntity, SceneUpdate, TriangleListPrimitive
 from cosim.record.palette import rgb_of
+from cosim.record.tables import NOT_LOST
 from cosim.types import Array, FrameReport, VehicleState
 
 FPS = 20
@@ -121,7 +121,7 @@ class _Film:
 
     def _take_frame(self, report: FrameReport) -> None:
         for receiver, outcome in zip(report.receivers, report.outcome, strict=True):
-            if outcome not in (RECEIVED, UNDER_WAY):
+            if outcome not in NOT_LOST:
                 self._lost.append((report.sent_ns, report.sender, receiver))
 
     def _take_solids(self, scene: SceneUpdate) -> None:

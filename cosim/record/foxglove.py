@@ -183,10 +183,19 @@ class SceneEntity(FoxgloveMessage, frozen=True):
     texts: list[TextPrimitive] = []
 
 
+class SceneEntityDeletion(FoxgloveMessage, frozen=True):
+    """What was drawn before this time is there no longer: 0 the entity of that name, 1 all of the topic."""
+
+    timestamp: Time
+    type: Literal[0, 1] = 1
+    id: str = ""
+
+
 class SceneUpdate(FoxgloveMessage, frozen=True):
     """The whole scene: a viewer that jumps in time reads only the newest message of a topic."""
 
     entities: list[SceneEntity]
+    deletions: list[SceneEntityDeletion] = []
 
 
 class Log(FoxgloveMessage, frozen=True):

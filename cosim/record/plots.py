@@ -20,12 +20,11 @@ from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.lines import Line2D
 
 from cosim.clock import SECOND_NS
-from cosim.explain import RECEIVED, UNDER_WAY
 from cosim.record.columns import names_of, numbers
 from cosim.record.metrics import SETTLED_M, Motion, Window, formation_errors, links, motion
 from cosim.record.palette import color_of
 from cosim.record.style import ABOVE, GREY, LEVEL, SVG, line_of, style, styled
-from cosim.record.tables import Placement
+from cosim.record.tables import NOT_LOST, Placement
 from cosim.types import Array
 
 SNAPSHOTS = 5  # instants at which the formation is drawn, start and end among them
@@ -209,8 +208,8 @@ def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
     (receivers, to), (senders, by), (words, outcome) = (names_of(radio, name) for name in ("receiver", "sender", "outcome"))
     if receiver not in receivers or sender not in senders:
         return np.empty(0)
-    open_or_there = [number for number, word in enumerate(words) if word in (RECEIVED, UNDER_WAY)]
-    lost = (to == receivers.index(receiver)) & (by == senders.index(sender)) & ~np.isin(outcome, open_or_there)
+    not_lost = [number for number, word in enumerate(words) if word in NOT_LOST]
+    lost = (to == receivers.index(receiver)) & (by == senders.index(sender)) & ~np.isin(outcome, not_lost)
     return np.asarray(numbers(radio, "sent_ns")[lost] / SECOND_NS)
 
 

@@ -25,6 +25,7 @@ from cosim.record.foxglove import (
     Pose,
     Quaternion,
     SceneEntity,
+    SceneEntityDeletion,
     SceneUpdate,
     TextPrimitive,
     Time,
@@ -50,14 +51,15 @@ def scene(
     time_ns: int,
     targets: Sequence[Target] = (),
 ) -> SceneUpdate:
-    """The whole scene: entities move with the frames of their vehicles, and stay until the next scene replaces them."""
+    """The whole scene: entities move with the frames of their vehicles, and stay until the next scene takes their place."""
     now, entities = Time.of(time_ns), []
     for index, name in enumerate(vehicles):
         color, radius = Color(*rgb_of(index)), radius_m.get(name, DEFAULT_RADIUS_M)
         entities.append(_body(name, radius, color, now))
         if name in places and places[name].leader is not None:
             entities.append(_place(name, places[name], radius, color, now))
-    return SceneUpdate([*entities, *(_target(target, now, time_ns / SECOND_NS) for target in targets)])
+    entities += [_target(target, now, time_ns / SECOND_NS) for target in targets]
+    return SceneUpdate(entities, [SceneEntityDeletion(now)])
 
 
 def solids(world: Any) -> SceneUpdate | None:

@@ -51,6 +51,7 @@ RADIO_SCHEMA = pa.schema(
         ("access_ns", pa.int64()),  # waited for the air, earlier attempts included
     ]
 )
+NOT_LOST = ("received", "under way")  # outcomes
 FACTS = b"vcmvsp.run"
 
 

@@ -51,15 +51,14 @@ class Seen:
         said = self.scenario["metrics"]
         return said["from_s"], said.get("to_s")
 
-    @property
-    def period_s(self) -> float:
-        """Of the agents."""
-        return float(self.scenario["agents"]["period_s"])
+    def vehicle(self, name: str) -> Mapping[str, Any]:
+        """What is said of a vehicle, its own table before that of all."""
+        own = {each["name"]: each for each in self.scenario["vehicle"]}
+        return {**self.scenario["vehicles"], **own[name]}
 
     def agent(self, vehicle: str) -> Mapping[str, Any]:
-        """What a vehicle's agent was told, its own table before that of all."""
-        own = {each["name"]: each.get("agent", {}) for each in self.scenario["vehicle"]}
-        return {**self.scenario["agents"], **own[vehicle]}
+        """What a vehicle's agent was told, likewise."""
+        return {**self.scenario["agents"], **self.vehicle(vehicle).get("agent", {})}
 
     @property
     def steady(self) -> list[Placement]:

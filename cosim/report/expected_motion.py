@@ -14,6 +14,7 @@ from cosim.record.tables import Placement
 from cosim.report.expected import NORMAL_95, Expected, Seen
 
 _SETTLED = 5.0  # time constants of the follower after which its start counts no more
+_ROOM = 1.5  # times the leader's speed: what followers must be able to go, so that no limit matters
 _LISTED = 8  # followers
 
 
@@ -30,23 +31,26 @@ def laws(seen: Seen) -> Iterator[Expected]:
 
 def _straight(seen: Seen, followers: list[Placement]) -> Iterator[Expected]:
     """Followers that take each message as it is lag behind by speed times age."""
-    leaders = {str(each.follows.leader) for each in followers}
-    agents = [seen.agent(each.vehicle) for each in followers]
-    gains, leader = {float(agent.get("k1", 0.8)) for agent in agents}, seen.agent(leaders.pop())
-    delay, loss, period = seen.radio["delay"], seen.radio["loss"], seen.period_s
+    leaders, team = {str(each.follows.leader) for each in followers}, [each.vehicle for each in followers]
+    first = leaders.pop()
+    agents, leader = [seen.agent(name) for name in team], seen.agent(first)
+    gains = {float(agent["k1"]) for agent in agents}
+    periods = {float(agent["period_s"]) for agent in (leader, *agents)}
+    delay, loss = seen.radio["delay"], seen.radio["loss"]
     simple = (
         not leaders
-        and len(gains) == 1
+        and len(gains) == len(periods) == 1
         and _drives(leader, "straight")
+        and "sending" not in leader
         and all((agent.get("estimator"), agent.get("feed")) == ("hold", "parent") for agent in agents)
-        and not any("avoidance" in agent for agent in agents)
+        and not any("avoidance" in agent or agent["latency_s"] for agent in agents)
+        and all(_moves_freely(seen, name, _ROOM * float(leader["speed"])) for name in (first, *team))
         and (delay["kind"], delay.get("jitter_s")) == ("fixed", 0.0)
         and loss["kind"] == "bernoulli"
         and loss["probability"] < 1.0
-        and not seen.scenario["agents"].get("latency_s")
         and set(seen.links.losses) <= {"random loss"}
     )
-    gain, (begin, end) = gains.pop(), seen.window
+    gain, period, (begin, end) = gains.pop(), periods.pop(), seen.window
     if not simple or not 0.0 < gain * period < 2.0 or begin < _SETTLED / gain or seen.metrics["formation"]["rms_m"] is None:
         return
     p, speed = float(loss["probability"]), float(leader["speed"])
@@ -82,6 +86,13 @@ def _circle(seen: Seen, placed: Placement) -> Iterator[Expected]:
     apart = f"distance of {name} to {at.leader}, mean"
     yield Expected(apart, distance, measured[0], "sqrt(L² + L'² - 2 L L' sin th)", holds, "m")
     yield Expected(f"speed of {name}, mean", own_speed, measured[1], "w sqrt((R + L')² - L²)", "as above", "m/s")
+
+
+def _moves_freely(seen: Seen, vehicle: str, speed: float) -> bool:
+    """Whether a vehicle is simulated, knows where it is, and may be so fast (m/s)."""
+    own = seen.vehicle(vehicle)
+    limits = [table.get("max_speed", math.inf) for table in (own, seen.agent(vehicle))]
+    return "driver" not in own and own["pose_source"] == "truth" and speed <= min(limits)
 
 
 def _drives(leader: Mapping[str, Any], path: str) -> bool:

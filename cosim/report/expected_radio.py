@@ -112,7 +112,10 @@ def _renewal(p: float) -> tuple[float, float, float]:
 
 
 def _range_s(seen: Seen) -> tuple[float, float] | None:
-    """Between which times the delay layer draws evenly; None: it does something else."""
+    """Between which times the delay layer draws evenly; None: it does something else, or a script or a trace delays, too."""
+    scripted = any("delay_s" in change for change in seen.radio["script"].get("changes", ()))
+    if scripted or seen.radio["trace"]["kind"] != "none":
+        return None
     delay = seen.radio["delay"]
     if delay["kind"] == "none":
         return 0.0, 0.0
@@ -128,7 +131,7 @@ def _bounds_s(seen: Seen) -> tuple[float, float] | None:
         return None
     radio, got = seen.recording.radio, _received(seen)
     spent = sum(numbers(radio, name)[got] for name in ("queue_ns", "access_ns", "air_time_ns"))
-    behind = seen.radio["delivery"]["kind"] != "none" or seen.radio["trace"]["kind"] != "none"
+    behind = seen.radio["delivery"]["kind"] != "none"
     if behind or not got.any() or range_s[0] * SECOND_NS < np.max(np.asarray(spent)):
         return None
     return range_s

@@ -14,7 +14,7 @@ from cosim.errors import UsageError
 from cosim.explain import NUMBERS
 from cosim.record.foxglove import LEVELS
 from cosim.record.mcap import about, messages, of_topic
-from cosim.record.tables import Recording, load
+from cosim.record.tables import Recording, load_tables
 from cosim.report.links import Links, links_of
 
 FILES = {
@@ -76,7 +76,7 @@ def left_in(folder: Path) -> Left:
     recording = None
     schemas = [read(name, pq.read_schema, None) for name in ("states.parquet", "radio.parquet")]
     if None not in schemas:
-        recording = read("states.parquet", lambda path: load(path.parent), None)
+        recording = read("states.parquet", lambda path: load_tables(path.parent), None)
     links = None if recording is None else read("radio.parquet", lambda _: _links(recording), None)
     return Left(
         folder,

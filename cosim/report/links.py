@@ -24,6 +24,7 @@ class Links:
     received: Array
     under_way: Array
     level_dbm: Array  # mean; NaN where none was on the air
+    frames: Array  # (n,) that each sent, for whomever: one that several were meant to hear counts once
     losses: Mapping[str, Array]  # by cause, the most frequent first
 
     @property
@@ -69,6 +70,7 @@ def links_of(radio: pa.Table, vehicles: Sequence[str], end_ns: int) -> Links:
         count(of(RECEIVED) & ~late),
         count(of(UNDER_WAY) | late),
         level,
+        np.bincount(_among(names, senders)[by][np.diff(numbers(radio, "frame"), prepend=-1) != 0], minlength=n),
         {cause: lost for cause, lost in sorted(losses.items(), key=lambda each: -int(each[1].sum())) if lost.any()},
     )
 

@@ -29,7 +29,7 @@ def vehicle_table(left: Left) -> Sequence[Part]:
     for name in names[:LISTED]:
         own = said.get(name, {})
         what = own.get("kind", kind) + (f", real ({own['driver'].get('kind', '')})" if "driver" in own else "")
-        agent = own.get("agent", {}).get("kind", left.scenario.get("agents", {}).get("kind", "")) if own else ""
+        agent = own["agent"].get("kind", left.scenario.get("agents", {}).get("kind", "")) if "agent" in own else ""
         rows.append([name, what, agent, leaders.get(name, ""), *ways.get(name, [None] * 3), *air.get(name, [None] * 3)])
     head = ["vehicle", "kind", "agent", "follows", "way [m]", "mean speed [m/s]", "ends at [m]"]
     parts: list[Part] = [Rows([*head, "frames sent", "delivered of these [%]", "heard of others [%]"], rows)]
@@ -64,6 +64,5 @@ def _air(left: Left) -> dict[str, list[Any]]:
     decided = links.sent - links.under_way
     for i, name in enumerate(links.names):
         shares = [(links.received[part].sum(), decided[part].sum()) for part in (np.s_[i, :], np.s_[:, i])]
-        most = int(links.sent[i].max(initial=0))  # frames that all others were meant to hear count once
-        found[name] = [most, *(round(100.0 * float(got / of), 1) if of else None for got, of in shares)]
+        found[name] = [int(links.frames[i]), *(round(100.0 * float(got / of), 1) if of else None for got, of in shares)]
     return found

@@ -14,7 +14,7 @@ BOOT = """
 import json, os, sys
 line = b""
 while not line.endswith(b"\\n"):
-    line += os.read(0, 1)
+    line += os.read(0, 1) or sys.exit()  # its parent has died
 sys.path[:] = json.loads(line)
 from {module} import main
 sys.exit(main())

@@ -105,8 +105,8 @@ class Feed:
     def _encoded(self, now_s: float) -> bytes:
         pace = msgspec.structs.replace(self._pace, achieved=self._achieved(now_s))
         try:
-            return codec.encode(self._newest.shown(self._now_ns, pace))
-        except ValueError as error:  # of a part of the user's own
+            return wire.fitting(codec.encode(self._newest.shown(self._now_ns, pace)))
+        except ValueError as error:  # of a part of the user's own, or a vast mosaic
             self._newest.forget()
             line = Line(time_ns=self._now_ns, level="error", text=f"what has happened cannot be shown: {error}")
             return codec.encode(Shown(time_ns=self._now_ns, lines=(line,), pace=pace))

@@ -17,6 +17,14 @@ MOST_PAGES = 32  # that are connected at a time
 ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  a word of the user's
 
 
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def caution(host: str) -> str:
+    """A line for those who let other machines see the page; empty: no other can."""
+    return "" if host in LOOPBACK else f"{host}: whoever reads along on the network can see the page: it is plain HTTP\n"
+
+
 def new_token() -> str:
     """A secret for a URL."""
     return secrets.token_urlsafe(24)

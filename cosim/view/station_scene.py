@@ -96,7 +96,8 @@ class Scene:
         low, high = seen.min(axis=0), seen.max(axis=0)
         distance = max(VIEW * float(np.linalg.norm(high - low)), NEAREST_M)
         middle = 0.5 * (low + high)
-        for camera in (self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())):
+        cameras: list[Any] = [self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())]
+        for camera in cameras:
             camera.position = middle + distance * np.array([-0.25, -0.6, 0.6])
             camera.look_at = middle  # after the position, which takes it along
         return found

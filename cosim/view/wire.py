@@ -75,9 +75,7 @@ class Pipe:
         """Begin a message, if there is room and no other has begun; whether it has, and will therefore be whole."""
         if not self.push():
             return False
-        if len(payload) > LARGEST:
-            raise ValueError(f"{len(payload)} bytes are too many for the control station")
-        self._left = memoryview(_length.pack(len(payload)) + payload)
+        self._left = memoryview(_length.pack(len(payload)) + fitting(payload))
         self.push()
         return True
 
@@ -144,6 +142,13 @@ class Pipe:
 
     def _lose(self) -> None:
         self.open, self._left = False, memoryview(b"")
+
+
+def fitting(payload: bytes) -> bytes:
+    """The same; what is too long for a message raises a `ValueError`."""
+    if len(payload) > LARGEST:
+        raise ValueError(f"{len(payload)} bytes are too many for the control station")
+    return payload
 
 
 def pair() -> tuple[Pipe, socket.socket]:

@@ -40,6 +40,29 @@ RUNS: Mapping[str, tuple[str | dict[str, Any], dict[str, Any]]] = {
         },
         ALL,
     ),
+    "a tag and late sensors": (
+        {
+            "name": "late",
+            "duration_s": 1.0,
+            "physics": {"kind": "kinematic"},
+            "world": {"kind": "boxes", "boxes": [{"center": [0.0, 3.0, 0.5], "size": [2.0, 0.2, 1.0]}]},
+            "vehicle": [
+                {
+                    "name": "car",
+                    "kind": "p2dx",
+                    "pose_source": "positioning",
+                    "positioning": {"rate_hz": 5.0, "heading": False},
+                    "sensors": {
+                        "path": {"kind": "imu", "latency_s": 0.05},
+                        "scan": {"kind": "lms", "latency_s": 0.05},
+                        "camera": {"kind": "camera", "latency_s": 0.05},
+                    },
+                    "agent": {"kind": "trajectory"},
+                }
+            ],
+        },
+        ALL,
+    ),
 }
 
 

@@ -10,14 +10,17 @@ import cv2
 import numpy as np
 import pytest
 
+import cosim
 from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
-from cosim.record import export_csv, load
+from cosim.record import export_csv, export_source, export_video, load, plots
 from cosim.record.export import NAMES, export
 from cosim.record.export_source import Values
 from cosim.record.mcap import Recorded, messages
+from cosim.types import VehicleState
 from tests.cosim import exporting
 from tests.cosim.command import vcmvsp
+from tests.cosim.studying import two
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -71,6 +74,24 @@ def test_notes_have_a_column_for_each_name_and_an_empty_cell_where_it_was_not_no
         assert {name: value for name, value in row.items() if value and name not in ("time_s", "vehicle")} == {
             name: str(value) for name, value in each["values"].items()
         }
+
+
+def test_what_there_was_not_is_an_empty_cell(tmp_path: Path) -> None:
+    export(exporting.run_of("a tag and late sensors"), csv=tmp_path / "tables")
+    for row in rows(tmp_path / "tables/fix.csv"):
+        assert (row["yaw_rad"], row["sigma_rad"], row["sigma_m"]) == ("", "", "0.15")
+    lost = export_csv._row(VehicleState(position=(math.nan, 1.0, 0.0)))
+    assert lost is not None
+    assert (lost["x_m"], lost["y_m"]) == (None, 1.0)
+
+
+def test_a_frame_that_is_under_way_at_the_end_is_not_shown_as_lost(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    cosim.run(two(duration_s=0.1005, radio={"preset": "wifi-b-1"}), out=folder)
+    radio = load(folder).radio
+    assert set(radio["outcome"].to_pylist()) == {"received", "under way"}
+    assert export_video._Film(export_source.Source(folder, lambda _: None))._lost == []
+    assert plots._lost_s(radio, "car2", "car1").size == 0
 
 
 def test_a_sensor_that_is_called_like_a_table_does_not_write_into_it() -> None:

@@ -23,7 +23,7 @@ from cosim.record.mcap import messages
 from tests.cosim import exporting
 
 RERUN = Path(sys.executable).with_name("rerun")
-RUNS = ("lab-patrol", "recon-team", "a crossing cart")
+RUNS = ("lab-patrol", "recon-team", "a crossing cart", "a tag and late sensors")
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_poses_and_transforms_are_the_true_ones_and_twists_those_of_the_body(bag
         (mine,) = [each for each in transforms if each.child_frame_id == "ugv2"]
         assert [getattr(mine.transform.translation, axis) for axis in "xyz"] == state["position"]
     assert [ns(clock.clock) for _, clock in bag["/clock"]] == [time_ns for time_ns, _ in expected]
-    ((first, path),) = bag["/ugv2/path"]
+    ((first, path),) = bag["/ugv2/state/path"]
     assert (first, len(path.poses)) == (0, len(expected))
 
 
@@ -107,6 +107,22 @@ def test_pictures_are_the_same_pixels_and_come_with_their_cameras(bags: dict[str
     assert 0 <= grid.data.min() <= grid.data.max() <= 100
 
 
+def test_readings_are_stamped_with_when_they_were_measured(bags: dict[str, Path]) -> None:
+    bag = read(bags["a tag and late sensors"])
+    for topic in ("/car/scan", "/car/path", "/car/camera/image_raw", "/car/camera/camera_info"):
+        assert len(bag[topic]) > 5
+        late = {time_ns - ns(message.header.stamp) for time_ns, message in bag[topic] if ns(message.header.stamp) > 50_000_000}
+        assert late == {50_000_000}, topic
+    assert len(bag["/car/state/path"]) == 1  # of another type than the sensor of that name
+
+
+def test_a_heading_that_was_not_told_is_not_sure_to_be_east(bags: dict[str, Path]) -> None:
+    bag = read(bags["a tag and late sensors"])
+    for _, fix in bag["/car/fix"]:
+        assert fix.pose.covariance[[0, 7]] == pytest.approx(0.15**2)
+        assert fix.pose.covariance[35] > 3.0
+
+
 def test_the_scene_has_walls_bodies_and_what_moves(bags: dict[str, Path]) -> None:
     bag = read(bags["a crossing cart"])
     ((_, solids),) = bag["/world/solids"]
@@ -114,7 +130,9 @@ def test_the_scene_has_walls_bodies_and_what_moves(bags: dict[str, Path]) -> Non
     assert (wall.type, len(wall.points), wall.header.frame_id) == (11, 3 * 12, "world")
     assert (cart.type, cart.header.frame_id, cart.frame_locked) == (1, "obstacle/cart", True)
     assert (name.type, name.text) == (9, "cart")
-    bodies = Counter(marker.ns for marker in bag["/world/scene"][-1][1].markers)
+    before, *drawn = bag["/world/scene"][-1][1].markers
+    assert before.action == 3  # DELETEALL: a place that is given up does not stay in the picture
+    bodies = Counter(marker.ns for marker in drawn)
     assert bodies == {"car-1": 3, "car-2": 3, "car-2/place": 2}
     frames = {each.child_frame_id for _, message in bag["/tf"] for each in message.transforms}
     assert frames == {"car-1", "car-2", "obstacle/cart"}
@@ -159,7 +177,7 @@ def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, 
 def test_names_that_would_be_one_in_ros_are_refused(tmp_path: Path) -> None:
     assert (ros_name("car-1/state"), ros_name("/tf"), ros_name("2nd/scan")) == ("/car_1/state", "/tf", "/_2nd/scan")
     twin = _Twins(exporting.run_of("a crossing cart"))
-    with pytest.raises(UsageError, match=r"car-1/path and car_1/path would both be /car_1/path"):
+    with pytest.raises(UsageError, match=r"car-1/state/path and car_1/state/path would both be /car_1/state/path"):
         write_bag(twin, tmp_path / "bag")
 
 

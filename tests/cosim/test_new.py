@@ -90,6 +90,7 @@ def test_nothing_of_the_template_is_left_over(part: str) -> None:
         (("sensor", "lms"), "there is a built-in sensor of that name"),
         (("driver", "ros2"), "there is a built-in driver of that name"),
         (("scenario", "formation-circle"), "there is a built-in scenario of that name"),
+        (("channel", "received"), "losses would count as received"),
         (("agent", "random"), "random.py would hide a module"),
         (("sensor", "numpy"), "numpy.py would hide a module"),
         (("agent", "velocity"), "its file uses 'Velocity' for something else"),

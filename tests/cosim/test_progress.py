@@ -26,6 +26,7 @@ from cosim.streams import stdout_to_stderr
 from cosim.studies.progress import StudyProgress
 from tests.cosim.command import two_cars
 from tests.cosim.recordings import states
+from tests.cosim.studying import two
 
 SEQUENCE = re.compile(rb"\x1b\[([0-9;?]*)([A-Za-z])")
 REAL = ("fixes", "gated", "limited_s", "frames_too_early")
@@ -298,3 +299,8 @@ def test_what_a_run_tells_in_the_end_stands_in_columns() -> None:
     assert told["safety"].strip() == "2 collisions"
     assert told["lost"].strip() == "car2 for 0.2 s"
     assert list(told)[-1] == "results"
+
+
+def test_a_run_whose_frames_all_are_under_way_at_its_end_is_told_all_the_same() -> None:
+    result = cosim.run(two(duration_s=0.05, radio={"preset": "ideal", "delay": {"seconds": 0.3}}), mcap=False)
+    assert "radio:     1 frames, all still under way\n" in progress.summary(result)

@@ -239,6 +239,7 @@ def test_scene_shows_each_vehicle_and_each_place_once_and_for_good(recording: di
     assert entities["car1"]["cylinders"][0]["size"]["x"] == pytest.approx(0.5)
     assert entities["car2/place"]["frame_id"] == "car1"
     assert entities["car2/place"]["lines"][0]["points"][1] == {"x": -1.0, "y": 0.5, "z": 0.0}
+    assert scene["deletions"] == [{"timestamp": entities["car1"]["timestamp"], "type": 1, "id": ""}]  # of the scene before
 
 
 def test_readings_are_drawn_by_viewers(recording: dict[str, Any]) -> None:

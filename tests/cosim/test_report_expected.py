@@ -101,17 +101,53 @@ def test_a_follower_on_a_circle_is_where_geometry_puts_it() -> None:
         ({"radio__delay__seconds": 0.0, "radio__delay__jitter_s": 0.0}, {DELAY}),  # the air decides
         ({"agents__latency_s": 0.05}, set()),
         ({"radio__script": {"changes": [{"from_s": 1.0, "to_s": 2.0, "loss": 1.0}]}}, {LOSS, AGE, PEAK}),
+        ({"radio__script": {"changes": [{"from_s": 1.0, "to_s": 5.0, "delay_s": 0.5}]}}, {LOSS, DELAY, AGE, PEAK}),
     ],
 )
 def test_a_law_that_does_not_hold_is_not_there(settings: dict[str, Any], gone: set[str]) -> None:
     assert {*laws(seen(lossy()))} - {*laws(seen(lossy(), **settings))} == gone
 
 
+def straight() -> dict[str, Any]:
+    """A run long enough for the law of the lag."""
+    radio = {"preset": "ideal", "loss": {"probability": 0.3}, "delay": {"seconds": 0.3}}
+    scenario = lossy(radio=radio, metrics={"from_s": 8.0})
+    scenario["vehicle"][0]["agent"] = {"kind": "trajectory", "path": "straight", "speed": 0.4}
+    return scenario
+
+
 @pytest.mark.parametrize("settings", [{"radio__loss__probability": 1.0}, {"agents__k1": 0.0}, {"agents__k1": 30.0}])
 def test_nothing_is_expected_where_a_law_has_no_value(settings: dict[str, Any]) -> None:
-    scenario = lossy(
-        radio={"preset": "ideal", "loss": {"probability": 0.3}, "delay": {"seconds": 0.3}}, metrics={"from_s": 8.0}
-    )
-    scenario["vehicle"][0]["agent"] = {"kind": "trajectory", "path": "straight", "speed": 0.4}
-    assert ERROR in laws(seen(scenario))
-    assert ERROR not in laws(seen(scenario, **settings))
+    assert ERROR in laws(seen(straight()))
+    assert ERROR not in laws(seen(straight(), **settings))
+
+
+@pytest.mark.parametrize(
+    ("number", "agent", "vehicle"),
+    [
+        (0, {"period_s": 0.5}, {}),
+        (1, {"period_s": 0.5}, {}),
+        (1, {"latency_s": 0.05}, {}),
+        (0, {"sending": {"when": "needed"}}, {}),
+        (1, {"max_speed": 0.4}, {}),
+        (1, {}, {"kind": "p2dx", "max_speed": 0.4}),
+        (1, {}, {"pose_source": "positioning", "positioning": {"rate_hz": 5.0, "sigma_m": 0.5}}),
+        (0, {}, {"pose_source": "positioning", "positioning": {"rate_hz": 5.0, "sigma_m": 0.5}}),
+    ],
+)
+def test_followers_lag_so_only_where_nothing_else_moves_them(
+    number: int, agent: dict[str, Any], vehicle: dict[str, Any]
+) -> None:
+    scenario = straight()
+    chosen = scenario["vehicle"][number]
+    chosen |= vehicle
+    chosen["agent"] |= agent
+    assert ERROR not in laws(seen(scenario))
+
+
+def test_a_period_that_each_agent_says_itself_counts_like_a_common_one() -> None:
+    common, own = straight(), straight()
+    del own["agents"]["period_s"]
+    for vehicle in own["vehicle"]:
+        vehicle["agent"]["period_s"] = 0.1
+    assert laws(seen(own))[ERROR] == laws(seen(common))[ERROR]

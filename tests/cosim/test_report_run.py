@@ -145,6 +145,23 @@ def test_what_agents_say_is_text_and_never_markup(folder: Path, policy: str) -> 
     assert [row[:3] for row in page.rows("vehicle", "late", "missed")] == [["car2", "0", str(missed)]]
 
 
+def test_frames_to_one_vehicle_each_count_as_sent_and_who_has_no_agent_has_none(folder: Path) -> None:
+    act = "for to in ('car2', 'car3')[: 2 * (obs.vehicle == 'car1')]:\n            radio.send(x=1.0, to=to)"
+    (folder / "mine.py").write_text(
+        f"from cosim import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        {act}\n"
+    )
+    vehicles: list[dict[str, Any]] = [
+        {"name": name, "pose": [x, 0.0, 0.0]} for name, x in (("car1", 0.0), ("car2", 1.0), ("car3", 2.0))
+    ]
+    for each in vehicles[:2]:
+        each["agent"] = {}
+    scenario = two(agents={"kind": str(folder / "mine.py:Mine"), "period_s": 0.1}, vehicle=vehicles)
+    result = cosim.run(scenario, out=folder / "out")
+    rows = {row[0]: row for row in read(folder / "out").rows("vehicle", "kind")}
+    assert int(rows["car1"][7]) == result.metrics["radio"]["frames"] == 20
+    assert [rows[name][2] for name in rows] == ["mine.py:Mine", "mine.py:Mine", ""]
+
+
 def _written(folder: Path, text: str) -> Path:
     (folder / "s.toml").write_text(text)
     return folder / "s.toml"
@@ -179,7 +196,7 @@ def test_a_folder_without_one_of_its_files_has_a_page_all_the_same(
     assert vcmvsp("report", "out").code == 0
     if (name, content) in (("scenario.toml", b""), ("run.mcap", b""), ("run.mcap", b"PAR1\x00 not [ what { it was")):
         return  # an empty scenario is one, and of a damaged recording what comes before the damage is read
-    assert name in {row[0] for row in read(folder / "out").rows("file")}
+    assert {row[0] for row in read(folder / "out").rows("file")} == {name}  # and all others are shown
 
 
 @pytest.mark.parametrize("target", ["nowhere", "s.toml", "empty"])

@@ -365,6 +365,15 @@ def test_what_cannot_be_told_is_said_and_the_run_goes_on(reader: Reader) -> None
     assert reader.known().states is not None
 
 
+def test_what_is_too_much_to_tell_is_said_and_the_run_goes_on(reader: Reader, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wire, "LARGEST", 5000)
+    reader.on(0, "c/mosaic", Mosaic(left=0.0, bottom=0.0, cell_m=1.0, pixels=np.zeros((100, 100, 3), np.uint8)))
+    reader.feed.close("the run is complete")
+    (line,) = reader.known().lines
+    assert "bytes are too many" in line.text
+    assert reader.known().pace.over == "the run is complete"
+
+
 def test_the_speed_that_is_reached_is_that_of_the_last_second(reader: Reader) -> None:
     for k in range(1, 200):
         reader.on(k * SECOND_NS // 10, "world/states", at(0.0))

@@ -107,6 +107,8 @@ def test_the_token_becomes_a_cookie_that_scripts_and_other_sites_do_not_get(page
         ("/", {"Cookie": "COOKIE", "Host": "evil.example:PORT"}),
         ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1"}),
         ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1:PORT@evil.example"}),
+        ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1:PORT#; script-src *"}),
+        ("/", {"Cookie": "COOKIE", "Host": "local\thost:PORT"}),
         ("/", {"Cookie": "COOKIE", "Host": "10.0.0.1:PORT"}),
         ("/", {"Cookie": "COOKIE", "Origin": "http://evil.example"}),
         ("/", {"Cookie": "COOKIE", "Origin": "null"}),

@@ -154,10 +154,10 @@ def test_a_port_that_is_taken_is_said() -> None:
 
 
 PARENT = """
-import time
+import contextlib
 from cosim.view.viewer import Viewer
 from tests.cosim import viewing
-with Viewer.open(viewing.scenery(), port=0) as viewer:
+with Viewer.open(viewing.scenery(), port=0) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
     print(viewer._process.pid, flush=True)
     viewer.stay()
 print("done", flush=True)

@@ -21,10 +21,12 @@ from netsim.delay import FixedDelay, NoDelay
 from netsim.federate import RadioFederate
 from netsim.layers import Bools, Draw, Frame, Loss
 from netsim.loss import Bernoulli, NoLoss
+from netsim.operated import Operated
 from netsim.phy import Dsss
 from netsim.propagation import LogDistance
 from netsim.random_delay import GammaDelay, UniformDelay
 from netsim.recorded import RecordedChannel
+from netsim.script import Script
 from tests.netsim.helpers import make_channel
 
 MS = 1_000_000
@@ -84,6 +86,17 @@ def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (),
         found += [event.value for event in step.events if isinstance(event.value, FrameReport)]
         due = step.next_ns if asked else None
     return sorted(found, key=lambda each: each.frame)
+
+
+@given(cuts=st.lists(st.sets(st.sampled_from(NAMES), min_size=1), max_size=3), sender=st.sampled_from(NAMES))
+def test_outages_do_what_a_script_with_the_same_changes_does(cuts: list[set[str]], sender: str) -> None:
+    operated = Operated()
+    for who in cuts:
+        operated.cut_off(sorted(who), 0, MS)
+    outages, receivers = operated.outages, tuple(each for each in NAMES if each != sender)
+    for present in (range(count) for count in range(len(cuts) + 1)):
+        ours, theirs = (each._together((*present,), sender, receivers) for each in (outages, Script(outages.changes)))
+        assert encode(list(ours)) == encode(list(theirs))
 
 
 def radio(preset: str = "wifi-b-1", mac: str = "ideal", **changes: Any) -> RadioFederate:
