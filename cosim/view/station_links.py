@@ -27,7 +27,7 @@ class Links:
         count = len(scenery.vehicles)
         self._room = min(count * (count - 1), MOST)
         self._lines = Segments(server, "/links", np.zeros((self._room, 2, 3), np.uint8), 2.5)
-
+        self._up = np.array([(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in scenery.vehicles]).reshape(-1, 3)
         self.which = ALL if count <= FEW else OWN
 
     def draw(self, known: Known, chosen: int, now_s: float) -> None:
@@ -36,7 +36,8 @@ class Links:
             return
         of = {ALL: None, OWN: chosen, NONE: -1}[self.which]
         sender, receiver = fresh_links(known, self._room, of)
-        here, there = known.position[sender], known.position[receiver]
+        tops = known.position + self._up  # else they would run through the bodies
+        here, there = tops[sender], tops[receiver]
         points = np.zeros((self._room, 2, 3))
         colors = np.zeros((self._room, 2, 3), np.uint8)
         got = known.link_received[sender, receiver]

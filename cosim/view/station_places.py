@@ -14,8 +14,8 @@ class Places:
 
     Args:
         row: of each follower, (k,).
-        place: where the centre of its body belongs, (k, 3) m, world; at its own height.
-        yaw: of its leader, (k,) rad.
+        place: where it belongs as it is turned now, (k, 3) m, world; at its own height.
+        yaw: its own, (k,) rad.
         error_m: the formation error, (k,): see `cosim.types.Follows`.
     """
 
@@ -42,8 +42,8 @@ def places_of(known: Known) -> Places:
     here = known.position[row]
     off = here[:, :2] + handle[:, None] * own_ahead - (centre + handle[:, None] * ahead)
     known_both = np.isfinite(off).all(axis=1)
-    place = np.column_stack([centre, here[:, 2]])
-    return Places(*(part[known_both] for part in (row, place, yaw, np.hypot(off[:, 0], off[:, 1]))))
+    place = np.column_stack([here[:, :2] - off, here[:, 2]])  # on a curve it is the handles that have to meet
+    return Places(*(part[known_both] for part in (row, place, own, np.hypot(off[:, 0], off[:, 1]))))
 
 
 def _unit(yaw: Array) -> Array:

@@ -104,7 +104,11 @@ def test_who_is_in_place_and_turned_as_its_leader_has_no_error(
     assert exact.place[0] == pytest.approx(place, abs=1e-9)
     assert exact.error_m[0] == pytest.approx(0.0, abs=1e-9)
     away = states([(x, y, 0.0), (place[0] + off, place[1], place[2])], [yaw, own], ("v1", "v2"))
-    error = places_of(known_of(scene, Shown(time_ns=0, states=away, places=follows))).error_m[0]
+    places = places_of(known_of(scene, Shown(time_ns=0, states=away, places=follows)))
+    error = places.error_m[0]
+    assert math.dist(places.place[0], (place[0] + off, *place[1:])) == pytest.approx(
+        error, abs=1e-9
+    )  # what is seen is the error
     handles = handle * math.hypot(math.cos(own) - c, math.sin(own) - s)
     assert abs(off) - handles - 1e-9 <= error <= abs(off) + handles + 1e-9
 
@@ -244,7 +248,8 @@ def test_links_of_the_last_second_are_drawn_half_way_in_the_colour_of_their_powe
     with looking(scenery(2)) as looked:
         looked.show(3.0)
         points, colors = looked.node("/links").points, looked.node("/links").colors
-        here, there = shown(looked.scene, 3.0).states.position  # type: ignore[union-attr]
+        tops = [(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in looked.scene.vehicles]
+        here, there = shown(looked.scene, 3.0).states.position + np.array(tops)  # type: ignore[union-attr]
         assert points[0] == pytest.approx(np.stack([here, 0.5 * (here + there)]), abs=1e-5)
         assert colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
         assert colors[1, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
