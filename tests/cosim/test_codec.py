@@ -45,6 +45,7 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     float | None: FLOATS | st.none(),
     int: TIMES,
     str: TEXT,
+    bool: st.booleans(),
     bytes: st.binary(max_size=16),
     str | None: TEXT | st.none(),
     tuple[str, ...]: st.lists(TEXT, max_size=3).map(tuple),
