@@ -128,7 +128,7 @@ class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
     to_s: NonNegative | None = None  # default: the end
 
 
-class OutageTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="outage"):
+class OutageTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="outage"):
     """An ``[[intervention]]``: all frames from and to some vehicles are lost for some time."""
 
     at_s: Seconds  # when
@@ -136,7 +136,7 @@ class OutageTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
     vehicles: tuple[str, ...] = ()  # whose; none named: all
 
 
-class HaltTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="halt"):
+class HaltTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="halt"):
     """An ``[[intervention]]``: vehicles stand still whatever their agents command, or go on."""
 
     at_s: Seconds  # when
@@ -144,7 +144,7 @@ class HaltTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
     halted: bool = True  # false: let them go on
 
 
-class MoveTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="move"):
+class MoveTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="move"):
     """An ``[[intervention]]``: an obstacle that can be pushed is put somewhere else, and rests there."""
 
     at_s: Seconds  # when
@@ -153,7 +153,7 @@ class MoveTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
     yaw: Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)] = 0.0  # rad
 
 
-class SetTable(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="set"):
+class SetTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="set"):
     """An ``[[intervention]]``: a number of the layers of loss and delay has another value from then on."""
 
     at_s: Seconds  # when

@@ -30,7 +30,7 @@ from cosim.record.foxglove import to_json
 from cosim.record.foxglove_schema import schema_of
 
 LIBRARY = "vcmvsp"
-CHUNK_BYTES = 256 * 1024  # before compression; what the file of a killed process lacks at most
+CHUNK_BYTES, CHUNK_NS = 256 * 1024, 5_000_000_000  # before compression, simulated: the file of a killed process lacks no more
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length of the rest, channel, sequence, log time, publish time
 _MESSAGE_INDEX = struct.Struct("<BQHI")  # opcode, length of the rest, channel, bytes of entries
 
@@ -71,6 +71,7 @@ class McapLog:
         self._index: dict[int, list[int]] = {}  # by channel: time and place in the chunk of each message, alternating
         self._chunks: list[Any] = []
         self._counts: dict[int, int] = {}  # messages by channel
+        self._until_ns = CHUNK_NS  # then the present chunk ends
         self._codec = pa.Codec("zstd", compression_level=3)
         self._encode = form.encode
         self._put(MCAP0_MAGIC + _bytes(records.Header(profile="", library=LIBRARY)))
@@ -88,8 +89,9 @@ class McapLog:
         entries.append(len(chunk))
         chunk += _MESSAGE.pack(Opcode.MESSAGE, 22 + len(data), channel, 0, time_ns, time_ns)
         chunk += data
-        if len(chunk) > CHUNK_BYTES:
-            self._end_chunk()
+        if len(chunk) > CHUNK_BYTES or time_ns > self._until_ns:
+            self.flush()
+            self._until_ns = time_ns + CHUNK_NS
 
     def flush(self) -> None:
         """Have everything up to now in the file, where it outlives this process."""

@@ -15,6 +15,7 @@ SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
 """Of all trails together, and of each of them."""
 TRAIL_NS = 30 * SECOND_NS  # which a trail reaches back, unless the run is so fast that it is more
 LEAST_M = 0.03  # radius of the mark of an exact position
+OVER_M = 0.02  # above the floor, so that it is seen
 
 
 class Trails:
@@ -93,6 +94,7 @@ class Fixes:
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         colors = colors_of(len(scenery.vehicles))
         self._discs = Batch(server, "/fixes", disc(), colors, opacity=0.35)
+        self._flies = [each.flies for each in scenery.vehicles]
         self._often, self._any = Every(0.1), False
 
     def draw(self, known: Known, now_s: float) -> None:
@@ -105,6 +107,8 @@ class Fixes:
         for name, fix in known.fixes.items():
             if (row := known.row.get(name)) is not None:
                 position[row] = fix.position
+                if not self._flies[row]:  # on the floor, whatever its height was measured to be
+                    position[row, 2] = known.position[row, 2] + OVER_M
                 scale[row] = (max(fix.sigma_m, LEAST_M), max(fix.sigma_m, LEAST_M), 1.0)
         self._discs.put(position, turned(np.zeros(count)), scale)
 

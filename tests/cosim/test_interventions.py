@@ -79,6 +79,8 @@ def test_none_named_means_all() -> None:
     [
         ({"kind": "outage", "at_s": 1.0, "for_s": 1.0, "vehicles": ["car9"]}, "unknown vehicle 'car9'"),
         ({"kind": "outage", "at_s": 1.0}, "for_s is missing"),
+        ({"kind": "outage", "at_s": 1.0, "for_s": 1.0, "vehicle": ["car2"]}, "unknown key 'vehicle'; did you mean 'vehicles'"),
+        ({"kind": "move", "at_s": 1.0, "obstacle": "box", "position": [1e30, 0.0]}, "position"),
         ({"kind": "outage", "at_s": -1.0, "for_s": 1.0}, "at_s: must be"),
         ({"kind": "explode", "at_s": 1.0}, "kind"),
         ({"kind": "set", "at_s": 1.0, "key": "radio.loss.probability", "value": 2.0}, "probability"),
