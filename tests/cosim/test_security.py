@@ -10,6 +10,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -47,9 +48,17 @@ def direct(function: Callable[[Any], object]) -> Any:
 
 
 def answering(host: zenoh.Session, key: str, answer: Callable[[bytes], bytes] = lambda _: b"answer") -> None:
-    """Answer what the hub asks under this key."""
-    says = host.declare_publisher(security.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)  # as a host does
-    host.declare_subscriber(key, direct(lambda sample: says.put(answer(sample.payload.to_bytes()))))
+    """Answer what the hub asks under this key as a host does: not in a thread of Zenoh's, which has to send it, too."""
+    says = host.declare_publisher(security.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
+    asked: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+    host.declare_subscriber(key, direct(asked.put))
+
+    def work() -> None:
+        with contextlib.suppress(zenoh.ZError):  # the session has been closed
+            while True:
+                says.put(answer(asked.get().payload.to_bytes()))
+
+    threading.Thread(target=work, daemon=True).start()
 
 
 def reply(query: zenoh.Query, what: bytes = b"ok") -> None:
