@@ -247,7 +247,7 @@ class Physics:
             events += self._instruments.read(scene)
         if asked:
             events += self._sources.estimates(now_ns, motion) + self._contacts(now_ns, self._touches(passing=True))
-            events += self._pushes(now_ns)
+            events += self._pushes(now_ns) if self.world.movables else []
         return events
 
     def _pushes(self, now_ns: int) -> list[Event]:
