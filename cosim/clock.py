@@ -186,13 +186,10 @@ class LiveClock:
 
     def wait_until(self, due_ns: int) -> int:
         """Wait as long as those who look on want it; the answer is how late it is, ns."""
-        late_ns = 0
         while (left := self._left_ns(due_ns)) > 0:
             self._sleep(min(left, LISTEN_NS) / SECOND_NS)
-        if self.speed is not None:
-            late_ns = -left
         self._logical_ns = due_ns
-        return late_ns
+        return -left
 
     def slip(self, by_ns: int) -> None:
         """Let all that is still to come begin so much later."""
