@@ -8,6 +8,9 @@ from typing import Protocol, Self
 import msgspec
 
 SECOND_NS = 1_000_000_000
+Sleep = Callable[[float], bool | None]
+"""Waits for so many seconds, or is woken before: whether it was."""
+
 LISTEN_NS = 20_000_000  # between two looks at what those want who look on
 
 
@@ -78,7 +81,10 @@ class Clock(Protocol):
         """Called once, when logical time 0 begins."""
 
     def wait_until(self, due_ns: int) -> int:
-        """Return when logical time ``due_ns`` may begin; the answer is how late it is, ns (0: not late)."""
+        """Return when logical time ``due_ns`` may begin; the answer is how late it is, ns (0: not late).
+
+        A negative answer: somebody has woken the sleeper, so much earlier in logical time.
+        """
 
     def slip(self, by_ns: int) -> None:
         """What is late by so much is not to be made up for."""
@@ -112,7 +118,7 @@ class WallClock:
     Args:
         speed: simulated seconds per second.
         now: the clock, ns.
-        sleep: waits for so many seconds.
+        sleep: waits for so many seconds; may be set later, too.
     """
 
     def __init__(
@@ -120,11 +126,11 @@ class WallClock:
         speed: float = 1.0,
         *,
         now: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
+        sleep: Sleep = time.sleep,
     ) -> None:
         if not 0.0 < speed < float("inf"):
             raise ValueError(f"speed must be a positive number, not {speed}")
-        self.speed, self._now, self._sleep, self._origin = speed, now, sleep, 0
+        self.speed, self._now, self.sleep, self._origin = speed, now, sleep, 0
         self.slipped_ns = 0
 
     def start(self) -> None:
@@ -143,7 +149,8 @@ class WallClock:
         """Sleep until ``due_ns``; if that has passed already, go on at once and say by how much."""
         wall_due = self.monotonic_ns(due_ns)
         while (left := wall_due - self._now()) > 0:
-            self._sleep(left / SECOND_NS)
+            if self.sleep(left / SECOND_NS):
+                return min(0, self.logical_ns(self._now()) - due_ns)
         return -left
 
     def slip(self, by_ns: int) -> None:

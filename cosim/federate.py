@@ -127,6 +127,17 @@ class Polled(Protocol):
 
 
 @runtime_checkable
+class Prompted(Polled, Protocol):
+    """A federate to which somebody outside may come between two instants: it then has one of its own.
+
+    It is asked (`poll`) before each instant and, on a clock that waits, as soon as ``fileno()`` is readable.
+    """
+
+    def fileno(self) -> int:
+        """For select; -1: nobody will come."""
+
+
+@runtime_checkable
 class RemoteFederate(Federate, Releasable, Protocol):
     """A federate elsewhere: all that are due in a slot are asked before any is awaited.
 

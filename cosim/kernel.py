@@ -13,6 +13,7 @@ same bytes in one process and in many.
 """
 
 import heapq
+import select
 import traceback
 from collections.abc import Callable, Sequence
 from operator import attrgetter, itemgetter
@@ -21,9 +22,9 @@ from typing import TypeVar
 import simpy
 from threadpoolctl import threadpool_limits
 
-from cosim.clock import SECOND_NS, Clock, SimClock
+from cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from cosim.errors import FederateError, VcmvspError
-from cosim.federate import Event, Federate, Polled, Releasable, RemoteFederate, RunInfo, Slot
+from cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot
 from cosim.keys import matches
 
 T = TypeVar("T")
@@ -65,7 +66,9 @@ class Kernel:
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
-        self._polled = [(i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)]
+        self._polled: list[tuple[int, Polled]] = [
+            (i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)
+        ]
         self._clock, self._tolerance_ns, self._strict = clock or SimClock(), tolerance_ns, strict
         self._observe: Observer = lambda _: None
         self._released, self._parted = False, list[VcmvspError]()  # what went wrong when federates were let go of
@@ -101,25 +104,42 @@ class Kernel:
 
     def _run(self, on_instant: Callable[[int], None] | None) -> None:
         self._clock.start()
+        self._listen()
         last, end_ns = -1, self.run_info.duration_ns
         while (now := self._env.peek()) <= end_ns:
             if now != last:
-                last = int(now)
-                self._wait_until(last)
+                last = self._wait_until(last, int(now))
                 if on_instant:
                     on_instant(last)
                 for index, federate in self._polled:
                     if federate.poll(last):
                         self._schedule(index, last)
+                if last < now and self._env.peek() != last:
+                    continue  # woken for nothing
             if self.stop:
                 raise KeyboardInterrupt
             self._env.step()
         self.now_ns = end_ns
         self._publish(end_ns, Slot.RADIO)
 
-    def _wait_until(self, when: int) -> None:
+    def _listen(self) -> None:
+        """Have the clock woken by those to whom somebody may come."""
+        doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]
+        open_ = [each for each in doors if each >= 0]
+        if open_ and isinstance(self._clock, WallClock):
+            self._clock.sleep = lambda seconds: bool(select.select(open_, (), (), seconds)[0])
+
+    def _wait_until(self, last: int, when: int) -> int:
+        """Wait for the next instant; the answer is its time, which is earlier if somebody comes before."""
         late_ns = self._await(lambda: self._clock.wait_until(when))
+        if late_ns < 0:
+            self.now_ns = max(last + 1, when + late_ns)
+            return self.now_ns
         self.now_ns = when
+        self._note_late(when, late_ns)
+        return when
+
+    def _note_late(self, when: int, late_ns: int) -> None:
         too_late = self._tolerance_ns is not None and late_ns > self._tolerance_ns
         if self._clock.speed is not None and (too_late or self._is_tick(when)):
             self.late_ns.append(late_ns)

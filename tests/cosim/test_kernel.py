@@ -1,13 +1,14 @@
 """The order of an instant, of events, and of remote answers: the contract of `cosim.federate`, as the kernel keeps it."""
 
-from collections.abc import Callable, Mapping, Sequence
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.clock import WallClock
+from cosim.clock import SECOND_NS, WallClock
 from cosim.errors import FederateError
 from cosim.federate import Event, Federate, RunInfo, Slot, Step
 from cosim.kernel import Kernel
@@ -334,3 +335,90 @@ def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
     with pytest.raises(Stop):
         kernel.run(lambda _: None)
     assert (kernel.now_ns, [when for _, when, _ in log]) == (0, [0])
+
+
+class Doorman(Script):
+    """Somebody may come to it at any time; every letter is an event of the instant at which it is read."""
+
+    def __init__(self, inside: socket.socket, **kwargs: Any) -> None:
+        super().__init__("door", Slot.WORLD, **kwargs)
+        self.inside, self.letters = inside, 0
+        inside.setblocking(False)
+
+    def fileno(self) -> int:
+        return self.inside.fileno()
+
+    def poll(self, now_ns: int) -> bool:
+        try:
+            self.letters += len(self.inside.recv(100))
+        except BlockingIOError:
+            return False
+        return True
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        letters, self.letters = self.letters, 0
+        return Step([note("door/letter", now_ns)] * letters, super().step(now_ns, inbox).next_ns)
+
+
+class Wall:
+    """A wall clock that stands still until somebody sleeps; letters come while one does, at their own times."""
+
+    def __init__(self, outside: socket.socket, letters: Sequence[int]) -> None:
+        self.now_ns, self.outside, self.letters = 0, outside, list(letters)
+
+    def watch(self, clock: WallClock, kernel: Kernel) -> None:
+        wake = clock.sleep
+
+        def sleep(seconds: float) -> bool | None:
+            until_ns = self.now_ns + round(seconds * SECOND_NS)
+            if self.letters and self.letters[0] <= until_ns:
+                self.now_ns = self.letters.pop(0)
+                self.outside.send(b"!")
+            else:
+                self.now_ns = until_ns
+            return wake(0.0)
+
+        clock.sleep = sleep
+
+
+@pytest.fixture
+def letter_box() -> Iterator[tuple[socket.socket, socket.socket]]:
+    inside, outside = socket.socketpair()
+    with inside, outside:
+        yield inside, outside
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+def test_whoever_is_come_to_between_two_instants_has_one_of_its_own(
+    letter_box: tuple[socket.socket, socket.socket], speed: float
+) -> None:
+    inside, outside = letter_box
+    wall = Wall(outside, [10, 25, 40])
+    clock = WallClock(speed, now=lambda: wall.now_ns)
+    kernel = Kernel(
+        RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
+        [Doorman(inside), Script("world", Slot.WORLD, {each: [("world/tick", 0)] for each in (0, 50, 100)})],
+        clock=clock,
+    )
+    kernel.start()
+    listen = kernel._listen
+
+    def then_watch() -> None:
+        listen()
+        wall.watch(clock, kernel)
+
+    kernel._listen = then_watch  # type: ignore[method-assign]
+    seen: list[tuple[int, str]] = []
+    kernel.run(lambda event: seen.append((event.time_ns, event.key)))
+    letters = [(round(each * speed), "door/letter") for each in (10, 25, 40) if each * speed < 100]
+    ticks = [(each, "world/tick") for each in (0, 50, 100)]
+    assert seen == sorted([*letters, *ticks], key=lambda each: (each[0], each[1]))
+
+
+def test_where_nothing_waits_letters_are_read_at_the_instants_there_are(
+    letter_box: tuple[socket.socket, socket.socket],
+) -> None:
+    inside, outside = letter_box
+    outside.send(b"!!")
+    world = Script("world", Slot.WORLD, {0: [("world/tick", 0)], 60: [("world/tick", 0)]})
+    assert run(Doorman(inside), world) == [(0, "door/letter"), (0, "door/letter"), (0, "world/tick"), (60, "world/tick")]
