@@ -1,4 +1,4 @@
-"""The link between a run and a station: whole messages, and nobody ever waits for the other side.
+"""The link between a run and a process of its own on this machine: whole messages, and nobody ever waits for the other side.
 
 A pair of local sockets that keep messages apart (``SOCK_SEQPACKET``): what does not go at once does not go at all, so that
 half a message is never on its way, and a side that hangs cannot hold the other. When a process ends, however, the other

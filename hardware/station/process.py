@@ -21,9 +21,10 @@ import msgspec
 
 from cosim.codec import encode
 from cosim.errors import FederateError
+from cosim.transport import link
 from cosim.transport.process import ending
 from hardware.driver import DriverError
-from hardware.station import link, wire
+from hardware.station import wire
 from hardware.station.wire import Mission, Order, Report
 
 READY_S = 60.0  # longer than a station gives its driver
