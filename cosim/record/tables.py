@@ -7,9 +7,8 @@ The schema metadata of both carry who ran (`RunFacts`), so that either file can 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
@@ -17,8 +16,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cosim.errors import UsageError
-from cosim.record.columns import column, joined, name_column
-from cosim.types import Array, Follows, FrameReport, States
+from cosim.record.columns import column, joined
+from cosim.record.frames import Frames, Names
+from cosim.types import Follows, FrameReport, States
 
 NAME = pa.dictionary(pa.int32(), pa.string())
 STATE_VALUES = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
@@ -90,7 +90,7 @@ class Recording:
 
 def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Table:
     """The table of the true states at these instants."""
-    vehicles = _Names(facts.vehicles)
+    vehicles = Names(facts.vehicles)
     codes = [vehicles.codes(states.names) for _, states in rows]
     times = np.repeat(np.array([time for time, _ in rows], np.int64), [len(code) for code in codes])
     blocks = [
@@ -102,58 +102,16 @@ def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Tabl
     return _table(columns, STATES_SCHEMA, facts)
 
 
-def radio_table(reports: Sequence[FrameReport], facts: RunFacts) -> pa.Table:
-    """The table of all frames at all receivers they were meant for."""
-    reports = sorted(reports, key=attrgetter("frame"))
-    vehicles, outcomes, materials = _Names(facts.vehicles), _Names(("received",)), _Names(("",))
-    counts = [len(report.receivers) for report in reports]
-
-    def per_frame(values: list[int]) -> Array:
-        return np.repeat(np.array(values, np.int64), counts)
-
-    def budget(name: str, dtype: Any = np.float64) -> Array:
-        """A part of the link budget; zeros where the channel has no such layer."""
-        parts = [getattr(report, name) for report in reports]
-        return joined(
-            [np.zeros(n, dtype) if part is None else part for part, n in zip(parts, counts, strict=True)], (0,), dtype
-        )
-
-    receiver = joined([vehicles.codes(report.receivers) for report in reports], (0,), np.int32)
-    sender = per_frame([vehicles.code(report.sender) for report in reports]).astype(np.int32)
-    outcome = joined([outcomes.codes(report.outcome) for report in reports], (0,), np.int32)
-    crossed = joined(
-        [materials.codes(report.wall_materials or ("",) * n) for report, n in zip(reports, counts, strict=True)], (0,), np.int32
-    )
-    sent = per_frame([report.sent_ns for report in reports])
-    received = joined([report.received_ns for report in reports], (0,), np.int64)
-    columns = [
-        column(per_frame([report.frame for report in reports])),
-        vehicles.column(sender),
-        vehicles.column(receiver),
-        column(sent),
-        column(received, valid=received >= 0),
-        column(per_frame([report.size_bytes for report in reports])),
-        column(joined([report.distance_m for report in reports], (0,))),
-        column(joined([report.rssi_dbm for report in reports], (0,))),
-        outcomes.column(outcome),
-        column(received - sent, valid=received >= 0),
-        column(copies := budget("copy_ns", np.int64), valid=copies > 0),
-        column(budget("snr_db")),
-        column(sinr_db := budget("sinr_db"), valid=np.isfinite(sinr_db)),
-        column(budget("path_loss_db")),
-        column(budget("walls", np.int64)),
-        materials.column(crossed),
-        column(budget("wall_loss_db")),
-        column(budget("shadowing_db")),
-        column(budget("fading_db")),
-        column(per_frame([report.air_time_ns for report in reports])),
-        column(per_frame([report.queue_ns for report in reports])),
-        column(per_frame([report.access_ns for report in reports])),
-    ]
-    return _table(columns, RADIO_SCHEMA, facts)
+def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts) -> pa.Table:
+    """The table of all frames at all receivers they were meant for; it takes them out of `Frames`."""
+    if not isinstance(frames, Frames):
+        given, frames = frames, Frames(facts.vehicles)
+        frames.extend(given)
+    columns = frames.columns()
+    return _table([columns[name] for name in RADIO_SCHEMA.names], RADIO_SCHEMA, facts)
 
 
-def write_table(table: pa.Table, path: Path) -> None:
+def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
     """Write Parquet: the same table gives the same bytes (fixed row groups, zstd)."""
     encodings: dict[str, Any] = {
         "use_dictionary": [field.name for field in table.schema if pa.types.is_dictionary(field.type)],
@@ -185,27 +143,6 @@ def load_tables(folder: Path) -> Recording:
     if facts is None:
         raise UsageError(f"{folder / 'states.parquet'}: not written by vcmvsp (its schema metadata lacks {FACTS.decode()})")
     return Recording(states=states, radio=radio, facts=msgspec.json.decode(facts, type=RunFacts), metrics={})
-
-
-class _Names:
-    """Numbers for names: those known beforehand in their order, others as they come."""
-
-    def __init__(self, known: Sequence[str]) -> None:
-        self._codes = {name: i for i, name in enumerate(known)}
-        self._seen: dict[tuple[str, ...], Array] = {}
-
-    def code(self, name: str) -> int:
-        return self._codes.setdefault(name, len(self._codes))
-
-    def codes(self, names: tuple[str, ...]) -> Array:
-        """A frame's receivers, say: few different tuples occur, so each is translated once."""
-        known = self._seen.get(names)
-        if known is None:
-            known = self._seen[names] = np.array([self.code(name) for name in names], np.int32)
-        return known
-
-    def column(self, codes: Array) -> Any:
-        return name_column(list(self._codes), codes)
 
 
 def _table(columns: list[Any], schema: pa.Schema, facts: RunFacts) -> pa.Table:
