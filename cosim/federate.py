@@ -138,6 +138,13 @@ class Prompted(Polled, Protocol):
 
 
 @runtime_checkable
+class Waiting(Protocol):
+    """A federate whose steps wait for somebody outside, who may hang: an interruption may strike in them at once."""
+
+    waits: bool
+
+
+@runtime_checkable
 class RemoteFederate(Federate, Releasable, Protocol):
     """A federate elsewhere: all that are due in a slot are asked before any is awaited.
 

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from cosim.errors import FederateError, VcmvspError
-from cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot
+from cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting
 from cosim.keys import matches
 
 T = TypeVar("T")
@@ -66,6 +66,7 @@ class Kernel:
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
         self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
+        self._waiting = frozenset(i for i, each in enumerate(self._federates) if isinstance(each, Waiting) and each.waits)
         self._polled: list[tuple[int, Polled]] = [
             (i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)
         ]
@@ -222,7 +223,8 @@ class Kernel:
 
     def _step(self, index: int, now: int, slot: Slot) -> None:
         with self._blames[index]:
-            step = self._federates[index].step(now, self._take_inbox(index))
+            federate, inbox = self._federates[index], self._take_inbox(index)
+            step = self._await(lambda: federate.step(now, inbox)) if index in self._waiting else federate.step(now, inbox)
         self._give(index, step.events, now, slot)
         self._schedule_next(index, step.next_ns, now)
 

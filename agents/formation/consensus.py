@@ -168,10 +168,10 @@ class Consensus(Agent):
         """Keep the newest report of every neighbour: late ones and copies change nothing, nonsense is counted."""
         latest_ns = obs.time_ns + self._clock_bound_ns
         for heard in obs.heard:
-            sender = heard.message.sender
-            if sender not in self._places:
+            sender, body = heard.message.sender, heard.message.body
+            if sender not in self._places or isinstance(body, bytes):  # which are of a program there
                 continue
-            seen = _parse(heard.message.body, latest_ns)
+            seen = _parse(body, latest_ns)
             if seen is None:
                 self._refused += 1
             elif sender not in self._newest or seen.t_ns > self._newest[sender].t_ns:
@@ -238,10 +238,8 @@ def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:
     return tuple(sorted({*others} - {index}))
 
 
-def _parse(body: Mapping[str, Any] | bytes, latest_ns: int) -> Seen | None:
+def _parse(body: Mapping[str, Any], latest_ns: int) -> Seen | None:
     """The report in a message body; None where it is not one that can be used."""
-    if isinstance(body, bytes):
-        return None
     try:
         t_ns, x, y = body["t_ns"], body["x"], body["y"]
         if type(t_ns) is not int or t_ns > latest_ns or not abs(x) + abs(y) < PLAUSIBLE:

@@ -1,4 +1,7 @@
-"""What a vehicle has heard of those that matter to it: the newest report of each, and for how long each has been silent."""
+"""What a vehicle has heard of those that matter to it: the newest report of each, and for how long each has been silent.
+
+Messages of bytes are those of programs that use the same radio: of the agent there they say nothing, not even that it lives.
+"""
 
 import math
 from collections.abc import Iterable
@@ -24,20 +27,19 @@ class Listening:
         self.newest: dict[str, Report] = {}
         self.refused = 0
         self._heard_ns: dict[str, int] = {}  # when a report came that can be used
-        self._there_ns: dict[str, int] = {}  # when anything came
+        self._there_ns: dict[str, int] = {}  # when anything of an agent came
 
     def take(self, obs: Observation) -> list[Report]:
         """Go through what came in since the last tick; the reports of it, oldest first."""
         reports = []
         for heard in obs.heard:
-            sender = heard.message.sender
-            if sender not in self._senders:
+            sender, body = heard.message.sender, heard.message.body
+            if sender not in self._senders or isinstance(body, bytes):
                 continue
             self._there_ns[sender] = obs.time_ns
-            body = heard.message.body
             report = parse(body, obs.time_ns + self._clock_bound_ns)
             if report is None:
-                self.refused += isinstance(body, bytes) or "ack" not in body  # answers to own reports are for the Reporter
+                self.refused += "ack" not in body  # answers to own reports are for the Reporter
                 continue
             self._heard_ns[sender] = obs.time_ns
             reports.append(report)

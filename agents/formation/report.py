@@ -106,14 +106,12 @@ def lead_of(report: Report, latest_ns: int) -> Report | None:
     return parse(dict(zip(STATE_KEYS, lead, strict=False)), latest_ns) if isinstance(lead, list) else None
 
 
-def parse(body: Mapping[str, Any] | bytes, latest_ns: int) -> Report | None:
+def parse(body: Mapping[str, Any], latest_ns: int) -> Report | None:
     """The report in a message body; None where it is not one that can be followed.
 
     Refused are missing keys, values that are not numbers, not finite or beyond `PLAUSIBLE`, and a ``t_ns`` later than
     ``latest_ns``.
     """
-    if isinstance(body, bytes):
-        return None
     try:
         t_ns, x, y, th, v, w = body["t_ns"], body["x"], body["y"], body["th"], body["v"], body["w"]
         if type(t_ns) is not int or t_ns > latest_ns or not abs(x) + abs(y) + abs(th) + abs(v) + abs(w) < PLAUSIBLE:

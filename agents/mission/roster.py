@@ -98,20 +98,20 @@ class Roster:
         self._claim_ns = max(self._alive_ns, seconds_to_ns(claim_s))
         self.clock_bound_s, self._clock_bound_ns = clock_bound_s, seconds_to_ns(clock_bound_s)
         self._heard: dict[str, Heard] = {}
-        self._there_ns: dict[str, int] = {}  # when anything came from it
+        self._there_ns: dict[str, int] = {}  # when anything came from its agent
         self._start_ns: int | None = None
         self._told: tuple[Task, str | None] | None = None
         self._told_ns = 0
 
     def hear(self, obs: Observation) -> None:
-        """Once a tick: take in what others told; whatever a member sends shows that it is there."""
+        """Once a tick: take in what others told; whatever a member sends shows that it is there, unless a program sends it."""
         self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
         for heard in obs.heard:
-            sender = heard.message.sender
-            if sender == self.me or sender not in self._sector_of:
+            sender, body = heard.message.sender, heard.message.body
+            if sender == self.me or sender not in self._sector_of or isinstance(body, bytes):
                 continue
             self._there_ns[sender] = obs.time_ns
-            said = _parsed(heard.message.body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
+            said = _parsed(body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
             before = self._heard.get(sender)
             if said is not None and (before is None or said.ms > before.ms):
                 self._heard[sender] = said

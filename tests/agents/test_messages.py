@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.formation import Hold, LeaderFollower, Trajectory
+from agents.formation.listening import Listening
 from cosim.agent import Radio, VehicleInfo
 from cosim.errors import ScenarioError
 from cosim.registry import find
@@ -81,7 +82,7 @@ def test_the_newest_report_wins_over_late_ones_copies_and_nonsense(
     command, notes = told(*mixed)
     expected, expected_notes = told(heard(body_of(max(ticks))))
     assert command == expected
-    assert notes.pop("refused", 0) == len(garbage)
+    assert notes.pop("refused", 0) == sum(not isinstance(body, bytes) for body in garbage)  # bytes are a program's
     assert notes == expected_notes
 
 
@@ -118,6 +119,15 @@ def test_a_clock_that_is_ahead_within_its_bound_is_believed_and_counts_as_age_ze
     command, notes = told(early, clock_bound_s=0.005)
     assert notes["age_s"] == 0.0
     assert command == told(heard(body_of(20)))[0]
+
+
+def test_a_program_that_goes_on_talking_does_not_hide_that_its_agent_is_silent() -> None:
+    listening = Listening(["leader"], 0.0)
+    for tick, body in enumerate([body_of(0), b"\x00", msgspec.msgpack.encode(body_of(2)), b""]):
+        listening.take(observe(POSE, tick * TICK_NS, [heard(body)]))
+    assert (listening.absent_ns("leader", 3 * TICK_NS), listening.refused) == (3 * TICK_NS, 0)
+    listening.take(observe(POSE, 4 * TICK_NS, [heard({"ack": 1})]))
+    assert listening.absent_ns("leader", 4 * TICK_NS) == 0
 
 
 def test_until_the_leader_is_heard_the_follower_stands_still() -> None:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -57,11 +58,18 @@ def test_who_is_silent_is_lost_and_who_says_anything_is_there() -> None:
     roster = Roster("a", NAMES, alive_s=5.0)
     roster.hear(seen(0.0))
     assert roster.alive(4 * S) == NAMES  # nobody has had the time to say anything
-    roster.hear(seen(3.0, ("b", {"map": 1}), ("c", b"\x00"), ("x", {})))
+    roster.hear(seen(3.0, ("b", {"map": 1}), ("c", {}), ("x", {})))
     assert roster.alive(5 * S) == ("a", "b", "c")
     assert roster.alive(8 * S) == ("a",)
     roster.hear(seen(9.0, said("d", 9.0)))
     assert roster.alive(9 * S) == ("a", "d")
+
+
+def test_a_program_that_goes_on_talking_does_not_hide_that_its_agent_is_lost() -> None:
+    roster = Roster("a", NAMES, alive_s=5.0)
+    for now_s in range(10):
+        roster.hear(seen(now_s, said("b", now_s), ("c", b"\x00"), ("d", msgspec.msgpack.encode(said("d", now_s)[1]))))
+    assert roster.alive(9 * S) == ("a", "b")
 
 
 def test_who_tracks_leaves_the_search_to_the_rest() -> None:

@@ -220,7 +220,7 @@ def test_who_says_what_cannot_be_used_is_there_nevertheless(wrong: dict[str, Any
     answers = []
     for tick in range(130):
         body = {"seq": tick, "t_ns": tick * TICK_NS, "x": 0.0, "y": 0.0, "th": 0.0, "v": 0.3, "w": 0.0, "cl": 0}
-        message = Message(sender="car2", body=b"?" if wrong is None else body | wrong, size_bytes=9)
+        message = Message(sender="car2", body={"?": 1} if wrong is None else body | wrong, size_bytes=9)
         heard.take(sees(None, tick, received(message), clear("car3", tick)))
         answers.append(policy.widens(tick * TICK_NS, True, CARS[1:], heard))
     assert not any(answers)

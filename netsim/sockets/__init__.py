@@ -1,0 +1,1 @@
+"""Programs that keep the run's own time: the run's side of `cosim.sockets`."""

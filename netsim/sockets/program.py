@@ -1,0 +1,123 @@
+"""One program as the run sees it: when it goes on, what it says in its turn, and what waits for it."""
+
+import contextlib
+import socket
+from collections import deque
+
+from cosim.errors import FederateError
+from cosim.sockets_wire import EACH, ROOM, Go, Over, Send, Stream, Up, Wait, WireError, up
+from cosim.text import plain
+from cosim.types import Message, Vec3
+
+MOST_CALLS = 100_000  # datagrams that it may send without letting time go on
+MOST_BYTES = 1 << 26  # of them
+
+
+class Left(Exception):
+    """It has gone, or was shown the door: why."""
+
+
+class Program:
+    """The program of a vehicle.
+
+    Attributes:
+        wake_ns: when it goes on at the latest; None: only when something is heard.
+        missed: datagrams for which there was no room, because it took none.
+        noted: how many of them were noted.
+        position: where its vehicle takes itself to be, m, world.
+
+    Args:
+        vehicle: whose it is.
+        vehicles: all of the run.
+        stream: the connection to it.
+        deadline_s: wall-clock time within which it must say something in its turn.
+    """
+
+    def __init__(self, vehicle: str, vehicles: frozenset[str], stream: Stream, deadline_s: float | None) -> None:
+        self.vehicle, self._stream, self._deadline_s = vehicle, stream, deadline_s
+        self._others = vehicles - {vehicle}
+        self.wake_ns: int | None = 0
+        self.missed = self.noted = 0
+        self.position: Vec3 | None = None
+        self._hears = False
+        self._heard: deque[tuple[bytes, str]] = deque()
+        self._room = ROOM
+        stream.socket.settimeout(deadline_s)
+
+    def fileno(self) -> int:
+        """For poll."""
+        return self._stream.socket.fileno()
+
+    def hear(self, payload: bytes, sender: str) -> None:
+        """Keep a datagram for its next turn, as far as there is room."""
+        size = len(payload) + EACH
+        if size > self._room:
+            self.missed += 1
+        else:
+            self._heard.append((payload, sender))
+            self._room -= size
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether it goes on now."""
+        return self.wake_ns == now_ns or (self._hears and bool(self._heard))
+
+    def turn(self, now_ns: int, said: list[Message]) -> None:
+        """Let it go on until it waits again; what its vehicle sends is added to ``said``.
+
+        Raises:
+            Left: it goes on no more.
+            FederateError: it has said nothing for too long.
+        """
+        calls, size = 0, 0
+        try:
+            self._stream.send(Go(now_ns, self.position, list(self._heard)))
+            self._heard.clear()
+            while (message := self._stream.receive()) is not None:
+                word = up(message)
+                if isinstance(word, Wait):
+                    self._wait(now_ns, word)
+                    return
+                said.append(self._checked(word))
+                calls, size = calls + 1, size + len(said[-1].body)
+                if calls > MOST_CALLS or size > MOST_BYTES:
+                    raise Left("it sends without end and lets no time go on")
+        except WireError as error:
+            raise Left(f"it said what makes no sense: {plain(str(error))}") from None
+        except TimeoutError:
+            late = f"has not gone on within {self._deadline_s:g} s (sockets.deadline_s)"
+            raise FederateError(f"the program of {self.vehicle}", f"{late}; it hangs, or needs more time") from None
+        except OSError:
+            pass  # the same as an orderly end
+        raise Left("it has ended")
+
+    def stirs(self) -> Left:
+        """Why it is to leave that has done something while it should wait."""
+        try:
+            self._stream.socket.settimeout(0.0)
+            return Left("it spoke out of its turn" if self._stream.socket.recv(1) else "it has ended")
+        except OSError:
+            return Left("it has ended")
+
+    def farewell(self) -> None:
+        """Tell it that the run is over, unless it takes nothing any more."""
+        with contextlib.suppress(OSError):
+            self._stream.socket.settimeout(0.0)
+            self._stream.send(Over())
+            self._stream.socket.shutdown(socket.SHUT_WR)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._stream.socket.close()
+
+    def _wait(self, now_ns: int, word: Wait) -> None:
+        if self._stream.frames:
+            raise Left("it spoke out of its turn")
+        self.wake_ns = None if word.for_ns is None else now_ns + word.for_ns
+        self._hears, self._room = word.hears, ROOM - word.held
+
+    def _checked(self, word: Up) -> Message:
+        if not isinstance(word, Send):
+            raise WireError("it has come already")
+        if word.to is not None and word.to not in self._others:
+            raise WireError(f"'{word.to}' is not another vehicle of this run")
+        return Message(sender=self.vehicle, body=word.payload, size_bytes=len(word.payload), to=word.to)
