@@ -163,10 +163,12 @@ def summary(result: "Result") -> str:
     speed = metrics["duration_s"] / max(about["simulating_s"], 1e-9)
     lines = {
         "radio": _of_radio(metrics["radio"]),
+        "routing": _of_routing(metrics["routing"]) if metrics.get("routing") else "",
         "formation": _of_formation(metrics["formation"]),
         "mission": _of_mission(metrics["mission"]) if metrics.get("mission") else "",
         **{name: _of_real(real) for name, real in metrics.get("hardware", {}).items()},
         "lateness": lateness(about["lateness"]) if about["lateness"] else "",
+        "bridge": _of_bridge(about["bridge"]) if about.get("bridge") else "",
         "safety": _of_safety(metrics["safety"]),
         "lost": _of_lost(metrics["agents"]),
         "results": str(result.folder),
@@ -186,6 +188,16 @@ def lateness(late: Mapping[str, Any]) -> str:
     return words + (f"; the run slipped by {late['slipped_s']:.3f} s" if late["slipped_s"] else "")
 
 
+def _of_bridge(carried: Mapping[str, Any]) -> str:
+    """What crossed the bridge to programs outside, how late it left, and what did not cross it."""
+    words = f"{carried['datagrams']} datagrams, {carried['delivered']} deliveries"
+    if carried["delivered"]:
+        late = f"late by {1000 * carried['p50_s']:.2f} ms median, {1000 * carried['p99_s']:.2f} ms p99"
+        words += f", {late}, {carried['over_1ms']} by more than 1 ms"
+    refused = (f"{number} {what} ({name})" for name, counts in carried["counts"].items() for what, number in counts.items())
+    return "; ".join((words, *refused))
+
+
 def _of_radio(radio: Mapping[str, Any]) -> str:
     """What became of the frames."""
     if not radio["frames"]:
@@ -196,6 +208,18 @@ def _of_radio(radio: Mapping[str, Any]) -> str:
     arrived = "all still under way" if ratio is None else f"{100 * ratio:.1f} % delivered ({lost})"
     words = f"{radio['frames']} frames, {arrived}"
     return words + ("" if age_s is None else f", age {1000 * age_s:.0f} ms")
+
+
+def _of_routing(routing: Mapping[str, Any]) -> str:
+    """How far messages got over others, and what that cost."""
+    if not routing["messages"]:
+        return ""
+    words = f"{routing['messages']} messages, {100 * routing['delivery_ratio']:.1f} % delivered"
+    if routing["arrivals"]:
+        words += f" over {routing['hops_mean']:.1f} hops ({routing['hops_max']} at most)"
+    words += f", {routing['forwarded']} frames passed on"
+    words += f", {routing['no_route']} without a route" if routing["no_route"] else ""
+    return words + (f", {routing['control_frames']} frames about routes" if routing["control_frames"] else "")
 
 
 def _of_formation(formation: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ class Built(msgspec.Struct, frozen=True):
     federate: Any  # `netsim.federate.RadioFederate`
     channel: Any  # `netsim.channel.Channel`
     radios: Mapping[str, Any]  # `netsim.radios.Radio`, by vehicle
-    resolved: dict[str, Any]  # ``[radio]`` with everything filled in
+    resolved: dict[str, dict[str, Any]]  # ``[radio]`` and, where somebody passes messages on, ``[routing]``: complete
 
 
 def of_scenario(
@@ -43,15 +43,21 @@ def of_scenario(
     radios = {
         each.name: table.call(kind, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle
     }
-    keys = [name for name in table.parameters(federate) if name != "channel"]
+    keys = [name for name in table.parameters(federate) if name not in ("channel", "router")]
     own = {name: value for name, value in scenario.radio.items() if name in keys}
     layers = {name: value for name, value in scenario.radio.items() if name not in keys}
     channel, resolved = build(
         layers, source, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
     )
     air = channel if recorded is None else registry.piece("recorded radio")(channel, recorded, tell)
-    built = table.call(federate, own, key="radio", origin=source, given={"channel": air})
-    return Built(built, channel, radios, {**table.complete(federate, own, without=("channel",)), **resolved})
+    router, routing = None, dict[str, Any]()
+    if scenario.routing:
+        router, routing = component.build(
+            "routing", scenario.routing, key="routing", source=source, portable=portable, keep=keep
+        )
+    built = table.call(federate, own, key="radio", origin=source, given={"channel": air, "router": router})
+    full = {**table.complete(federate, own, without=("channel", "router")), **resolved}
+    return Built(built, channel, radios, {"radio": full, **({"routing": routing} if router is not None else {})})
 
 
 def build(

@@ -320,6 +320,45 @@ class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     fading_db: Array | None = None  # a gain
 
 
+class Datagrams(Value, frozen=True, kw_only=True, tag="datagrams"):
+    """What programs outside have handed to the radios of their vehicles, in the order in which it came."""
+
+    number: Array  # (n,) int64, unique in the run
+    sender: Array  # (n,) int32, rows of the run's vehicles
+    to: Array  # (n,) int32, the only one meant; -1: broadcast
+    size_bytes: Array  # (n,) int64, payload
+    sent_ns: Array  # (n,) int64, when it came, a little before or after now; decreases for no sender
+    payloads: tuple[bytes, ...] = ()  # where agents are to hear it; else it never leaves whoever carries it
+
+
+class Traffic(Value, frozen=True, kw_only=True, tag="traffic"):
+    """What became of datagrams."""
+
+    reports: tuple[FrameReport, ...]  # of all frames that were sent for them
+    carries: Array  # (len(reports),) int64, the number of the datagram in each
+    number: Array  # (m,) int64, of datagrams that arrive where they are meant to
+    receiver: Array  # (m,) int32, there
+    arrival_ns: Array  # (m,) int64, when; may be earlier than now, if whoever carries it was late
+    settled: Array  # (k,) int64, numbers of those of which nothing is to come any more
+
+
+class Routed(Value, frozen=True, kw_only=True, tag="routed"):
+    """What became of a message that others may have passed on, once nothing of it is under way any more."""
+
+    origin: str
+    number: int  # among those of its origin
+    to: str | None  # None: broadcast
+    sent_ns: int
+    size_bytes: int  # payload
+    frame_bytes: int  # of each frame: that, and what routing adds
+    frames: tuple[int, ...]  # that were sent for it, in their order; none: there was no route
+    receivers: tuple[str, ...]  # whom it reached, relays included, in the order of time
+    hops: tuple[int, ...]  # on the way to each of them
+    via: tuple[str, ...]  # from whom each of them had it
+    received_ns: tuple[int, ...]
+    update: bool = False  # of routes: no message, but what vehicles tell each other
+
+
 class Contact(Value, frozen=True, kw_only=True, tag="contact"):
     """A vehicle began to touch another vehicle, a movable or moving obstacle or, where ``other`` is None, the world."""
 
@@ -387,6 +426,9 @@ AnyValue = (
     | RealStatus
     | Incident
     | FrameReport
+    | Datagrams
+    | Traffic
+    | Routed
     | Contact
     | Pushed
     | Outage

@@ -112,8 +112,7 @@ class Channel:
         Returns:
             The report of this frame, if its fate is known already.
         """
-        if names is not self._names and names != self._names:
-            self._meet(names)
+        self._meet_if_new(names)
         sender = self._sender(message.sender)
         air_ns = self.phy.air_time_ns(message.size_bytes)
         if air_ns < 1:
@@ -177,6 +176,14 @@ class Channel:
         self._medium, self._names = None, ()
         return [self._outcomes.unfinished(sent) for sent in waiting]
 
+    def levels_dbm(self, names: tuple[str, ...], position: Floats) -> Floats:
+        """The mean level of each radio, by row, at each other, by column, (n, n) dBm; NaN at itself. Arguments as of `send`."""
+        self._meet_if_new(names)
+        levels = np.full((len(names), len(names)), np.nan)
+        for sender in map(self._sender, names):
+            levels[sender.row, sender.others] = self.budgets.mean(sender.links, names, position).level_dbm
+        return levels
+
     def close(self) -> None:
         """Nothing to release."""
 
@@ -198,6 +205,10 @@ class Channel:
         loss, delay, outages = map(unless_nothing, (*self.operated.layers.values(), self.operated.outages))
         layers = loss, delay, self._script, self._trace, self._delivery
         return Outcomes(self.hearing, *layers, fades=self.fading is not None, outages=outages)
+
+    def _meet_if_new(self, names: tuple[str, ...]) -> None:
+        if names is not self._names and names != self._names:
+            self._meet(names)
 
     def _meet(self, names: tuple[str, ...]) -> None:
         if self._waiting:

@@ -1,15 +1,18 @@
 """The radio in the simulation: positions and sent messages in, receptions and frame reports out."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from cosim.clock import seconds_to_ns
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.rng import stream
-from cosim.types import Changed, FrameReport, Message, Outage, Reception, Seconds, States
+from cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States, Traffic, frozen
 from netsim.channel import Channel
 from netsim.recorded import RecordedChannel
+from netsim.routing.network import Network, received
+from netsim.routing.router import Routing
 
 
 class RadioFederate:
@@ -20,12 +23,15 @@ class RadioFederate:
     ====================  =========  ===============================================================================
     ``world/states``      in         `States`: where everybody is; the newest counts
     ``<vehicle>/send``    in         `Message`: enters the channel at the event's time
+    ``bridge/sent``       in         `Datagrams` of programs outside, each at its own time, which may have passed by a little
     ``operator/outage``   in         `Outage`: frames whose fate is open at the event's time are lost, as far as it concerns
                                      them
     ``operator/changed``  in         `Changed`: a number of a layer, for all frames whose fate is open then
     ``radio/frame``       out        `FrameReport`: what became of a frame, as soon as that is known: at its sending where
                                      nobody contends for the air, or a recording tells it (`netsim.recorded`), else when
                                      it ends; at the end of the run for the rest
+    ``radio/traffic``     out        `Traffic`: the same of datagrams, all that is known at an instant together
+    ``radio/routed``      out        `Routed`: how a message came to whom, once it is under way no more; with routing alone
     ``<vehicle>/heard``   out        `Reception`, at the time at which it arrives
     ====================  =========  ===============================================================================
 
@@ -33,48 +39,97 @@ class RadioFederate:
     contend for the air would then all find it free, and collide. So, where several vehicles send at one instant, a message
     takes up to ``handover_s`` to reach the queue of its radio, uniformly distributed, in the order of its sender.
 
-    It is stepped with the senders, and once more for every frame that ends on a contended air: nothing is polled.
+    With routing a message may need several frames, each handed over by the vehicle that had the one before (`netsim.routing`).
+
+    It is stepped with the senders, and once more for every frame that ends on a contended air, or that is passed on: nothing is
+    polled.
     """
 
     name = "radio"
     slot = Slot.RADIO
     wake_slot = Slot.SEND
-    reads: tuple[str, ...] = ("*/send", "operator/outage", "operator/changed")
+    reads: tuple[str, ...] = ("*/send", "bridge/sent", "operator/outage", "operator/changed")
     latest: tuple[str, ...] = ("world/states",)
-    wakes: tuple[str, ...] = ("*/send",)
+    wakes: tuple[str, ...] = ("*/send", "bridge/sent")
 
-    def __init__(self, channel: Channel | RecordedChannel, handover_s: Seconds = 0.002) -> None:
-        self._channel = channel
+    def __init__(self, channel: Channel | RecordedChannel, handover_s: Seconds = 0.002, router: Routing | None = None) -> None:
+        self._channel, self._routing = channel, router
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:
         """Begin with an idle channel; nothing to do until a message is sent."""
         self._channel.start(run.seed)
-        self._end_ns = run.duration_ns
+        self._end_ns, self._vehicles = run.duration_ns, run.vehicles
+        self._carried: dict[int, int] = {}  # by frame: the datagram in it
         self._states: States | None = None
         self._messages: dict[int, Message] = {}  # by frame: those whose fate is open
         self._sent = 0
         self._seed = run.seed
         self._handover: dict[str, np.random.Generator] = {}
         self._handed_ns: dict[str, int] = {}
+        self._network: Network | None = None
+        if self._routing is not None:
+            self._network = Network(self._routing.open(run.vehicles, run.seed), run.vehicles, run.seed, self._put)
+            return self._network.next_ns()
         return None
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Report what is decided by now, and hand over what was sent, in that order."""
         reports = self._obey(inbox)
         reports += self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
+        if self._network is not None:
+            return self._step_routed(self._network, now_ns, inbox, reports)
         alone = len({event.value.sender for event in inbox if isinstance(event.value, Message)}) == 1
         for event in inbox:
             if isinstance(event.value, States):
                 self._states = event.value
             elif isinstance(event.value, Message):
                 reports += self._send(event.time_ns, event.value, alone=alone)
+            elif isinstance(event.value, Datagrams):
+                reports += self._send_all(event.value, now_ns)
         reports += self._channel.advance(now_ns)
         if now_ns == self._end_ns:
             reports += self._channel.finish()
-        events = [event for report in reports for event in self._events(report, now_ns)]
+        events = self._traffic(reports, now_ns) if self._carried else []
+        events += [event for report in reports for event in self._events(report, now_ns)]
         due = self._channel.next_ns()
         return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
+
+    def _step_routed(self, network: Network, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
+        """The same where messages become packets that go from vehicle to vehicle."""
+        sent = [event for event in inbox if isinstance(event.value, Message | Datagrams)]
+        self._states = next((event.value for event in reversed(inbox) if isinstance(event.value, States)), self._states)
+        network.note(reports, now_ns + bool(sent))  # what arrives when others send, is too late for the agents of this instant
+        reports = network.go_on(now_ns)
+        alone = len({event.value.sender for event in sent if isinstance(event.value, Message)}) == 1
+        for event in sent:
+            if isinstance(event.value, Message):
+                after_ns = self._handed_over(event.value.sender, event.time_ns, alone=alone) - event.time_ns
+                reports += network.send(event.time_ns, event.value, handover_ns=after_ns)
+            elif isinstance(event.value, Datagrams):
+                for number, sent_ns, message in self._programs(event.value):
+                    late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0
+                    reports += network.send(sent_ns, message, handover_ns=late_ns, datagram=number)
+        reports += self._channel.advance(now_ns)
+        if now_ns == self._end_ns:
+            reports += self._channel.finish()
+        network.note(reports, now_ns + 1)
+        if now_ns == self._end_ns:
+            network.finish()
+        due = [each for each in (self._channel.next_ns(), network.next_ns()) if each is not None]
+        return Step(network.events(now_ns), None if not due or now_ns == self._end_ns else min(*due, self._end_ns))
+
+    def _put(self, sent_ns: int, frame: Message, handover_ns: int) -> tuple[int, list[FrameReport]]:
+        """Hand a frame to the channel: its number, and what is decided of it."""
+        if self._states is None:
+            raise ValueError(f"{frame.sender} sends before any position is known (world/states)")
+        self._sent += 1
+        names, position = self._states.names, self._states.position
+        return self._sent - 1, self._channel.send(sent_ns, frame, names, position, handover_ns=handover_ns)
+
+    def levels_dbm(self, states: States) -> Array:
+        """The mean level of each vehicle's radio, by row, at each other's, by column, (n, n) dBm; NaN at itself."""
+        return self._channel.levels_dbm(states.names, states.position)
 
     def close(self) -> None:
         """Release the channel."""
@@ -118,6 +173,55 @@ class RadioFederate:
         after_ns = self._handed_over(message.sender, sent_ns, alone=alone) - sent_ns
         return self._channel.send(sent_ns, message, self._states.names, self._states.position, handover_ns=after_ns)
 
+    def _send_all(self, datagrams: Datagrams, now_ns: int) -> list[FrameReport]:
+        """Hand over what programs have sent."""
+        if self._states is None:
+            raise ValueError("a program sends before any position is known (world/states)")
+        reports: list[FrameReport] = []
+        for number, sent_ns, message in self._programs(datagrams):
+            self._messages[self._sent] = message
+            self._carried[self._sent] = number
+            self._sent += 1
+            late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0  # the air of the past is taken
+            reports += self._channel.send(sent_ns, message, self._states.names, self._states.position, handover_ns=late_ns)
+        return reports
+
+    def _programs(self, datagrams: Datagrams) -> Iterator[tuple[int, int, Message]]:
+        """Number, time (ns) and message of each datagram."""
+        vehicles, payloads = self._vehicles, datagrams.payloads or itertools.repeat(b"")
+        columns = (datagrams.number, datagrams.sender, datagrams.to, datagrams.size_bytes, datagrams.sent_ns)
+        for number, sender, to, size, sent_ns, payload in zip(*(each.tolist() for each in columns), payloads, strict=False):
+            message = Message(sender=vehicles[sender], body=payload, size_bytes=size, to=None if to < 0 else vehicles[to])
+            yield number, sent_ns, message
+
+    def _traffic(self, reports: list[FrameReport], now_ns: int) -> list[Event]:
+        """Take the reports of datagrams out: one event for all of them, and receptions of those that agents can hear."""
+        ours = [report for report in reports if report.frame in self._carried]
+        if not ours:
+            return []
+        reports[:] = [report for report in reports if report.frame not in self._carried]
+        events: list[Event] = []
+        arrivals: list[tuple[int, int, int]] = []
+        row = {name: row for row, name in enumerate(self._vehicles)}
+        numbers = [self._carried.pop(report.frame) for report in ours]
+        for report, number in zip(ours, numbers, strict=True):
+            message = self._messages.pop(report.frame)
+            for receiver, rssi_dbm, at_ns in received(report):
+                arrivals.append((number, row[receiver], at_ns))
+                if message.body:
+                    heard = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
+                    events.append(Event(f"{receiver}/heard", max(at_ns, now_ns + 1), heard))
+        columns = np.array(arrivals, np.int64).reshape(-1, 3).T
+        traffic = Traffic(
+            reports=tuple(ours),
+            carries=frozen(numbers, np.int64),
+            number=frozen(columns[0]),
+            receiver=frozen(columns[1], np.int32),
+            arrival_ns=frozen(columns[2]),
+            settled=frozen(numbers, np.int64),
+        )
+        return [Event("radio/traffic", now_ns, traffic), *events]
+
     def _handed_over(self, sender: str, sent_ns: int, *, alone: bool) -> int:
         """When a message reaches the queue of its radio."""
         if not self._handover_ns:
@@ -132,10 +236,7 @@ class RadioFederate:
     def _events(self, report: FrameReport, now_ns: int) -> list[Event]:
         message = self._messages.pop(report.frame)
         events = [Event("radio/frame", now_ns, report)]
-        times = [report.received_ns] if report.copy_ns is None else [report.received_ns, report.copy_ns]
-        for arrival_ns in times:
-            for receiver, rssi_dbm, at_ns in zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True):
-                if at_ns >= 0:
-                    heard = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
-                    events.append(Event(f"{receiver}/heard", at_ns, heard))
+        for receiver, rssi_dbm, at_ns in received(report):
+            heard = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
+            events.append(Event(f"{receiver}/heard", at_ns, heard))
         return events

@@ -138,6 +138,10 @@ class RecordedChannel:
         """What an operator may change of the channel: it concerns the frames that are drawn."""
         return self._channel.operated
 
+    def levels_dbm(self, names: tuple[str, ...], position: Floats) -> Floats:
+        """As of frames that are drawn, as `Channel.levels_dbm`."""
+        return self._channel.levels_dbm(names, position)
+
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
         """For the frames that are drawn, as `Channel.cut_off`: of the others the recording tells."""
         self._channel.cut_off(vehicles, from_ns, until_ns)

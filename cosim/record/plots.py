@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 
 from cosim.clock import SECOND_NS
 from cosim.record.columns import names_of, numbers
-from cosim.record.metrics import SETTLED_M, Motion, Window, formation_errors, links, motion
+from cosim.record.metrics import SETTLED_M, Motion, Window, formation_errors, links, motion, unreached_s
 from cosim.record.palette import color_of
 from cosim.record.style import ABOVE, GREY, LEVEL, SVG, line_of, style, styled
 from cosim.record.tables import NOT_LOST, Placement
@@ -204,7 +204,9 @@ def _leaders(name: str, follows: Sequence[Placement]) -> list[str]:
 
 
 def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
-    """When frames of this link were sent that were lost, s."""
+    """When frames of this link were sent that were lost, s; with routing messages that came over nobody."""
+    if "origin" in radio.column_names:
+        return unreached_s(radio, receiver, sender)
     (receivers, to), (senders, by), (words, outcome) = (names_of(radio, name) for name in ("receiver", "sender", "outcome"))
     if receiver not in receivers or sender not in senders:
         return np.empty(0)

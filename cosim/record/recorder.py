@@ -31,11 +31,13 @@ from cosim.errors import ScenarioError
 from cosim.federate import Event, RunInfo
 from cosim.record import foxglove, metrics, words
 from cosim.record.digest import digest
-from cosim.record.tables import Placement, RunFacts, radio_table, states_table, write_table
+from cosim.record.frames import Frames
+from cosim.record.tables import NOT_LOST, Placement, RunFacts, radio_table, states_table, write_table
 from cosim.record.viewer import Viewer
 from cosim.types import (
     Changed,
     Contact,
+    Datagrams,
     Fix,
     Follows,
     FrameReport,
@@ -56,9 +58,11 @@ from cosim.types import (
     ProbabilityMap,
     Pushed,
     RealStatus,
+    Routed,
     Scan,
     Sightings,
     States,
+    Traffic,
     Value,
     VehicleState,
     Velocity,
@@ -99,9 +103,10 @@ class Recorder:
         self._now = 0
         self._latest: tuple[int, States] | None = None
         self._rows: list[tuple[int, States]] = []
-        self._frames: list[FrameReport] = []
+        self._frames = Frames(run.vehicles)
         self._follows: list[Placement] = []
         self._noted, self._mission = metrics.Noted(), metrics.Mission()
+        self._routing = metrics.Routing(run.vehicles)
         self._targets: Sequence[metrics.Target] = () if world is None else world.targets
         self._commands = {name: array("d") for name in run.vehicles}  # rows of time ns, velocity m/s, yaw rate rad/s
         self._presences: list[tuple[str, Presence]] = []
@@ -117,6 +122,9 @@ class Recorder:
         self._handlers: dict[type, Callable[[str, int, Any], None]] = {
             States: self._on_states,
             FrameReport: self._on_frame,
+            Datagrams: self._on_datagrams,
+            Traffic: self._on_traffic,
+            Routed: self._on_routed,
             Follows: self._on_follows,
             Note: self._on_note,
             **dict.fromkeys((Velocity, Waypoint), self._on_command),
@@ -189,7 +197,7 @@ class Recorder:
         states, radio = self._built()
         moved, got = metrics.motion(states), metrics.receptions(radio)
         end_ns, vehicles = self.facts.end_ns, self._run.vehicles
-        ages = metrics.age_metrics(got, self._follows, self._ticks, window, end_ns)
+        ages = metrics.age_metrics(metrics.informed(radio), self._follows, self._ticks, window, end_ns)
         hardware = metrics.hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         mission = self._mission.metrics(moved, self._targets)
         commands = {name: np.array(rows).reshape(-1, 5) for name, rows in self._commands.items()}
@@ -200,6 +208,7 @@ class Recorder:
             "duration_s": end_ns / SECOND_NS,
             "formation": metrics.formation_metrics(moved, self._follows, window, self._noted, end_ns),
             "radio": metrics.radio_metrics(radio, ages, end_ns),
+            **({"routing": self._routing.metrics()} if self._routing else {}),
             "control": metrics.control_metrics(commands, vehicles, window, end_ns),
             "connectivity": metrics.connectivity_metrics(got, vehicles, window, end_ns),
             "agents": metrics.agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
@@ -226,8 +235,22 @@ class Recorder:
             self._viewer.put_states(_each(states), time_ns)
 
     def _on_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
-        self._frames.append(report)
+        self._frames.extend((report,))
         self._write(key, time_ns, report)
+
+    def _on_datagrams(self, key: str, time_ns: int, datagrams: Datagrams) -> None:
+        """They are in the table of frames, each; in ``run.mcap`` only how many there were."""
+        self._write(key, time_ns, {"datagrams": len(datagrams.number), "bytes": int(datagrams.size_bytes.sum())})
+
+    def _on_traffic(self, key: str, time_ns: int, traffic: Traffic) -> None:
+        self._frames.extend(traffic.reports)
+        lost = sum(each not in NOT_LOST for report in traffic.reports for each in report.outcome)
+        self._write(key, time_ns, {"frames": len(traffic.reports), "arrivals": len(traffic.number), "lost": lost})
+
+    def _on_routed(self, key: str, time_ns: int, routed: Routed) -> None:
+        """Whose message each frame carried is in the table of frames."""
+        self._routing.take(routed)
+        self._write(key, time_ns, routed)
 
     def _on_follows(self, key: str, time_ns: int, follows: Follows) -> None:
         vehicle = _vehicle(key)
@@ -330,15 +353,12 @@ class Recorder:
         return {placement.vehicle: placement.follows for placement in self._follows}
 
     def _built(self) -> tuple[pa.Table, pa.Table]:
-        """Both tables; kept once the run is over."""
-        if self._tables is not None:
-            return self._tables
-        tables = states_table(self._rows, self.facts), radio_table(self._frames, self.facts)
-        if self._end_ns is not None:
-            self._tables = tables
+        """Both tables of a run that is over; what they are made of is given up."""
+        if self._tables is None:
+            radio = radio_table(self._frames, self.facts)
+            self._tables = states_table(self._rows, self.facts), self._routing.told(radio) if self._routing else radio
             self._rows.clear()
-            self._frames.clear()
-        return tables
+        return self._tables
 
 
 def _vehicle(key: str) -> str:

@@ -35,6 +35,12 @@ LATENESS = {
     "over_one_period": "late by more than a period",
     "slipped_s": "the run slipped by [s]",
 }
+BRIDGE = {
+    **LATENESS,
+    "delivered": "deliveries to programs",
+    "lost": "lost on the way, receiver by receiver",
+    "over_1ms": "late by more than 1 ms",
+}
 TOLD = 500  # lines of the log that are shown
 
 
@@ -144,6 +150,13 @@ def _machine(about: Mapping[str, Any]) -> Iterator[Part]:
     if late:
         yield Words("How late instants began on the wall clock:")
         yield Facts([(LATENESS.get(name, name), value) for name, value in late.items()])
+    if carried := about.get("bridge"):
+        yield Words("What the bridge carried for programs outside, and how late it left:")
+        numbers = {name: value for name, value in carried.items() if name != "counts"}
+        yield Facts([(BRIDGE.get(name, name), value) for name, value in numbers.items()])
+        rows = [[name, what, number] for name, counts in carried["counts"].items() for what, number in counts.items()]
+        if rows:
+            yield Rows(["vehicle", "not carried", "datagrams"], rows)
     if about.get("cuts_s"):
         yield Words("How long hosts of agents were cut off, s:")
         yield Facts([(name, str(value)) for name, value in about["cuts_s"].items()])

@@ -39,8 +39,8 @@ def radio() -> RadioFederate:
 def test_it_is_a_federate_that_wakes_for_what_is_sent(radio: RadioFederate) -> None:
     assert isinstance(radio, Federate)
     assert (radio.name, radio.slot, radio.wake_slot) == ("radio", Slot.RADIO, Slot.SEND)
-    assert radio.reads == ("*/send", "operator/outage", "operator/changed")
-    assert radio.wakes == ("*/send",)
+    assert radio.reads == ("*/send", "bridge/sent", "operator/outage", "operator/changed")
+    assert radio.wakes == ("*/send", "bridge/sent")
 
 
 def test_a_frame_gives_one_report_and_one_reception_for_each_who_hears_it(radio: RadioFederate) -> None:

@@ -36,6 +36,14 @@ is None, never NaN::
         mean, p95, max              at the agents' ticks
         time_average                over all time: exact area of the sawtooth
         peak                        mean of what the age had risen to before each reception that lowered it
+    routing                         what the network layer did, of the whole run; only with routing (`routing`)
+      messages                      of agents and programs
+      arrivals, delivery_ratio      where they were meant to arrive, and their share of message x receiver
+      hops_mean, hops_max           frames on the way to an arrival
+      delay_s                       mean, p50, p95, p99, max; from the origin's sending to the arrival
+      forwarded                     frames with messages that others than their origins sent
+      no_route                      messages that were not sent, because their origin knew no route
+      control_frames, control_bytes   of updates of routes
     control                         commanded velocities, held from one to the next, in the window (`control`)
       speed_rms_m_s, yaw_rate_rms_rad_s
       acceleration_rms_m_s2, yaw_acceleration_rms_rad_s2
@@ -84,7 +92,8 @@ from cosim.record.metrics.formation import SETTLED_M, formation_errors, formatio
 from cosim.record.metrics.hardware import hardware_metrics
 from cosim.record.metrics.mission import Mission, Target, target_at
 from cosim.record.metrics.motion import Motion, motion
-from cosim.record.metrics.radio import Receptions, radio_metrics, receptions
+from cosim.record.metrics.radio import Receptions, informed, radio_metrics, receptions
+from cosim.record.metrics.routing import Routing, unreached_s
 from cosim.record.metrics.safety import min_separation_m, safety_metrics
 from cosim.record.metrics.window import Window
 
@@ -98,6 +107,7 @@ __all__ = [
     "Motion",
     "Noted",
     "Receptions",
+    "Routing",
     "Target",
     "Window",
     "age_metrics",
@@ -108,6 +118,7 @@ __all__ = [
     "formation_errors",
     "formation_metrics",
     "hardware_metrics",
+    "informed",
     "links",
     "min_separation_m",
     "motion",
@@ -115,4 +126,5 @@ __all__ = [
     "receptions",
     "safety_metrics",
     "target_at",
+    "unreached_s",
 ]

@@ -32,6 +32,23 @@ def receptions(radio: pa.Table) -> Receptions:
     return Receptions(receivers, senders, to[got], by[got], numbers(radio, "sent_ns")[got], received[got])
 
 
+def informed(radio: pa.Table) -> Receptions:
+    """Whose information was received by whom, and from when it was: as `receptions`, but for what was passed on.
+
+    That came from its origin, and only to those for whom it was meant (`cosim.record.metrics.routing`).
+    """
+    got = receptions(radio)
+    if "origin" not in radio.column_names:
+        return got
+    rows = np.flatnonzero(numbers(radio, "received_ns", null=-1) >= 0)
+    (origins, by), (destinations, only) = names_of(radio, "origin"), names_of(radio, "destination")
+    by, to = by[rows], np.array(got.receivers, np.str_)[got.to]
+    origin, destination = np.array(origins, np.str_)[by], np.array(destinations, np.str_)[only[rows]]
+    meant = (origin != "") & (origin != to) & ((destination == "") | (destination == to))
+    sent_ns = numbers(radio, "origin_sent_ns")[rows]
+    return Receptions(got.receivers, origins, got.to[meant], by[meant], sent_ns[meant], got.received_ns[meant])
+
+
 def radio_metrics(radio: pa.Table, ages: dict[str, float | None], end_ns: int) -> dict[str, Any]:
     """The ``radio`` part: counts of the whole run, delays of all receptions, ages as given.
 

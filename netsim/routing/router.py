@@ -1,0 +1,79 @@
+"""What a kind of routing is: whom a message is handed to next, who passes a broadcast on, and what vehicles tell of routes.
+
+A kind is a frozen dataclass whose fields are the keys of ``[routing]``; for each run it opens a router, which knows vehicles by
+their rows. A router answers for each vehicle from what that vehicle can know: its own tables, and what it has heard.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Protocol
+
+import msgspec
+
+BROADCAST = -1
+"""In place of the row of a vehicle: everybody in reach."""
+
+HEADER_BYTES = 8
+"""What routing adds to the payload of each frame: what the packet is (1), how many hops it may still go (1), its origin (2),
+its destination (2), and its number among those of its origin (2). The next hop stands in the frame's own header already."""
+
+HopLimit = Annotated[int, msgspec.Meta(ge=1, le=255)]
+
+
+class Update(msgspec.Struct, frozen=True):
+    """What a vehicle tells its neighbours of routes."""
+
+    content: Any  # for `Router.take` of those who hear it
+    size_bytes: int  # behind the header
+    next_ns: int  # when it tells again; later than now
+
+
+class Router(Protocol):
+    """The routing of a run."""
+
+    hop_limit: int
+    jitter_ns: int  # the longest that a broadcast waits before it is passed on
+
+    def first_ns(self) -> Sequence[int]:
+        """When each vehicle first tells of routes; empty: nobody ever does."""
+
+    def update(self, row: int, now_ns: int) -> Update:
+        """What a vehicle tells now."""
+
+    def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
+        """A vehicle hears an update of another."""
+
+    def next_hop(self, row: int, to: int, now_ns: int) -> int | None:
+        """To whom a vehicle hands a message to ``to``: a neighbour, `BROADCAST`, or None where it knows no route."""
+
+    def relays(self, row: int, by: int) -> bool:
+        """Whether a vehicle passes a broadcast on that it heard first from ``by``."""
+
+
+class Routing(Protocol):
+    """A kind of routing, as a scenario configures it."""
+
+    def open(self, vehicles: Sequence[str], seed: int) -> Router:
+        """Begin a run.
+
+        Raises:
+            ScenarioError: it names a vehicle that there is not, or routes that lead nowhere.
+        """
+
+
+class Quiet:
+    """A router that tells nobody anything."""
+
+    def __init__(self, hop_limit: int, jitter_ns: int) -> None:
+        self.hop_limit, self.jitter_ns = hop_limit, jitter_ns
+
+    def first_ns(self) -> Sequence[int]:
+        """Nobody ever does."""
+        return ()
+
+    def update(self, row: int, now_ns: int) -> Update:
+        """Never asked."""
+        raise NotImplementedError
+
+    def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
+        """Never told."""
+        raise NotImplementedError

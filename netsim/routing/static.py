@@ -1,0 +1,106 @@
+"""Static routes: a table that somebody has written down."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from cosim.clock import seconds_to_ns
+from cosim.errors import ScenarioError
+from cosim.table import unknown
+from cosim.types import Seconds
+from netsim.routing.router import HopLimit, Quiet, Router
+
+NextHop = Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True)
+class Static:
+    """Messages to one vehicle go by a table; what the table says nothing of goes straight to its destination.
+
+    A broadcast is for whoever hears it, but only vehicles along these routes pass it on, once each, and of them only those that
+    have another neighbour on a route than the one they heard it from.
+
+    Args:
+        chain: vehicles in a row: each hands what is not for itself to the one beside it, in the direction of the destination.
+        next_hop: to whom a vehicle hands a message, by destination, ``{ car1 = { car4 = "car2" } }``; wins over ``chain``;
+            None: all go by the chain.
+        hop_limit: transmissions from the origin to whom it reaches, at most.
+        jitter_s: a broadcast waits so long at most before it is passed on, uniform.
+    """
+
+    chain: tuple[str, ...] = ()
+    next_hop: NextHop | None = None
+    hop_limit: HopLimit = 8
+    jitter_s: Seconds = 0.01
+
+    def __post_init__(self) -> None:
+        if not self.chain and not self.next_hop:
+            raise ValueError("static routing needs chain or next_hop")
+
+    def open(self, vehicles: Sequence[str], seed: int) -> Router:
+        """Begin a run.
+
+        Raises:
+            ScenarioError: an unknown or repeated vehicle, routes in a circle, or one of more than ``hop_limit`` hops.
+        """
+        row = {name: place for place, name in enumerate(vehicles)}
+        table = self._of_chain(row) | self._of_table(row)
+        edges = set[tuple[int, int]]()
+        for source, to in table:
+            path = [source]
+            while path[-1] != to:
+                path.append(table.get((path[-1], to), to))
+                if path[-1] in path[:-1] or len(path) - 1 > self.hop_limit:
+                    raise self._leads_nowhere(vehicles, path, to)
+            edges.update(pairwise(path))
+        neighbours = [
+            frozenset(b for a, b in edges if a == place) | {a for a, b in edges if b == place} for place in row.values()
+        ]
+        return _Tables(table, neighbours, self.hop_limit, seconds_to_ns(self.jitter_s))
+
+    def _of_chain(self, row: Mapping[str, int]) -> dict[tuple[int, int], int]:
+        for place, name in enumerate(self.chain):
+            if name not in row:
+                raise ScenarioError(unknown("vehicle", name, row), key="routing.chain")
+            if name in self.chain[:place]:
+                raise ScenarioError(f"{name} is twice in it", key="routing.chain")
+        rows = [row[name] for name in self.chain]
+        places = range(len(rows))
+        return {(rows[i], rows[j]): rows[i + (1 if j > i else -1)] for i in places for j in places if i != j}
+
+    def _of_table(self, row: Mapping[str, int]) -> dict[tuple[int, int], int]:
+        found = {}
+        for source, hops in (self.next_hop or {}).items():
+            for to, via in hops.items():
+                for name in (source, to, via):
+                    if name not in row:
+                        raise ScenarioError(unknown("vehicle", name, row), key=f"routing.next_hop.{source}")
+                if source in (to, via):
+                    raise ScenarioError(f"{source} hands nothing to itself", key=f"routing.next_hop.{source}.{to}")
+                found[row[source], row[to]] = row[via]
+        return found
+
+    def _leads_nowhere(self, vehicles: Sequence[str], path: Sequence[int], to: int) -> ScenarioError:
+        source = vehicles[path[0]]
+        words = " -> ".join(vehicles[place] for place in path)
+        why = "goes in a circle" if path[-1] in path[:-1] else f"has more hops than hop_limit = {self.hop_limit}: raise it"
+        key = (
+            f"routing.next_hop.{source}.{vehicles[to]}"
+            if vehicles[to] in (self.next_hop or {}).get(source, ())
+            else "routing.chain"
+        )
+        return ScenarioError(f"the route from {source} to {vehicles[to]}, {words}, {why}", key=key)
+
+
+class _Tables(Quiet):
+    def __init__(
+        self, table: Mapping[tuple[int, int], int], neighbours: Sequence[frozenset[int]], hop_limit: int, jitter_ns: int
+    ) -> None:
+        super().__init__(hop_limit, jitter_ns)
+        self._table, self._neighbours = table, neighbours
+
+    def next_hop(self, row: int, to: int, now_ns: int) -> int | None:
+        return self._table.get((row, to), to)
+
+    def relays(self, row: int, by: int) -> bool:
+        return not self._neighbours[row] <= {by}

@@ -1,0 +1,106 @@
+"""A star of followers that stretches beyond its leader's radio is lost without routing and kept with it (Toh 2012, 7.2)."""
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cosim
+from cosim import Agent, Observation, Radio
+from cosim.federate import Event
+from cosim.record.columns import names_of, numbers
+from cosim.types import Reception, Routed
+
+TEXT = (Path(cosim.__file__).parent.parent / "scenarios" / "relay-chain.toml").read_text("utf-8")
+SETTINGS: dict[str, Any] = {"duration_s": 24.0, "metrics.from_s": 8.0}
+CHAIN = [f"car{i + 1}" for i in range(6)]
+KINDS: dict[str, dict[str, Any]] = {
+    "flooding": {},
+    "static": {"routing.kind": "static", "routing.chain": CHAIN},
+    "distance_vector": {"routing.kind": "distance_vector"},
+    "none": {"routing.kind": "none"},
+}
+
+
+@cache
+def run(kind: str) -> cosim.Result:
+    return cosim.run("relay-chain", set={**SETTINGS, **KINDS[kind]}, mcap=False)
+
+
+@cache
+def perfect() -> cosim.Result:
+    """The same over a radio that reaches everybody at once."""
+    scenario = {**tomllib.loads(TEXT), "radio": {"preset": "ideal"}, "routing": {"kind": "none"}}
+    return cosim.run(scenario, set=SETTINGS, mcap=False)
+
+
+def rms_m(result: cosim.Result) -> float:
+    return float(result.metrics["formation"]["rms_m"])
+
+
+def test_without_routing_those_out_of_reach_never_hear_their_leader() -> None:
+    result = run("none")
+    each = result.metrics["formation"]["per_follower"]
+    assert all(each[name]["rms_m"] < 0.05 for name in ("car2", "car3"))
+    assert all(each[name]["final_m"] > 8.0 for name in ("car4", "car5", "car6"))
+    assert "routing" not in result.metrics
+    assert "origin" not in result.radio.column_names
+    receivers, to = names_of(result.radio, "receiver")
+    heard = numbers(result.radio, "received_ns", -1) >= 0
+    assert {receivers[code] for code in to[heard].tolist()} == {"car2", "car3"}
+
+
+@pytest.mark.parametrize("kind", ["flooding", "static", "distance_vector"])
+def test_with_it_they_keep_their_places_as_by_a_perfect_radio(kind: str) -> None:
+    result, routing = run(kind), run(kind).metrics["routing"]
+    assert rms_m(result) < 2.0 * rms_m(perfect())
+    assert routing["messages"] == 240
+    assert routing["hops_max"] >= 3  # 10 m apart, and a reach of 25 m
+    assert routing["delivery_ratio"] > 0.85
+    assert result.metrics["radio"]["age_s"]["max"] < 1.0
+    assert result.metrics["radio"]["frames"] == 240 + routing["forwarded"] + routing["control_frames"]
+    assert (routing["control_frames"] > 0) == (kind == "distance_vector")
+
+
+class Caller(Agent):
+    """Calls the leader, once a second, and stands still: after 25 s the others are too far away."""
+
+    period = 1.0
+
+    def act(self, obs: Observation, radio: Radio) -> None:
+        radio.send(at=obs.time_ns, to="car1")
+
+
+@pytest.mark.parametrize("kind", ["static", "distance_vector"])
+def test_an_agent_calls_another_over_several_hops(kind: str) -> None:
+    events: list[Event] = []
+    settings = {**SETTINGS, **KINDS[kind], "duration_s": 18.0}
+    cosim.run("relay-chain", set=settings, agents={"car6": Caller()}, mcap=False, observe=events.append)
+    calls = [each.value for each in events if isinstance(each.value, Routed) and each.value.to == "car1"]
+    heard = [each.value for each in events if isinstance(each.value, Reception) and each.key == "car1/heard"]
+    answered = {each.sent_ns: each.received_ns for each in heard if each.message.sender == "car6"}
+    hops = 5 if kind == "static" else 3
+    came = [each for each in calls if "car1" in each.receivers]
+    assert len(came) >= 5
+    assert {each.sent_ns: each.received_ns[-1] for each in came} == answered
+    for call in came:
+        assert len(call.frames) == call.hops[-1] == len(call.receivers)
+        assert call.via == ("car6", *call.receivers[:-1])
+    assert min(call.hops[-1] for call in came) == hops
+
+
+def test_the_same_seed_gives_the_same_wherever_agents_run() -> None:
+    settings = {**SETTINGS, "duration_s": 5.0}
+    here, apart = (cosim.run("relay-chain", set=settings, agents=runs, mcap=False) for runs in ("inprocess", "process"))
+    assert here.metrics["digest"] == apart.metrics["digest"]
+    assert here.radio.equals(apart.radio)
+
+
+def test_it_runs_again_from_what_it_has_left(tmp_path: Path) -> None:
+    first = cosim.run("relay-chain", set={**SETTINGS, "duration_s": 3.0, **KINDS["static"]}, out=tmp_path / "one")
+    again = cosim.run(tmp_path / "one" / "scenario.toml", out=tmp_path / "two")
+    assert first.metrics == again.metrics
+    for name in ("run.mcap", "radio.parquet", "scenario.toml"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
