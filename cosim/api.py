@@ -95,7 +95,7 @@ def run(
             keys=folder_of_keys,
             insecure=insecure,
             robots=playback is None,
-            playback=None if playback is None else _playback(Path(playback), parsed, tell),
+            **({} if playback is None else _played(Path(playback), parsed, tell)),
             recorded_radio=None if recorded_radio is None else Path(recorded_radio),
             tell=tell,
             watch=watch,
@@ -104,7 +104,7 @@ def run(
                 assembly.keep(Path(playback) / inputs.FILE)  # so that a replay can be replayed
             clock, live = _clock(assembly, realtime), None
             if view is not None:
-                live = view.live(parsed, source, assembly, realtime or 1.0)
+                live = view.live(parsed, source, assembly, realtime or 1.0, paced=clock if assembly.outsiders else None)
                 clock = live.clock
             observers = () if observe is None else (observe,)
             simulation = Simulation(assembly, clock, folder, progress, tell, mcap=mcap, observers=observers, live=live)
@@ -119,20 +119,24 @@ def run(
     return result
 
 
-def _playback(folder: Path, scenario: scenario_tables.Scenario, tell: Tell) -> Any:
-    """What the real vehicles of a scenario did in the run that left this folder."""
-    return registry.piece("playback")(scenario.real, inputs.read_inputs(folder / inputs.FILE, tell=tell), tell=tell)
+def _played(folder: Path, scenario: scenario_tables.Scenario, tell: Tell) -> dict[str, Any]:
+    """What real vehicles and programs did in the run that left this folder: what an `Assembly` takes in their place."""
+    given = inputs.read_inputs(folder / inputs.FILE, tell=tell)
+    robots = registry.piece("playback")(scenario.real, given, tell=tell) if scenario.real else None
+    return {"playback": robots, "bridged": given}
 
 
 def _clock(assembly: Assembly, realtime: float | None) -> Clock:
-    """What paces the run: the wall clock, where somebody wants it or a real robot is in it."""
-    robots = assembly.robots
-    if robots is None:
-        return SimClock() if realtime is None else WallClock(realtime)
-    if realtime not in (None, 1.0):
+    """What paces the run: the wall clock, where somebody wants it, or a real robot or a program is in it."""
+    robots, bridge = assembly.robots, assembly.bridge
+    if robots is not None and realtime not in (None, 1.0):
         names = ", ".join(robots.names)
         raise UsageError(f"--realtime {realtime:g}: real vehicles ({names}) keep to the wall clock, at speed 1")
-    clock: WallClock = robots.clock
+    if robots is None and bridge is None and realtime is None:
+        return SimClock()
+    clock: WallClock = WallClock(realtime or 1.0) if robots is None else robots.clock
+    if bridge is not None:
+        bridge.clock = clock
     return clock
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from cosim import component, radio, real, registry, table
+from cosim import bridging, component, radio, real, registry, table
 from cosim.agent import SHOWN, Agent, AgentSpec
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError, VcmvspError
@@ -16,6 +16,7 @@ from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
 from cosim.interventions import Operator, check_planned, checks
 from cosim.kernel import Kernel
+from cosim.record.inputs import Input
 from cosim.resolve import Resolution
 from cosim.scenario_tables import AgentsTable, AgentTable, Scenario, VehicleTable
 from cosim.source import Source
@@ -48,6 +49,7 @@ class Assembly:
         keys, insecure: who may dial in there from other machines (`cosim.hosts.Hosts`).
         robots: drive the real vehicles of the scenario; else nothing is connected, which serves to check it.
         playback: gives what real vehicles did in an earlier run, in their place.
+        bridged: what programs handed over in an earlier run, in their place.
         recorded_radio: a table of frames which fare again as they did in an earlier run.
         tell: takes lines for the user.
         watch: asked while hosts are waited for; an answer is why there is no use in it.
@@ -65,6 +67,7 @@ class Assembly:
         insecure: bool = False,
         robots: bool = False,
         playback: "Vehicles | None" = None,
+        bridged: Sequence[Input] | None = None,
         recorded_radio: Path | None = None,
         tell: Tell = lambda _: None,
         watch: Callable[[], str | None] | None = None,
@@ -89,6 +92,7 @@ class Assembly:
         if described and playback is None:
             self.robots = registry.piece("hardware")(described, run=scenario.name, tell=tell, connect=robots)
         self._outside = playback or self.robots
+        programs = self._build_programs(air, bridged, tell, connect=robots)
         physics = self._build_physics(world)
         self.radius_m: Mapping[str, float] = physics.radius_m
         about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s}
@@ -104,7 +108,7 @@ class Assembly:
             self._hosts.close()
             raise
         self.operator = self._build_operator(physics, air)
-        self.federates: list[Federate] = [physics, air, self.operator, *self._hosts.federates]
+        self.federates: list[Federate] = [physics, air, self.operator, *self._hosts.federates, *programs]
         if self._outside is not None:
             self.federates.append(self._outside)
         if self.robots is not None:
@@ -172,6 +176,11 @@ class Assembly:
         return self._hosts.cuts_s
 
     @property
+    def outsiders(self) -> Sequence[Any]:
+        """Federates that bring something into the run which no scenario tells: their `log` is given it, for a replay."""
+        return [each for each in (self.robots, self.bridge) if each is not None]
+
+    @property
     def files(self) -> Mapping[str, bytes]:
         """Python files that the scenario uses, by the name under which they are kept beside the resolved one."""
         return self._resolution.files
@@ -202,7 +211,7 @@ class Assembly:
         built = radio.of_scenario(
             self._scenario, self._source, solids=world.solids, portable=portable, keep=keep, recorded=recorded, tell=tell
         )
-        self._resolution.tables["radio"] = built.resolved
+        self._resolution.tables.update(built.resolved)
         return built.federate
 
     def _build_physics(self, world: Any) -> Any:
@@ -224,6 +233,20 @@ class Assembly:
         check = checks(vehicles, physics.check_move, air.check_change)
         check_planned(planned, check, self._source)
         return Operator(planned, vehicles, check)
+
+    def _build_programs(self, air: Any, bridged: Sequence[Input] | None, tell: Tell, *, connect: bool) -> list[Federate]:
+        """The federates that carry what programs outside send, or have sent in an earlier run."""
+        scenario, source = self._scenario, self._source
+        runs = connect or bridged is not None  # those of a replay speak anew
+        programs = bridging.programs_of(scenario, source, self._resolution, tell=tell, connect=runs)
+        doors = bridging.doors_of(scenario, source, self._resolution)
+        self.bridge: Any = None  # the one at wall pace, if there are programs to be reached
+        if doors and bridged is None:
+            self.bridge = bridging.bridge_of(doors, scenario, source, air=air, tell=tell, connect=connect)
+            programs.append(self.bridge)
+        elif bridged is not None:
+            programs.append(registry.piece("bridge playback")(bridged))
+        return programs
 
     def _vehicle_class(self, vehicle: VehicleTable) -> Any:
         """The class of a vehicle's kind, looked up once: a file is not executed again for every vehicle."""

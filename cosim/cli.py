@@ -18,6 +18,7 @@ from cosim.cli_figure import figure_command
 from cosim.cli_keys import keys_app
 from cosim.cli_kinds import list_command, show_command, world_command
 from cosim.cli_launch import launch_command
+from cosim.cli_net import net_app
 from cosim.cli_new import new_command
 from cosim.cli_options import AsJson
 from cosim.cli_radio import register
@@ -184,6 +185,7 @@ register(app)
 cli_stop.register(app)
 cli_robot.register(app)
 app.add_typer(keys_app)
+app.add_typer(net_app)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -215,7 +217,8 @@ def main(arguments: list[str] | None = None) -> None:
 def _with_speed(arguments: list[str]) -> list[str]:
     """``--realtime`` alone means ``--realtime 1``."""
     full: list[str] = []
-    for position, argument in enumerate(arguments):
+    ours = arguments.index("--") if "--" in arguments else len(arguments)  # what follows is another program's
+    for position, argument in enumerate(arguments[:ours]):
         full.append(argument)
         if argument == "--realtime":
             following = arguments[position + 1] if position + 1 < len(arguments) else "--"
@@ -223,7 +226,7 @@ def _with_speed(arguments: list[str]) -> list[str]:
                 float(following)
             except ValueError:
                 full.append("1")
-    return full
+    return [*full, *arguments[ours:]]
 
 
 def _checked(scenario: str, settings: dict[str, Any]) -> dict[str, Any]:

@@ -24,15 +24,15 @@ from cosim import registry, table
 from cosim.meanings import meanings, summary
 from cosim.reference_range import RANGE_BYTES, params, reach_m
 from cosim.scenario import BUILT_IN
-from cosim.scenario_tables import ClockTable, SafetyTable
+from cosim.scenario_tables import ClockTable, SafetyTable, SocketsTable
 
 PAGE = BUILT_IN / "README.md"
 UPDATE = "python -m cosim.reference --write"
-OFFERED = ("sightline", "noise_dbm", "world", "vehicles", "outside")
+OFFERED = ("sightline", "noise_dbm", "world", "outside")
 """Parameters that come from the rest of the scenario (`cosim.radio.build`, `cosim.assemble`), not from a key."""
 
-OF_ROBOTS = ("start", "now", "vehicle", "folder")
-"""The same, of what a station builds (`cosim.real`)."""
+OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder")}
+"""The same, of what is physics' or what a station builds (`cosim.real`)."""
 
 VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
     "Vehicles that are points": [["kinematic", "lag", "inertial"]],
@@ -185,6 +185,9 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "fusion": lambda: own("fusion"),
     "safety": lambda: parameter_table({"default": SafetyTable}),
     "clock": lambda: parameter_table({"default": ClockTable}),
+    "routing": lambda: apart("routing"),
+    "doors": lambda: apart("door"),
+    "sockets": lambda: parameter_table({"default": SocketsTable}),
 }
 
 
@@ -296,7 +299,7 @@ def first_meanings(target: Any) -> dict[str, str]:
 def keys(target: Any, common: Any = None) -> dict[str, table.Parameter]:
     """The parameters that a scenario can give, but for those that are as in a common base class."""
     known = keys(common) if common in getattr(target, "__mro__", ()) and common is not None else {}
-    offered = {*OFFERED, *(OF_ROBOTS if target.__module__.startswith("hardware.") else ())}
+    offered = {*OFFERED, *OFFERED_TO.get(target.__module__.partition(".")[0], ())}
     own = {name: each for name, each in table.parameters(target).items() if name not in offered}
     return {name: each for name, each in own.items() if each != known.get(name)}
 

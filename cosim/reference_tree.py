@@ -21,9 +21,10 @@ from cosim.repeat import Repeat
 from cosim.scenario_tables import AgentTable, SafetyTable, Scenario, VehicleTable
 
 SCHEMA = "vcmvsp.reference/1"
-REST = ("defaults", "params", "channel")  # what is no key of the table itself
+REST = ("defaults", "params", "doors", "channel", "router")  # what is no key of the table itself
 OF_ALL = ("world", "sensor")  # groups whose kinds have much in common: it is said once
 VEHICLE = "vehicle.NAME"
+DOORS = (*registry.KINDS["door"],)
 
 
 class Key(msgspec.Struct, frozen=True, kw_only=True):
@@ -87,6 +88,10 @@ def _field(name: str) -> Callable[[], Sequence[Any]]:
     return lambda: table.structs(table.parameters(Scenario)[name].annotation)
 
 
+def _door(kind: str) -> Callable[[], Sequence[Any]]:
+    return lambda: [registry.find("door", kind)]
+
+
 @functools.cache
 def places() -> Sequence[Place]:
     """All places, in the order in which they are shown."""
@@ -95,6 +100,8 @@ def places() -> Sequence[Place]:
         "physics": [Place("physics", "physics")],
         "world": [Place("world", "world")],
         "radio": [Place("radio", own=_piece("radio")), *layers],
+        "routing": [Place("routing", "routing")],
+        "bridge": [Place("bridge", own=_field("bridge")), *(Place(f"bridge.{kind}", own=_door(kind)) for kind in DOORS)],
         "agents": [Place("agents", "agent", _field("agents"))],
         "vehicles": [],
         "vehicle": [

@@ -42,6 +42,8 @@ VERBS: Mapping[str, str] = {
     "trace": "level_dbm(frame)",
     "jammer": "interference_mw(start_ns, end_ns, rx, loss_db, where)",
     "delivery": "deliver(sender_row, rows, received_ns, size_bytes, draw)",
+    "door": "deliver(sender, receiver, payload)",
+    "routing": "open(vehicles, seed)",
     "driver": "write(velocity)",
     "localisation": "read(now_ns)",
 }
@@ -63,6 +65,10 @@ PIECES: Mapping[str, str] = {
     "recorded radio": "netsim.recorded:RecordedChannel",
     "channel": "netsim.channel:Channel",
     "radio presets": "netsim.presets",
+    "bridge": "netsim.bridge.federate:Bridge",
+    "bridge playback": "netsim.bridge.playback:BridgePlayback",
+    "networks": "netsim.bridge.ip_runs",
+    "socket server": "netsim.sockets.federate:Programs",
     "radio paths": "netsim.layers:Paths",
     "radio frame": "netsim.layers:Frame",
     "radio links": "netsim.layers:Links",
@@ -206,6 +212,18 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "dwm1001": "hardware.positioning.sources:Dwm1001",
         "nmea": "hardware.positioning.sources:Nmea",
         "zenoh": "hardware.positioning.pose_topic:ExternalPose",
+    },
+    "door": {
+        "udp": "netsim.bridge.udp:Udp",
+        "wss": "netsim.bridge.wss:Wss",
+        "ip": "netsim.bridge.ip:Ip",
+        "zenoh": "netsim.bridge.zenoh:ZenohDoor",
+    },
+    "routing": {
+        "flooding": "netsim.routing.flooding:Flooding",
+        "static": "netsim.routing.static:Static",
+        "distance_vector": "netsim.routing.distance_vector:DistanceVector",
+        "none": NOTHING,
     },
     "delivery": {"delivery": "netsim.delivery:Delivery", "none": NOTHING},
     "delay": {

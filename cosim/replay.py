@@ -60,9 +60,10 @@ def replay(
         )
     if twin and not real:
         raise UsageError(f"--twin: no vehicle of {folder} was real: leave it out")
-    if real and not twin and not (folder / FILE).is_file():
-        what = f"{folder} has no {FILE}, which says what {', '.join(real)} did"
-        raise UsageError(f"{what}: replay with simulated ones instead (--twin)")
+    outside = (() if twin else real) + (("its programs",) if parsed.bridge.doors else ())
+    if outside and not (folder / FILE).is_file():
+        what = f"{folder} has no {FILE}, which says what {', '.join(outside)} did"
+        raise UsageError(f"{what}: replay with simulated ones instead (--twin)" if real and not twin else what)
     return api.run(
         scenario,
         seed=seed,
@@ -70,7 +71,7 @@ def replay(
         agents=agents,  # type: ignore[arg-type]  # it says itself what is wrong with them
         out=out,
         force=force,
-        playback=folder if real and not twin else None,
+        playback=folder if outside else None,
         recorded_radio=folder / RADIO_FILE if radio == "recorded" else None,
         **options,
     )

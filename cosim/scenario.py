@@ -15,17 +15,19 @@ from cosim.repeat import names_copy, repeated
 from cosim.scenario_tables import (
     AgentsTable,
     AgentTable,
+    BridgeTable,
     ClockTable,
     MetricsTable,
     RecordTable,
     SafetyTable,
     Scenario,
+    SocketsTable,
     StudyTable,
     VehicleTable,
 )
 from cosim.source import Source
 
-RESERVED = ("world", "radio", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
+RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = registry.SHIPPED
 T = TypeVar("T")
 
@@ -60,6 +62,7 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
         key = _path_of(raw, bad)
         raise ScenarioError(f"must be finite, not {bad}", key=key, source=source.of(key))
     agents = _open_table(AgentsTable, raw.get("agents", {}), "defaults", "agents", source)
+    bridge = _open_table(BridgeTable, raw.get("bridge", {}), "doors", "bridge", source)
     defaults = _mapping(raw.get("vehicles", {}), "vehicles", source)
     listed = raw.get("vehicle", [])
     if not isinstance(listed, list) or not listed:
@@ -73,12 +76,14 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     _used(defaults, listed, source)
     given = {
         "agents": agents,
+        "bridge": bridge,
         "vehicle": vehicles,
         "vehicles": defaults,
-        **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio") if name in raw},
+        **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio", "routing") if name in raw},
         **{
             name: table.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
             for name, kind in (
+                ("sockets", SocketsTable),
                 ("clock", ClockTable),
                 ("safety", SafetyTable),
                 ("record", RecordTable),

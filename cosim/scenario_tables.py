@@ -113,6 +113,22 @@ class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
     tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
 
 
+class BridgeTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[bridge]``: programs as they are, at wall pace; every other key is a table ``[bridge.KIND]``, a door for them."""
+
+    agents: bool = False  # agents hear the bytes that programs send, and programs what agents send (MessagePack)
+    doors: Mapping[str, Any] = {}
+
+
+class SocketsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[sockets]``: programs that keep the run's own time (`cosim.sockets`); the run waits for them, they for it."""
+
+    vehicles: tuple[Name, ...] = ()  # whose programs take part; each has one
+    listen: str = "tcp/127.0.0.1:7550"  # tcp/HOST:PORT or unix/PATH
+    join_timeout_s: Period = 60.0  # wall-clock time within which all must have come
+    deadline_s: Period | None = None  # wall-clock time within which a program must go on; default: it may take its time
+
+
 class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[record]``."""
 
@@ -182,6 +198,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic"
     world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
     radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
+    routing: Mapping[str, Any] = {}  # kind = "none" | "flooding" | "static" | "distance_vector"
+    bridge: BridgeTable = BridgeTable()
+    sockets: SocketsTable = SocketsTable()
     agents: AgentsTable = AgentsTable()
     clock: ClockTable = ClockTable()
     safety: SafetyTable = SafetyTable()

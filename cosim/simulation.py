@@ -26,6 +26,7 @@ from cosim.hosts import Tell
 from cosim.kernel import Kernel, Observer
 from cosim.record.inputs import FILE, InputLog
 from cosim.record.recorder import Recorder
+from cosim.record.tables import write_table
 from cosim.result import Result
 from cosim.text import plain
 from cosim.types import Presence
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 ABOUT_SCHEMA = "vcmvsp.about/1"
+DELIVERIES = "bridge.parquet"
+"""What was delivered to programs outside, and how late: on the wall clock, so that it is no part of what a repetition gives."""
 
 
 class Simulation:
@@ -181,16 +184,17 @@ class Simulation:
 
     @contextlib.contextmanager
     def _inputs(self, stack: contextlib.ExitStack) -> Iterator[None]:
-        """Keep what real vehicles say, for a replay."""
-        robots = self._assembly.robots
-        if robots is None or (self._folder is None and self._mcap is None):
+        """Keep what comes from outside, for a replay."""
+        outsiders = self._assembly.outsiders
+        if not outsiders or (self._folder is None and self._mcap is None):
             yield
             return
         stream: BinaryIO | None = None
         if self._folder is not None:
             stream = stack.enter_context((self._folder.path / FILE).open("wb" if self._folder.force else "xb"))
         self._kept = InputLog(stream)
-        robots.log = self._kept.on
+        for each in outsiders:
+            each.log = self._kept.on
         try:
             yield
         finally:
@@ -220,6 +224,7 @@ class Simulation:
             "agents": assembly.where,
             "lateness": self._lateness(),
             "cuts_s": assembly.cuts_s,
+            **({} if assembly.bridge is None else {"bridge": assembly.bridge.lateness}),
             "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
             "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
             "versions": _versions(),
@@ -227,6 +232,10 @@ class Simulation:
         files = dict(assembly.files)
         if self._kept is not None and self._folder is None:
             files[FILE] = self._kept.content
+        if assembly.bridge is not None:
+            table = io.BytesIO()
+            write_table(assembly.bridge.table(), table)
+            files[DELIVERIES] = table.getvalue()
         result = Result(recorder, metrics, about, resolved, files, self._mcap, assembly.world)
         if self._folder is not None:
             result.write(self._folder.path)

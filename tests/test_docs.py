@@ -57,10 +57,12 @@ HEADINGS = {
     "driver": ("`driver = { kind = ... }` of a vehicle",),
     "localisation": ("`localisation = { kind = ... }` of a vehicle",),
     "agent": ("Leaders", "Followers", "In the air", "Consensus", "Patrols", "Avoidance around any agent", "Missions"),
+    "door": ("`[bridge]`",),
+    "routing": ("`[routing]`",),
     **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
 }
 FROM_ELSEWHERE = {*reference.OFFERED}  # parameters that come from the rest of the scenario
-OF_ROBOTS = {*reference.OF_ROBOTS}
+OF_PHYSICS, OF_ROBOTS = ({*reference.OFFERED_TO[part]} for part in ("physics", "hardware"))
 
 
 def by_kind(*headings: str) -> dict[str, dict[str, str]]:
@@ -125,7 +127,8 @@ def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str)
     if group not in {"physics", "agent"}:
         sections = [TEXT.partition(f"# {heading}\n")[2].partition("\n#")[0] for heading in HEADINGS[group]]
         assert sum(f"\n- `{kind}`: " in section for section in sections) == 1
-    hidden = FROM_ELSEWHERE | (OF_ROBOTS if group in {"driver", "localisation"} else set())
+    theirs = {"physics": OF_PHYSICS, "driver": OF_ROBOTS, "localisation": OF_ROBOTS}
+    hidden = FROM_ELSEWHERE | theirs.get(group, set())
     if wanted := set(table.parameters(target)) - hidden:
         assert_documents(of_kind(group, kind, wanted), target, hidden)
 

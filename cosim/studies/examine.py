@@ -75,6 +75,8 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
     files: Mapping[str, bytes] = {}
     try:
         parsed, source = scenarios.load(base.asked, settings=settings, seed=plan.seeds[0])
+        if parsed.bridge.doors or parsed.sockets.vehicles:
+            raise UsageError("a study has no programs to talk to: leave [bridge] and [sockets] out")
         if parsed.real:
             raise UsageError(f"a study drives no real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
         with Assembly(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembly:

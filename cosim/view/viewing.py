@@ -34,18 +34,20 @@ class Viewing:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def live(self, scenario: Scenario, source: Source, assembly: Assembly, speed: float | None) -> Live:
+    def live(
+        self, scenario: Scenario, source: Source, assembly: Assembly, speed: float | None, *, paced: Clock | None = None
+    ) -> Live:
         """Open the page of a run.
 
         Args:
             scenario: of the run.
             source: where it was read from.
             assembly: its federates.
-            speed: simulated seconds per second at first; with real vehicles it is 1 all the time.
+            speed: simulated seconds per second at first.
+            paced: what paces the run whatever somebody here wants, since robots or programs outside take part.
         """
         world: Any = assembly.world
         keys = assembly.air.adjustable()
-        paced: Clock | None = None if assembly.robots is None else assembly.robots.clock
         allowed = may(movables=world.movables, keys=tuple(keys), held_up=paced is None)
         scenery = scenery_of(scenario, source, world=world, infos=assembly.infos, live=True, may=allowed, keys=keys)
         self._viewer = Viewer.open(

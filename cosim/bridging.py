@@ -1,0 +1,89 @@
+"""Programs outside that take part in a run: ``[bridge]`` and ``[sockets]`` checked, and handed to who knows sockets."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+
+from cosim import component, registry, table
+from cosim.errors import ScenarioError
+from cosim.federate import Federate
+from cosim.resolve import Resolution
+from cosim.scenario_tables import Scenario
+from cosim.source import Source
+
+Tell = Callable[[str], None]
+
+
+class DoorTable(msgspec.Struct, frozen=True):
+    """One door."""
+
+    name: str  # of its table, ``bridge.NAME``
+    kind: str  # as it is written; default: the name
+    params: dict[str, Any]  # complete
+
+
+def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list[DoorTable]:
+    """The doors of ``[bridge]``, each built once to be checked."""
+    names, found, resolved = [each.name for each in scenario.vehicle], [], dict[str, Any]()
+    for name, content in scenario.bridge.doors.items():
+        key = f"bridge.{name}"
+        if not isinstance(content, dict) and name in registry.KINDS["door"]:
+            raise ScenarioError(f"must be a table, not {table.show(content)}", key=key, source=source.of(key))
+        if not isinstance(content, dict):
+            allowed = [*(each for each in table.parameters(type(scenario.bridge)) if each != "doors"), *registry.KINDS["door"]]
+            raise ScenarioError(table.unknown("key", name, allowed), key=key, source=source.of(key))
+        kind = content.get("kind", name)
+        door, full = component.build(
+            "door", {**content, "kind": kind}, key=key, source=source, portable=resolution.portable, keep=resolution.keep
+        )
+        try:
+            door.check(names)
+        except ValueError as error:
+            raise ScenarioError(str(error), key=key, source=source.of(key)) from error
+        written = full.pop("kind")
+        found.append(DoorTable(name, kind, full))
+        resolved[name] = full if written == name else {"kind": written, **full}
+    if found:
+        resolution.tables["bridge"] = {"agents": scenario.bridge.agents, **resolved}
+    return found
+
+
+def bridge_of(
+    doors: Sequence[DoorTable], scenario: Scenario, source: Source, *, air: Any, tell: Tell, connect: bool
+) -> Federate:
+    """The federate that carries what programs send.
+
+    Args:
+        doors: of the scenario.
+        air: the radio.
+        tell: takes lines for the user.
+        connect: open the doors; else nothing is, which serves to check the scenario.
+    """
+    bridge: Federate = registry.piece("bridge")(
+        doors,
+        run=scenario.name,
+        folder=str(source.folder.resolve()),
+        vehicles=[each.name for each in scenario.vehicle],
+        agents=scenario.bridge.agents,
+        air=air,
+        tell=tell,
+        connect=connect,
+    )
+    return bridge
+
+
+def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, tell: Tell, connect: bool) -> list[Federate]:
+    """The federate that lets programs keep the run's own time, if any vehicle has one."""
+    wanted, names = scenario.sockets, [each.name for each in scenario.vehicle]
+    for name in wanted.vehicles:
+        if name not in names:
+            key = "sockets.vehicles"
+            raise ScenarioError(table.unknown("vehicle", name, names), key=key, source=source.of(key))
+    if not wanted.vehicles:
+        return []
+    resolution.tables["sockets"] = table.plain(wanted)
+    try:
+        return [registry.piece("socket server")(wanted, names, tell=tell, connect=connect)]
+    except ValueError as error:
+        raise ScenarioError(str(error), key="sockets.listen", source=source.of("sockets.listen")) from error

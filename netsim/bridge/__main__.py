@@ -1,0 +1,40 @@
+"""``python -P -m netsim.bridge FD``, where FD is the inherited end of the link to the run. Ctrl-C is the run's affair."""
+
+import contextlib
+import gc
+import os
+import resource
+import signal
+import socket
+import sys
+from pathlib import Path
+
+from cosim.transport.link import Link
+from netsim.bridge.loop import new_loop
+from netsim.bridge.process import Process
+
+NICE = -5  # where the system allows it: datagrams leave at their time while the run computes
+
+
+def main() -> int:
+    """The exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+        Path("/proc/self/autogroup").write_text(str(NICE))  # where sessions, of which this is one, share the processor evenly
+    with contextlib.suppress(OSError, ValueError):  # a socket for each pair of vehicles
+        most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    gc.collect()
+    gc.freeze()  # what was made until now stays: nobody need look through it for garbage
+    loop = new_loop()
+    try:
+        return loop.run_until_complete(Process(Link(socket.socket(fileno=int(sys.argv[1]))), loop).serve())
+    finally:
+        loop.close()
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stderr.flush()
+    os._exit(code)  # a thread of a door must not keep the process

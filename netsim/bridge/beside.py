@@ -1,0 +1,157 @@
+"""The run's side of the bridge process: nothing that is said to it, or that it says, holds up the run.
+
+::
+
+    process = Beside.start(opening)
+    lines = process.wait_ready()
+    ... process.say(...), process.read() ...
+    process.leave()
+    last = process.close()
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections import deque
+
+from cosim.codec import encode
+from cosim.errors import FederateError
+from cosim.transport import link
+from cosim.transport.process import ending
+from netsim.bridge import wire
+
+READY_S = 60.0  # for all doors to open
+CLOSE_S = 10.0  # for all to close
+DYING_S = 2.0  # from the end of the link to that of the process
+PAUSE_S = 0.02
+MOST_UNSAID = 256 * 2**20  # bytes for a process that does not read
+ADVICE = "look at what it says above, and start the run again"
+
+
+class Beside:
+    """The process; see `start`."""
+
+    def __init__(self, process: subprocess.Popen[bytes], end: link.Link) -> None:
+        self._process, self._link = process, end
+        self._unsaid: deque[bytes] = deque()
+        self._unsaid_bytes = 0
+        self._heard: list[wire.Up] = []
+        self._leaving = self._closed = False
+
+    @classmethod
+    def start(cls, opening: wire.Opening) -> "Beside":
+        """Start the process, which opens all doors; this does not wait for it."""
+        here, there = link.pair()
+        # The child looks for modules where this process does, and nowhere else: not in the current folder.
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        with there:
+            # A session of its own keeps away Ctrl-C, and the end of the terminal: doors are closed in order first.
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "netsim.bridge", str(there.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=sys.__stderr__,
+                env=environment,
+                pass_fds=(there.fileno(),),
+                start_new_session=True,
+            )
+        beside = cls(process, here)
+        beside.say(opening)
+        return beside
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    @property
+    def unsaid(self) -> bool:
+        """Whether there is more to say than it has read."""
+        return bool(self._unsaid)
+
+    def fileno(self) -> int:
+        """For select: readable when it has said something, or has gone."""
+        return self._link.fileno()
+
+    def wait_ready(self) -> tuple[str, ...]:
+        """Wait until all doors are open: lines that tell the user where they are.
+
+        Raises:
+            FederateError: one of them cannot be opened; the process has ended.
+        """
+        until = time.monotonic() + READY_S
+        heard: list[wire.Up] = []
+        while time.monotonic() < until:
+            self._link.wait(until - time.monotonic())
+            heard += self.read()
+            for message in heard:
+                if isinstance(message, wire.Ready):
+                    self._heard = [each for each in heard if each is not message]  # programs are quick
+                    return message.lines
+        raise FederateError("bridge", f"its doors were not open after {READY_S:g} s; {ADVICE}")
+
+    def say(self, message: wire.Down) -> None:
+        """Say something, in order, as soon as it reads.
+
+        Raises:
+            FederateError: it has not read for long.
+        """
+        data = encode(message)
+        self._unsaid.append(data)
+        self._unsaid_bytes += len(data)
+        self.go_on()
+        if self._unsaid_bytes > MOST_UNSAID:
+            raise FederateError("bridge", f"its process (pid {self.pid}) does not read any more; {ADVICE}")
+
+    def go_on(self) -> None:
+        """Say what could not be said at once, as far as it reads."""
+        while self._unsaid and self._link.send(self._unsaid[0]):
+            self._unsaid_bytes -= len(self._unsaid.popleft())
+
+    def read(self) -> list[wire.Up]:
+        """What has come since the last call, without waiting.
+
+        Raises:
+            FederateError: it failed, or has gone though nobody asked it to.
+        """
+        self._heard += [wire.ups.decode(message) for message in self._link.receive()]
+        problem = next((each.problem for each in self._heard if isinstance(each, wire.Failed)), "")
+        if not problem and self._link.ended and not self._leaving:
+            problem = f"its process {self._how_it_ended()}: programs are cut off; {ADVICE}"
+        if problem:
+            raise FederateError("bridge", problem)
+        heard, self._heard = self._heard, []
+        return heard
+
+    def leave(self) -> None:
+        """Ask it to close all doors and to end, without waiting."""
+        if not self._leaving:
+            self._leaving = True
+            self._unsaid.clear()  # nothing is to be delivered any more
+            self._unsaid.append(encode(wire.Leave()))
+        self.go_on()
+
+    def close(self) -> list[wire.Up]:
+        """Have it end, and wait for that; then make it. Its last words; never raises."""
+        if self._closed:
+            return []
+        self._closed = True
+        until = time.monotonic() + CLOSE_S
+        while not self._link.ended and time.monotonic() < until:
+            self.leave()
+            self._link.wait(min(PAUSE_S, until - time.monotonic()) if self._unsaid else until - time.monotonic())
+            self._heard += [wire.ups.decode(message) for message in self._link.receive()]
+        try:
+            self._process.wait(DYING_S if self._link.ended else 0.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._link.close()
+        return self._heard
+
+    def _how_it_ended(self) -> str:
+        """How a process whose link has ended did so."""
+        try:
+            return ending(self._process.wait(DYING_S))
+        except subprocess.TimeoutExpired:
+            return "has hung up"

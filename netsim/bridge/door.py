@@ -1,0 +1,74 @@
+"""What a door is: where programs hand over what their vehicles' radios are to send, and take what these receive.
+
+Doors live in the bridge's process, beside the run and not in it: whatever a program does to its sockets, and however long the
+run computes, the other side goes on. One asyncio loop turns all of them.
+"""
+
+import asyncio
+from collections.abc import Sequence
+from typing import Protocol
+
+BROADCAST = -1
+"""In place of the row of a vehicle: all who can hear it."""
+
+
+class DoorError(Exception):
+    """A door cannot be opened; its words are for the user: what, and what to do."""
+
+
+class Hall(Protocol):
+    """What a door sees of the bridge. All is for the loop's own thread (`asyncio.AbstractEventLoop.call_soon_threadsafe`)."""
+
+    vehicles: tuple[str, ...]  # rows are places in it
+    run: str  # name of the scenario
+    loop: asyncio.AbstractEventLoop
+
+    def offer(self, door: "Door", sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+        """Hand a datagram to the radio of a vehicle.
+
+        Args:
+            door: whose `Door.deliver` is called when it arrives.
+            sender: row of the vehicle.
+            to: row of the only one meant, or `BROADCAST`.
+            payload: at most `LARGEST` bytes; its length is the payload size that the channel reckons with.
+            came_ns: when it came, on ``time.monotonic_ns()``; None: now.
+
+        Returns:
+            Whether there was room. If not, nothing was taken: the vehicle has sent more than the run has dealt with; stop
+            reading from this program for some milliseconds, or drop the datagram and `count` it.
+        """
+
+    def count(self, vehicle: int, what: str, by: int = 1) -> None:
+        """Count what was not handed over, or not delivered, in words for the user: "longer than mtu_bytes"."""
+
+    def level_dbm(self, sender: int, receiver: int) -> float:
+        """The mean level of one vehicle's radio at another's, as of the last tenth of a second; NaN: not known yet."""
+
+
+class Door(Protocol):
+    """A class of this kind is named by a table ``[bridge.KIND]``, whose keys are its constructor parameters.
+
+    It may also have a method ``lost(sender, receiver, payload)``: nothing is to come of what was for one vehicle alone.
+
+    It is built twice: in the run, which only checks it, and in the bridge's process, which opens it. Constructors open nothing.
+    """
+
+    def check(self, vehicles: Sequence[str]) -> None:
+        """Refuse what cannot be, with a `ValueError` that names the key: a vehicle that there is not, two equal ports, ..."""
+
+    async def open(self, hall: Hall) -> Sequence[str]:
+        """Open sockets or whatever it has; the answer is lines that tell a user where what is.
+
+        Raises:
+            DoorError: it cannot be had: a port in use, no rights.
+        """
+
+    def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
+        """Give a program of ``receiver`` what its radio received, without waiting; who does not take it, loses it, counted."""
+
+    async def close(self) -> None:
+        """Let go of everything; called once, also where `open` failed half-way."""
+
+
+LARGEST = 65_535
+"""Bytes of a payload, at most: an IP packet's total length."""

@@ -1,0 +1,292 @@
+"""The federate `bridge`: datagrams of programs outside enter the run, and leave it when their frames arrive.
+
+=====================  =========  =====================================================================================
+key                    direction  value
+=====================  =========  =====================================================================================
+``bridge/sent``        out        `Datagrams` that programs have handed to radios, each stamped with when it came
+``radio/traffic``      in         `Traffic`: which of them arrive where, and when
+``<vehicle>/heard``    in         `Reception` of what an agent said, for programs of that vehicle (where they hear agents)
+=====================  =========  =====================================================================================
+
+Sockets are the affair of a process beside the run (`netsim.bridge.process`): here are numbers, sizes and times. The run must
+keep the pace of the wall clock.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from cosim.clock import SECOND_NS, Ticks
+from cosim.federate import Event, RunInfo, Slot, Step
+from cosim.types import AnyValue, Array, Datagrams, Reception, States, Traffic, frozen
+from netsim.bridge import wire
+from netsim.bridge.beside import Beside
+from netsim.bridge.door import LARGEST
+from netsim.bridge.echoes import Echoes
+from netsim.bridge.lateness import Lateness
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+LEVELS = Ticks.every(0.1)
+AGAIN_NS = 1_000_000  # until what the process has not read is said again
+BEHIND_NS = 20_000_000  # a run that is later than this catches up before it takes more from programs,
+PATIENCE_NS = 100_000_000  # unless it has taken nothing for so long
+MOST = 5000  # deliveries in a message
+
+Log = Callable[[str, int, AnyValue], None]
+"""Takes what a replay needs: key, time, value."""
+
+
+class Paced(Protocol):
+    """A clock that says when its times are on this machine's monotonic clock, ns, and the other way round."""
+
+    def logical_ns(self, monotonic_ns: int) -> int:
+        """The run's time then."""
+
+    def monotonic_ns(self, logical_ns: int) -> int:
+        """When that is."""
+
+
+class Air(Protocol):
+    """Who knows how strongly vehicles hear each other."""
+
+    def levels_dbm(self, states: States) -> Array:
+        """Mean levels where vehicles are, (n, n): of the row's radio at the column's."""
+
+
+class DoorTable(Protocol):
+    """What a scenario says of a door."""
+
+    @property
+    def name(self) -> str:
+        """Of its table, ``bridge.NAME``."""
+
+    @property
+    def kind(self) -> str:
+        """Short name, module:Class or file.py:Class."""
+
+    @property
+    def params(self) -> dict[str, Any]:
+        """Of its constructor."""
+
+
+class Bridge:
+    """All doors of a run.
+
+    Args:
+        doors: what is opened.
+        run: name of the scenario.
+        folder: of the scenario.
+        vehicles: of the run, in its order.
+        agents: whether agents hear programs, and programs agents.
+        air: asked for levels where a door wants them.
+        tell: takes lines for the user.
+        connect: open the doors; else nothing comes, as long as a scenario is being checked.
+    """
+
+    name = "bridge"
+    slot = Slot.WORLD
+    wake_slot = Slot.APPLY
+    latest: tuple[str, ...] = ("world/states",)
+
+    def __init__(
+        self,
+        doors: Sequence[DoorTable],
+        *,
+        run: str,
+        folder: str,
+        vehicles: Sequence[str],
+        agents: bool,
+        air: Air,
+        tell: Callable[[str], None],
+        connect: bool,
+    ) -> None:
+        self.reads: tuple[str, ...] = ("radio/traffic", "*/heard") if agents else ("radio/traffic",)
+        self.wakes: tuple[str, ...] = self.reads
+        self.clock: Paced | None = None  # whoever builds the run's says which
+        self.log: Log = lambda *_: None
+        specs = tuple(wire.DoorSpec(name=each.name, kind=each.kind, params=each.params) for each in doors)
+        self._opening = wire.Opening(run=run, folder=folder, vehicles=tuple(vehicles), doors=specs, payloads=agents)
+        self._vehicles = tuple(vehicles)
+        self._row = {name: row for row, name in enumerate(vehicles)}
+        self._air, self._tell, self._connect = air, tell, connect
+        self._process: Beside | None = None
+        self._came: list[wire.Came] = []  # that waits, as the run is behind
+        self._ripe: list[wire.Came] = []  # for the radio, in this instant
+        self._took_ns = 0  # when there was some
+        self._taken = 0
+        self._sent_ns = np.zeros(len(vehicles), np.int64)  # the newest of each
+        self._late = Lateness()
+        self._counts: dict[str, dict[str, int]] = {}
+        self._wants_levels, self._levels_at = False, 0.0
+        self._states: States | None = None  # the newest
+        self._echoes = Echoes(tuple(vehicles))
+
+    @property
+    def lateness(self) -> dict[str, Any]:
+        """How late deliveries were, and what was counted, so far."""
+        return self._late.summary(self._counts)
+
+    def table(self) -> "pa.Table":
+        """A row per delivery (`Lateness.table`); ``frame`` and ``receiver`` are those of the table of frames."""
+        return self._late.table(tuple(each.name for each in self._opening.doors), self._vehicles)
+
+    def start(self, run: RunInfo) -> int | None:
+        """Open all doors and say where they are."""
+        self._end_ns = run.duration_ns
+        if self._connect:
+            self._process = Beside.start(self._opening)
+            for line in self._process.wait_ready():
+                self._tell(line)
+        return None
+
+    def fileno(self) -> int:
+        """Readable when something has come."""
+        return -1 if self._process is None else self._process.fileno()
+
+    def poll(self, now_ns: int) -> bool:
+        """Whether something has come for the radio, or levels are to be told."""
+        if self._process is None:
+            return False
+        self._process.go_on()
+        self._hear(self._process.read())
+        if now_ns >= self._end_ns:
+            return False
+        come = bool(self._came)
+        if come and not self._behind(now_ns):
+            self._ripe, self._came = self._came, []
+        return come or self._levels_due
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        """Give the radio what has come, and say what is due of what it made of that."""
+        process = self._process
+        if process is None:
+            return Step()
+        for event in inbox:  # first, as it says whose some receptions of this instant are
+            if isinstance(event.value, Traffic):
+                self._on_traffic(process, event.value)
+            elif isinstance(event.value, States):
+                self._states = event.value
+        for event in inbox:
+            if isinstance(event.value, Reception):
+                self._on_heard(process, event.key.partition("/")[0], event.value)
+        events: list[Event] = []
+        if self._ripe:
+            events = [Event("bridge/sent", now_ns, self._datagrams(came)) for came in self._ripe]
+            self._ripe = []
+            for event in events:
+                self.log(event.key, event.time_ns, event.value)
+            process.say(_due(self._taken))  # what comes meanwhile may be gathered
+        if self._levels_due and self._states is not None:
+            self._levels_at = time.monotonic() + LEVELS.ns / SECOND_NS
+            process.say(wire.Levels(dbm=frozen(self._air.levels_dbm(self._states), np.float64)))
+        return Step(events, self._next(process, now_ns))
+
+    def release(self) -> None:
+        """Let the process leave at once."""
+        if self._process is not None:
+            self._process.leave()
+
+    def close(self) -> None:
+        """Wait until it has left, and hear its last words."""
+        if self._process is not None:
+            self._hear(self._process.close())
+
+    def _behind(self, now_ns: int) -> bool:
+        """Whether the run is to catch up with the wall clock first: programs that say much must not hold it up."""
+        wall_ns = time.monotonic_ns()
+        if self._paced.logical_ns(wall_ns) - now_ns > BEHIND_NS and wall_ns - self._took_ns < PATIENCE_NS:
+            return True
+        self._took_ns = wall_ns
+        return False
+
+    @property
+    def _levels_due(self) -> bool:
+        return self._wants_levels and time.monotonic() >= self._levels_at
+
+    def _next(self, process: Beside, now_ns: int) -> int | None:
+        wishes = [LEVELS.after(now_ns)] if self._wants_levels else []
+        wishes += [now_ns + AGAIN_NS] if process.unsaid else []
+        wishes += [max(now_ns + AGAIN_NS, self._paced.logical_ns(time.monotonic_ns()))] if self._came else []  # caught up
+        return min([*wishes, self._end_ns]) if wishes and now_ns < self._end_ns else None
+
+    def _hear(self, messages: Sequence[wire.Up]) -> None:
+        for message in messages:
+            if isinstance(message, wire.Came):
+                self._came.append(message)
+            elif isinstance(message, wire.Went):
+                left_ns = np.array([self._paced.logical_ns(each) for each in message.went_ns.tolist()], np.int64)
+                self._late.went(message.due, message.went_ns, left_ns)
+            elif isinstance(message, wire.Counted):
+                self._counts = message.counts
+            elif isinstance(message, wire.Asked):
+                self._wants_levels = True
+
+    @property
+    def _paced(self) -> Paced:
+        assert self.clock is not None  # noqa: S101  it is set before the run begins
+        return self.clock
+
+    def _datagrams(self, came: wire.Came) -> Datagrams:
+        """What came, in the run's time: within the run, and in order for each sender.
+
+        Where the run is late, that is after now: taken for sent now, it would arrive before its time.
+        """
+        logical_ns = self._paced.logical_ns
+        sent_ns = np.array([logical_ns(each) for each in came.came_ns.tolist()], np.int64).clip(0, self._end_ns - 1)
+        for sender in np.unique(came.sender):
+            own = came.sender == sender
+            sent_ns[own] = np.maximum.accumulate(np.maximum(sent_ns[own], self._sent_ns[sender]))
+            self._sent_ns[sender] = sent_ns[own][-1]
+        self._taken += len(came.number)
+        self._late.sent(came.number, came.door, came.sender, sent_ns)
+        if self._opening.payloads:
+            self._echoes.said(came)
+        return Datagrams(
+            number=came.number,
+            sender=came.sender,
+            to=came.to,
+            size_bytes=came.size_bytes,
+            sent_ns=frozen(sent_ns),
+            payloads=came.payloads,
+        )
+
+    def _on_traffic(self, process: Beside, traffic: Traffic) -> None:
+        frames = np.array([report.frame for report in traffic.reports], np.int64)
+        lost = sum(np.count_nonzero(report.received_ns < 0) for report in traffic.reports)
+        self._late.carried(traffic.carries, frames, int(lost))
+        monotonic_ns = self._paced.monotonic_ns
+        at_ns = np.array([monotonic_ns(each) for each in traffic.arrival_ns.tolist()], np.int64)
+        self._late.due(traffic.number, traffic.receiver, traffic.arrival_ns, at_ns)
+        if self._opening.payloads:
+            self._echoes.decided(traffic)
+        *first, last = _parts(len(traffic.number))
+        for part in first:
+            process.say(_due(self._taken, traffic.number[part], traffic.receiver[part], at_ns[part]))
+        begin, *rest = _parts(len(traffic.settled))  # behind all that is due
+        settled = traffic.settled[begin]
+        process.say(_due(self._taken, traffic.number[last], traffic.receiver[last], at_ns[last], settled))
+        for part in rest:
+            process.say(_due(self._taken, settled=traffic.settled[part]))
+
+    def _on_heard(self, process: Beside, vehicle: str, heard: Reception) -> None:
+        payload = self._echoes.by_agent(vehicle, heard)
+        if payload is not None and len(payload) <= LARGEST:
+            sender, receiver = self._row[heard.message.sender], self._row[vehicle]
+            at_ns = self._paced.monotonic_ns(heard.received_ns)
+            process.say(wire.Spoken(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))
+
+
+_NONE = np.zeros(0, np.int64)
+
+
+def _parts(count: int) -> list[slice]:
+    """So many rows in pieces that fit into a message: one, at least."""
+    return [slice(first, first + MOST) for first in range(0, max(count, 1), MOST)]
+
+
+def _due(taken: int, number: Array = _NONE, receiver: Array = _NONE, at_ns: Array = _NONE, settled: Array = _NONE) -> wire.Due:
+    return wire.Due(taken=taken, number=number, receiver=receiver, at_ns=at_ns, settled=settled)

@@ -1,0 +1,154 @@
+"""The federate by itself: the test is the bridge process, the clock and the kernel."""
+
+import time
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.federate import Event, RunInfo
+from cosim.types import Datagrams, Message, Reception, Traffic
+from netsim.bridge import wire
+from netsim.bridge.federate import BEHIND_NS, PATIENCE_NS, Bridge
+
+MS = 1_000_000
+RUN = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("a", "b"))
+
+
+class Beside:
+    """In the place of the process."""
+
+    unsaid = False
+
+    def __init__(self) -> None:
+        self.says: list[Any] = []
+        self.heard: list[Any] = []
+
+    def go_on(self) -> None:
+        pass
+
+    def read(self) -> list[Any]:
+        said, self.says = self.says, []
+        return said
+
+    def say(self, message: Any) -> None:
+        self.heard.append(message)
+
+
+class Clock:
+    """A clock that is ``ahead_ns`` of the machine's."""
+
+    ahead_ns = 0
+
+    def logical_ns(self, monotonic_ns: int) -> int:
+        return monotonic_ns + self.ahead_ns
+
+    def monotonic_ns(self, logical_ns: int) -> int:
+        return logical_ns - self.ahead_ns
+
+
+def made(*, agents: bool = False) -> tuple[Bridge, Beside, Clock]:
+    none: Any = None
+    bridge = Bridge([], run="test", folder=".", vehicles=("a", "b"), agents=agents, air=none, tell=print, connect=False)
+    bridge.start(RUN)
+    process: Any = Beside()
+    bridge._process, bridge.clock = process, (clock := Clock())
+    return bridge, process, clock
+
+
+def came(first: int, *rows: tuple[int, int]) -> wire.Came:
+    """Broadcasts: sender and when."""
+    sender, came_ns = np.array(rows, np.int64).T
+    n = len(rows)
+    return wire.Came(
+        number=np.arange(first, first + n),
+        door=np.zeros(n, np.int32),
+        sender=sender.astype(np.int32),
+        to=np.full(n, -1, np.int32),
+        size_bytes=np.full(n, 10),
+        came_ns=came_ns,
+    )
+
+
+def sent(bridge: Bridge, now_ns: int) -> list[Datagrams]:
+    found = []
+    for event in bridge.step(now_ns, []).events:
+        assert (event.key, event.time_ns) == ("bridge/sent", now_ns)
+        assert isinstance(event.value, Datagrams)
+        found.append(event.value)
+    return found
+
+
+def test_a_run_that_is_behind_catches_up_before_it_takes_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    bridge, process, clock = made()
+    wall_ns = 5_000 * MS
+    monkeypatch.setattr(time, "monotonic_ns", lambda: wall_ns)
+    clock.ahead_ns = 1_000 * MS - wall_ns  # it is 1 s in the run's time
+    process.says = [came(0, (0, wall_ns))]
+    assert bridge.poll(1_000 * MS)
+    assert len(sent(bridge, 1_000 * MS)) == 1
+
+    process.says = [came(1, (0, wall_ns))]
+    wall_ns += BEHIND_NS + 2 * MS
+    assert bridge.poll(1_001 * MS)
+    step = bridge.step(1_001 * MS, [])
+    assert (step.events, step.next_ns) == ([], 1_002 * MS + BEHIND_NS)  # when it has caught up
+    assert bridge.step(1_001 * MS, []).events == []  # nor where it is woken again in this instant
+    assert bridge.poll(1_022 * MS)
+    assert len(sent(bridge, 1_022 * MS)) == 1
+
+    process.says = [came(2, (0, wall_ns))]
+    wall_ns += PATIENCE_NS
+    assert bridge.poll(1_023 * MS)  # it never catches up: programs are not left alone for ever
+    assert len(sent(bridge, 1_023 * MS)) == 1
+    assert [each.taken for each in process.heard] == [1, 2, 3]
+
+
+def test_what_a_program_said_is_told_from_what_an_agent_said_though_it_is_the_same() -> None:
+    bridge, process, _ = made(agents=True)
+    process.says = [msgspec.structs.replace(came(0, (0, 0)), payloads=(b"same",))]
+    bridge.poll(MS)
+    sent(bridge, MS)
+    message = Message(sender="a", body=b"same", size_bytes=4)
+    heard = Event("b/heard", 3 * MS, Reception(message=message, rssi_dbm=0.0, sent_ns=MS, received_ns=3 * MS))
+    number = np.zeros(1, np.int64)
+    traffic = Traffic(
+        reports=(), carries=number[:0], number=number, receiver=number + 1, arrival_ns=number + 3 * MS, settled=number
+    )
+    bridge.step(3 * MS, [heard, Event("radio/traffic", 3 * MS, traffic)])  # in the order of their keys
+    assert not [each for each in process.heard if isinstance(each, wire.Spoken)]
+    bridge.step(3 * MS, [heard])
+    (spoken,) = [each for each in process.heard if isinstance(each, wire.Spoken)]
+    assert (spoken.sender, spoken.receiver, spoken.payload) == (0, 1, b"same")
+    bridge.step(4 * MS, [Event("b/heard", 4 * MS, msgspec.structs.replace(heard.value, received_ns=4 * MS))])
+    assert len([each for each in process.heard if isinstance(each, wire.Spoken)]) == 2
+
+
+def test_nothing_enters_at_the_end() -> None:
+    bridge, process, _ = made()
+    process.says = [came(0, (0, 0))]
+    assert not bridge.poll(RUN.duration_ns)
+    assert bridge.step(RUN.duration_ns, []).events == []
+
+
+@given(st.lists(st.lists(st.tuples(st.integers(0, 1), st.integers(-50, 50)), min_size=1, max_size=8), max_size=8), st.data())
+def test_datagrams_are_sent_when_they_came_however_late_the_instant_is_in_order_and_within_the_run(
+    batches: list[list[tuple[int, int]]], data: st.DataObject
+) -> None:
+    bridge, process, clock = made()
+    newest, now_ns, number = {0: 0, 1: 0}, 0, 0
+    for rows in batches:
+        now_ns += data.draw(st.integers(1, 60))
+        clock.ahead_ns = now_ns - time.monotonic_ns()
+        process.says = [came(number, *((sender, now_ns - clock.ahead_ns + offset) for sender, offset in rows))]
+        number += len(rows)
+        bridge._took_ns = 0  # however slow this machine is
+        assert bridge.poll(now_ns)
+        (datagrams,) = sent(bridge, now_ns)
+        assert datagrams.sender.tolist() == [sender for sender, _ in rows]
+        for (sender, offset), sent_ns in zip(rows, datagrams.sent_ns.tolist(), strict=True):
+            assert sent_ns == max(newest[sender], now_ns + offset)
+            newest[sender] = sent_ns

@@ -1,0 +1,335 @@
+"""The door for IP: programs in two or three namespaces, and between them a hall that carries what it is offered."""
+
+import asyncio
+import os
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim import table
+from cosim.errors import ScenarioError
+from netsim.bridge import ip_links, ip_runs, netns
+from netsim.bridge.door import BROADCAST, DoorError
+from netsim.bridge.ip import NO_ROOM, Ip
+from netsim.bridge.ip_packets import MEMBERSHIP, NO_ADDRESS
+from tests.netsim.bridging import TestHall, until
+from tests.netsim.spaces import RUN, called, heard, left_over, needs, needs_spaces, opened, space, udp
+
+pytestmark = needs_spaces
+
+CARS = ("car1", "car2", "car3")
+
+
+@pytest.mark.parametrize(("first", "second", "header"), [("10.77.0.1", "10.77.0.2", 28), ("fd77::1", "fd77::2", 48)])
+def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first: str, second: str, header: int) -> None:
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        async with opened(Ip(), hall):
+            with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
+                sender.sendto(b"x" * 100, (second, 9000))
+                assert await heard(listener) == (b"x" * 100, first)
+        assert [(each.sender, each.to, len(each.payload)) for each in hall.offered] == [(0, 1, 100 + header)]
+        assert not hall.counts
+
+    asyncio.run(body())
+
+
+@pytest.mark.parametrize("to", ["10.77.255.255", "255.255.255.255"])
+def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        async with opened(Ip(), hall):
+            with udp("car2", "10.77.0.2") as sender, udp("car1", "", 9000) as one, udp("car3", "", 9000) as other:
+                sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+                sender.sendto(b"all", (to, 9000))
+                for listener in (one, other):
+                    assert await heard(listener) == (b"all", "10.77.0.2")
+        assert [(each.sender, each.to) for each in hall.offered] == [(1, BROADCAST)]
+
+    asyncio.run(body())
+
+
+@pytest.mark.parametrize(("group", "own"), [("239.255.0.1", "10.77.0.1"), ("ff05::77", "fd77::1")])
+def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_time(group: str, own: str) -> None:
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        async with opened(Ip(), hall):
+            anywhere = "::" if ":" in group else "0.0.0.0"
+            with udp("car1", own) as sender, udp("car3", anywhere, 9000) as joined, udp("car2", anywhere, 9000) as not_joined:
+                if ":" in group:
+                    member = socket.inet_pton(socket.AF_INET6, group) + struct.pack("@I", 0)
+                    joined.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, member)
+                else:
+                    joined.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
+                await until(lambda: MEMBERSHIP in hall.counts.get("car3", {}))
+                sender.sendto(b"group", (group, 9000))
+                assert await heard(joined) == (b"group", own)
+                with pytest.raises(TimeoutError):
+                    await heard(not_joined, 0.05)
+        assert [(each.sender, each.to) for each in hall.offered] == [(0, BROADCAST)]
+
+    asyncio.run(body())
+
+
+def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        async with opened(Ip(vehicles=("car1", "car2")), hall):
+            with udp("car1", "10.77.0.1") as sender:
+                for nobody in ("10.77.0.3", "10.77.9.9"):  # the third vehicle has no interface
+                    sender.sendto(b"hello?", (nobody, 9000))
+                await until(lambda: hall.counts.get("car1", {}).get(NO_ADDRESS) == 2)
+        assert not hall.offered
+
+    asyncio.run(body())
+
+
+def test_who_only_looks_on_sends_nothing() -> None:
+    """No address is sought, no router called, no neighbour asked: the air is free for the programs."""
+
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        async with opened(Ip(), hall):
+            await asyncio.sleep(1.2)
+        assert not hall.offered
+        assert not hall.counts
+
+    asyncio.run(body())
+
+
+@needs("ping")
+@pytest.mark.parametrize("to", ["10.77.0.2", "fd77::2"])
+def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
+    async def body() -> None:
+        hall = TestHall(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
+        async with opened(Ip(), hall):
+            _, out = await called("car1", "ping", "-n", "-c", "40", "-i", "0.01", "-W", "0.2", to)
+        back = sum(each.sender == 1 for each in hall.offered)
+        heard_back = sum(each.sender == 1 and (place * 7) % 10 >= 3 for place, each in enumerate(hall.offered))
+        assert 40 == sum(each.sender == 0 for each in hall.offered) > back > heard_back > 0
+        assert f"40 packets transmitted, {heard_back} received" in out
+        quickest_ms = re.search(r"min/avg/max/mdev = ([\d.]+)", out)
+        assert quickest_ms is not None
+        assert 40.0 <= float(quickest_ms[1]) < 80.0
+
+    asyncio.run(body())
+
+
+def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        async with opened(Ip(mtu_bytes=127), hall) as lines:
+            with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+                sender.sendto(bytes(1000), ("10.77.0.2", 9000))
+                assert await heard(listener) == (bytes(1000), "10.77.0.1")
+        assert len(hall.offered) == 10  # 1008 bytes with the header of UDP, at most 104 of them in a packet (RFC 791)
+        assert max(len(each.payload) for each in hall.offered) == 124
+        assert not any("fd77" in line for line in lines)  # IPv6 needs 1280 bytes
+
+    asyncio.run(body())
+
+
+def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_holds_is_counted() -> None:
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        async with opened(Ip(), hall):
+            with udp("car1", "10.77.0.1") as sender:
+                hall.room = False
+                for number in range(2 * ip_links.QUEUE):
+                    sender.sendto(struct.pack(">I", number), ("10.77.0.2", 9000))
+                    await asyncio.sleep(0)
+                await until(lambda: NO_ROOM in hall.counts.get("car1", {}))
+                assert not hall.offered
+                hall.room = True
+                await until(lambda: len(sent(hall)) + hall.counts["car1"][NO_ROOM] == 2 * ip_links.QUEUE)
+        numbers = [struct.unpack(">I", each[28:])[0] for each in sent(hall)]
+        assert ip_links.QUEUE <= len(numbers) <= ip_links.QUEUE + 2
+        assert numbers == list(range(len(numbers)))  # in order, and the first of them: who comes late finds no room
+
+    def sent(hall: TestHall) -> list[bytes]:
+        return [each.payload for each in hall.offered if each.sender == 0]
+
+    asyncio.run(body())
+
+
+def test_what_is_no_packet_of_ip_is_no_harm() -> None:
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN)
+        door = Ip()
+        async with opened(door, hall):
+            with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
+                for said in (
+                    b"",
+                    b"\x93agents speak MessagePack",
+                    b"\x45" * 20,
+                    b"\x60" * 40,
+                    b"\x45" + bytes(40),
+                    bytes(65535),
+                ):
+                    door.deliver(0, 1, said)
+                sender.sendto(b"after it", ("10.77.0.2", 9000))
+                assert await heard(listener) == (b"after it", "10.77.0.1")
+
+    asyncio.run(body())
+
+
+@needs("ping")
+def test_real_machines_join_through_a_vehicle() -> None:
+    """A namespace plays a robot with cables: it stands behind car1, through the host, as a machine in the lab would."""
+
+    async def body() -> None:
+        hall = TestHall(CARS, run=RUN, delay_s=0.01)
+        robot, cable = f"{RUN}-robot", f"v{os.getpid()}"
+        ip = f"ip -n {robot}"
+        async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), hall) as lines:
+            assert any("behind car1: 192.168.213.0/24" in line for line in lines)
+            try:
+                netns.create(robot)
+                _sh(f"ip link add {cable} type veth peer name eth0 netns {robot}")
+                _sh(f"ip addr add 192.168.213.1/24 dev {cable}; ip link set {cable} up")
+                _sh(f"{ip} addr add 192.168.213.10/24 dev eth0; {ip} link set eth0 up; {ip} link set lo up")
+                _sh(f"{ip} route add default via 192.168.213.1")
+                Path(f"/proc/sys/net/ipv4/conf/{cable}/forwarding").write_text("1")
+                code, out = await called("car2", "ping", "-n", "-c", "3", "-i", "0.05", "-W", "2", "192.168.213.10")
+                assert (code, "3 received" in out) == (0, True), out
+                assert {(each.sender, each.to) for each in hall.offered} == {(1, 0), (0, 1)}
+                out = await asyncio.to_thread(_sh, f"ip netns exec {robot} ping -n -c 3 -i 0.05 -W 2 10.77.0.3")
+                assert "3 received" in out
+                assert {(each.sender, each.to) for each in hall.offered[6:]} == {(0, 2), (2, 0)}
+            finally:
+                netns.remove(robot)
+                subprocess.run(["ip", "link", "del", cable], check=False, capture_output=True)
+        assert "192.168.213" not in _sh("ip rule")
+        assert "fd05:213" not in _sh("ip -6 rule")
+        assert ip_links.port_of(RUN, "car1", (), ()).interface not in _sh("ip link")
+
+    asyncio.run(body())
+
+
+# --- refusals ---
+
+
+@pytest.mark.parametrize(
+    ("params", "problem"),
+    [
+        ({"network": "10.77.0.0"}, "bridge.ip: network: 10.77.0.0/32 has no room for 3 vehicles"),
+        ({"network": "10.77.0.0/30"}, "bridge.ip: network: 10.77.0.0/30 has no room for 3 vehicles"),
+        ({"network": "10.77.0.5/16"}, "bridge.ip.network: 10.77.0.5/16 has host bits set"),
+        ({"network6": "10.78.0.0/16"}, "bridge.ip.network6: 10.78.0.0/16 is a network of IPv4"),
+        ({"mtu_bytes": 60}, "bridge.ip.mtu_bytes: "),
+        ({"vehicles": ["car9"]}, "bridge.ip: vehicles: there is no vehicle car9"),
+        ({"routes": {"car9": ["192.168.5.0/24"]}}, "bridge.ip: routes: there is no vehicle car9"),
+        ({"routes": {"car1": ["10.77.3.0/24"]}}, "10.77.3.0/24 has addresses in common with 10.77.0.0/16"),
+        ({"routes": {"car1": ["192.168.5.0/24"], "car2": ["192.168.0.0/16"]}}, "has addresses in common with 192.168.5.0/24"),
+        ({"routes": {"car1": ["fd05::/64"]}, "mtu_bytes": 1000}, "fd05::/64 needs IPv6, and mtu_bytes of 1280 or more"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_made(params: dict[str, Any], problem: str) -> None:
+    def checked() -> None:
+        door = table.call(Ip, params, key="bridge.ip")
+        try:
+            door.check(CARS)
+        except ValueError as error:  # as the run says it
+            raise ScenarioError(str(error), key="bridge.ip") from error
+
+    with pytest.raises(ScenarioError, match=re.escape(problem)):
+        checked()
+
+
+# --- what is left over ---
+
+
+def test_closed_is_gone() -> None:
+    async def body() -> None:
+        async with opened(Ip(), TestHall(CARS, run=RUN)):
+            assert len(left_over(CARS)) == 4
+            assert [each.alive for each in ip_runs.networks() if each.run == RUN] == [True]
+            with pytest.raises(BlockingIOError):
+                ip_runs.clear(RUN)
+        assert not left_over(CARS)
+
+    asyncio.run(body())
+
+
+def test_two_runs_of_one_name_are_told_so_and_the_first_goes_on() -> None:
+    async def body() -> None:
+        hall = TestHall(CARS[:2], run=RUN)
+        async with opened(Ip(), hall):
+            with pytest.raises(DoorError, match=rf"a run named {RUN} has its network on this machine"):
+                async with opened(Ip(), TestHall(CARS[:2], run=RUN)):
+                    pass
+            with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+                sender.sendto(b"still", ("10.77.0.2", 9000))
+                assert (await heard(listener))[0] == b"still"
+
+    asyncio.run(body())
+
+
+def test_a_namespace_of_somebody_else_is_not_touched() -> None:
+    async def body() -> None:
+        netns.create(space("car2"))
+        try:
+            with pytest.raises(DoorError, match=f"there is a network namespace {space('car2')}, made by somebody else"):
+                async with opened(Ip(), TestHall(CARS, run=RUN)):
+                    pass
+            assert (netns.NAMES / space("car2")).exists()
+        finally:
+            netns.remove(space("car2"))
+        assert not left_over(CARS)
+
+    asyncio.run(body())
+
+
+KILLED = """
+import asyncio, sys
+sys.path.insert(0, {root!r})
+from netsim.bridge.ip import Ip
+from tests.netsim.bridging import TestHall
+
+async def body():
+    door = Ip(routes={{"car1": ("192.168.214.0/24",)}})
+    await door.open(TestHall(("car1", "car2"), run={run!r}))
+    print("open", flush=True)
+    await asyncio.sleep(60)
+
+asyncio.run(body())
+"""
+
+
+@pytest.mark.parametrize("cleared_by", ["net down", "the next run"])
+def test_what_a_killed_run_has_left_is_cleared_away(cleared_by: str) -> None:
+    run = f"{RUN}k"
+    text = KILLED.format(root=str(Path(__file__).parents[2]), run=run)
+    with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "open\n"
+        assert [each.alive for each in ip_runs.networks() if each.run == run] == [True]
+        process.send_signal(signal.SIGKILL)
+    assert [each.alive for each in ip_runs.networks() if each.run == run] == [False]
+    assert len(left_over(CARS[:2], run)) == 3
+    assert "192.168.214.0/24" in _sh("ip rule")
+
+    async def body() -> None:
+        async with opened(Ip(), TestHall(CARS[:2], run=run)):
+            pass
+
+    if cleared_by == "net down":
+        ip_runs.clear(run)
+        ip_runs.clear(run)  # once more does no harm
+    else:
+        asyncio.run(body())
+    assert not left_over(CARS[:2], run)
+    assert "192.168.214.0/24" not in _sh("ip rule")
+
+
+def _sh(commands: str) -> str:
+    done = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr + done.stdout
+    return done.stdout

@@ -1,0 +1,247 @@
+"""The bridge process by itself: the test is the run."""
+
+import itertools
+import os
+import select
+import signal
+import socket
+import time
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.errors import FederateError
+from netsim.bridge import wire
+from netsim.bridge.beside import Beside
+from netsim.bridge.store import BATCH_OF_ONE, MOST
+from tests.netsim.bridge_runs import wait_for
+from tests.netsim.bridging import free_ports
+
+VEHICLES = ("a", "b", "c")
+PROBE = """
+from pathlib import Path
+
+
+class Probe:
+    def __init__(self, out: str, fails: str = "") -> None:
+        self.out, self.fails = Path(out), fails
+
+    def check(self, vehicles):
+        pass
+
+    async def open(self, hall):
+        self.hall = hall
+        if self.fails == "open":
+            raise RuntimeError("no luck")
+        hall.loop.call_soon(self.turn)
+        hall.offer(self, 0, 1, b"to one")
+        hall.offer(self, 0, -1, b"to all")
+        return ["probe is open"]
+
+    def turn(self):
+        level = self.hall.level_dbm(0, 2)
+        if level == level:
+            self.say(f"level {level}")
+        else:
+            self.hall.loop.call_later(0.005, self.turn)
+
+    def say(self, line):
+        with self.out.open("a") as file:
+            file.write(line + "\\n")
+
+    def deliver(self, sender, receiver, payload):
+        if self.fails == "deliver":
+            raise RuntimeError("no luck")
+        self.say(f"delivered {sender} {receiver} {payload!r}")
+
+    def lost(self, sender, receiver, payload):
+        self.say(f"lost {sender} {receiver} {payload!r}")
+
+    async def close(self):
+        self.say("closed")
+"""
+
+
+def opening(*doors: wire.DoorSpec, folder: Path | str = ".", payloads: bool = False) -> wire.Opening:
+    return wire.Opening(run="test", folder=str(folder), vehicles=VEHICLES, doors=doors, payloads=payloads)
+
+
+def udp(first: int, **params: Any) -> wire.DoorSpec:
+    return wire.DoorSpec(name="udp", kind="udp", params={"first_port": first, **params})
+
+
+@pytest.fixture
+def probe(tmp_path: Path) -> wire.DoorSpec:
+    (tmp_path / "probe.py").write_text(PROBE)
+    return wire.DoorSpec(name="probe", kind="probe.py:Probe", params={"out": str(tmp_path / "out.txt")})
+
+
+@pytest.fixture
+def started() -> Iterator[list[Beside]]:
+    processes: list[Beside] = []
+    yield processes
+    for each in processes:
+        each.close()
+
+
+def due(*rows: tuple[int, int, int], taken: int = 0, settled: tuple[int, ...] = ()) -> wire.Due:
+    number, receiver, at_ns = np.array(rows, np.int64).reshape(-1, 3).T
+    return wire.Due(
+        taken=taken, number=number, receiver=receiver.astype(np.int32), at_ns=at_ns, settled=np.array(settled, np.int64)
+    )
+
+
+def hear(process: Beside, kind: type, seconds: float = 10.0) -> Any:
+    """The next word of this kind."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        select.select([process], [], [], end - time.monotonic())
+        for message in process.read():
+            if isinstance(message, kind):
+                return message
+    raise AssertionError(f"no {kind.__name__}")
+
+
+def test_a_door_of_ones_own_hears_what_is_due_what_is_lost_and_how_strong_others_are(
+    probe: wire.DoorSpec, tmp_path: Path, started: list[Beside]
+) -> None:
+    def said() -> list[str]:
+        file = tmp_path / "out.txt"
+        return file.read_text().splitlines() if file.exists() else []
+
+    started.append(process := Beside.start(opening(probe, folder=tmp_path, payloads=True)))
+    assert process.wait_ready() == ("bridge.probe: probe is open",)
+    heard = process.read()
+    while not any(isinstance(each, wire.Came) for each in heard) or not any(isinstance(each, wire.Asked) for each in heard):
+        select.select([process], [], [], 10.0)
+        heard += process.read()
+    (came,) = [each for each in heard if isinstance(each, wire.Came)]
+    assert (came.sender.tolist(), came.to.tolist(), came.payloads) == ([0, 0], [1, -1], (b"to one", b"to all"))
+    process.say(wire.Levels(dbm=np.arange(9.0).reshape(3, 3)))
+    wait_for(lambda: said() == ["level 2.0"])
+    now_ns = time.monotonic_ns()
+    process.say(due((1, 2, now_ns + 20_000_000), (1, 1, now_ns + 10_000_000), taken=2, settled=(0, 1)))
+    process.say(wire.Spoken(sender=2, receiver=0, at_ns=now_ns + 15_000_000, payload=b"said"))
+    wait_for(lambda: len(said()) == 5)
+    assert said()[1:] == ["lost 0 1 b'to one'", "delivered 0 1 b'to all'", "delivered 2 0 b'said'", "delivered 0 2 b'to all'"]
+    process.leave()
+    (went,) = [each for each in process.close() if isinstance(each, wire.Went)]
+    assert went.due.tolist() == [1, 0]  # what an agent said is none of them
+    assert (went.went_ns >= now_ns + 10_000_000).all()
+    assert said()[-1] == "closed"
+
+
+def test_a_door_that_cannot_be_opened_ends_the_bridge_in_its_own_words(
+    probe: wire.DoorSpec, tmp_path: Path, started: list[Beside]
+) -> None:
+    probe.params["fails"] = "open"
+    started.append(process := Beside.start(opening(probe, folder=tmp_path)))
+    with pytest.raises(FederateError, match=r"bridge: RuntimeError: no luck \(probe.py line \d+, in open\)"):
+        process.wait_ready()
+    assert (tmp_path / "out.txt").read_text() == "closed\n"
+
+
+def test_so_does_one_that_fails_later(probe: wire.DoorSpec, tmp_path: Path, started: list[Beside]) -> None:
+    probe.params["fails"] = "deliver"
+    started.append(process := Beside.start(opening(probe, folder=tmp_path)))
+    process.wait_ready()
+    process.say(wire.Spoken(sender=0, receiver=1, at_ns=0, payload=b"said"))
+    with pytest.raises(FederateError, match=r"bridge: RuntimeError: no luck \(probe.py line \d+, in deliver\)"):
+        hear(process, wire.Went)
+
+
+def test_a_port_that_somebody_has_is_named(started: list[Beside]) -> None:
+    first = free_ports(300)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", first + 201))
+        started.append(process := Beside.start(opening(udp(first))))
+        with pytest.raises(FederateError, match=rf"bridge: bridge.udp: port {first + 201} of 127.0.0.1 cannot be had"):
+            process.wait_ready()
+
+
+def test_a_kind_that_there_is_not_is_named(started: list[Beside]) -> None:
+    started.append(process := Beside.start(opening(wire.DoorSpec(name="udp", kind="udb", params={}))))
+    with pytest.raises(FederateError, match=r"bridge.udp.kind: unknown door kind 'udb'; did you mean 'udp'\?"):
+        process.wait_ready()
+
+
+def test_a_batch_waits_until_the_one_before_was_taken_and_what_there_is_no_room_for_is_kept_outside(
+    started: list[Beside],
+) -> None:
+    first = free_ports(300)
+    started.append(process := Beside.start(opening(udp(first))))
+    process.wait_ready()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        for _ in range(MOST + 1000):
+            program.sendto(b"x", ("127.0.0.1", first))
+    came = hear(process, wire.Came)
+    time.sleep(0.1)
+    assert process.read() == []
+    numbers = came.number.tolist()
+    assert len(numbers) <= BATCH_OF_ONE
+    while len(numbers) < MOST:
+        process.say(due(taken=len(numbers)))
+        numbers += hear(process, wire.Came).number.tolist()
+    process.say(due(taken=MOST))
+    time.sleep(0.1)
+    assert process.read() == []  # nothing is settled: there is no room for more
+    process.say(due(taken=MOST, settled=tuple(range(1000))))
+    while len(numbers) < MOST + 1000:
+        numbers += hear(process, wire.Came).number.tolist()
+        process.say(due(taken=len(numbers)))
+    assert numbers == list(range(MOST + 1000))
+
+
+def test_it_ends_with_the_run_however_that_ended(started: list[Beside]) -> None:
+    first = free_ports(300)
+    process = Beside.start(opening(udp(first)))
+    process.wait_ready()
+    process._link.close()  # as the operating system does with whoever is killed
+    assert process._process.wait(10.0) == 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.bind(("127.0.0.1", first))
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(signal.SIGKILL, "was killed by SIGKILL"), (signal.SIGTERM, "it was told to end")]
+)
+def test_that_it_has_gone_is_said(number: signal.Signals, words: str, started: list[Beside]) -> None:
+    started.append(process := Beside.start(opening(udp(free_ports(300)))))
+    process.wait_ready()
+    os.kill(process.pid, number)
+    with pytest.raises(FederateError, match=f"bridge: .*{words}"):
+        hear(process, wire.Came)
+
+
+def test_ctrl_c_is_not_for_it(started: list[Beside]) -> None:
+    started.append(process := Beside.start(opening(udp(first := free_ports(300)))))
+    process.wait_ready()
+    os.kill(process.pid, signal.SIGINT)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.sendto(b"x", ("127.0.0.1", first))
+    assert hear(process, wire.Came).number.tolist() == [0]
+
+
+def test_it_can_be_let_go_of_before_its_doors_are_open() -> None:
+    process = Beside.start(opening(udp(free_ports(300))))
+    process.leave()
+    process.close()
+    assert process._process.returncode == 0
+
+
+def test_one_that_does_not_read_holds_up_nobody_and_is_ended(started: list[Beside]) -> None:
+    process = Beside.start(opening(udp(free_ports(300))))
+    process.wait_ready()
+    os.kill(process.pid, signal.SIGSTOP)
+    began = time.monotonic()
+    said = wire.Spoken(sender=0, receiver=1, at_ns=0, payload=bytes(60_000))
+    with pytest.raises(FederateError, match=rf"bridge: its process \(pid {process.pid}\) does not read any more"):
+        deque(map(process.say, itertools.repeat(said)), 0)
+    assert process.unsaid
+    assert time.monotonic() - began < 10.0
+    process._process.kill()
+    process.close()
