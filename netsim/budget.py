@@ -44,12 +44,42 @@ class Mean(msgspec.Struct, dict=True):
     shadowing_db: Floats | None
     level_dbm: Floats
     heard: dict[int, "Heard"]  # what becomes of frames of a size at this very level: filled by `Hearing`
+    parts: dict[int | None, "Told"]  # by the first of the receivers that are meant: filled by `told`
     weakness: Codes | None = None  # what would make frames too weak: the same
 
     @cached_property
     def power_mw(self) -> Floats:
         """The level at all radios, (n + 1,) mW; 0 at itself."""
         return sealed(at_all(10.0 ** (self.level_dbm / 10.0), self.row))
+
+    def told(self, receivers: tuple[str, ...], to: slice) -> "Told":
+        """What reports of frames tell of it: of one receiver, or of all."""
+        found = self.parts.get(to.start)
+        if found is None:
+            found = self.parts[to.start] = Told(
+                receivers[to],
+                frozen(self.paths.distance_m[to]),
+                frozen(self.level_dbm[to]),
+                frozen(self.path_loss_db[to]),
+                _part(self.walls, to),
+                None if self.materials is None else self.materials[to],
+                _part(self.wall_loss_db, to),
+                _part(self.shadowing_db, to),
+            )
+        return found
+
+
+class Told(msgspec.Struct, frozen=True):
+    """The part of a mean budget that concerns those for whom a frame is meant; fields as of `Mean`."""
+
+    receivers: tuple[str, ...]
+    distance_m: Floats
+    level_dbm: Floats
+    path_loss_db: Floats
+    walls: Ints | None
+    materials: tuple[str, ...] | None
+    wall_loss_db: Floats | None
+    shadowing_db: Floats | None
 
 
 class Heard(msgspec.Struct, frozen=True, dict=True):
@@ -158,6 +188,7 @@ class Budgets:
             None if shadowing_db is None else frozen(shadowing_db),
             sealed(level_dbm),
             {},
+            {},
         )
 
     def _power_dbm(self, links: Links) -> Floats:
@@ -208,6 +239,10 @@ def _with_vehicles(materials: tuple[str, ...], others: Ints) -> tuple[str, ...]:
     """What is crossed, in words, the vehicles among it."""
     words = [f"{n} vehicle" if n else "" for n in others.tolist()]
     return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
+
+
+def _part(values: Any, to: slice) -> Any:
+    return None if values is None else frozen(values[to])
 
 
 def at_all(values: Floats, row: int) -> Floats:

@@ -87,20 +87,21 @@ class Outcomes:
         """
         sender, mean, to, on_air = sent.sender, sent.mean, sent.meant, air.start_ns >= 0
         frame = sent.frame_at(air.start_ns, air.end_ns, sent.level_dbm)
-        code, too_weak, sinr_db = air.fate, air.fate == _UNDETECTED, air.sinr_db
-        if np.count_nonzero(too_weak):
+        code, sinr_db = air.fate, air.sinr_db
+        if np.count_nonzero(code) and np.count_nonzero(too_weak := code == _UNDETECTED):
             code = np.where(too_weak, TOO_WEAK + self._hearing.weakness(mean), code)
         if interference_mw is not None:
             sinr_db, code = self._jam(sent, air, code, interference_mw)
         if self._losses:
             code = self._lose(sent, frame, code)
         code = code[to]
-        arrival = sealed(np.where(code == 0, self._arrival(sent, frame, air, to), -1))
+        arrival = sealed(self._arrivals(code, self._arrival(sent, frame, air, to)))
         copy_ns = None
         if self._delivery is not None:
             draw, rows = sent.draw(DELIVERY_SLOT), sender.others[to]
             arrival, copy_ns = self._delivery.deliver(sender.row, rows, arrival, sent.message.size_bytes, lambda: draw()[to])
             code = np.where((code == 0) & (arrival < 0), np.uint8(len(self._words) - 1), code)
+        of_mean, snr_db = mean.told(sender.links.receivers, to), frozen(air.snr_db[to])
         head_ns = max(sent.sent_ns, sender.free_ns)  # when it became the sender's first
         if on_air:
             sender.free_ns = max(sender.free_ns, air.end_ns)
@@ -109,22 +110,22 @@ class Outcomes:
             sender=sender.links.sender,
             sent_ns=sent.sent_ns,
             size_bytes=sent.message.size_bytes,
-            receivers=sender.links.receivers[to],
-            distance_m=frozen(mean.paths.distance_m[to]),
-            rssi_dbm=frozen(sent.level_dbm[to]),
+            receivers=of_mean.receivers,
+            distance_m=of_mean.distance_m,
+            rssi_dbm=of_mean.level_dbm if sent.level_dbm is mean.level_dbm else frozen(sent.level_dbm[to]),
             received_ns=frozen(arrival),
             copy_ns=None if copy_ns is None else frozen(copy_ns),
-            outcome=tuple(self._words[code].tolist()),
+            outcome=tuple(self._words[code].tolist()) if np.count_nonzero(code) else (RECEIVED,) * len(code),
             air_time_ns=sent.air_ns if on_air else 0,
             queue_ns=max(0, (head_ns if on_air else air.end_ns) - sent.sent_ns),
             access_ns=max(0, air.start_ns - head_ns) if on_air else 0,
-            snr_db=frozen(air.snr_db[to]),
-            sinr_db=frozen(sinr_db[to]),
-            path_loss_db=frozen(mean.path_loss_db[to]),
-            walls=_part(mean.walls, to),
-            wall_materials=None if mean.materials is None else mean.materials[to],
-            wall_loss_db=_part(mean.wall_loss_db, to),
-            shadowing_db=_part(mean.shadowing_db, to),
+            snr_db=snr_db,
+            sinr_db=snr_db if sinr_db is air.snr_db else frozen(sinr_db[to]),
+            path_loss_db=of_mean.path_loss_db,
+            walls=of_mean.walls,
+            wall_materials=of_mean.materials,
+            wall_loss_db=of_mean.wall_loss_db,
+            shadowing_db=of_mean.shadowing_db,
             fading_db=_part(sent.fading_db, to),
         )
 
@@ -163,6 +164,12 @@ class Outcomes:
             if np.count_nonzero(lost):
                 code = np.where((code == 0) & lost, np.uint8(_JAMMED + 1 + index), code)
         return code
+
+    def _arrivals(self, code: Codes, arrival: Ints | int) -> Ints:
+        """The same at all for whom it is meant; -1 where it is lost."""
+        if np.count_nonzero(code):
+            return np.where(code == 0, arrival, -1)
+        return np.full(len(code), arrival) if np.ndim(arrival) == 0 else np.asarray(arrival)
 
     def _arrival(self, sent: Sent, frame: Frame, air: OnAir, to: slice) -> Ints | int:
         """When the frame arrives where it is not lost, ns: at each of those for whom it is meant, or the same at all."""

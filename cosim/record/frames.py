@@ -4,6 +4,7 @@ A report is a kilobyte or two of small objects. Packed, a receiver of a frame ta
 """
 
 from collections.abc import Iterable, Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,10 @@ BUDGET = {  # zeros where the channel has no such layer
     "shadowing_db": np.float64,
     "fading_db": np.float64,
 }
+
+
+_FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, "sender", "receivers", "outcome", "wall_materials")
+_FIELDS_OF = attrgetter(*_FIELDS)
 
 
 class Names:
@@ -126,21 +131,28 @@ class Frames:
 
     def _pack(self) -> None:
         reports, self._waiting, self._held = self._waiting, [], 0
-        counts = [len(report.receivers) for report in reports]
-        packed = {name: np.array([getattr(report, name) for report in reports], np.int64) for name in PER_FRAME}
+        if not reports:
+            return
+        told = dict(zip(_FIELDS, zip(*map(_FIELDS_OF, reports), strict=True), strict=True))
+        counts = [len(receivers) for receivers in told["receivers"]]
+        packed = {name: np.array(told[name], np.int64) for name in PER_FRAME}
         packed["receivers"] = np.array(counts, np.int64)
-        packed["receiver"] = joined([self._vehicles.codes(report.receivers) for report in reports], (0,), np.int32)
-        packed["sender"] = np.array([self._vehicles.code(report.sender) for report in reports], np.int32)
-        packed["outcome"] = joined([self._outcomes.codes(report.outcome) for report in reports], (0,), np.int32)
-        crossed = (report.wall_materials or ("",) * n for report, n in zip(reports, counts, strict=True))
+        packed["receiver"] = joined([self._vehicles.codes(each) for each in told["receivers"]], (0,), np.int32)
+        packed["sender"] = np.array([self._vehicles.code(each) for each in told["sender"]], np.int32)
+        packed["outcome"] = joined([self._outcomes.codes(each) for each in told["outcome"]], (0,), np.int32)
+        crossed = (each or ("",) * n for each, n in zip(told["wall_materials"], counts, strict=True))
         packed["wall_materials"] = joined([self._materials.codes(each) for each in crossed], (0,), np.int32)
         for names in (self._vehicles, self._outcomes, self._materials):
             names.forget()
         for name, dtype in PER_ROW.items():
-            packed[name] = joined([getattr(report, name) for report in reports], (0,), dtype)
+            packed[name] = joined(list(told[name]), (0,), dtype)
         for name, dtype in BUDGET.items():
-            parts = zip((getattr(report, name) for report in reports), counts, strict=True)
-            packed[name] = joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
+            parts = zip(told[name], counts, strict=True)
+            packed[name] = (
+                joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
+                if any(part is not None for part in told[name])
+                else np.zeros(sum(counts), dtype)
+            )
         for name, values in packed.items():
             self._chunks.setdefault(name, []).append(_slim(values))
 
