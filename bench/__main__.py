@@ -1,18 +1,35 @@
 """Times the platform and what it is built on in turn, in one run, and prints the ratios.
 
 CPU seconds wherever one process does the work; wall-clock time only for the round trip between two processes. Medians of
-pairs: read the ratios, since machines differ and drift. Exit code 1 if a demand is missed.
+pairs: read the ratios, since machines differ and drift. Exit code 1 if a demand is missed. ``--help`` names the parts.
 """
 
+import argparse
 import contextlib
+import json
 import os
 import platform
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from bench import avoidance, bare, camera, drones, federation, mission, radio, scanner, sensors, studies, vehicles, view
+from bench import (
+    avoidance,
+    bare,
+    camera,
+    drones,
+    federation,
+    growth,
+    mission,
+    radio,
+    recording,
+    scanner,
+    sensors,
+    studies,
+    vehicles,
+    view,
+)
 from bench.measure import Row, in_turn, measured, table
 from bench.workloads import run_cpu_s, star
 from cosim import scenario as scenarios
@@ -126,16 +143,42 @@ def start_row() -> Row:
     return Row(name, f"{ours:.2f} CPU s", f"{other:.2f} CPU s", ratio, "<= 0.3 CPU s", ours <= 0.3)
 
 
-def main() -> int:
-    """Print the table."""
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
-    rows = measured((kernel_row, bullet_row, federation_row, start_row))
-    print("measuring: the radio ...", file=sys.stderr, flush=True)
-    rows += radio.rows()
-    for part in (vehicles, sensors, drones, scanner, camera, avoidance, mission, studies, view, federation):
-        rows += part.rows()
-    print(table(rows))
-    return 0 if all(row.holds for row in rows) else 1
+def rows() -> list[Row]:
+    """The core's own."""
+    return measured((kernel_row, bullet_row, federation_row, start_row))
+
+
+PARTS: Mapping[str, Callable[[], Iterable[Row]]] = {
+    "core": rows,
+    **{
+        part.__name__.rpartition(".")[2]: part.rows
+        for part in (
+            *(radio, vehicles, sensors, drones, scanner, camera, avoidance, mission, studies, view, federation),
+            *(recording, growth),
+        )
+    },
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m bench", description="What the platform costs.")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)} [all]")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    given = parser.parse_args(arguments)
+    if unknown := [part for part in given.parts if part not in PARTS]:
+        parser.error(f"there is no part {unknown[0]!r}; parts: {', '.join(PARTS)}")
+    found = []
+    for name in given.parts or PARTS:
+        print(f"measuring: {name} ...", file=sys.stderr, flush=True)
+        found += [(name, row) for row in PARTS[name]()]
+    machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    if given.json:
+        told = [{"part": name, **row._asdict()} for name, row in found]
+        print(json.dumps({"schema": "vcmvsp.bench/1", "machine": machine, "rows": told}, indent=2))
+    else:
+        print(f"{machine}\n\n{table([row for _, row in found])}")
+    return 0 if all(row.holds for _, row in found) else 1
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim import cli_robot, cli_stop
+from cosim.cli_bench import bench_command
 from cosim.cli_calibrate import calibrate_command
 from cosim.cli_calibrate_recognition import calibrate_recognition_command
 from cosim.cli_emulate import emulate_app
@@ -27,6 +28,7 @@ from cosim.cli_replay import replay_command
 from cosim.cli_report import report_command
 from cosim.cli_run import ScenarioName, Sets, run_command
 from cosim.cli_study import study_command
+from cosim.cli_validate import validate_command
 from cosim.cli_view import view_command
 from cosim.cli_watch import watch_command
 from cosim.errors import Interrupted, UsageError, VcmvspError
@@ -171,6 +173,8 @@ app.add_typer(emulate_app)
 app.command("launch")(launch_command)
 app.command("study")(study_command)
 app.command("figure")(figure_command)
+app.command("validate")(validate_command)
+app.command("bench")(bench_command)
 app.command("new")(new_command)
 app.command("reference")(reference_command)
 app.command("list")(list_command)

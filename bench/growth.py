@@ -1,0 +1,193 @@
+"""How cost grows with the number of vehicles: each part of a run, its start and its memory, as N doubles.
+
+``python -m bench.growth [FOLDER]`` prints the table and leaves growth.csv, .json, .png and .svg in the folder. Everybody drives
+a circle of its own and broadcasts at 10 Hz: where all hear all, receptions grow as N squared. Each N is a process of its own,
+whose CPU time is read off part by part; exponents are slopes of straight lines through the logarithms.
+"""
+
+import io
+import json
+import platform
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.measure import Row, table
+from cosim import scenario as scenarios
+from cosim.assemble import Assembly
+from cosim.federate import Event
+from cosim.kernel import Kernel
+from cosim.record.recorder import Recorder
+
+COUNTS = (10, 20, 40, 80)
+DURATION_S = 3.0
+PARTS = {"physics": "physics", "netsim": "radio", "agents": "agents"}  # by package of the federate
+
+
+class Case(NamedTuple):
+    """What drives, over which radio, and which exponents each part may have: what it does grows by N or by N squared."""
+
+    physics: str
+    preset: str
+    demands: Mapping[str, float]
+
+
+EACH, PAIRS = 1.4, 2.3  # exponents: what is done once per vehicle, and for each pair of them
+SHARED = {"agents": PAIRS, "kernel": PAIRS, "recording": PAIRS}
+CASES = {
+    "kinematic, ideal radio": Case("kinematic", "ideal", {"physics": EACH, "radio": PAIRS, **SHARED}),
+    "PyBullet, 802.11g": Case("bullet", "wifi-g-24", {"physics": EACH, "radio": PAIRS, **SHARED}),
+}
+
+
+def crowd(count: int, physics: str, preset: str, duration_s: float) -> dict[str, Any]:
+    """Vehicles 4 m apart on circles of 0.5 m, each of which broadcasts at 10 Hz."""
+    side = int(np.ceil(np.sqrt(count)))
+    agent = {"kind": "trajectory", "path": "circle", "speed": 0.2, "yaw_rate": 0.4}
+    places = [(4.0 * (number % side), 4.0 * (number // side), 0.0) for number in range(count)]
+    return {
+        "name": "crowd",
+        "duration_s": duration_s,
+        "physics": {"kind": physics},
+        "radio": {"preset": preset},
+        "vehicles": {"kind": "kinematic" if physics == "kinematic" else "p2dx"},
+        "agents": {"period_s": 0.1},
+        "vehicle": [{"name": f"car{n}", "pose": place, "agent": agent} for n, place in enumerate(places)],
+    }
+
+
+def costs(count: int, case: Case) -> dict[str, float]:
+    """Of one run in this process: CPU s per simulated s by part; of its start, s and MiB; bytes of run.mcap per event."""
+    begin = time.process_time()
+    parsed, source = scenarios.load(crowd(count, case.physics, case.preset, DURATION_S))
+    spent = dict.fromkeys((*PARTS.values(), "recording"), 0.0)
+    with Assembly(parsed, source) as assembly:
+        kernel = Kernel(assembly.run_info, [_timed(each, spent) for each in assembly.federates])
+        kernel.start()
+        stream, events = io.BytesIO(), 0
+        recorder = Recorder(
+            assembly.run_info,
+            record_ticks=assembly.record_ticks,
+            mcap=stream,
+            agents=assembly.infos,
+            radius_m=assembly.radius_m,
+        )
+        found = {"start": time.process_time() - begin, "start_mib": _peak_mib()}
+
+        def on(event: Event) -> None:
+            nonlocal events
+            before = time.process_time()
+            recorder.on(event)
+            spent["recording"] += time.process_time() - before
+            events += 1
+
+        begin = time.process_time()
+        kernel.run(on)
+        whole = time.process_time() - begin
+        recorder.close(kernel.now_ns)
+        kernel.close()
+    found["kernel"] = (whole - sum(spent.values())) / DURATION_S
+    found |= {part: seconds / DURATION_S for part, seconds in spent.items()}
+    return {**found, "whole": whole / DURATION_S, "event_bytes": stream.tell() / events}
+
+
+def _timed(federate: Any, spent: dict[str, float]) -> Any:
+    """The federate, whose steps are clocked; those of the core itself count as the kernel's."""
+    part, step = PARTS.get(type(federate).__module__.partition(".")[0]), federate.step
+    if part is None:
+        return federate
+
+    def clocked(now_ns: int, inbox: Sequence[Event]) -> Any:
+        begin = time.process_time()
+        done = step(now_ns, inbox)
+        spent[part] += time.process_time() - begin
+        return done
+
+    federate.step = clocked
+    return federate
+
+
+def _peak_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def measured() -> dict[str, dict[str, list[float]]]:
+    """Of every case, each cost by `COUNTS`; told as they begin."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for name in CASES:
+        for count in COUNTS:
+            print(f"measuring: growth, {name}, {count} vehicles ...", file=sys.stderr, flush=True)
+            command = [sys.executable, "-m", "bench.growth", "--one", name, str(count)]
+            answer = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+            for part, cost in answer.items():
+                found.setdefault(name, {}).setdefault(part, []).append(cost)
+    return found
+
+
+def exponent(cost: Sequence[float]) -> float:
+    """The slope of a straight line through the logarithms, over `COUNTS`."""
+    return float(np.polyfit(np.log(COUNTS), np.log(np.maximum(cost, 1e-9)), 1)[0])
+
+
+def table_of(found: Mapping[str, Mapping[str, Sequence[float]]]) -> list[Row]:
+    """Cost at most and at fewest vehicles, and the exponent between them."""
+    made = []
+    for name, costs_of in found.items():
+        for part, most in CASES[name].demands.items():
+            cost = costs_of[part]
+            made.append(_row(f"{name}: {part}, CPU s per simulated s", cost, "", exponent(cost), f"~ N^{most:g} at most", most))
+        made.append(_row(f"{name}: start", costs_of["start"], " s", exponent(costs_of["start"]), f"~ N^{EACH:g} at most", EACH))
+        size = costs_of["event_bytes"]
+        made.append(_row(f"{name}: bytes of run.mcap per event", size, " B", exponent(size), "~ N^1 at most", 1.0))
+        each_mib = float(np.polyfit(COUNTS, costs_of["start_mib"], 1)[0])
+        what = f"{name}: memory after the start; ratio: MiB per vehicle"
+        made.append(_row(what, costs_of["start_mib"], " MiB", each_mib, "<= 1 MiB per vehicle", 1.0))
+    return made
+
+
+def _row(what: str, cost: Sequence[float], unit: str, ratio: float, demand: str, most: float) -> Row:
+    name = f"{what}; {COUNTS[-1]} vehicles beside {COUNTS[0]}"
+    return Row(name, f"{cost[-1]:.3g}{unit}", f"{cost[0]:.3g}{unit}", ratio, demand, ratio <= most)
+
+
+def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> list[Path]:
+    """The costs over N, on logarithmic axes."""
+    from cosim.figures import files
+    from cosim.figures.kit import Curve, Figure, Panel
+
+    panels = []
+    for name, costs_of in found.items():
+        curves = []
+        for color, part in enumerate(("whole", *CASES[name].demands)):
+            cost = np.array(costs_of[part])
+            curves.append(Curve(np.array(COUNTS), cost, f"{part}, N^{exponent(cost.tolist()):.2f}", color, "both"))
+        panels.append(Panel(name, "vehicles", "CPU s per simulated s", curves, log_x=True, log_y=True))
+    return files.write(
+        "growth", Figure("Cost by the number of vehicles, each of which broadcasts at 10 Hz", panels, ()), folder
+    )
+
+
+def rows() -> list[Row]:
+    """All of them."""
+    return table_of(measured())
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print the table and draw it; or, with ``--one CASE N``, the costs of one run as JSON."""
+    if arguments[:1] == ["--one"]:
+        print(json.dumps(costs(int(arguments[2]), CASES[arguments[1]])))
+        return
+    print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}\n")
+    found = measured()
+    print(table(table_of(found)))
+    print("\n".join(map(str, draw(found, Path(*arguments) if arguments else Path("growth")))))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,153 @@
+"""What it costs to record: time and bytes per event, and memory per receiver of a frame.
+
+``python -m bench.recording`` prints the table. CPU time of this process, medians of pairs; memory is that of Python's and
+NumPy's allocations, the difference between a run and one twice as long.
+"""
+
+import functools
+import gc
+import io
+import platform
+import tracemalloc
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+from bench.growth import crowd
+from bench.measure import Row, cpu, in_turn, measured, table
+from cosim import scenario as scenarios
+from cosim.assemble import Assembly
+from cosim.codec import encode
+from cosim.federate import Event
+from cosim.kernel import Kernel
+from cosim.record.recorder import Recorder
+from cosim.record.tables import RADIO_SCHEMA
+
+ROUNDS = 7
+VEHICLES, RUN_S = 10, 20.0
+HELD_VEHICLES, HELD_S, PRESET = 50, 1.0, "wifi-g-24"
+PACKED_BYTES = 100  # per receiver of a frame, while a run goes on
+TABLE_BYTES = sum(field.type.bit_width // 8 if field.type.num_fields == 0 else 4 for field in RADIO_SCHEMA)
+
+
+class Run(NamedTuple):
+    """All events of a run, and how to make a recorder of it."""
+
+    events: Sequence[Event]
+    recorder: Callable[..., Recorder]
+    end_ns: int
+
+
+def run_of(scenario: dict[str, Any]) -> Run:
+    """A run whose events are kept rather than recorded."""
+    parsed, source = scenarios.load(scenario)
+    events: list[Event] = []
+    with Assembly(parsed, source) as assembly:
+        kernel = Kernel(assembly.run_info, assembly.federates)
+        kernel.start()
+        kernel.run(events.append)
+        kernel.close()
+        making = partial(
+            Recorder,
+            assembly.run_info,
+            record_ticks=assembly.record_ticks,
+            agents=assembly.infos,
+            radius_m=assembly.radius_m,
+        )
+        return Run(events, making, kernel.now_ns)
+
+
+def recorded(run: Run, mcap: io.BytesIO | None) -> Recorder:
+    """A recorder that has seen all of it."""
+    recorder = run.recorder(mcap=mcap)
+    for event in run.events:
+        recorder.on(event)
+    recorder.close(run.end_ns)
+    return recorder
+
+
+def event_s() -> Row:
+    """An event into the tables and ``run.mcap``; beside it the same events encoded and put one behind the other."""
+    run = run_of(crowd(VEHICLES, "kinematic", "ideal", RUN_S))
+
+    def bare() -> None:
+        stream = io.BytesIO()
+        for event in run.events:
+            stream.write(encode((event.key, event.time_ns, event.value)))
+
+    ours, other, ratio = in_turn(lambda: cpu(lambda: recorded(run, io.BytesIO())), lambda: cpu(bare), ROUNDS)
+    count = len(run.events)
+    name = f"recording, {VEHICLES} vehicles that all hear each other, an event; beside it encoded with MessagePack alone"
+    return Row(name, f"{1e6 * ours / count:.1f} us", f"{1e6 * other / count:.1f} us", ratio, "<= 8x", ratio <= 8.0)
+
+
+def event_bytes() -> Row:
+    """Bytes of ``run.mcap`` for an event; beside it MessagePack, not compressed."""
+    run, stream = run_of(crowd(VEHICLES, "kinematic", "ideal", RUN_S)), io.BytesIO()
+    recorded(run, stream)
+    count = len(run.events)
+    ours = stream.tell() / count
+    other = sum(len(encode((event.key, event.time_ns, event.value))) for event in run.events) / count
+    name = "recording, bytes of run.mcap per event; beside it MessagePack, not compressed"
+    return Row(name, f"{ours:.0f} B", f"{other:.0f} B", ours / other, "<= 1x", ours <= other)
+
+
+def held() -> Row:
+    """What a frame takes at each of its receivers while the run goes on; beside it the row of the table."""
+    held, _ = _bytes_per_row()
+    name = f"memory of a run, {HELD_VEHICLES} vehicles, per receiver of a frame; beside it its row of the table"
+    return Row(name, f"{held:.0f} B", f"{TABLE_BYTES} B", held / TABLE_BYTES, f"<= {PACKED_BYTES} B", held <= PACKED_BYTES)
+
+
+def peak() -> Row:
+    """The same at its end, when tables and metrics are made."""
+    _, peak = _bytes_per_row()
+    name = "the same at the end of the run, when tables and metrics are made"
+    return Row(name, f"{peak:.0f} B", f"{TABLE_BYTES} B", peak / TABLE_BYTES, "<= 2x", peak <= 2.0 * TABLE_BYTES)
+
+
+@functools.cache
+def _bytes_per_row() -> tuple[float, float]:
+    """Held at the end of a run, and the most that is held until its numbers are there."""
+    tracemalloc.start()
+    try:
+        _held(2.0 * HELD_S)  # whatever is made once in a process
+        short, long = _held(HELD_S), _held(2.0 * HELD_S)
+    finally:
+        tracemalloc.stop()
+    rows = long[0] - short[0]
+    return (long[1] - short[1]) / rows, (long[2] - short[2]) / rows
+
+
+def _held(duration_s: float) -> tuple[int, int, int]:
+    """Rows of a run's table, bytes that are held when it is over, and the most until its numbers are there."""
+    parsed, source = scenarios.load(
+        {**crowd(HELD_VEHICLES, "kinematic", PRESET, duration_s), "record": {"period_s": duration_s}}
+    )
+    with Assembly(parsed, source) as assembly:
+        kernel = Kernel(assembly.run_info, assembly.federates)
+        kernel.start()
+        recorder = Recorder(
+            assembly.run_info, record_ticks=assembly.record_ticks, mcap=None, agents=assembly.infos, radius_m=assembly.radius_m
+        )
+        gc.collect()
+        before, _ = tracemalloc.get_traced_memory()
+        kernel.run(recorder.on)
+        recorder.close(kernel.now_ns)
+        kernel.close()
+        gc.collect()
+        held, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        recorder.metrics(window=(0.0, None))
+        _, peak = tracemalloc.get_traced_memory()
+        return recorder.radio.num_rows, held - before, peak - before
+
+
+def rows() -> list[Row]:
+    """All of them."""
+    return measured((event_s, event_bytes, held, peak))
+
+
+if __name__ == "__main__":
+    print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}\n")
+    print(table(rows()))
