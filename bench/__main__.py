@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from bench import (
     avoidance,
     bare,
+    bridge,
     camera,
     drones,
     federation,
@@ -154,7 +155,7 @@ PARTS: Mapping[str, Callable[[], Iterable[Row]]] = {
         part.__name__.rpartition(".")[2]: part.rows
         for part in (
             *(radio, vehicles, sensors, drones, scanner, camera, avoidance, mission, studies, view, federation),
-            *(recording, growth),
+            *(bridge, recording, growth),
         )
     },
 }
