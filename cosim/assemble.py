@@ -14,7 +14,7 @@ from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError, VcmvspError
 from cosim.federate import Federate, Instants, RunInfo
 from cosim.hosts import Hosts, Tell
-from cosim.interventions import Operator, check_planned, checks
+from cosim.interventions import Operator, check_planned, checks, nothing_moves
 from cosim.kernel import Kernel
 from cosim.record.inputs import Input
 from cosim.resolve import Resolution
@@ -230,7 +230,7 @@ class Assembly:
 
     def _build_operator(self, physics: Any, air: Any) -> Operator:
         planned, vehicles = self._scenario.intervention, [each.name for each in self._scenario.vehicle]
-        check = checks(vehicles, physics.check_move, air.check_change)
+        check = checks(vehicles, getattr(physics, "check_move", nothing_moves), air.check_change)
         check_planned(planned, check, self._source)
         return Operator(planned, vehicles, check)
 

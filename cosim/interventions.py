@@ -149,6 +149,11 @@ def checks(
     return check
 
 
+def nothing_moves(obstacle: str, *_: object) -> None:
+    """For physics of one's own that knows no obstacles which can be moved: refuses all of them."""
+    raise ValueError(f"{obstacle} cannot be moved: this physics has no check_move(obstacle, position, yaw)")
+
+
 def check_planned(planned: Sequence[InterventionTable], check: Check, source: Source) -> None:
     """Refuse a scenario with an intervention that cannot be done."""
     order = sorted(range(len(planned)), key=lambda number: planned[number].at_s)

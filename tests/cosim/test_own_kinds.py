@@ -2,9 +2,12 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import cosim
+from cosim.errors import ScenarioError
 from tests.cosim.command import vcmvsp
 
 OWN = '''
@@ -109,3 +112,29 @@ def test_two_files_of_one_name_are_both_kept(folder: Path) -> None:
     assert vcmvsp("run", "first/scenario.toml", "--out", "again").code == 0
     first, again = ((folder / name / "scenario.toml").read_text() for name in ("first", "again"))
     assert ("own-2.py:Sonar" in first, first == again) == (True, True)
+
+
+def test_physics_of_ones_own_needs_to_know_nothing_of_obstacles(folder: Path) -> None:
+    (folder / "still.py").write_text(
+        "from cosim.federate import Event, Needed, Slot, Step\n"
+        "from cosim.types import VehicleState\n"
+        "class Still:\n"
+        '    name, slot, wake_slot = "physics", Slot.WORLD, Slot.WORLD\n'
+        "    reads = latest = wakes = ()\n"
+        "    def __init__(self, world, vehicles, outside=None):\n"
+        "        self.radius_m = {each.name: 0.0 for each in vehicles}\n"
+        "    def start(self, run):\n"
+        "        self.needed, self.names = Needed(run), run.vehicles\n"
+        "        return 0\n"
+        "    def step(self, now_ns, inbox):\n"
+        "        state = VehicleState(position=(1.0, 2.0, 3.0))\n"
+        '        return Step([Event(f"{name}/estimate", now_ns, state) for name in self.names], self.needed.after(now_ns))\n'
+        "    def close(self):\n"
+        "        pass\n"
+    )
+    scenario: dict[str, Any] = {"name": "still", "duration_s": 1.0, "physics": {"kind": f"{folder / 'still.py'}:Still"}}
+    scenario["vehicle"] = [{"name": "car1", "kind": "point"}]
+    assert cosim.run(scenario).metrics["duration_s"] == 1.0
+    move = {"kind": "move", "at_s": 0.5, "obstacle": "box", "position": [0.0, 0.0]}
+    with pytest.raises(ScenarioError, match=r"box cannot be moved: this physics has no check_move"):
+        cosim.run({**scenario, "intervention": [move]})
