@@ -5,7 +5,7 @@ Each instant at which something is due holds up to five slots; a slot is one Sim
 1. answers that fall due now are collected from remote federates with a lookahead,
 2. events whose time has come are published: recorded and put into the inboxes of those who read them,
 3. all remote federates that are due are asked, the local ones are stepped, the answers awaited,
-4. what they gave is published.
+4. what they gave is published; of one key what came from elsewhere first.
 
 Events are published in the order of (time, slot, key, order of giving); one of the future belongs to its giver's own slot of
 that instant. Nothing in this order depends on where a federate runs or on how long it takes, which is why a run gives the
@@ -213,20 +213,20 @@ class Kernel:
         for index in due:
             if index in self._remote:
                 self._ask(index, now)
-        for index in due:
-            if index not in self._remote:
-                self._step(index, now, slot)
-        self._collect(now, slot)
+        given = [(index, self._step(index, now)) for index in due if index not in self._remote]
+        self._collect(now, slot)  # before what was given here, as who is elsewhere in one run may be here in another
+        for index, events in given:
+            self._give(index, events, now, slot)
         self._publish(now, slot)
 
     # --- stepping -----------------------------------------------------------------------------------------------------------
 
-    def _step(self, index: int, now: int, slot: Slot) -> None:
+    def _step(self, index: int, now: int) -> Sequence[Event]:
         with self._blames[index]:
             federate, inbox = self._federates[index], self._take_inbox(index)
             step = self._await(lambda: federate.step(now, inbox)) if index in self._waiting else federate.step(now, inbox)
-        self._give(index, step.events, now, slot)
         self._schedule_next(index, step.next_ns, now)
+        return step.events
 
     def _ask(self, index: int, now: int) -> None:
         federate = self._remote[index]

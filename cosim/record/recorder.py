@@ -70,6 +70,21 @@ from cosim.types import (
 )
 
 
+class DatagramCount(Value, frozen=True, kw_only=True):
+    """How much programs outside have handed over at an instant."""
+
+    datagrams: int
+    bytes: int
+
+
+class TrafficCount(Value, frozen=True, kw_only=True):
+    """What became of such datagrams, as far as it is known at an instant."""
+
+    frames: int
+    arrivals: int
+    lost: int  # receiver by receiver
+
+
 class Recorder:
     """Keeps the tables and, where a stream is given, the MCAP file of one run.
 
@@ -240,12 +255,12 @@ class Recorder:
 
     def _on_datagrams(self, key: str, time_ns: int, datagrams: Datagrams) -> None:
         """They are in the table of frames, each; in ``run.mcap`` only how many there were."""
-        self._write(key, time_ns, {"datagrams": len(datagrams.number), "bytes": int(datagrams.size_bytes.sum())})
+        self._write(key, time_ns, DatagramCount(datagrams=len(datagrams.number), bytes=int(datagrams.size_bytes.sum())))
 
     def _on_traffic(self, key: str, time_ns: int, traffic: Traffic) -> None:
         self._frames.extend(traffic.reports)
         lost = sum(each not in NOT_LOST for report in traffic.reports for each in report.outcome)
-        self._write(key, time_ns, {"frames": len(traffic.reports), "arrivals": len(traffic.number), "lost": lost})
+        self._write(key, time_ns, TrafficCount(frames=len(traffic.reports), arrivals=len(traffic.number), lost=lost))
 
     def _on_routed(self, key: str, time_ns: int, routed: Routed) -> None:
         """Whose message each frame carried is in the table of frames."""

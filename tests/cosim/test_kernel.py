@@ -422,3 +422,24 @@ def test_where_nothing_waits_letters_are_read_at_the_instants_there_are(
     outside.send(b"!!")
     world = Script("world", Slot.WORLD, {0: [("world/tick", 0)], 60: [("world/tick", 0)]})
     assert run(Doorman(inside), world) == [(0, "door/letter"), (0, "door/letter"), (0, "world/tick"), (60, "world/tick")]
+
+
+@pytest.mark.parametrize("names", [("a", "z"), ("z", "a")])
+def test_of_one_key_what_comes_from_elsewhere_is_published_first(names: tuple[str, str]) -> None:
+    """A vehicle's agent may be in a host elsewhere, or here under a name that sorts before those who speak beside it."""
+    here, elsewhere = names
+    given: list[object] = []
+
+    class Local(Script):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            return Step([note("car/send", now_ns, 1.0)])
+
+    class Away(Remote):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            return Step([note("car/send", now_ns, 2.0)])
+
+    federates = Local(here, Slot.AGENT, {0: []}), Away(elsewhere, Slot.AGENT, {0: []})
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), federates)
+    kernel.start()
+    kernel.run(lambda event: given.append(event.value))
+    assert given == [Note(values={"value": 2.0}), Note(values={"value": 1.0})]

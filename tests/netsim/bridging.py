@@ -93,7 +93,8 @@ async def until(holds: Callable[[], bool], seconds: float = 10.0) -> None:
 
 def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> int:
     """The first of so many ports in a row of 127.0.0.1 that nobody holds now."""
-    for first in range(20_000 + 100 * (time.monotonic_ns() % 97), 32_000, 100):
+    somewhere = time.monotonic_ns() % 97  # others look for ports, too
+    for first in (20_000 + 100 * ((somewhere + number) % 120) for number in range(120)):
         try:
             for port in range(first, first + count):
                 with socket.socket(socket.AF_INET, kind) as tried:
