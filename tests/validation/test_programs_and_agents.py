@@ -1,0 +1,36 @@
+"""A vehicle with an agent and a program that keeps the run's time: the same bytes wherever the agent runs."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim.sockets import Socket
+from tests.netsim.socketing import played, scenario
+
+TALKER = """
+from cosim import Agent
+
+class Talker(Agent):
+    def act(self, obs, radio):
+        radio.send(t=obs.time_ns, heard=len(obs.heard))
+"""
+
+
+def play(socket: Socket) -> None:
+    while True:
+        socket.sendto(b"p" * 200)
+        socket.sleep(0.1)
+
+
+@pytest.mark.parametrize("routing", [{}, {"routing": {"kind": "flooding"}}], ids=["direct", "routed"])
+def test_both_send_at_one_instant_in_the_same_order_everywhere(tmp_path: Path, routing: dict[str, Any]) -> None:
+    (tmp_path / "talker.py").write_text(TALKER)
+    radio = {"preset": "wifi-b-1", "loss": {"probability": 0.3}}
+    content = scenario(tmp_path, "tom", "zed", radio=radio, **routing)
+    content["sockets"]["vehicles"] = ["tom"]
+    for vehicle in content["vehicle"]:
+        vehicle["agent"] = {"kind": f"{tmp_path / 'talker.py'}:Talker"}
+    here, elsewhere = (played(content, {"tom": play}, mcap=False, agents=where) for where in ("inprocess", "process"))
+    assert here.radio.equals(elsewhere.radio)
+    assert here.metrics["digest"] == elsewhere.metrics["digest"]
