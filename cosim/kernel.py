@@ -22,7 +22,7 @@ from typing import TypeVar
 import simpy
 from threadpoolctl import threadpool_limits
 
-from cosim.clock import SECOND_NS, Clock, SimClock, WallClock
+from cosim.clock import SECOND_NS, Clock, SimClock, Sleep, WallClock
 from cosim.errors import FederateError, VcmvspError
 from cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting
 from cosim.keys import matches
@@ -113,13 +113,14 @@ class Kernel:
                 if on_instant:
                     on_instant(last)
                 for index, federate in self._polled:
-                    if federate.poll(last):
+                    with self._blames[index]:
+                        wanted = federate.poll(last)
+                    if wanted:
                         self._schedule(index, last)
-                if last < now and self._env.peek() != last:
-                    continue  # woken for nothing
             if self.stop:
                 raise KeyboardInterrupt
-            self._env.step()
+            if self._env.peek() <= last:  # else it was woken for nothing
+                self._env.step()
         self.now_ns = end_ns
         self._publish(end_ns, Slot.RADIO)
 
@@ -128,7 +129,7 @@ class Kernel:
         doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]
         open_ = [each for each in doors if each >= 0]
         if open_ and isinstance(self._clock, WallClock):
-            self._clock.sleep = lambda seconds: bool(select.select(open_, (), (), seconds)[0])
+            self._clock.sleep = _until_readable(open_)
 
     def _wait_until(self, last: int, when: int) -> int:
         """Wait for the next instant; the answer is its time, which is earlier if somebody comes before."""
@@ -320,6 +321,19 @@ class Kernel:
     def _whose(self, expressions: Callable[[Federate], Sequence[str]], key: str) -> tuple[int, ...]:
         """The federates with an expression that matches the key."""
         return tuple(i for i, each in enumerate(self._federates) if any(matches(one, key) for one in expressions(each)))
+
+
+def _until_readable(descriptors: Sequence[int]) -> Sleep:
+    """Waits for so many seconds, or until one of these is readable."""
+    if max(descriptors) < _SELECT_MOST:
+        return lambda seconds: bool(select.select(descriptors, (), (), seconds)[0])
+    poll = select.poll()  # good to a millisecond, while select is to a few microseconds
+    for each in descriptors:
+        poll.register(each, select.POLLIN)
+    return lambda seconds: bool(poll.poll(1e3 * seconds))
+
+
+_SELECT_MOST = 1024  # descriptors from there on select() does not take
 
 
 class _blame:  # noqa: N801  reads as a word: with _blame(federate)

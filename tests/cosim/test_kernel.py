@@ -1,5 +1,7 @@
 """The order of an instant, of events, and of remote answers: the contract of `cosim.federate`, as the kernel keeps it."""
 
+import fcntl
+import resource
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -381,11 +383,50 @@ class Wall:
         clock.sleep = sleep
 
 
-@pytest.fixture
-def letter_box() -> Iterator[tuple[socket.socket, socket.socket]]:
+@pytest.fixture(params=[False, True], ids=["", "many files open"])
+def letter_box(request: pytest.FixtureRequest) -> Iterator[tuple[socket.socket, socket.socket]]:
     inside, outside = socket.socketpair()
     with inside, outside:
-        yield inside, outside
+        if not request.param:
+            yield inside, outside
+            return
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, hard), hard))
+        try:
+            with socket.socket(fileno=fcntl.fcntl(inside.fileno(), fcntl.F_DUPFD, 1500)) as high:
+                yield high, outside
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_what_is_wrong_with_a_federate_that_is_asked_is_said_with_its_name() -> None:
+    class Torn(Script):
+        def poll(self, now_ns: int) -> bool:
+            raise RuntimeError("torn")
+
+    with pytest.raises(FederateError, match="door: RuntimeError: torn"):
+        run(Torn("door", Slot.WORLD, {0: []}))
+
+
+def test_a_run_that_is_stopped_when_somebody_has_come_does_not_wait_for_the_next_instant(
+    letter_box: tuple[socket.socket, socket.socket],
+) -> None:
+    inside, outside = letter_box
+
+    class Stopping(Doorman):
+        def poll(self, now_ns: int) -> bool:
+            if now_ns and super().poll(now_ns):
+                kernel.stop = True
+            return False
+
+    world = Script("world", Slot.WORLD, {0: [], SECOND_NS: []})
+    outside.send(b"!")
+    federates = [Stopping(inside), world]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=SECOND_NS, vehicles=()), federates, clock=WallClock())
+    kernel.start()
+    with pytest.raises(KeyboardInterrupt):
+        kernel.run(lambda _: None)
+    assert kernel.now_ns < SECOND_NS
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0])
