@@ -1,12 +1,13 @@
 """What came into a run from outside, kept so that the run can be made again: ``hardware.mcap``.
 
-Real vehicles make a run unlike any other: what they did is not to be had from scenario and seed. So everything that they told
-is kept here, at its time and to the last bit, as MessagePack (`cosim.codec`) in an MCAP file. ``run.mcap`` is for people and
-viewers; this file is for `cosim.replay`.
+Real vehicles and programs outside make a run unlike any other: what they did is not to be had from scenario and seed. So
+everything that they told is kept here, at its time and to the last bit, as MessagePack (`cosim.codec`) in an MCAP file.
+``run.mcap`` is for people and viewers; this file is for `cosim.replay`.
 
 =======================  ==========================================================================================
 ``<vehicle>/<topic>``    an event that the vehicle gave: its estimate, odometry, fixes, readings, how it stands
 ``<vehicle>/reflected``  how physics was told that it moves, at each instant that physics asked (`cosim.outside`)
+``bridge/sent``          what programs handed to radios: numbers, sizes and times (`Datagrams`)
 =======================  ==========================================================================================
 """
 

@@ -69,7 +69,7 @@ class Live:
     def _obey(self, order: Order) -> None:
         if isinstance(order, Go):
             if not isinstance(self.clock, LiveClock):
-                raise ValueError("real vehicles keep to the wall clock, at speed 1")  # noqa: TRY004  it is a wish, not a type
+                raise ValueError("robots and programs outside keep to the wall clock")  # noqa: TRY004  it is a wish, not a type
             self.clock.go(paused=order.paused, speed=_speed(order.speed), step_ns=max(0, order.step_ns))
         elif isinstance(order, End):
             self.stop()
