@@ -244,6 +244,7 @@ class Assembly:
         if doors and bridged is None:
             self.bridge = bridging.bridge_of(doors, scenario, source, air=air, tell=tell, connect=connect)
             programs.append(self.bridge)
+            air.programs = True
         elif bridged is not None:
             programs.append(registry.piece("bridge playback")(bridged))
         return programs

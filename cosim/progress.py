@@ -214,7 +214,8 @@ def _of_routing(routing: Mapping[str, Any]) -> str:
     """How far messages got over others, and what that cost."""
     if not routing["messages"]:
         return ""
-    words = f"{routing['messages']} messages, {100 * routing['delivery_ratio']:.1f} % delivered"
+    words, ratio = f"{routing['messages']} messages", routing["delivery_ratio"]
+    words += "" if ratio is None else f", {100 * ratio:.1f} % delivered"
     if routing["arrivals"]:
         words += f" over {routing['hops_mean']:.1f} hops ({routing['hops_max']} at most)"
     words += f", {routing['forwarded']} frames passed on"

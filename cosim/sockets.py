@@ -141,6 +141,7 @@ class Socket:
             to: name of the only vehicle meant; None: all who can hear it.
 
         Raises:
+            TypeError: no bytes.
             ValueError: too long, or not another vehicle of the run.
             RunOver: the run has ended.
             ConnectionError: the run has gone.
@@ -149,6 +150,8 @@ class Socket:
         if to is not None and (to not in self.vehicles or to == self.vehicle):
             others = ", ".join(each for each in self.vehicles if each != self.vehicle)
             raise ValueError(f"sendto(to={to!r}): not another vehicle of this run ({others})")
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise TypeError(f"sendto() takes bytes, not a {type(data).__name__}")
         payload = bytes(data)
         if len(payload) > LARGEST:
             raise ValueError(f"sendto(): {len(payload)} bytes; a datagram has at most {LARGEST}")
@@ -169,6 +172,8 @@ class Socket:
         for_ns = None if timeout is None else _nanoseconds(timeout, "timeout")
         if not self._heard and for_ns != 0:
             self._pass(for_ns, hears=True)
+        if not self._heard and timeout is None:
+            self._end(ConnectionError("the run goes on though nothing was heard"))
         if not self._heard:
             raise TimeoutError(f"nothing was heard for {timeout:g} s")
         data, sender = self._heard.popleft()

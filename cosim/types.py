@@ -339,11 +339,12 @@ class Traffic(Value, frozen=True, kw_only=True, tag="traffic"):
     number: Array  # (m,) int64, of datagrams that arrive where they are meant to
     receiver: Array  # (m,) int32, there
     arrival_ns: Array  # (m,) int64, when; may be earlier than now, if whoever carries it was late
+    frame: Array  # (m,) int64, that brought it: with routing the last of several
     settled: Array  # (k,) int64, numbers of those of which nothing is to come any more
 
 
 class Routed(Value, frozen=True, kw_only=True, tag="routed"):
-    """What became of a message that others may have passed on, once nothing of it is under way any more."""
+    """What became of a message that others may have passed on, once nothing of it is under way or the run has ended."""
 
     origin: str
     number: int  # among those of its origin
@@ -357,6 +358,7 @@ class Routed(Value, frozen=True, kw_only=True, tag="routed"):
     via: tuple[str, ...]  # from whom each of them had it
     received_ns: tuple[int, ...]
     update: bool = False  # of routes: no message, but what vehicles tell each other
+    under_way: bool = False  # when the run ended: it may have reached more
 
 
 class Contact(Value, frozen=True, kw_only=True, tag="contact"):

@@ -76,7 +76,7 @@ class Channel:
         """Forget all frames and draw from ``seed`` from now on."""
         self._seed = seed
         self._frames = 0
-        self._expected = 0
+        self._expected: int | None = None
         self._names: tuple[str, ...] = ()
         self._senders: dict[str, Sender] = {}
         self._medium: Medium | None = None
@@ -93,8 +93,11 @@ class Channel:
         return not isinstance(self.mac, Ideal)
 
     def expect(self, frames: int) -> None:
-        """About so many frames will be sent: what pays for many only may be made ready. Changes no result."""
+        """About so many frames will be sent: what pays for many only is made ready, now, or never. Changes no result."""
         self._expected = frames
+        medium = self.mac.open(self.phy, 2, np.zeros(2, np.uint64), self.hearing.noise_mw)  # none of the run's
+        if medium is not None:
+            medium.expect(frames)
 
     def send(
         self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats, *, handover_ns: int = 0
@@ -215,7 +218,7 @@ class Channel:
             raise ValueError(f"the vehicles changed while frames were under way: {', '.join(names)}")
         self._names = names
         self._medium = self.mac.open(self.phy, len(names), Links(self._seed, "", names).keys, self.hearing.noise_mw)
-        if self._medium is not None:
+        if self._medium is not None and self._expected is not None:
             self._medium.expect(self._expected)
         if isinstance(self._medium, Levelled):
             self._medium.sensitivity_mw[:] = 10.0 ** (self.budgets.sensitivity_dbm(names) / 10.0)

@@ -107,9 +107,11 @@ class DcfMedium:
         return self._state.power_mw
 
     def expect(self, frames: int) -> None:
-        """About so many frames will be offered: for many the core is compiled at once."""
+        """About so many frames will be offered: for many the core is compiled at once, for fewer never."""
         if self._compile_after is not None and frames >= COMPILE_AFTER:
             self._compile()
+            self._run(self._state, self._rules, -1)  # nothing happens, but that machine code is made or loaded
+        self._compile_after = None
 
     # --- frames come ---
 

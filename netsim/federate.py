@@ -8,11 +8,14 @@ import numpy as np
 from cosim.clock import seconds_to_ns
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.rng import stream
-from cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States, Traffic, frozen
+from cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States
 from netsim.channel import Channel
 from netsim.recorded import RecordedChannel
-from netsim.routing.network import Network, received
+from netsim.routing.network import Network
 from netsim.routing.router import Routing
+from netsim.traffic import Carried, received
+
+MANY = 1_000_000  # frames
 
 
 class RadioFederate:
@@ -54,22 +57,26 @@ class RadioFederate:
 
     def __init__(self, channel: Channel | RecordedChannel, handover_s: Seconds = 0.002, router: Routing | None = None) -> None:
         self._channel, self._routing = channel, router
+        self.programs = False  # outside, who may send any number of frames: said by whoever lets them in
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:
         """Begin with an idle channel; nothing to do until a message is sent."""
         self._channel.start(run.seed)
+        if run.paced:  # nothing that takes a second may come in between
+            self._channel.expect(MANY if self.programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
-        self._carried: dict[int, int] = {}  # by frame: the datagram in it
+        self._row = {name: row for row, name in enumerate(run.vehicles)}
         self._states: States | None = None
-        self._messages: dict[int, Message] = {}  # by frame: those whose fate is open
-        self._sent = 0
+        self._open: dict[int, tuple[Message, int | None]] = {}  # by frame, until it is decided; of a datagram its number
+        self._frames = 0  # so far
         self._seed = run.seed
         self._handover: dict[str, np.random.Generator] = {}
         self._handed_ns: dict[str, int] = {}
         self._network: Network | None = None
         if self._routing is not None:
-            self._network = Network(self._routing.open(run.vehicles, run.seed), run.vehicles, run.seed, self._put)
+            router, kind = self._routing.open(run.vehicles, run.seed), type(self._routing).__name__
+            self._network = Network(router, kind, run.vehicles, run.seed, self._put)
             return self._network.next_ns()
         return None
 
@@ -77,42 +84,25 @@ class RadioFederate:
         """Report what is decided by now, and hand over what was sent, in that order."""
         reports = self._obey(inbox)
         reports += self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
+        self._states = next((event.value for event in reversed(inbox) if isinstance(event.value, States)), self._states)
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
-        alone = len({event.value.sender for event in inbox if isinstance(event.value, Message)}) == 1
-        for event in inbox:
-            if isinstance(event.value, States):
-                self._states = event.value
-            elif isinstance(event.value, Message):
-                reports += self._send(event.time_ns, event.value, alone=alone)
-            elif isinstance(event.value, Datagrams):
-                reports += self._send_all(event.value, now_ns)
-        reports += self._channel.advance(now_ns)
-        if now_ns == self._end_ns:
-            reports += self._channel.finish()
-        events = self._traffic(reports, now_ns) if self._carried else []
-        events += [event for report in reports for event in self._events(report, now_ns)]
+        for sent_ns, message, handover_ns, datagram in self._sent(inbox, now_ns):
+            frame, decided = self._put(sent_ns, message, handover_ns)
+            self._open[frame] = message, datagram
+            reports += decided
+        reports += self._decided(now_ns)
         due = self._channel.next_ns()
-        return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
+        return Step(self._events(reports, now_ns), None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
     def _step_routed(self, network: Network, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
         """The same where messages become packets that go from vehicle to vehicle."""
-        sent = [event for event in inbox if isinstance(event.value, Message | Datagrams)]
-        self._states = next((event.value for event in reversed(inbox) if isinstance(event.value, States)), self._states)
+        sent = list(self._sent(inbox, now_ns))
         network.note(reports, now_ns + bool(sent))  # what arrives when others send, is too late for the agents of this instant
         reports = network.go_on(now_ns)
-        alone = len({event.value.sender for event in sent if isinstance(event.value, Message)}) == 1
-        for event in sent:
-            if isinstance(event.value, Message):
-                after_ns = self._handed_over(event.value.sender, event.time_ns, alone=alone) - event.time_ns
-                reports += network.send(event.time_ns, event.value, handover_ns=after_ns)
-            elif isinstance(event.value, Datagrams):
-                for number, sent_ns, message in self._programs(event.value):
-                    late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0
-                    reports += network.send(sent_ns, message, handover_ns=late_ns, datagram=number)
-        reports += self._channel.advance(now_ns)
-        if now_ns == self._end_ns:
-            reports += self._channel.finish()
+        for sent_ns, message, handover_ns, datagram in sent:
+            reports += network.send(sent_ns, message, handover_ns=handover_ns, datagram=datagram)
+        reports += self._decided(now_ns)
         network.note(reports, now_ns + 1)
         if now_ns == self._end_ns:
             network.finish()
@@ -123,9 +113,14 @@ class RadioFederate:
         """Hand a frame to the channel: its number, and what is decided of it."""
         if self._states is None:
             raise ValueError(f"{frame.sender} sends before any position is known (world/states)")
-        self._sent += 1
+        self._frames += 1
         names, position = self._states.names, self._states.position
-        return self._sent - 1, self._channel.send(sent_ns, frame, names, position, handover_ns=handover_ns)
+        return self._frames - 1, self._channel.send(sent_ns, frame, names, position, handover_ns=handover_ns)
+
+    def _decided(self, now_ns: int) -> list[FrameReport]:
+        """What is decided of frames by now; at the end of the run, all that are left."""
+        reports = self._channel.advance(now_ns)
+        return reports + self._channel.finish() if now_ns == self._end_ns else reports
 
     def levels_dbm(self, states: States) -> Array:
         """The mean level of each vehicle's radio, by row, at each other's, by column, (n, n) dBm; NaN at itself."""
@@ -165,26 +160,17 @@ class RadioFederate:
                 self._channel.change(value.key, value.value)
         return reports
 
-    def _send(self, sent_ns: int, message: Message, *, alone: bool) -> list[FrameReport]:
-        if self._states is None:
-            raise ValueError(f"{message.sender} sends before any position is known (world/states)")
-        self._messages[self._sent] = message
-        self._sent += 1
-        after_ns = self._handed_over(message.sender, sent_ns, alone=alone) - sent_ns
-        return self._channel.send(sent_ns, message, self._states.names, self._states.position, handover_ns=after_ns)
-
-    def _send_all(self, datagrams: Datagrams, now_ns: int) -> list[FrameReport]:
-        """Hand over what programs have sent."""
-        if self._states is None:
-            raise ValueError("a program sends before any position is known (world/states)")
-        reports: list[FrameReport] = []
-        for number, sent_ns, message in self._programs(datagrams):
-            self._messages[self._sent] = message
-            self._carried[self._sent] = number
-            self._sent += 1
-            late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0  # the air of the past is taken
-            reports += self._channel.send(sent_ns, message, self._states.names, self._states.position, handover_ns=late_ns)
-        return reports
+    def _sent(self, inbox: Sequence[Event], now_ns: int) -> Iterator[tuple[int, Message, int, int | None]]:
+        """What is sent: time (ns), message, how much later it reaches the queue of its radio (ns); of a datagram its number."""
+        alone = len({event.value.sender for event in inbox if isinstance(event.value, Message)}) == 1
+        for event in inbox:
+            if isinstance(event.value, Message):
+                at_ns = self._handed_over(event.value.sender, event.time_ns, alone=alone)
+                yield event.time_ns, event.value, at_ns - event.time_ns, None
+            elif isinstance(event.value, Datagrams):
+                for number, sent_ns, message in self._programs(event.value):
+                    late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0  # the air of the past is taken
+                    yield sent_ns, message, late_ns, number
 
     def _programs(self, datagrams: Datagrams) -> Iterator[tuple[int, int, Message]]:
         """Number, time (ns) and message of each datagram."""
@@ -193,34 +179,6 @@ class RadioFederate:
         for number, sender, to, size, sent_ns, payload in zip(*(each.tolist() for each in columns), payloads, strict=False):
             message = Message(sender=vehicles[sender], body=payload, size_bytes=size, to=None if to < 0 else vehicles[to])
             yield number, sent_ns, message
-
-    def _traffic(self, reports: list[FrameReport], now_ns: int) -> list[Event]:
-        """Take the reports of datagrams out: one event for all of them, and receptions of those that agents can hear."""
-        ours = [report for report in reports if report.frame in self._carried]
-        if not ours:
-            return []
-        reports[:] = [report for report in reports if report.frame not in self._carried]
-        events: list[Event] = []
-        arrivals: list[tuple[int, int, int]] = []
-        row = {name: row for row, name in enumerate(self._vehicles)}
-        numbers = [self._carried.pop(report.frame) for report in ours]
-        for report, number in zip(ours, numbers, strict=True):
-            message = self._messages.pop(report.frame)
-            for receiver, rssi_dbm, at_ns in received(report):
-                arrivals.append((number, row[receiver], at_ns))
-                if message.body:
-                    heard = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
-                    events.append(Event(f"{receiver}/heard", max(at_ns, now_ns + 1), heard))
-        columns = np.array(arrivals, np.int64).reshape(-1, 3).T
-        traffic = Traffic(
-            reports=tuple(ours),
-            carries=frozen(numbers, np.int64),
-            number=frozen(columns[0]),
-            receiver=frozen(columns[1], np.int32),
-            arrival_ns=frozen(columns[2]),
-            settled=frozen(numbers, np.int64),
-        )
-        return [Event("radio/traffic", now_ns, traffic), *events]
 
     def _handed_over(self, sender: str, sent_ns: int, *, alone: bool) -> int:
         """When a message reaches the queue of its radio."""
@@ -233,10 +191,24 @@ class RadioFederate:
         self._handed_ns[sender] = max(at_ns, self._handed_ns.get(sender, 0))
         return self._handed_ns[sender]
 
-    def _events(self, report: FrameReport, now_ns: int) -> list[Event]:
-        message = self._messages.pop(report.frame)
-        events = [Event("radio/frame", now_ns, report)]
-        for receiver, rssi_dbm, at_ns in received(report):
-            heard = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
-            events.append(Event(f"{receiver}/heard", at_ns, heard))
-        return events
+    def _events(self, reports: Sequence[FrameReport], now_ns: int) -> list[Event]:
+        """What became of frames, and what agents hear; first of datagrams, all in one event."""
+        carried, heard, events = Carried(), list[Event](), list[Event]()
+        for report in reports:
+            message, datagram = self._open.pop(report.frame)
+            if datagram is None:
+                events.append(Event("radio/frame", now_ns, report))
+            else:
+                carried.report(report, datagram)
+                carried.settle(datagram)
+            for receiver, rssi_dbm, at_ns in received(report):
+                if datagram is not None:
+                    carried.arrive(datagram, self._row[receiver], at_ns, report.frame)
+                    if not message.body:
+                        continue
+                reception = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
+                if datagram is None:
+                    events.append(Event(f"{receiver}/heard", at_ns, reception))
+                else:
+                    heard.append(Event(f"{receiver}/heard", max(at_ns, now_ns + 1), reception))
+        return [*carried.events(now_ns), *heard, *events]

@@ -90,7 +90,7 @@ class Medium(Protocol):
     """The air that n radios share."""
 
     def expect(self, frames: int) -> None:
-        """About so many frames will be offered: what pays for many only may be made ready. Changes no result."""
+        """About so many frames will be offered: what pays for many only is made ready now, or never. Changes no result."""
 
     def offer(self, frame: Offered) -> None:
         """Hand over a frame; nothing happens yet."""

@@ -121,6 +121,10 @@ class RecordedChannel:
             return self._channel.send(sent_ns, message, names, position, handover_ns=handover_ns)
         return [self._recorded.report(rows, self._channel.skip(message.sender), message, sent_ns)]
 
+    def expect(self, frames: int) -> None:
+        """As `Channel.expect`."""
+        self._channel.expect(frames)
+
     def advance(self, until_ns: int) -> list[FrameReport]:
         """The frames that are drawn, as `Channel.advance`."""
         return self._channel.advance(until_ns)

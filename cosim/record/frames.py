@@ -12,7 +12,7 @@ import numpy as np
 from cosim.record.columns import column, joined, name_column
 from cosim.types import Array, FrameReport
 
-CHUNK_ROWS = 1 << 14  # so many are packed together; a frame counts as one more, as it may have no receivers
+CHUNK_ROWS = 1 << 10  # so many are packed together, within milliseconds; a frame counts as one more: it may have no receivers
 PER_FRAME = ("frame", "sent_ns", "size_bytes", "air_time_ns", "queue_ns", "access_ns")
 PER_ROW = {"received_ns": np.int64, "distance_m": np.float64, "rssi_dbm": np.float64}
 BUDGET = {  # zeros where the channel has no such layer

@@ -370,9 +370,10 @@ class Recorder:
     def _built(self) -> tuple[pa.Table, pa.Table]:
         """Both tables of a run that is over; what they are made of is given up."""
         if self._tables is None:
-            radio = radio_table(self._frames, self.facts)
-            self._tables = states_table(self._rows, self.facts), self._routing.told(radio) if self._routing else radio
+            self._tables = states_table(self._rows, self.facts), radio_table(self._frames, self.facts)
             self._rows.clear()
+            if self._routing:
+                self._tables = self._tables[0], self._routing.told(self._tables[1])
         return self._tables
 
 

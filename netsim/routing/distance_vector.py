@@ -35,7 +35,7 @@ class DistanceVector:
     """Each vehicle tells once a period, in a frame of its own, which vehicles it reaches and over how many hops.
 
     Two vehicles are neighbours as long as each says that it hears the other. Messages to one vehicle go over the fewest hops;
-    where no route is known, they are not sent. Broadcasts are flooded.
+    where no route of at most ``hop_limit`` is known, they are not sent. Broadcasts are flooded.
     """
 
     period_s: Period = 1.0  # from update to update, give or take a tenth
@@ -113,11 +113,6 @@ class Vectors:
         found = self._route(row, to, now_ns)
         return None if found is None else found[0]
 
-    def hops(self, row: int, to: int, now_ns: int) -> int | None:
-        """How far a vehicle takes another to be; None: it knows no route."""
-        found = self._route(row, to, now_ns)
-        return None if found is None else found[2]
-
     def relays(self, row: int, by: int) -> bool:
         """Always: broadcasts are flooded."""
         return True
@@ -132,6 +127,7 @@ class Vectors:
         for by, each in self._heard(row, now_ns).items():
             if row in each.told.heard and (told := each.told.routes.get(to)) is not None:
                 number, hops = told
-                if (number, -hops) > best and (found is None or (hops + 1, by) < (found[2], found[0])):
+                better = (number, -hops) > best and hops < self.hop_limit
+                if better and (found is None or (hops + 1, by) < (found[2], found[0])):
                     found = by, number, hops + 1
         return found

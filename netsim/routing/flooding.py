@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from cosim.clock import seconds_to_ns
 from cosim.types import Seconds
-from netsim.routing.router import BROADCAST, HopLimit, Quiet, Router
+from netsim.routing.router import BROADCAST, HopLimit, Router
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,8 @@ class Flooding:
 
     Messages to one vehicle go the same way; it does not pass them on. It needs no tables and finds every way there is, at the
     price of a frame per vehicle and message. Those who heard the same frame would all answer it at the same instant, so each
-    waits a random time first.
+    waits a random time first. The first copy that a vehicle hears may thus have come the longer way, and be at its limit there:
+    whom all ways can reach, they do reach where ``hop_limit`` is the number of vehicles less one, or more.
     """
 
     hop_limit: HopLimit = 8  # transmissions from the origin to whom it reaches, at most
@@ -25,7 +26,10 @@ class Flooding:
         return _Flood(self.hop_limit, seconds_to_ns(self.jitter_s))
 
 
-class _Flood(Quiet):
+class _Flood:
+    def __init__(self, hop_limit: int, jitter_ns: int) -> None:
+        self.hop_limit, self.jitter_ns = hop_limit, jitter_ns
+
     def next_hop(self, row: int, to: int, now_ns: int) -> int | None:
         return BROADCAST
 

@@ -10,15 +10,18 @@ Each hop is a frame like any other: it contends, collides, is lost, delayed and 
 
 import heapq
 from collections.abc import Callable, Sequence
+from numbers import Integral
 from typing import Any
 
 import msgspec
-import numpy as np
 
+from cosim.errors import FederateError
 from cosim.federate import Event
 from cosim.rng import stream
-from cosim.types import FrameReport, Message, Reception, Routed, Traffic, frozen
-from netsim.routing.router import BROADCAST, HEADER_BYTES, Router
+from cosim.types import FrameReport, Message, Reception, Routed
+from netsim.outcome import UNDER_WAY
+from netsim.routing.router import BROADCAST, HEADER_BYTES, Router, Telling
+from netsim.traffic import Carried, received
 
 Put = Callable[[int, Message, int], tuple[int, list[FrameReport]]]
 """Hands a frame to the channel, at a time (ns), reaching the queue so much later (ns): its number, and what is decided."""
@@ -44,6 +47,7 @@ class Packet(msgspec.Struct):
     update: Any = None  # of routes: its content
     open: int = 0  # frames, arrivals and waits
     told: bool = False  # when it arrives, of a datagram to one vehicle
+    under_way: bool = False  # when the run ends
     frames: list[int] = msgspec.field(default_factory=list)
     reached: dict[int, Reached] = msgspec.field(default_factory=dict)
 
@@ -59,6 +63,7 @@ class _Copy(msgspec.Struct, frozen=True):
 
 class _Arrival(msgspec.Struct, frozen=True):
     copy: _Copy
+    frame: int
     at: int
     rssi_dbm: float
     received_ns: int
@@ -77,22 +82,28 @@ class Network:
 
     Args:
         router: says whom packets are handed to.
+        kind: what that is called, for errors.
         vehicles: names; rows are places in it.
         seed: of the run.
         put: hands a frame to the channel.
     """
 
-    def __init__(self, router: Router, vehicles: Sequence[str], seed: int, put: Put) -> None:
-        self._router, self._names, self._put = router, tuple(vehicles), put
+    def __init__(self, router: Router, kind: str, vehicles: Sequence[str], seed: int, put: Put) -> None:
+        self._router, self._kind, self._names, self._put = router, kind, tuple(vehicles), put
+        self._telling = router if isinstance(router, Telling) else None
         self._row = {name: row for row, name in enumerate(vehicles)}
         self._draws = [stream(seed, f"radio/{name}/relay") for name in vehicles]
         self._numbers = [0] * len(self._names)
         self._copies: dict[int, _Copy] = {}  # by frame: those whose fate is open
         self._packets: dict[tuple[int, int], Packet] = {}  # in the order in which they were sent: those under way
-        self._agenda: list[tuple[int, int, _Arrival | _Wait | int]] = []  # heap of time, order, what; a row: its update
+        # Heap of when it is done, when it is due, order, and what: an arrival, a wait, or of a row its update.
+        self._agenda: list[tuple[int, int, int, _Arrival | _Wait | int]] = []
         self._given = 0
-        self._clear()
-        for row, first_ns in enumerate(router.first_ns()):
+        self._carried = Carried()
+        self._reports: list[FrameReport] = []  # these three are to be told
+        self._heard: list[tuple[str, Reception]] = []
+        self._routed: list[Routed] = []
+        for row, first_ns in enumerate(() if self._telling is None else self._telling.first_ns()):
             self._plan(first_ns, row)
 
     def next_ns(self) -> int | None:
@@ -109,37 +120,38 @@ class Network:
         for report in reports:
             copy = self._copies.pop(report.frame)
             packet = copy.packet
+            packet.under_way |= UNDER_WAY in report.outcome
             if packet.datagram is None:
                 self._reports.append(report)
             else:
-                self._carrying.append(report)
-                self._carries.append(packet.datagram)
+                self._carried.report(report, packet.datagram)
             for receiver, rssi_dbm, at_ns in received(report):
                 packet.open += 1
                 row = self._row[receiver]
-                self._plan(max(at_ns, earliest_ns), _Arrival(copy, row, rssi_dbm, at_ns))
+                self._plan(at_ns, _Arrival(copy, report.frame, row, rssi_dbm, at_ns), earliest_ns)
                 if copy.via == row == packet.to:  # there is but one way to it: nothing will come earlier
-                    self._tell_program(packet, row, at_ns)
+                    self._tell_program(packet, row, at_ns, report.frame)
             self._less(packet)
 
     def go_on(self, now_ns: int) -> list[FrameReport]:
         """Do what is due: the reports of frames that were sent, as far as they are decided."""
         reports: list[FrameReport] = []
         while self._agenda and self._agenda[0][0] <= now_ns:
-            _, _, what = heapq.heappop(self._agenda)
+            *_, what = heapq.heappop(self._agenda)
             if isinstance(what, _Arrival):
                 reports += self._arrive(what, now_ns)
                 self._less(what.copy.packet)
             elif isinstance(what, _Wait):
                 reports += self._transmit(what.packet, what.by, BROADCAST, what.hops, now_ns)
                 self._less(what.packet)
-            else:
-                reports += self._update(what, now_ns)
+            elif self._telling is not None:
+                reports += self._update(self._telling, what, now_ns)
         return reports
 
     def finish(self) -> None:
         """The run is over: tell of what is under way as far as it came."""
         for packet in self._packets.values():
+            packet.under_way = True
             self._tell(packet)
 
     def events(self, now_ns: int) -> list[Event]:
@@ -147,31 +159,11 @@ class Network:
         events = [Event("radio/frame", now_ns, report) for report in self._reports]
         events += [Event(f"{name}/heard", now_ns, reception) for name, reception in self._heard]
         events += [Event("radio/routed", now_ns, routed) for routed in self._routed]
-        if self._carrying or self._arrived or self._settled:
-            columns = np.array(self._arrived, np.int64).reshape(-1, 3).T
-            traffic = Traffic(
-                reports=tuple(self._carrying),
-                carries=frozen(self._carries, np.int64),
-                number=frozen(columns[0]),
-                receiver=frozen(columns[1], np.int32),
-                arrival_ns=frozen(columns[2]),
-                settled=frozen(self._settled, np.int64),
-            )
-            events.append(Event("radio/traffic", now_ns, traffic))
-        self._clear()
-        return events
+        self._reports, self._heard, self._routed = [], [], []
+        return [*events, *self._carried.events(now_ns)]
 
-    def _clear(self) -> None:
-        self._reports: list[FrameReport] = []
-        self._heard: list[tuple[str, Reception]] = []
-        self._routed: list[Routed] = []
-        self._carrying: list[FrameReport] = []
-        self._carries: list[int] = []
-        self._arrived: list[tuple[int, int, int]] = []
-        self._settled: list[int] = []
-
-    def _plan(self, at_ns: int, what: _Arrival | _Wait | int) -> None:
-        heapq.heappush(self._agenda, (at_ns, self._given, what))
+    def _plan(self, at_ns: int, what: _Arrival | _Wait | int, earliest_ns: int = 0) -> None:
+        heapq.heappush(self._agenda, (max(at_ns, earliest_ns), at_ns, self._given, what))
         self._given += 1
 
     # --- packets --------------------------------------------------------------------------------------------------------------
@@ -198,14 +190,19 @@ class Network:
         self._less(packet)
         return reports
 
-    def _update(self, row: int, now_ns: int) -> list[FrameReport]:
-        update = self._router.update(row, now_ns)
+    def _update(self, telling: Telling, row: int, now_ns: int) -> list[FrameReport]:
+        update = telling.update(row, now_ns)
+        if update.next_ns <= now_ns or update.size_bytes < 0:
+            raise self._nonsense(f"tells {update.size_bytes} bytes of routes at {now_ns} ns, and next at {update.next_ns} ns")
         self._plan(update.next_ns, row)
         message = Message(sender=self._names[row], body=b"", size_bytes=update.size_bytes)
         return self._originate(row, BROADCAST, message, now_ns, update=update.content)
 
     def _transmit(self, packet: Packet, by: int, via: int, hops: int, now_ns: int, handover_ns: int = 0) -> list[FrameReport]:
         """Send one frame of a packet that has come so far."""
+        if not isinstance(via, Integral) or via not in range(BROADCAST, len(self._names)) or via == by:
+            wanted = f"the row of another of {len(self._names)} vehicles, {BROADCAST} (a broadcast) or None"
+            raise self._nonsense(f"has {self._names[by]} hand a message to {via!r}, which is not {wanted}")
         message = packet.message
         frame = Message(
             sender=self._names[by],
@@ -228,7 +225,8 @@ class Network:
             return []
         packet.reached[row] = Reached(copy.hops, copy.by, arrival.received_ns)
         if packet.update is not None:
-            self._router.take(row, packet.origin, packet.update, now_ns)
+            if self._telling is not None:
+                self._telling.take(row, packet.origin, packet.update, now_ns)
             return []
         if packet.to in (BROADCAST, row):
             self._deliver(packet, arrival)
@@ -250,16 +248,16 @@ class Network:
     def _deliver(self, packet: Packet, arrival: _Arrival) -> None:
         message = packet.message
         if packet.datagram is not None:
-            self._tell_program(packet, arrival.at, arrival.received_ns)
+            self._tell_program(packet, arrival.at, arrival.received_ns, arrival.frame)
             if not message.body:
                 return
         heard = Reception(message=message, rssi_dbm=arrival.rssi_dbm, sent_ns=packet.sent_ns, received_ns=arrival.received_ns)
         self._heard.append((self._names[arrival.at], heard))
 
-    def _tell_program(self, packet: Packet, receiver: int, at_ns: int) -> None:
+    def _tell_program(self, packet: Packet, receiver: int, at_ns: int, frame: int) -> None:
         """When a datagram arrives: of one to a single vehicle as soon as that is known of its last frame."""
         if packet.datagram is not None and not packet.told:
-            self._arrived.append((packet.datagram, receiver, at_ns))
+            self._carried.arrive(packet.datagram, receiver, at_ns, frame)
             packet.told = packet.to != BROADCAST
 
     def _less(self, packet: Packet) -> None:
@@ -272,7 +270,7 @@ class Network:
     def _tell(self, packet: Packet) -> None:
         names, reached = self._names, packet.reached.values()
         if packet.datagram is not None:
-            self._settled.append(packet.datagram)
+            self._carried.settle(packet.datagram)
         self._routed.append(
             Routed(
                 origin=names[packet.origin],
@@ -287,16 +285,9 @@ class Network:
                 via=tuple(names[each.via] for each in reached),
                 received_ns=tuple(each.received_ns for each in reached),
                 update=packet.update is not None,
+                under_way=packet.under_way,
             )
         )
 
-
-def received(report: FrameReport) -> list[tuple[str, float, int]]:
-    """Who received a frame, at which level, and when; who received it twice, twice."""
-    times = [report.received_ns] if report.copy_ns is None else [report.received_ns, report.copy_ns]
-    return [
-        (receiver, rssi_dbm, at_ns)
-        for arrival_ns in times
-        for receiver, rssi_dbm, at_ns in zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True)
-        if at_ns >= 0
-    ]
+    def _nonsense(self, problem: str) -> FederateError:
+        return FederateError(f"routing {self._kind}", problem)

@@ -5,7 +5,7 @@ their rows. A router answers for each vehicle from what that vehicle can know: i
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import msgspec
 
@@ -33,15 +33,6 @@ class Router(Protocol):
     hop_limit: int
     jitter_ns: int  # the longest that a broadcast waits before it is passed on
 
-    def first_ns(self) -> Sequence[int]:
-        """When each vehicle first tells of routes; empty: nobody ever does."""
-
-    def update(self, row: int, now_ns: int) -> Update:
-        """What a vehicle tells now."""
-
-    def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
-        """A vehicle hears an update of another."""
-
     def next_hop(self, row: int, to: int, now_ns: int) -> int | None:
         """To whom a vehicle hands a message to ``to``: a neighbour, `BROADCAST`, or None where it knows no route."""
 
@@ -49,31 +40,26 @@ class Router(Protocol):
         """Whether a vehicle passes a broadcast on that it heard first from ``by``."""
 
 
+@runtime_checkable
+class Telling(Router, Protocol):
+    """One whose vehicles tell each other of routes."""
+
+    def first_ns(self) -> Sequence[int]:
+        """When each vehicle first tells of routes."""
+
+    def update(self, row: int, now_ns: int) -> Update:
+        """What a vehicle tells now."""
+
+    def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
+        """A vehicle hears an update of another."""
+
+
 class Routing(Protocol):
     """A kind of routing, as a scenario configures it."""
 
     def open(self, vehicles: Sequence[str], seed: int) -> Router:
-        """Begin a run.
+        """Begin a run; the answer may be one that is `Telling`.
 
         Raises:
             ScenarioError: it names a vehicle that there is not, or routes that lead nowhere.
         """
-
-
-class Quiet:
-    """A router that tells nobody anything."""
-
-    def __init__(self, hop_limit: int, jitter_ns: int) -> None:
-        self.hop_limit, self.jitter_ns = hop_limit, jitter_ns
-
-    def first_ns(self) -> Sequence[int]:
-        """Nobody ever does."""
-        return ()
-
-    def update(self, row: int, now_ns: int) -> Update:
-        """Never asked."""
-        raise NotImplementedError
-
-    def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
-        """Never told."""
-        raise NotImplementedError

@@ -3,14 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 from cosim.clock import seconds_to_ns
 from cosim.errors import ScenarioError
-from cosim.table import unknown
+from cosim.table import convert, unknown
 from cosim.types import Seconds
-from netsim.routing.router import HopLimit, Quiet, Router
-
-NextHop = Mapping[str, Mapping[str, str]]
+from netsim.routing.router import HopLimit, Router
 
 
 @dataclass(frozen=True)
@@ -29,19 +28,24 @@ class Static:
     """
 
     chain: tuple[str, ...] = ()
-    next_hop: NextHop | None = None
+    next_hop: Mapping[str, Any] | None = None  # of tables: each is checked by itself, so that an error names it
     hop_limit: HopLimit = 8
     jitter_s: Seconds = 0.01
 
     def __post_init__(self) -> None:
         if not self.chain and not self.next_hop:
             raise ValueError("static routing needs chain or next_hop")
+        for source, hops in (self.next_hop or {}).items():
+            convert(hops, Mapping[str, Any], key=f"next_hop.{source}")
+            for to, via in hops.items():
+                convert(via, str, key=f"next_hop.{source}.{to}")
 
     def open(self, vehicles: Sequence[str], seed: int) -> Router:
         """Begin a run.
 
         Raises:
-            ScenarioError: an unknown or repeated vehicle, routes in a circle, or one of more than ``hop_limit`` hops.
+            ScenarioError: an unknown or repeated vehicle, a chain of one, routes in a circle, or one of more hops than
+                ``hop_limit``.
         """
         row = {name: place for place, name in enumerate(vehicles)}
         table = self._of_chain(row) | self._of_table(row)
@@ -64,6 +68,8 @@ class Static:
                 raise ScenarioError(unknown("vehicle", name, row), key="routing.chain")
             if name in self.chain[:place]:
                 raise ScenarioError(f"{name} is twice in it", key="routing.chain")
+        if len(self.chain) == 1:
+            raise ScenarioError("must have at least two vehicles", key="routing.chain")
         rows = [row[name] for name in self.chain]
         places = range(len(rows))
         return {(rows[i], rows[j]): rows[i + (1 if j > i else -1)] for i in places for j in places if i != j}
@@ -92,11 +98,11 @@ class Static:
         return ScenarioError(f"the route from {source} to {vehicles[to]}, {words}, {why}", key=key)
 
 
-class _Tables(Quiet):
+class _Tables:
     def __init__(
         self, table: Mapping[tuple[int, int], int], neighbours: Sequence[frozenset[int]], hop_limit: int, jitter_ns: int
     ) -> None:
-        super().__init__(hop_limit, jitter_ns)
+        self.hop_limit, self.jitter_ns = hop_limit, jitter_ns
         self._table, self._neighbours = table, neighbours
 
     def next_hop(self, row: int, to: int, now_ns: int) -> int | None:

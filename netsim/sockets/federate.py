@@ -3,7 +3,6 @@
 import select
 from collections.abc import Callable, Sequence
 
-from cosim.errors import ScenarioError
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.scenario_tables import SocketsTable
 from cosim.sockets_wire import ROOM
@@ -24,7 +23,7 @@ class Programs:
     ``<vehicle>/estimate``    in         `VehicleState`: where it takes itself to be; the newest counts
     ``<vehicle>/send``        out        `Message` of bytes, at the instant at which the program says it
     ``<vehicle>/note``        out        `Note`: ``program`` = "left: why"; ``program_missed``: for how many datagrams there was
-                                         no room so far
+                                         no room so far, as soon as there is none for one more
     ========================  =========  ============================================================================
 
     Programs whose time has come at one instant go on one after another, in the order of their vehicles' names, each until it
@@ -46,8 +45,6 @@ class Programs:
 
     def __init__(self, table: SocketsTable, vehicles: Sequence[str], *, tell: Callable[[str], None], connect: bool) -> None:
         check_endpoint(table.listen)
-        if twice := [each for each in table.vehicles if table.vehicles.count(each) > 1]:
-            raise ScenarioError(f"names {twice[0]} twice; each has one program", key="sockets.vehicles")
         self._table, self._vehicles, self._tell, self._connect = table, tuple(vehicles), tell, connect
         names = sorted(table.vehicles)
         self.reads: tuple[str, ...] = tuple(f"{each}/heard" for each in names)
@@ -83,6 +80,8 @@ class Programs:
             self._take(event)
         events: list[Event] = []
         for program in list(self._programs.values()):
+            if program.missed != program.noted:
+                self._note_missed(program, now_ns, events)
             if program.fileno() in self._stirred:
                 self._part(program, program.stirs(), now_ns, events)
             elif program.is_due(now_ns):
@@ -116,8 +115,6 @@ class Programs:
     def _turn(self, program: Program, now_ns: int, events: list[Event]) -> None:
         """Let a program go on, and say what comes of it."""
         said: list[Message] = []
-        if program.missed != program.noted:
-            self._note_missed(program, now_ns, events)
         try:
             program.turn(now_ns, said)
         except Left as left:

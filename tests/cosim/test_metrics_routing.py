@@ -1,10 +1,16 @@
 """What the recording makes of messages that are passed on: numbers, and whose information a frame carried."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from cosim.clock import Ticks
+from cosim.federate import Event, RunInfo
 from cosim.record.columns import names_of, numbers
 from cosim.record.metrics import Routing, age_metrics, informed, links, receptions, unreached_s
+from cosim.record.recorder import Recorder
 from cosim.record.tables import RunFacts, radio_table
 from cosim.types import FrameReport, Routed
 
@@ -31,13 +37,20 @@ def frame(number: int, sender: str, sent_ns: int, **received_ns: int) -> FrameRe
 
 
 def routed(
-    *frames: int, origin: str = "a", to: str | None = None, sent_ns: int = 0, update: bool = False, **came: tuple[int, str, int]
+    *frames: int,
+    number: int = 0,
+    origin: str = "a",
+    to: str | None = None,
+    sent_ns: int = 0,
+    update: bool = False,
+    under_way: bool = False,
+    **came: tuple[int, str, int],
 ) -> Routed:
     """``came``: hops, via and time, by receiver."""
     hops, via, times = zip(*came.values(), strict=True) if came else ((), (), ())
     return Routed(
         origin=origin,
-        number=0,
+        number=number,
         to=to,
         sent_ns=sent_ns,
         size_bytes=50,
@@ -48,6 +61,7 @@ def routed(
         via=via,
         received_ns=times,
         update=update,
+        under_way=under_way,
     )
 
 
@@ -62,9 +76,9 @@ REPORTS = [
 MESSAGES = [
     routed(0, 1, sent_ns=100, b=(1, "a", 200), c=(2, "b", 350)),
     routed(2, origin="b", sent_ns=400, update=True, a=(1, "b", 500), c=(1, "b", 500)),
-    routed(3, 4, to="c", sent_ns=600, b=(1, "a", 700), c=(2, "b", 800)),
-    routed(5, sent_ns=900),
-    routed(to="c", sent_ns=950),
+    routed(3, 4, number=1, to="c", sent_ns=600, b=(1, "a", 700), c=(2, "b", 800)),
+    routed(5, number=2, sent_ns=900),
+    routed(to="c", number=3, sent_ns=950),
 ]
 
 
@@ -105,21 +119,29 @@ def test_without_routing_there_is_nothing_to_tell() -> None:
     assert nothing.metrics()["delivery_ratio"] is None
 
 
+def test_where_a_message_was_under_way_at_the_end_it_has_not_failed_to_arrive(routing: Routing) -> None:
+    routing.take(routed(6, to="c", sent_ns=960, under_way=True, b=(1, "a", 970)))
+    routing.take(routed(7, sent_ns=960, under_way=True))
+    assert routing.metrics()["delivery_ratio"] == 0.5
+    routing.take(routed(8, sent_ns=960, under_way=True, b=(1, "a", 970)))
+    assert (routing.metrics()["messages"], routing.metrics()["delivery_ratio"]) == (7, 4 / 7)
+
+
 def test_a_frame_says_whose_message_it_carried(routing: Routing) -> None:
     table = routing.told(radio_table(REPORTS, FACTS))
     origins, by = names_of(table, "origin")
     ends, to = names_of(table, "destination")
-    rows = zip(
-        numbers(table, "frame").tolist(), by.tolist(), to.tolist(), numbers(table, "origin_sent_ns").tolist(), strict=True
-    )
-    assert {(number, origins[a], ends[b], sent_ns) for number, a, b, sent_ns in rows} == {
-        (0, "a", "", 100),
-        (1, "a", "", 100),
-        (2, "", "", 400),
-        (3, "a", "c", 600),
-        (4, "a", "c", 600),
-        (5, "a", "", 900),
+    sent_ns, number = numbers(table, "origin_sent_ns").tolist(), numbers(table, "origin_number", null=-1).tolist()
+    rows = zip(numbers(table, "frame").tolist(), by.tolist(), to.tolist(), sent_ns, number, strict=True)
+    assert {(frame, origins[a], ends[b], *rest) for frame, a, b, *rest in rows} == {
+        (0, "a", "", 100, 0),
+        (1, "a", "", 100, 0),
+        (2, "", "", 400, -1),
+        (3, "a", "c", 600, 1),
+        (4, "a", "c", 600, 1),
+        (5, "a", "", 900, 2),
     }
+    assert table["message"].to_pylist() == ["over"] * 4 + [""] * 2 + ["over"] * 6
 
 
 def test_information_is_of_its_origin_and_for_whom_it_was_meant(routing: Routing) -> None:
@@ -151,9 +173,52 @@ def test_messages_that_came_over_nobody(routing: Routing) -> None:
     assert unreached_s(table, "a", "b").tolist() == []
 
 
-def test_frames_of_a_run_that_broke_off_are_of_nobody() -> None:
+def test_of_several_messages_at_an_instant_each_is_missed_by_itself() -> None:
     routing = Routing(NAMES)
-    routing.take(MESSAGES[0])
+    for number in range(4):
+        routing.take(routed(number, number=number, to="b", sent_ns=100, under_way=number == 3))
+    table = routing.told(radio_table([frame(0, "a", 100, b=200), *(frame(k, "a", 100) for k in (1, 2, 3))], FACTS))
+    assert unreached_s(table, "b", "a").tolist() == [100e-9] * 2  # one came, and one is under way
+    assert unreached_s(table, "c", "a").tolist() == []
+
+
+@pytest.mark.parametrize(("told", "known"), [((), 0), ((routed(to="c"),), 0), (MESSAGES[1:2], 0), (MESSAGES[:1], 4)])
+def test_frames_of_a_run_that_broke_off_are_of_nobody(told: Sequence[Routed], known: int) -> None:
+    """Whatever it was told before, be it nothing, a message without a route, or a frame about routes alone."""
+    routing = Routing(NAMES)
+    for each in told:
+        routing.take(each)
     table = routing.told(radio_table(REPORTS, FACTS))
     origins, by = names_of(table, "origin")
-    assert [origins[code] for code in by.tolist()] == ["a"] * 4 + [""] * 8
+    assert [origins[code] for code in by.tolist()] == ["a"] * known + [""] * (12 - known)
+    assert (
+        table["origin_sent_ns"].to_pylist()
+        == table["sent_ns"].to_pylist()[:2] + ([100] * 2 if known else [250] * 2) + (table["sent_ns"].to_pylist()[4:])
+    )
+    assert table["message"].to_pylist() == ["over"] * known + [""] * (12 - known)
+
+
+def test_a_frame_that_nobody_else_could_hear_has_no_rows() -> None:
+    routing = Routing(("a",))
+    for number in range(3):
+        routing.take(routed(number, number=number))
+    nothing = np.empty(0)
+    none = {"receivers": (), "outcome": (), "distance_m": nothing, "rssi_dbm": nothing, "received_ns": nothing.astype(np.int64)}
+    lonely = [replace(frame(number, "a", 0), **none) for number in range(3)]
+    table = routing.told(radio_table(lonely, replace(FACTS, vehicles=("a",))))
+    assert table.num_rows == 0
+    assert routing.metrics()["delivery_ratio"] is None
+
+
+def test_a_recording_keeps_its_tables_where_telling_of_messages_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames are taken out of what holds them: a second attempt must still find them."""
+    info = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=NAMES)
+    recorder = Recorder(info, record_ticks=Ticks.every(0.1), mcap=None, agents=[], radius_m={})
+    recorder.on(Event("radio/routed", 0, routed(to="c")))
+    for each in REPORTS:
+        recorder.on(Event("radio/frame", each.sent_ns, each))
+    recorder.close(10**10)
+    monkeypatch.setattr(Routing, "told", lambda self, radio: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        recorder.metrics(window=(0.0, None))
+    assert recorder.radio.num_rows == 12

@@ -304,3 +304,11 @@ def test_what_a_run_tells_in_the_end_stands_in_columns() -> None:
 def test_a_run_whose_frames_all_are_under_way_at_its_end_is_told_all_the_same() -> None:
     result = cosim.run(two(duration_s=0.05, radio={"preset": "ideal", "delay": {"seconds": 0.3}}), mcap=False)
     assert "radio:     1 frames, all still under way\n" in progress.summary(result)
+
+
+def test_a_run_of_one_vehicle_with_routing_has_nobody_to_deliver_to() -> None:
+    content = {**tomllib.loads(two_cars()), "routing": {"kind": "flooding"}}
+    told = progress.summary(cosim.run(content, mcap=False))
+    assert "routing:   5 messages, 100.0 % delivered over 1.0 hops (1 at most), 5 frames passed on\n" in told
+    content["vehicle"] = content["vehicle"][:1]
+    assert "routing:   5 messages, 0 frames passed on\n" in progress.summary(cosim.run(content, mcap=False))

@@ -101,17 +101,26 @@ def test_what_it_was_given_and_has_not_taken_is_said_to_the_run(server: socket.s
     assert said[1:] == [Wait(10**9, hears=False, held=517), Wait(1, hears=True, held=0)]
 
 
+def test_a_run_that_goes_on_though_nothing_was_heard_is_none(server: socket.socket) -> None:
+    end = connect("a", serve(server, WELCOME, GO, GO))
+    for _ in range(2):  # and stays so
+        with pytest.raises(ConnectionError, match="though nothing was heard"):
+            end.recvfrom()
+    end.close()
+
+
 @settings(max_examples=30)
 @given(
-    st.lists(st.binary(max_size=40) | st.just(GO) | st.just(framed(Go(9, None, [(b"x", "b")]))) | st.just(WELCOME), max_size=4)
+    st.lists(st.binary(max_size=40) | st.just(GO) | st.just(framed(Go(9, None, [(b"x", "b")]))) | st.just(WELCOME), max_size=4),
+    st.sampled_from([None, 0.1]),
 )
-def test_whatever_a_run_says_a_program_gets_one_of_its_errors(pieces: list[bytes]) -> None:
+def test_whatever_a_run_says_a_program_gets_one_of_its_errors(pieces: list[bytes], timeout: float | None) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = serve(server, WELCOME, GO, *pieces)
         with pytest.raises(ConnectionError), connect("a", endpoint) as end:  # noqa: PT012  how many calls it takes, depends
             while True:
                 try:
-                    end.recvfrom(0.1)
+                    end.recvfrom(timeout)
                 except TimeoutError:
                     end.sendto(b"again")
 

@@ -1,8 +1,12 @@
+from collections.abc import Callable
+
+import msgspec
 import numpy as np
 import pytest
 
 from cosim.federate import Event, Federate, RunInfo, Slot, Step
 from cosim.types import FrameReport, Message, Reception, States
+from netsim import dcf_core
 from netsim.channel import Channel
 from netsim.federate import RadioFederate
 from tests.netsim.helpers import make_channel
@@ -113,3 +117,35 @@ def test_a_new_start_repeats_the_run() -> None:
 def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) -> None:
     with pytest.raises(ValueError, match="a sends before any position is known"):
         radio.step(0, [sends(0, "a")])
+
+
+@pytest.mark.parametrize("programs", [False, True])
+def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_programs_may_send(
+    programs: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would hold up everybody for a second; with what is known beforehand, the frames fare the same."""
+    compiled: list[int] = []
+    monkeypatch.setattr("netsim.dcf_medium.available", lambda: True)
+    monkeypatch.setattr("netsim.dcf_medium.COMPILE_AFTER", 10)
+
+    def loaded(core: tuple[str, ...], entry: str) -> Callable[..., int]:
+        compiled.append(1)
+        return dcf_core.run
+
+    monkeypatch.setattr("netsim.dcf_medium.Compiled", loaded)
+
+    def fates(*, paced: bool) -> list[tuple[str, ...]]:
+        radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
+        radio.programs = programs
+        radio.start(msgspec.structs.replace(RUN, paced=paced))
+        before = len(compiled)
+        radio.step(0, [states(0, 0.0, 20.0, 60.0)])
+        found = []
+        for now_ns in range(MS, 60 * MS, 2 * MS):
+            step = radio.step(now_ns, [sends(now_ns, "a")])
+            found += [report.outcome for report in frames(step)]
+        assert not paced or len(compiled) in ((before, before + 1) if programs else (0,))
+        return found
+
+    assert fates(paced=True) == fates(paced=False)
+    assert compiled

@@ -112,6 +112,15 @@ def test_one_that_was_handed_over_late_is_sent_when_it_came_and_passed_on_when_t
     assert arrivals(outcome.traffic) == [(0, 2, 40 * MS + 1 + HOP_NS)]
 
 
+def test_whom_one_reached_that_was_handed_over_late_is_told_in_the_order_of_time() -> None:
+    for seed in range(10):
+        late = handed(40 * MS, (0, 0, BROADCAST), sent_ns=10 * MS)
+        delay = {"seconds": 0.01, "jitter_s": 0.009}
+        (message,) = run(Flooding(), line(4, 10.0), late, seed=seed, delay=delay).messages
+        assert len(message.received_ns) == 3
+        assert list(message.received_ns) == sorted(message.received_ns)
+
+
 def total(outcome: Run) -> int:
     return len(outcome.frames) + sum(len(each.reports) for each in outcome.traffic)
 
@@ -121,3 +130,16 @@ def test_frames_of_programs_and_agents_are_told_apart() -> None:
     assert (len(outcome.frames), total(outcome)) == (3, 6)
     told = [each.frames for each in outcome.messages]
     assert sorted(frame for some in told for frame in some) == list(range(6))
+
+
+@pytest.mark.parametrize("router", [Flooding(), Static(chain=names(4))])
+@pytest.mark.parametrize("to", [BROADCAST, 3])
+def test_the_frame_that_is_named_is_the_one_that_brought_it(router: Routing, to: int) -> None:
+    outcome = run(router, line(4), handed(10 * MS, (7, 0, to), (8, 1, to)))
+    reports = {report.frame: report for each in outcome.traffic for report in each.reports}
+    named = [frame for each in outcome.traffic for frame in each.frame.tolist()]
+    rows = list(zip(named, arrivals(outcome.traffic), strict=True))
+    assert len({frame for frame, _ in rows}) > 1
+    for frame, (_, receiver, at_ns) in rows:
+        report = reports[frame]
+        assert report.received_ns[report.receivers.index(names(4)[receiver])] == at_ns

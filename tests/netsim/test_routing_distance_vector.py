@@ -19,16 +19,16 @@ Graph = NDArray[np.bool_]
 Lost = Callable[[int, int], bool]
 
 
-def vectors(count: int, seed: int = 1, missed: int = 3) -> Vectors:
+def vectors(count: int, seed: int = 1, missed: int = 3, hop_limit: int = 50) -> Vectors:
     draws = [stream(seed, f"{row}") for row in range(count)]
-    return Vectors(draws, PERIOD_NS, 0, missed=missed, hop_limit=50)
+    return Vectors(draws, PERIOD_NS, 0, missed=missed, hop_limit=hop_limit)
 
 
 class Neighbourhood:
     """Updates of vehicles over a graph that may change, without a radio: what is not lost arrives after a delay."""
 
-    def __init__(self, count: int, seed: int = 1) -> None:
-        self.router, self.now_ns = vectors(count, seed), 0
+    def __init__(self, count: int, seed: int = 1, hop_limit: int = 50) -> None:
+        self.router, self.now_ns = vectors(count, seed, hop_limit=hop_limit), 0
         self._due = [(at_ns, row) for row, at_ns in enumerate(self.router.first_ns())]
         self._coming: list[tuple[int, int, int, Update]] = []
 
@@ -60,9 +60,18 @@ class Neighbourhood:
             check()
 
     def hops(self) -> NDArray[np.float64]:
+        """Of each to each, from next hop to next hop; infinite where one knows none."""
         n = len(self._due)
-        found = [[self.router.hops(row, to, self.now_ns) if row != to else 0 for to in range(n)] for row in range(n)]
-        return np.array([[np.inf if each is None else each for each in row] for row in found], np.float64)
+        return np.array([[self._hops(row, to) for to in range(n)] for row in range(n)])
+
+    def _hops(self, row: int, to: int) -> float:
+        for hops in range(len(self._due)):
+            if row == to:
+                return float(hops)
+            if (after := self.router.next_hop(row, to, self.now_ns)) is None:
+                return np.inf
+            row = after
+        raise AssertionError("a circle")
 
     def assert_no_circle(self) -> None:
         n = len(self._due)
@@ -148,6 +157,22 @@ def test_routes_stay_the_shortest_while_numbers_are_renewed() -> None:
         assert np.array_equal(world.hops(), shortest)
 
     world.go_on(40 * PERIOD_NS, ring, check=check)
+
+
+@settings(max_examples=30, deadline=None)
+@given(graphs(3), st.integers(0, 1000), st.integers(1, 4))
+def test_no_route_is_longer_than_the_hop_limit(graph: Graph, seed: int, limit: int) -> None:
+    world = Neighbourhood(len(graph), seed, limit)
+    world.go_on((len(graph) + 4) * PERIOD_NS, graph)
+    shortest = shortest_path(graph.astype(float), unweighted=True)
+    assert np.array_equal(world.hops(), np.where(shortest <= limit, shortest, np.inf))
+
+
+def test_a_message_that_would_end_on_its_way_is_not_sent() -> None:
+    said = [says("car1", 9_000_000_000, to=to) for to in ("car4", "car5")]
+    outcome = run(DistanceVector(hop_limit=3), line(5), *said, seconds=10.0)
+    assert [each.receivers for each in sorted(outcome.messages, key=lambda each: each.number)] == [("car2", "car3", "car4"), ()]
+    assert sorted(len(each.frames) for each in outcome.messages) == [0, 3]
 
 
 def test_who_hears_without_being_heard_is_no_neighbour() -> None:

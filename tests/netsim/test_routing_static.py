@@ -47,6 +47,10 @@ def test_the_middle_of_a_chain_is_heard_at_both_ends() -> None:
         ({}, "routing", "static routing needs chain or next_hop"),
         ({"chain": ["car1", "car5"]}, "routing.chain", "unknown vehicle 'car5'"),
         ({"chain": ["car1", "car2", "car1"]}, "routing.chain", "car1 is twice in it"),
+        ({"chain": ["car1"]}, "routing.chain", "must have at least two vehicles"),
+        ({"next_hop": 3}, "routing.next_hop", "must be a table, not 3"),
+        ({"next_hop": {"car1": 3}}, "routing.next_hop.car1", "must be a table, not 3"),
+        ({"next_hop": {"car1": {"car4": 3}}}, "routing.next_hop.car1.car4", "must be a string, not 3"),
         ({"next_hop": {"car1": {"car4": "cra2"}}}, "routing.next_hop.car1", "did you mean 'car2'?"),
         ({"next_hop": {"car1": {"car4": "car1"}}}, "routing.next_hop.car1.car4", "car1 hands nothing to itself"),
         (

@@ -151,6 +151,8 @@ def test_a_scenario_is_checked_without_its_programs(tmp_path: Path) -> None:
     for bad, says in ((["a", "a"], "names a twice"), (["z"], "z")):
         with pytest.raises(ScenarioError, match=f"sockets.vehicles: .*{says}"):
             check(scenario(tmp_path, "a", sockets={"vehicles": bad}))
+        with pytest.raises(ScenarioError, match=f"^--set sockets.vehicles=.*: sockets.vehicles: .*{says}"):
+            check(scenario(tmp_path, "a"), set={"sockets.vehicles": bad})
 
 
 def test_where_nothing_is_opened_it_is_a_federate_like_others() -> None:

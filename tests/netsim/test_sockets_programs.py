@@ -199,7 +199,24 @@ def test_what_a_program_does_not_take_is_lost_beyond_four_mebibytes(tmp_path: Pa
     played(content, {"a": late, "b": flood}, mcap=False, observe=events.append, tell=told.append)
     room = (4 << 20) // (65_535 + 512)
     assert heard == [*range(room), 255]
-    assert notes_of(events)[0] == ("a/note", 500_000_000, {"program_missed": 100.0 - room})
+    missed = [(time_ns, values["program_missed"]) for _, time_ns, values in notes_of(events) if "program_missed" in values]
+    assert [count for _, count in missed] == [float(each) for each in range(1, 101 - room)]
+    assert all(room * 1_000_000 < time_ns < 102_000_000 for time_ns, _ in missed)  # when they come, not when it wakes
+    assert sum("does not receive what it hears" in line for line in told) == 1
+
+
+def test_what_is_lost_to_a_program_is_told_though_it_never_wakes(tmp_path: Path) -> None:
+    events, told = list[Any](), list[str]()
+
+    def flood(end: Socket) -> None:
+        for _ in range(70):
+            end.sendto(bytes(65_535), "a")
+        idle(end)
+
+    content = scenario(tmp_path, "a", "b")
+    played(content, {"a": lambda end: end.sleep(9.0), "b": flood}, mcap=False, observe=events.append, tell=told.append)
+    lost = 70.0 - (4 << 20) // (65_535 + 512)
+    assert notes_of(events)[-1][2] == {"program_missed": lost}
     assert sum("does not receive what it hears" in line for line in told) == 1
 
 

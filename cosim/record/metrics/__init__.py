@@ -38,7 +38,8 @@ is None, never NaN::
         peak                        mean of what the age had risen to before each reception that lowered it
     routing                         what the network layer did, of the whole run; only with routing (`routing`)
       messages                      of agents and programs
-      arrivals, delivery_ratio      where they were meant to arrive, and their share of message x receiver
+      arrivals, delivery_ratio      where they were meant to arrive, and their share of message x receiver; without what may
+                                    still arrive when the run ends
       hops_mean, hops_max           frames on the way to an arrival
       delay_s                       mean, p50, p95, p99, max; from the origin's sending to the arrival
       forwarded                     frames with messages that others than their origins sent

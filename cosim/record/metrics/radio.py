@@ -42,11 +42,18 @@ def informed(radio: pa.Table) -> Receptions:
         return got
     rows = np.flatnonzero(numbers(radio, "received_ns", null=-1) >= 0)
     (origins, by), (destinations, only) = names_of(radio, "origin"), names_of(radio, "destination")
-    by, to = by[rows], np.array(got.receivers, np.str_)[got.to]
-    origin, destination = np.array(origins, np.str_)[by], np.array(destinations, np.str_)[only[rows]]
-    meant = (origin != "") & (origin != to) & ((destination == "") | (destination == to))
+    by, only = by[rows], only[rows]
+    told, anybody = np.array(origins) != "", np.array(destinations) == ""
+    meant = told[by] & (_codes(got.receivers, origins)[by] != got.to)
+    meant &= anybody[only] | (_codes(got.receivers, destinations)[only] == got.to)
     sent_ns = numbers(radio, "origin_sent_ns")[rows]
     return Receptions(got.receivers, origins, got.to[meant], by[meant], sent_ns[meant], got.received_ns[meant])
+
+
+def _codes(names: Sequence[str], others: Sequence[str]) -> Array:
+    """Of each of the others its number among the names; -1: it is none of them."""
+    numbered = {name: number for number, name in enumerate(names)}
+    return np.array([numbered.get(each, -1) for each in others], np.int32)
 
 
 def radio_metrics(radio: pa.Table, ages: dict[str, float | None], end_ns: int) -> dict[str, Any]:
