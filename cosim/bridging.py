@@ -23,9 +23,15 @@ class DoorTable(msgspec.Struct, frozen=True):
     params: dict[str, Any]  # complete
 
 
+def kind_of(name: str, content: Any) -> Any:
+    """The kind of a door, as it is written in its table; by default it is the table's name."""
+    return content.get("kind", name) if isinstance(content, dict) else name
+
+
 def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list[DoorTable]:
     """The doors of ``[bridge]``, each built once to be checked."""
     names, found, resolved = [each.name for each in scenario.vehicle], [], dict[str, Any]()
+    alone: dict[type, str] = {}  # keys of those of which there is one at most
     for name, content in scenario.bridge.doors.items():
         key = f"bridge.{name}"
         if not isinstance(content, dict) and name in registry.KINDS["door"]:
@@ -33,10 +39,13 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list
         if not isinstance(content, dict):
             allowed = [*(each for each in table.parameters(type(scenario.bridge)) if each != "doors"), *registry.KINDS["door"]]
             raise ScenarioError(table.unknown("key", name, allowed), key=key, source=source.of(key))
-        kind = content.get("kind", name)
+        kind = kind_of(name, content)
         door, full = component.build(
             "door", {**content, "kind": kind}, key=key, source=source, portable=resolution.portable, keep=resolution.keep
         )
+        if getattr(door, "only_one", False) and (first := alone.setdefault(type(door), key)) != key:
+            problem = f"a run has one door of kind {kind} at most, and {first} is one: leave one of the two out"
+            raise ScenarioError(problem, key=key, source=source.of(key))
         try:
             door.check(names)
         except ValueError as error:
@@ -75,11 +84,12 @@ def bridge_of(
 
 def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, tell: Tell, connect: bool) -> list[Federate]:
     """The federate that lets programs keep the run's own time, if any vehicle has one."""
-    wanted, names = scenario.sockets, [each.name for each in scenario.vehicle]
+    wanted, names, key = scenario.sockets, [each.name for each in scenario.vehicle], "sockets.vehicles"
     for name in wanted.vehicles:
         if name not in names:
-            key = "sockets.vehicles"
             raise ScenarioError(table.unknown("vehicle", name, names), key=key, source=source.of(key))
+        if wanted.vehicles.count(name) > 1:
+            raise ScenarioError(f"names {name} twice; each has one program", key=key, source=source.of(key))
     if not wanted.vehicles:
         return []
     resolution.tables["sockets"] = table.plain(wanted)

@@ -60,7 +60,7 @@ def up_command(
 
     Example: vcmvsp net up formation-circle --duration 600 --set radio.loss.probability=0.1
     """
-    from cosim import api
+    from cosim import api, bridging
     from cosim import scenario as scenarios
 
     networks = _able()
@@ -68,12 +68,15 @@ def up_command(
     if duration is not None:
         sets.append(f"duration_s={duration}")
     parsed, _ = scenarios.load(scenario, settings=scenarios.settings_of(sets), seed=seed)
-    if alive := [each for each in networks.networks() if each.alive and each.run == parsed.name]:
-        advice = "end it, or give this one another name (--set name=...)"
-        raise UsageError(f"a run named {parsed.name} has its network on this machine (process {alive[0].pid}): {advice}")
+    try:
+        networks.check_free(parsed.name)
+    except OSError as error:
+        raise UsageError(str(error)) from error
+    doors = [name for name, content in parsed.bridge.doors.items() if bridging.kind_of(name, content) == "ip"]
+    door = doors[0] if doors else "ip"
     if network is not None:
-        sets.append(f"bridge.ip.network={network}")
-    elif "ip" not in parsed.bridge.doors:
+        sets.append(f"bridge.{door}.network={network}")
+    elif not doors:
         sets.append("bridge.ip={}")
     page = (view_host, view_port) if view else None
     conduct(api.run, scenario, sets, out, seed=seed, realtime=1.0, force=force, json=json, quiet=quiet, page=page)

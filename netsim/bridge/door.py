@@ -8,6 +8,8 @@ import asyncio
 from collections.abc import Sequence
 from typing import Protocol
 
+from cosim.transport.security import is_loopback
+
 BROADCAST = -1
 """In place of the row of a vehicle: all who can hear it."""
 
@@ -50,6 +52,8 @@ class Door(Protocol):
 
     It may also have a method ``lost(sender, receiver, payload)``: nothing is to come of what was for one vehicle alone.
 
+    An attribute ``only_one = True`` says that a run can have no second one of the class.
+
     It is built twice: in the run, which only checks it, and in the bridge's process, which opens it. Constructors open nothing.
     """
 
@@ -72,3 +76,16 @@ class Door(Protocol):
 
 LARGEST = 65_535
 """Bytes of a payload, at most: an IP packet's total length."""
+
+
+def check_listen(host: str, *, insecure: bool, instead: str) -> None:
+    """Refuse to listen where other machines reach it, with a `ValueError`, unless the user has said that they may.
+
+    Args:
+        host: address, under the key ``listen``.
+        insecure: the user has.
+        instead: what to do else.
+    """
+    if not insecure and not is_loopback(host):
+        problem = f"listen: {host} lets in everybody who can reach that address"
+        raise ValueError(f"{problem}: {instead}, or add insecure = true where you trust everybody")

@@ -54,6 +54,8 @@ class Ip:
         vehicles: those that have an interface; none named: all.
     """
 
+    only_one = True  # namespaces and addresses of a run are one network
+
     def __init__(
         self,
         network: str = "10.77.0.0/16",
@@ -103,17 +105,14 @@ class Ip:
         spaces = {row: self._space(row) for row in rows}
         try:
             self._lease = ip_runs.Lease(hall.run)
-            self._lease.tell(ip_runs.Network(run=hall.run, pid=os.getpid(), spaces=tuple(spaces.values())))
+            pid = os.getpid()
+            network = ip_runs.Network(run=hall.run, pid=pid, started=ip_runs.started(pid), spaces=tuple(spaces.values()))
+            self._lease.tell(network)
             for row, space in spaces.items():
                 self._make(row, space)
                 await asyncio.sleep(0)
-        except BlockingIOError:
-            advice = "end it, or give this one another name (--set name=...)"
-            raise DoorError(f"a run named {hall.run} has its network on this machine: {advice}") from None
-        except FileExistsError as error:
-            space_name = os.path.basename(error.filename)  # noqa: PTH119  a name, not a place
-            advice = f"if nobody needs it: ip netns delete {space_name}"
-            raise DoorError(f"there is a network namespace {space_name}, made by somebody else; {advice}") from None
+        except ip_runs.Taken as error:
+            raise DoorError(str(error)) from None
         except OSError as error:
             raise DoorError(f"the network of {hall.run} cannot be made: {error}") from error
         self._count_dropped()
@@ -212,8 +211,8 @@ class Ip:
         radios, self._radios = list(self._radios.values()), {}
         for radio in radios:
             self._hall.loop.remove_reader(radio.packets)
-            os.close(radio.packets)
             os.close(radio.statistics)
+        ip_runs.close_all(radio.packets for radio in radios)
         if self._lease is not None:
             lease, self._lease = self._lease, None
             with contextlib.suppress(FileNotFoundError):  # somebody was quicker: vcmvsp net down --force

@@ -5,6 +5,7 @@ import errno
 import fcntl
 import functools
 import ipaddress
+import itertools
 import os
 import socket
 import struct
@@ -134,6 +135,24 @@ def dropped(descriptor: int) -> int:
     return next((int(line.partition(":")[2].split()[11]) for line in lines if line.lstrip().startswith(f"{RADIO}:")), 0)
 
 
+def in_common(one: Port, other: Port) -> str:
+    """What the host would send through either of two vehicles: networks from and to which; empty: nothing."""
+    for (source, target), (source2, target2) in itertools.product(_pairs(one), _pairs(other)):
+        if _overlap(source, source2) and _overlap(target, target2):
+            return f"from {source} to {target}"
+    return ""
+
+
+def _overlap(one: Network, other: Network) -> bool:
+    return one.version == other.version and one.overlaps(other)
+
+
+def _pairs(port: Port) -> list[tuple[Network, Network]]:
+    """From and to where what a port is for goes."""
+    behind, others = map(ipaddress.ip_network, port.behind), list(map(ipaddress.ip_network, port.others))
+    return [(source, target) for source in behind for target in others if source.version == target.version]
+
+
 def _rules(port: Port) -> list[dict[str, Any]]:
     """What has the host send packets from behind a vehicle through that vehicle's radio, and not through another's."""
     return [
@@ -146,9 +165,7 @@ def _rules(port: Port) -> list[dict[str, Any]]:
             "dst": str(target.network_address),
             "dst_len": target.prefixlen,
         }
-        for source in map(ipaddress.ip_network, port.behind)
-        for target in map(ipaddress.ip_network, port.others)
-        if source.version == target.version
+        for source, target in _pairs(port)
     ]
 
 

@@ -17,7 +17,7 @@ import msgspec
 
 from cosim.clock import SECOND_NS
 from cosim.types import Name
-from netsim.bridge.door import BROADCAST, LARGEST, Door, DoorError, Hall
+from netsim.bridge.door import BROADCAST, LARGEST, Door, DoorError, Hall, check_listen
 from netsim.bridge.udp_ports import Place, Port, PortPlan, Ports
 
 AT_ONCE = 64  # datagrams of a socket, before others have their turn
@@ -47,6 +47,7 @@ class Udp:
 
     Args:
         listen: address of this machine at which the sockets are; IPv4 or IPv6.
+        insecure: ``listen`` may be reached from other machines, by anybody: there are no passwords and no encryption.
         first_port: of the first vehicle.
         vehicles: whose programs take part; none named: all.
         ports: for vehicles that are to have others, by name: ``send``, ``receive`` and ``unicast``.
@@ -57,6 +58,7 @@ class Udp:
     def __init__(
         self,
         listen: str = "127.0.0.1",
+        insecure: bool = False,
         first_port: Port = 47000,
         vehicles: tuple[Name, ...] = (),
         ports: Mapping[Name, Ports] | None = None,
@@ -64,13 +66,15 @@ class Udp:
         max_bytes: Bytes = 1472,
     ) -> None:
         self._plan = PortPlan(listen, first_port, vehicles, ports or {}, receive_host)
+        self._insecure = insecure
         self._max_bytes = max_bytes
         self._lines: dict[tuple[int, int], Line] = {}  # by vehicle and whom it is for
         self._programs: dict[int, Place] = {}
 
     def check(self, vehicles: Sequence[str]) -> None:
-        """Refuse vehicles that there are not, and ports that would be two things."""
+        """Refuse vehicles that there are not, ports that would be two things, and sockets for everybody by mistake."""
         self._plan.check(vehicles)
+        check_listen(self._plan.listen, insecure=self._insecure, instead="listen at 127.0.0.1")
 
     async def open(self, hall: Hall) -> Sequence[str]:
         """Bind all sockets."""

@@ -14,6 +14,8 @@ UNICAST, RECEIVE = 1, 99
 MOST_VEHICLES = RECEIVE - UNICAST
 HIGHEST = 65535
 
+_ELSEWHERE = "give this machine's address, and insecure = true"
+
 Port = Annotated[int, msgspec.Meta(ge=1, le=HIGHEST)]
 
 
@@ -82,7 +84,8 @@ class PortPlan:
                 if name not in vehicles or name == vehicle:
                     raise ValueError(f"ports.{vehicle}.unicast names {name!r}, which is no other vehicle")
         if len(vehicles) > MOST_VEHICLES:
-            raise ValueError(f"there are {len(vehicles)} vehicles; a block of ports has room for {MOST_VEHICLES}")
+            most = f"a run with UDP ports has {MOST_VEHICLES} at most, whoever takes part"
+            raise ValueError(f"there are {len(vehicles)} vehicles; {most}: use [bridge.ip] or [bridge.zenoh]")
         sending = self._check_sending(vehicles)
         for row, place in self.receiving(vehicles).items():
             self._check_receiving(vehicles[row], place, sending)
@@ -102,7 +105,7 @@ class PortPlan:
         if here.version != there.version:
             raise ValueError(f"listen: from {here} nothing can be sent to {there} of {vehicle}: give addresses of one kind")
         if here.is_loopback and not there.is_loopback:
-            raise ValueError(f"listen: from {here} nothing can be sent to {there} of {vehicle}: give this machine's address")
+            raise ValueError(f"listen: from {here} nothing can be sent to {there} of {vehicle}: {_ELSEWHERE}")
         if place.port > HIGHEST:
             raise ValueError(f"first_port: {self._first_port} leads to port {place.port}; the last is {HIGHEST}")
         if place.port in sending and (here == there or here.is_unspecified):

@@ -18,7 +18,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from netsim.bridge.door import LARGEST, DoorError, Hall
+from netsim.bridge.door import LARGEST, DoorError, Hall, check_listen
 from netsim.bridge.wss_messages import LONGEST_LINE, Message, compose, error, parse, strength
 from netsim.bridge.wss_relay import HEADER, MOST_RELAYS, Gate, Pair, Relay
 
@@ -44,7 +44,8 @@ class Wss:
     """Robots that speak USARSim's WSS protocol.
 
     Args:
-        listen: address of this machine on which robots are served; its protocol knows no passwords.
+        listen: address of this machine on which robots are served.
+        insecure: ``listen`` may be reached from other machines, by anybody: the protocol knows no passwords and no encryption.
         port: of the control connections.
         cutoff_dbm: the mean level below which there is no link.
         first_port: of those on which robots reach each other, which follow one another; 0: any that are free.
@@ -54,6 +55,7 @@ class Wss:
     def __init__(
         self,
         listen: str = "127.0.0.1",
+        insecure: bool = False,
         port: Port = 50_000,
         cutoff_dbm: float = -93.0,
         first_port: FirstPort = 0,
@@ -63,7 +65,7 @@ class Wss:
             ipaddress.ip_address(listen)
         except ValueError:
             raise ValueError(f"listen = '{listen}': must be an IP address of this machine, such as 127.0.0.1") from None
-        self._address, self._port, self._cutoff_dbm = listen, port, cutoff_dbm
+        self._address, self._insecure, self._port, self._cutoff_dbm = listen, insecure, port, cutoff_dbm
         self._first_port, self._chunk_bytes = first_port, chunk_bytes
         self._hall: Hall
         self._robots: dict[int, Robot] = {}  # by row
@@ -75,7 +77,9 @@ class Wss:
         self._server: asyncio.Server | None = None
 
     def check(self, vehicles: Sequence[str]) -> None:
-        """Any vehicles will do."""
+        """Any vehicles will do; sockets for everybody only if they are wanted."""
+        tunnel = "ssh -L for port and those from first_port on, -R for a robot's own"
+        check_listen(self._address, insecure=self._insecure, instead=f"listen at 127.0.0.1 and come through {tunnel}")
 
     async def open(self, hall: Hall) -> Sequence[str]:
         """Serve robots."""

@@ -74,7 +74,7 @@ def up(folder: Path, *options: str, name: str = NAME) -> Iterator["subprocess.Po
             process.communicate(timeout=READY_S)
         finally:
             process.kill()
-            with contextlib.suppress(BlockingIOError):  # a bridge that is still there takes it away itself
+            with contextlib.suppress(networks.RunAlive):  # a bridge that is still there takes it away itself
                 networks.clear(name)
 
 
@@ -232,6 +232,16 @@ def test_a_network_lasts_as_long_as_is_said_and_leaves_nothing(tmp_path: Path) -
         assert not [each for each in networks.networks() if each.run == f"{NAME}short"]
         assert not list(networks.netns.NAMES.glob(f"vcmvsp-{NAME}short-*"))
     scenario = (tmp_path / f"{NAME}short" / "scenario.toml").read_text()
+    assert 'network = "10.99.0.0/24"' in scenario
+
+
+def test_a_door_of_another_name_is_the_network(tmp_path: Path) -> None:
+    """A second one would be refused."""
+    options = ("--set", "bridge.lab.kind=ip", "--network", "10.99.0.0/24", "--duration", "0.5")
+    with up(tmp_path, *options, name=f"{NAME}lab") as process:
+        assert process.wait(READY_S) == 0
+    scenario = (tmp_path / f"{NAME}lab" / "scenario.toml").read_text()
+    assert re.findall(r"^\[bridge\.(\w+)\]$", scenario, re.MULTILINE) == ["lab"]
     assert 'network = "10.99.0.0/24"' in scenario
 
 

@@ -1,6 +1,8 @@
 """The door for IP: programs in two or three namespaces, and between them a hall that carries what it is offered."""
 
 import asyncio
+import errno
+import fcntl
 import os
 import re
 import signal
@@ -8,6 +10,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -251,7 +254,7 @@ def test_closed_is_gone() -> None:
         async with opened(Ip(), TestHall(CARS, run=RUN)):
             assert len(left_over(CARS)) == 4
             assert [each.alive for each in ip_runs.networks() if each.run == RUN] == [True]
-            with pytest.raises(BlockingIOError):
+            with pytest.raises(ip_runs.RunAlive):
                 ip_runs.clear(RUN)
         assert not left_over(CARS)
 
@@ -285,6 +288,133 @@ def test_a_namespace_of_somebody_else_is_not_touched() -> None:
         assert not left_over(CARS)
 
     asyncio.run(body())
+
+
+def test_an_interface_of_somebody_else_is_not_touched() -> None:
+    async def body() -> None:
+        theirs = ip_links.port_of(RUN, "car1", (), ()).interface
+        _sh(f"ip link add {theirs} type veth peer name r{os.getpid()}")
+        try:
+            with pytest.raises(DoorError, match=f"there is a network interface {theirs}, .*: ip link delete {theirs}"):
+                async with opened(Ip(routes={"car1": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
+                    pass
+            assert theirs in _sh("ip link")
+        finally:
+            _sh(f"ip link del {theirs}")
+        assert not left_over(CARS)
+
+    asyncio.run(body())
+
+
+def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    def busy(*_: object) -> int:
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    async def body() -> None:
+        monkeypatch.setattr(ip_links, "open_radio", busy)
+        with pytest.raises(DoorError, match=f"the network of {RUN} cannot be made: .*temporarily unavailable"):
+            async with opened(Ip(), TestHall(CARS, run=RUN)):
+                pass
+        assert not left_over(CARS)
+
+    asyncio.run(body())
+
+
+def test_what_comes_from_a_network_goes_through_one_run() -> None:
+    """The host goes by where a packet is from and for: of two runs with the same, one would have the other's packets."""
+
+    async def body() -> None:
+        other = f"{RUN}other"
+        async with opened(Ip(routes={"car2": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
+            part_of_it = {"car1": ("192.168.213.64/26",)}
+            with pytest.raises(DoorError) as refused:
+                async with opened(Ip(routes=part_of_it), TestHall(CARS, run=other)):
+                    pass
+            assert f"from 192.168.213.64/26 to 10.77.0.0/16 goes through car2 of the run {RUN} on this machine" in str(
+                refused.value
+            )
+            assert not left_over(CARS, other)
+            assert _sh("ip rule").count("192.168.213.") == 1  # as it was
+            elsewhere = Ip(network="10.78.0.0/16", routes=part_of_it)
+            async with opened(elsewhere, TestHall(CARS, run=other)):
+                pass
+
+    asyncio.run(body())
+
+
+def test_interfaces_of_many_vehicles_are_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel takes 20 ms for each, and a bridge that takes long is killed."""
+
+    async def body() -> None:
+        door, both, close = Ip(), threading.Barrier(2), os.close
+        async with opened(door, TestHall(CARS[:2], run=RUN)):
+            radios = {each.packets for each in door._radios.values()}
+
+            def close_together(descriptor: int) -> None:
+                if descriptor in radios:
+                    radios.remove(descriptor)  # the next to be opened has its number
+                    both.wait(5.0)
+                close(descriptor)
+
+            monkeypatch.setattr(os, "close", close_together)
+        monkeypatch.undo()
+        assert not both.broken
+        assert not left_over(CARS)
+
+    asyncio.run(body())
+
+
+# --- who else is on the machine ---
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(ip_runs, "FOLDER", tmp_path / "net")
+    return tmp_path / "net" / RUN
+
+
+def test_nobody_else_can_have_the_lock_and_everybody_can_read_names(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "lock").touch(mode=0o666)  # of an earlier version, or of somebody else
+    for each in (folder, folder.parent):
+        each.chmod(0o700)
+    usual = os.umask(0o077)
+    try:
+        lease = ip_runs.Lease(RUN)
+        lease.tell(ip_runs.Network(run=RUN, pid=os.getpid(), spaces=()))
+    finally:
+        os.umask(usual)
+    found = {each.name: oct(each.stat().st_mode & 0o777) for each in (folder.parent, folder, *folder.iterdir())}
+    lease.end()
+    assert found | {"network.json": ""} == {"net": "0o755", RUN: "0o755", "lock": "0o600", "hosts": "0o644", "network.json": ""}
+
+
+def test_who_only_looks_does_not_keep_a_run_from_beginning(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder.mkdir(parents=True)
+    looking = (folder / "lock").open("w")
+    fcntl.flock(looking, fcntl.LOCK_SH)
+    monkeypatch.setattr("netsim.bridge.ip_runs.time.sleep", lambda _: looking.close())
+    ip_runs.Lease(RUN).end()
+    assert looking.closed
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_force_ends_the_process_of_the_run_and_not_another_that_has_its_number(folder: Path, own: bool) -> None:
+    with subprocess.Popen(["sleep", "60"]) as process:
+        try:
+            started = ip_runs.started(process.pid) - (not own)
+            lease = ip_runs.Lease(RUN)
+            lease.tell(ip_runs.Network(run=RUN, pid=process.pid, started=started, spaces=()))
+            if own:
+                ip_runs.clear(RUN, force=True)
+                assert process.wait(10) == -signal.SIGTERM
+            else:
+                with pytest.raises(OSError, match=f"process {process.pid} is not its own any more: 'fuser {folder}/lock'"):
+                    ip_runs.clear(RUN, force=True)
+                assert process.poll() is None
+            lease.end()
+        finally:
+            process.kill()
 
 
 KILLED = """

@@ -246,6 +246,12 @@ def test_it_says_what_ports_are() -> None:
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
+        (
+            {"listen": "0.0.0.0"},
+            "listen: 0.0.0.0 lets in everybody who can reach that address: listen at 127.0.0.1, or add insecure",
+        ),
+        ({"listen": "::", "receive_host": "::1"}, "add insecure = true where you trust everybody"),
+        ({"listen": "192.168.0.3", "receive_host": "192.168.0.7"}, "add insecure = true where you trust everybody"),
         ({"listen": "nowhere"}, "listen must be an IPv4 or IPv6 address, not 'nowhere'"),
         ({"receive_host": "a b"}, "receive_host must be an IPv4 or IPv6 address, not 'a b'"),
         ({"vehicles": ["d"]}, "vehicles names 'd', which is no vehicle"),
@@ -261,7 +267,7 @@ def test_it_says_what_ports_are() -> None:
         ({"ports": {"a": {"sends": 5000}}}, "unknown key 'sends'; did you mean 'send'?"),
         ({"first_port": 65_400}, "first_port: 65400 leads to port 65600; the last is 65535"),
         ({"first_port": 65_330}, "first_port: 65330 leads to port 65"),
-        ({"receive_host": "192.168.0.7"}, "from 127.0.0.1 nothing can be sent to 192.168.0.7 of a"),
+        ({"receive_host": "192.168.0.7"}, "to 192.168.0.7 of a: give this machine's address, and insecure = true"),
         ({"receive_host": "::1"}, "from 127.0.0.1 nothing can be sent to ::1 of a: give addresses of one kind"),
     ],
 )
@@ -271,10 +277,15 @@ def test_what_cannot_be_is_refused_in_words(params: dict[str, Any], problem: str
     assert problem in str(error.value)
 
 
+def test_other_machines_are_let_in_if_that_is_wanted() -> None:
+    Udp(listen="192.168.0.3", receive_host="192.168.0.7", insecure=True).check(NAMES)
+    Udp(listen="127.0.0.2").check(NAMES)
+
+
 def test_blocks_have_room_for_98_vehicles() -> None:
     names = [f"v{k}" for k in range(99)]
     Udp(first_port=40_000).check(names[:98])
-    with pytest.raises(ValueError, match="there are 99 vehicles; a block of ports has room for 98"):
+    with pytest.raises(ValueError, match="there are 99 vehicles; a run with UDP ports has 98 at most"):
         Udp(first_port=40_000).check(names)
     plan = PortPlan("127.0.0.1", 40_000, (), {}, "127.0.0.1")
     ports = [*plan.sending(names[:98]).values(), *(each.port for each in plan.receiving(names[:98]).values())]

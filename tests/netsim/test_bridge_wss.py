@@ -395,10 +395,11 @@ def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> None:
 def test_a_robot_that_does_not_listen_is_not_reached() -> None:
     async def tried() -> None:
         async with served() as world:
-            car1, _ = await world.robot("car1"), await world.robot("car2", str(free_ports(1)))
-            reader, _ = await world.connect(await car1.port_to("car2"))
-            with contextlib.suppress(ConnectionResetError):
-                assert await asyncio.wait_for(reader.read(), 10) == b""
+            with _narrow("127.0.0.1", 0) as held:  # so that nobody else listens there
+                car1, _ = await world.robot("car1"), await world.robot("car2", str(held.getsockname()[1]))
+                reader, _ = await world.connect(await car1.port_to("car2"))
+                with contextlib.suppress(ConnectionResetError):
+                    assert await asyncio.wait_for(reader.read(), 10) == b""
 
     asyncio.run(tried())
 
@@ -528,6 +529,13 @@ def test_a_port_in_use_is_said() -> None:
 def test_an_address_must_be_one() -> None:
     with pytest.raises(ValueError, match="listen = 'here'"):
         Wss(listen="here")
+
+
+@pytest.mark.parametrize("listen", ["0.0.0.0", "::", "192.168.0.3"])
+def test_other_machines_are_let_in_only_if_that_is_wanted(listen: str) -> None:
+    Wss(listen=listen, insecure=True).check(CARS)
+    with pytest.raises(ValueError, match=f"listen: {listen} lets in everybody .* ssh -L .*, or add insecure = true"):
+        Wss(listen=listen).check(CARS)
 
 
 def test_nothing_is_broadcast() -> None:
