@@ -1,9 +1,11 @@
 """Logical time: integer nanoseconds, trains of ticks that never drift, and the two clocks that pace a run."""
 
 import time
+from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import msgspec
 
@@ -11,6 +13,7 @@ SECOND_NS = 1_000_000_000
 Sleep = Callable[[float], bool | None]
 """Waits for so many seconds, or is woken before: whether it was."""
 
+SLIPS = 1000  # that are remembered, for times before them
 LISTEN_NS = 20_000_000  # between two looks at what those want who look on
 
 
@@ -132,14 +135,22 @@ class WallClock:
             raise ValueError(f"speed must be a positive number, not {speed}")
         self.speed, self._now, self.sleep, self._origin = speed, now, sleep, 0
         self.slipped_ns = 0
+        self._slips: deque[_Slip] = deque(maxlen=SLIPS)
 
     def start(self) -> None:
         """Let logical time 0 be now."""
         self._origin = self._now()
 
     def logical_ns(self, monotonic_ns: int) -> int:
-        """The logical time at which this machine's monotonic clock shows so much; any time may be asked for."""
-        return round((monotonic_ns - self._origin) * self.speed)
+        """The logical time at which this machine's monotonic clock shows so much; any time may be asked for.
+
+        It never decreases. Where the run slipped, it stood still from when the instant that was late was due.
+        """
+        slips = self._slips
+        if not slips or monotonic_ns >= slips[-1].until_ns:
+            return round((monotonic_ns - self._origin) * self.speed)
+        then = slips[bisect_right(slips, monotonic_ns, key=lambda each: each.until_ns)]
+        return min(round((monotonic_ns - then.origin_ns) * self.speed), then.stood_ns)
 
     def monotonic_ns(self, logical_ns: int) -> int:
         """What this machine's monotonic clock shows at a logical time."""
@@ -155,8 +166,18 @@ class WallClock:
 
     def slip(self, by_ns: int) -> None:
         """Let all that is still to come begin so much later."""
+        until_ns, before_ns = self._now(), self._origin
         self._origin += by_ns
         self.slipped_ns += by_ns
+        self._slips.append(_Slip(until_ns, before_ns, round((until_ns - self._origin) * self.speed)))
+
+
+class _Slip(NamedTuple):
+    """Of a `WallClock`."""
+
+    until_ns: int  # on the wall clock
+    origin_ns: int  # there: where logical time 0 was before it
+    stood_ns: int  # logical time, from when it was due until then
 
 
 class LiveClock:

@@ -1,9 +1,9 @@
 """A recording as CSV files, for spreadsheets and whatever else reads nothing better; units stand in the headers.
 
-``states.csv`` has the true states, ``radio.csv`` a row per frame and receiver, ``commands.csv`` what agents commanded,
-``notes.csv`` what they noted. Each sensor that gives numbers has a file of its name, with the vehicles below one another. Times
-are those of the run, s; an empty cell is a number that there was not. Scans, pictures and maps are not exported: they are no
-rows.
+``states.csv`` has the true states, ``radio.csv`` the columns of ``radio.parquet``, a row per frame and receiver,
+``commands.csv`` what agents commanded, ``notes.csv`` what they noted. Each sensor that gives numbers has a file of its name,
+with the vehicles below one another. Times are those of the run, s; an empty cell is a number that there was not. Scans,
+pictures and maps are not exported: they are no rows.
 """
 
 import csv
@@ -21,7 +21,7 @@ from cosim.clock import SECOND_NS
 from cosim.record.export_source import Source, Values
 from cosim.record.foxglove import PoseInFrame
 from cosim.record.mcap import Recorded
-from cosim.record.tables import RADIO_SCHEMA, RunFacts, radio_table
+from cosim.record.tables import RunFacts, radio_table, read_table
 from cosim.types import FrameReport, Imu, Odometry, VehicleState, Velocity, Waypoint
 
 AXES = "xyz"
@@ -39,7 +39,6 @@ COLUMNS: Mapping[type, Sequence[str]] = {
 FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates"}
 """By topic, where the name is another than the topic's."""
 RADIO = "radio"
-RADIO_TIMES = ("sent_ns", "received_ns", "delay_ns", "copy_ns", "air_time_ns", "queue_ns", "access_ns")
 
 
 def write_csv(source: Source, folder: Path) -> None:
@@ -58,7 +57,7 @@ def write_csv(source: Source, folder: Path) -> None:
             elif (row := _row(value)) is not None:
                 vehicle, name = _place(said.topic)
                 writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
-    _write_radio(reports, source, folder / f"{RADIO}.csv")
+    _write_radio(_radio(reports, source), folder / f"{RADIO}.csv")
 
 
 def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
@@ -118,12 +117,21 @@ def _cells(value: Any) -> Sequence[Any]:
     return (at.sec + at.nsec / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, sigma_rad)
 
 
-def _write_radio(reports: Sequence[FrameReport], source: Source, path: Path) -> None:
-    """The table of the radio, with times in s."""
+def _radio(reports: Sequence[FrameReport], source: Source) -> pa.Table:
+    """The run's own table; of a run that was killed before it could write that, what the recording has of it."""
+    path = source.folder / f"{RADIO}.parquet"
+    if path.is_file():
+        return read_table(path)
+    source.tell(f"{source.folder}: no {path.name} here: {RADIO}.csv is without frames of programs, and without routes")
     facts = RunFacts(scenario=source.scenario, seed=int(source.seed), end_ns=0, vehicles=source.vehicles)
-    table = radio_table(reports, facts)
-    columns = [_in_seconds(table[name]) if name in RADIO_TIMES else _plain(table[name]) for name in RADIO_SCHEMA.names]
-    headers = [f"{name.removesuffix('_ns')}_s" if name in RADIO_TIMES else name for name in RADIO_SCHEMA.names]
+    return radio_table(reports, facts)
+
+
+def _write_radio(table: pa.Table, path: Path) -> None:
+    """The table of the radio, with times in s."""
+    names = table.column_names
+    columns = [_in_seconds(table[name]) if name.endswith("_ns") else _plain(table[name]) for name in names]
+    headers = [f"{name.removesuffix('_ns')}_s" if name.endswith("_ns") else name for name in names]
     arrow_csv.write_csv(pa.table(columns, names=headers), path, arrow_csv.WriteOptions(quoting_style="needed"))
 
 

@@ -1,4 +1,4 @@
-"""A run's recording read back for exports: ``run.mcap`` alone, which is all that a killed run leaves."""
+"""A run's recording read back for exports: ``run.mcap``, which is all that a killed run leaves."""
 
 import contextlib
 import math
@@ -75,6 +75,8 @@ class Source:
         tell: takes a line for the user: that the recording is damaged, and how far it goes. It is told so once.
 
     Attributes:
+        folder: the run's.
+        tell: as it was given.
         progress: called during each pass with the part of the file that has been read, 0 to 1.
         scenario: its name.
         seed: of the run, as text.
@@ -85,7 +87,8 @@ class Source:
     """
 
     def __init__(self, run_dir: Path, tell: Callable[[str], None]) -> None:
-        self._path, self._tell, self._told = run_dir / FILE, tell, False
+        self.folder, self.tell = run_dir, tell
+        self._path, self._told = run_dir / FILE, False
         self.progress: Callable[[float], None] = lambda _: None
         try:
             with self._path.open("rb") as stream:
@@ -113,7 +116,7 @@ class Source:
         except ValueError as error:
             if not self._told:
                 self._told = True
-                self._tell(f"{self._path} is damaged ({error}): what is exported ends at {last_ns / SECOND_NS:.3f} s")
+                self.tell(f"{self._path} is damaged ({error}): what is exported ends at {last_ns / SECOND_NS:.3f} s")
         except OSError as error:
             raise UsageError(f"{self._path}: {error.strerror}") from error
 

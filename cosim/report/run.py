@@ -38,7 +38,7 @@ LATENESS = {
 BRIDGE = {
     **LATENESS,
     "delivered": "deliveries to programs",
-    "lost": "lost on the way, receiver by receiver",
+    "lost": "lost on the way: datagrams that did not reach a vehicle, for each that they were meant for",
     "over_1ms": "late by more than 1 ms",
 }
 TOLD = 500  # lines of the log that are shown

@@ -5,6 +5,7 @@ half a message is never on its way, and a side that hangs cannot hold the other.
 side reads the end of the link.
 """
 
+import errno
 import select
 import socket
 
@@ -33,23 +34,37 @@ class Link:
         return self._socket.fileno()
 
     def send(self, message: bytes) -> bool:
-        """Whether it went: not if the other side has stopped reading, or has gone."""
+        """Whether it went: not if the other side has stopped reading, or has gone.
+
+        Raises:
+            ValueError: it is longer than any message can be, and will never go.
+        """
         try:
             self._socket.send(message)
         except (BlockingIOError, BrokenPipeError, ConnectionResetError):
             return False
+        except OSError as error:
+            if error.errno != errno.EMSGSIZE:
+                raise
+            raise ValueError(f"a message of {len(message)} bytes is longer than the link takes") from None
         return True
 
     def receive(self) -> list[bytes]:
-        """All that has come."""
+        """All that has come.
+
+        Raises:
+            ValueError: a message was longer than `LONGEST`, and the end of it is missing.
+        """
         messages = []
         while not self.ended:
             try:
-                message = self._socket.recv(LONGEST)
+                message, _, flags, _ = self._socket.recvmsg(LONGEST)
             except BlockingIOError:
                 break
             except ConnectionResetError:  # it went without reading everything; it is said once, before its last words
                 continue
+            if flags & socket.MSG_TRUNC:
+                raise ValueError(f"a message was longer than {LONGEST} bytes")
             if message:
                 messages.append(message)
             else:

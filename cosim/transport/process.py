@@ -1,11 +1,14 @@
-"""Child processes that host agents: started afresh (never forked), ended with the run, however it ends."""
+"""Child processes of a run: started afresh (never forked), ended with it, however it ends."""
 
 import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+
+from cosim.transport.link import Link, pair
 
 LEAVE_S = 0.3  # for a host to leave by itself, before it is made to; its agents are closed by then
 
@@ -64,6 +67,24 @@ class HostProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def linked(module: str) -> tuple[subprocess.Popen[bytes], Link]:
+    """A process beside the run, ``python -m MODULE FD``, and the link to it, whose other end it inherits as FD."""
+    here, there = pair()
+    # The child looks for modules where this process does, and nowhere else: not in the current folder.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with there:
+        # A session of its own keeps away Ctrl-C, and the end of the terminal: what it holds is let go of in order first.
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", module, str(there.fileno())],
+            stdin=subprocess.DEVNULL,
+            stdout=sys.__stderr__,
+            env=environment,
+            pass_fds=(there.fileno(),),
+            start_new_session=True,
+        )
+    return process, here
 
 
 def ending(code: int) -> str:

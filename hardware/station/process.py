@@ -12,17 +12,15 @@ Several open and close at the same time::
         station.close()
 """
 
-import os
 import subprocess
-import sys
 import time
 
 import msgspec
 
 from cosim.codec import encode
 from cosim.errors import FederateError
-from cosim.transport import link
-from cosim.transport.process import ending
+from cosim.transport.link import Link
+from cosim.transport.process import ending, linked
 from hardware.driver import DriverError
 from hardware.station import wire
 from hardware.station.wire import Mission, Order, Report
@@ -45,7 +43,7 @@ class StationError(DriverError):
 class Station:
     """A process that drives one robot; see `start`."""
 
-    def __init__(self, mission: Mission, process: subprocess.Popen[bytes], end: link.Link) -> None:
+    def __init__(self, mission: Mission, process: subprocess.Popen[bytes], end: Link) -> None:
         self.vehicle = mission.vehicle
         self._process, self._link = process, end
         self._waiting: list[Report] = []  # read, but not handed over
@@ -56,19 +54,7 @@ class Station:
     @classmethod
     def start(cls, mission: Mission) -> "Station":
         """Start the process, which connects to the robot; this does not wait for it."""
-        here, there = link.pair()
-        # The child looks for modules where this process does, and nowhere else: not in the current folder.
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-        with there:
-            # A session of its own keeps away Ctrl-C, and the end of the terminal: the robot is stopped in order first.
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "hardware.station", str(there.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=sys.__stderr__,
-                env=environment,
-                pass_fds=(there.fileno(),),
-                start_new_session=True,
-            )
+        process, here = linked("hardware.station")
         here.send(encode(mission))
         return cls(mission, process, here)
 

@@ -9,20 +9,19 @@
     last = process.close()
 """
 
-import os
 import subprocess
-import sys
 import time
 from collections import deque
 
 from cosim.codec import encode
 from cosim.errors import FederateError
-from cosim.transport import link
-from cosim.transport.process import ending
+from cosim.transport.link import Link
+from cosim.transport.process import ending, linked
 from netsim.bridge import wire
 
 READY_S = 60.0  # for all doors to open
-CLOSE_S = 10.0  # for all to close
+CLOSE_S = 10.0  # for all to close,
+VEHICLE_S = 0.05  # and more for each vehicle
 DYING_S = 2.0  # from the end of the link to that of the process
 PAUSE_S = 0.02
 MOST_UNSAID = 256 * 2**20  # bytes for a process that does not read
@@ -30,10 +29,15 @@ ADVICE = "look at what it says above, and start the run again"
 
 
 class Beside:
-    """The process; see `start`."""
+    """The process; see `start`.
 
-    def __init__(self, process: subprocess.Popen[bytes], end: link.Link) -> None:
-        self._process, self._link = process, end
+    Attributes:
+        killed: it had to be made to end.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], end: Link, opening: wire.Opening) -> None:
+        self._process, self._link, self.killed = process, end, False
+        self._close_s = CLOSE_S + VEHICLE_S * len(opening.vehicles)
         self._unsaid: deque[bytes] = deque()
         self._unsaid_bytes = 0
         self._heard: list[wire.Up] = []
@@ -42,20 +46,7 @@ class Beside:
     @classmethod
     def start(cls, opening: wire.Opening) -> "Beside":
         """Start the process, which opens all doors; this does not wait for it."""
-        here, there = link.pair()
-        # The child looks for modules where this process does, and nowhere else: not in the current folder.
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-        with there:
-            # A session of its own keeps away Ctrl-C, and the end of the terminal: doors are closed in order first.
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "netsim.bridge", str(there.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=sys.__stderr__,
-                env=environment,
-                pass_fds=(there.fileno(),),
-                start_new_session=True,
-            )
-        beside = cls(process, here)
+        beside = cls(*linked("netsim.bridge"), opening)
         beside.say(opening)
         return beside
 
@@ -136,7 +127,7 @@ class Beside:
         if self._closed:
             return []
         self._closed = True
-        until = time.monotonic() + CLOSE_S
+        until = time.monotonic() + self._close_s
         while not self._link.ended and time.monotonic() < until:
             self.leave()
             self._link.wait(min(PAUSE_S, until - time.monotonic()) if self._unsaid else until - time.monotonic())
@@ -146,6 +137,7 @@ class Beside:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+            self.killed = True
         self._link.close()
         return self._heard
 

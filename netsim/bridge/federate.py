@@ -13,12 +13,12 @@ keep the pace of the wall clock.
 """
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from cosim.clock import SECOND_NS, Ticks
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.types import AnyValue, Array, Datagrams, Reception, States, Traffic, frozen
 from netsim.bridge import wire
@@ -30,11 +30,15 @@ from netsim.bridge.lateness import Lateness
 if TYPE_CHECKING:
     import pyarrow as pa
 
-LEVELS = Ticks.every(0.1)
+# All on the wall clock, whatever the speed of the run
+LEVELS_NS = 100_000_000  # from levels to the next
 AGAIN_NS = 1_000_000  # until what the process has not read is said again
 BEHIND_NS = 20_000_000  # a run that is later than this catches up before it takes more from programs,
 PATIENCE_NS = 100_000_000  # unless it has taken nothing for so long
+
 MOST = 5000  # deliveries in a message
+MOST_LEVELS = 10_000  # in one, if no row alone is longer
+TOO_LONG = f"said by agents in more than {LARGEST} bytes"
 
 Log = Callable[[str, int, AnyValue], None]
 """Takes what a replay needs: key, time, value."""
@@ -117,22 +121,25 @@ class Bridge:
         self._came: list[wire.Came] = []  # that waits, as the run is behind
         self._ripe: list[wire.Came] = []  # for the radio, in this instant
         self._took_ns = 0  # when there was some
+        self._again_ns = 0  # the next instant of its own
         self._taken = 0
         self._sent_ns = np.zeros(len(vehicles), np.int64)  # the newest of each
-        self._late = Lateness()
-        self._counts: dict[str, dict[str, int]] = {}
-        self._wants_levels, self._levels_at = False, 0.0
+        self._late = Lateness(self._vehicles)
+        self._counts: dict[str, dict[str, int]] = {}  # by the process
+        self._own_counts: dict[str, Counter[str]] = {}
+        self._wants_levels, self._levels_at_ns = False, 0
         self._states: States | None = None  # the newest
         self._echoes = Echoes(tuple(vehicles))
 
     @property
     def lateness(self) -> dict[str, Any]:
         """How late deliveries were, and what was counted, so far."""
-        return self._late.summary(self._counts)
+        names = [name for name in self._vehicles if name in self._counts or name in self._own_counts]
+        return self._late.summary({name: {**self._counts.get(name, {}), **self._own_counts.get(name, {})} for name in names})
 
     def table(self) -> "pa.Table":
         """A row per delivery (`Lateness.table`); ``frame`` and ``receiver`` are those of the table of frames."""
-        return self._late.table(tuple(each.name for each in self._opening.doors), self._vehicles)
+        return self._late.table(tuple(each.name for each in self._opening.doors))
 
     def start(self, run: RunInfo) -> int | None:
         """Open all doors and say where they are."""
@@ -155,10 +162,9 @@ class Bridge:
         self._hear(self._process.read())
         if now_ns >= self._end_ns:
             return False
-        come = bool(self._came)
-        if come and not self._behind(now_ns):
+        if self._came and not self._behind(now_ns):
             self._ripe, self._came = self._came, []
-        return come or self._levels_due
+        return bool(self._ripe) or self._levels_due or (bool(self._came) and self._again_ns <= now_ns)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Give the radio what has come, and say what is due of what it made of that."""
@@ -181,8 +187,8 @@ class Bridge:
                 self.log(event.key, event.time_ns, event.value)
             process.say(_due(self._taken))  # what comes meanwhile may be gathered
         if self._levels_due and self._states is not None:
-            self._levels_at = time.monotonic() + LEVELS.ns / SECOND_NS
-            process.say(wire.Levels(dbm=frozen(self._air.levels_dbm(self._states), np.float64)))
+            self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
+            self._say_levels(process, self._air.levels_dbm(self._states))
         return Step(events, self._next(process, now_ns))
 
     def release(self) -> None:
@@ -194,34 +200,47 @@ class Bridge:
         """Wait until it has left, and hear its last words."""
         if self._process is not None:
             self._hear(self._process.close())
+            if self._process.killed:
+                self._tell(f"{KILLED}{_NETWORKS if any(each.kind == 'ip' for each in self._opening.doors) else ''}")
 
     def _behind(self, now_ns: int) -> bool:
         """Whether the run is to catch up with the wall clock first: programs that say much must not hold it up."""
         wall_ns = time.monotonic_ns()
-        if self._paced.logical_ns(wall_ns) - now_ns > BEHIND_NS and wall_ns - self._took_ns < PATIENCE_NS:
+        if wall_ns - self._paced.monotonic_ns(now_ns) > BEHIND_NS and wall_ns - self._took_ns < PATIENCE_NS:
             return True
         self._took_ns = wall_ns
         return False
 
     @property
     def _levels_due(self) -> bool:
-        return self._wants_levels and time.monotonic() >= self._levels_at
+        return self._wants_levels and time.monotonic_ns() >= self._levels_at_ns
 
     def _next(self, process: Beside, now_ns: int) -> int | None:
-        wishes = [LEVELS.after(now_ns)] if self._wants_levels else []
-        wishes += [now_ns + AGAIN_NS] if process.unsaid else []
-        wishes += [max(now_ns + AGAIN_NS, self._paced.logical_ns(time.monotonic_ns()))] if self._came else []  # caught up
-        return min([*wishes, self._end_ns]) if wishes and now_ns < self._end_ns else None
+        wall_ns = time.monotonic_ns()
+        wishes = [max(self._levels_at_ns, wall_ns + AGAIN_NS)] if self._wants_levels else []
+        wishes += [wall_ns + AGAIN_NS] if process.unsaid else []
+        wishes += [wall_ns] if self._came else []  # it has caught up then
+        if not wishes or now_ns >= self._end_ns:
+            return None
+        again_ns = min(max(now_ns + 1, self._paced.logical_ns(min(wishes))), self._end_ns)
+        if not now_ns < self._again_ns <= again_ns:  # else that stays: each one that is asked for costs an instant
+            self._again_ns = again_ns
+        return self._again_ns
+
+    def _say_levels(self, process: Beside, levels_dbm: Array) -> None:
+        """As many rows at a time as fit into a message."""
+        rows = max(1, MOST_LEVELS // len(levels_dbm))
+        for first in range(0, len(levels_dbm), rows):
+            process.say(wire.Levels(first=first, dbm=frozen(levels_dbm[first : first + rows], np.float64)))
 
     def _hear(self, messages: Sequence[wire.Up]) -> None:
         for message in messages:
             if isinstance(message, wire.Came):
                 self._came.append(message)
             elif isinstance(message, wire.Went):
-                left_ns = np.array([self._paced.logical_ns(each) for each in message.went_ns.tolist()], np.int64)
-                self._late.went(message.due, message.went_ns, left_ns)
+                self._late.went(message.due, message.went_ns)
             elif isinstance(message, wire.Counted):
-                self._counts = message.counts
+                self._counts |= message.counts
             elif isinstance(message, wire.Asked):
                 self._wants_levels = True
 
@@ -242,7 +261,7 @@ class Bridge:
             sent_ns[own] = np.maximum.accumulate(np.maximum(sent_ns[own], self._sent_ns[sender]))
             self._sent_ns[sender] = sent_ns[own][-1]
         self._taken += len(came.number)
-        self._late.sent(came.number, came.door, came.sender, sent_ns)
+        self._late.sent(came.number, came.door, came.sender, came.to, sent_ns)
         if self._opening.payloads:
             self._echoes.said(came)
         return Datagrams(
@@ -255,12 +274,9 @@ class Bridge:
         )
 
     def _on_traffic(self, process: Beside, traffic: Traffic) -> None:
-        frames = np.array([report.frame for report in traffic.reports], np.int64)
-        lost = sum(np.count_nonzero(report.received_ns < 0) for report in traffic.reports)
-        self._late.carried(traffic.carries, frames, int(lost))
         monotonic_ns = self._paced.monotonic_ns
         at_ns = np.array([monotonic_ns(each) for each in traffic.arrival_ns.tolist()], np.int64)
-        self._late.due(traffic.number, traffic.receiver, traffic.arrival_ns, at_ns)
+        self._late.due(traffic, at_ns)
         if self._opening.payloads:
             self._echoes.decided(traffic)
         *first, last = _parts(len(traffic.number))
@@ -274,12 +290,16 @@ class Bridge:
 
     def _on_heard(self, process: Beside, vehicle: str, heard: Reception) -> None:
         payload = self._echoes.by_agent(vehicle, heard)
-        if payload is not None and len(payload) <= LARGEST:
+        if payload is not None and len(payload) > LARGEST:
+            self._own_counts.setdefault(vehicle, Counter())[TOO_LONG] += 1
+        elif payload is not None:
             sender, receiver = self._row[heard.message.sender], self._row[vehicle]
             at_ns = self._paced.monotonic_ns(heard.received_ns)
             process.say(wire.Spoken(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))
 
 
+KILLED = "bridge: its process did not end by itself and was killed"
+_NETWORKS = ": 'vcmvsp net down' clears away what it leaves behind"
 _NONE = np.zeros(0, np.int64)
 
 

@@ -5,6 +5,8 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
+import numpy as np
+
 from cosim.types import Array
 from netsim.bridge.door import BROADCAST, LARGEST, Door
 from netsim.bridge.store import Store
@@ -34,8 +36,8 @@ class OpenHall:
     ) -> None:
         self.run, self.vehicles, self.loop = run, vehicles, loop
         self.counts: dict[str, Counter[str]] = {}
-        self.counted = False  # since whoever looks at them set this to False
-        self.levels: Array | None = None
+        self.counted: dict[str, None] = {}  # for whom, since whoever looks at them took them out
+        self._levels: Array | None = None
         self._store, self._news, self._wanted = store, news, wanted
 
     def offer(self, door: Door, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
@@ -51,12 +53,19 @@ class OpenHall:
 
     def count(self, vehicle: int, what: str, by: int = 1) -> None:
         """Count it."""
-        self.counts.setdefault(self.vehicles[vehicle], Counter())[what] += by
-        self.counted = True
+        name = self.vehicles[vehicle]
+        self.counts.setdefault(name, Counter())[what] += by
+        self.counted[name] = None
 
     def level_dbm(self, sender: int, receiver: int) -> float:
         """The newest that the run has told; it begins to when it is asked."""
-        if self.levels is None:
+        if self._levels is None:
             self._wanted()
             return float("nan")
-        return float(self.levels[sender, receiver])
+        return float(self._levels[sender, receiver])
+
+    def tell_levels(self, first: int, dbm: Array) -> None:
+        """Take rows of levels."""
+        if self._levels is None:
+            self._levels = np.full((len(self.vehicles), len(self.vehicles)), np.nan)
+        self._levels[first : first + len(dbm)] = dbm

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.clock import SECOND_NS
-from cosim.types import Array
+from cosim.types import Array, Traffic
+from netsim.bridge.door import BROADCAST
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -46,42 +47,44 @@ class Columns:
 
 
 class Lateness:
-    """Of all deliveries of a run."""
+    """Of all deliveries of a run.
 
-    def __init__(self) -> None:
-        self._sent = Columns("frame", "door", "sender", "sent_ns")  # by number of the datagram
-        self._due = Columns("number", "receiver", "received_ns", "left_ns", "wanted", "late")  # by delivery
-        self._taken = self._lost = 0
+    Args:
+        vehicles: of the run.
+    """
 
-    def sent(self, number: Array, door: Array, sender: Array, sent_ns: Array) -> None:
-        """Datagrams that were given to the radio, (n,) each; ``sent_ns`` in the run's time."""
+    def __init__(self, vehicles: tuple[str, ...]) -> None:
+        self._vehicles = vehicles
+        self._sent = Columns("door", "sender", "sent_ns", "meant", "settled")  # by number of the datagram
+        self._due = Columns("number", "frame", "receiver", "received_ns", "wanted", "late")  # by delivery
+        self._taken = 0
+
+    def sent(self, number: Array, door: Array, sender: Array, to: Array, sent_ns: Array) -> None:
+        """Datagrams that were given to the radio, (n,) each: for the row ``to``, or all; ``sent_ns`` in the run's time."""
         self._taken += len(number)
         self._sent.reach(int(number.max()) + 1)
-        for name, values in (("door", door), ("sender", sender), ("sent_ns", sent_ns)):
+        meant = np.where(to == BROADCAST, len(self._vehicles) - 1, 1)
+        for name, values in (("door", door), ("sender", sender), ("sent_ns", sent_ns), ("meant", meant)):
             self._sent[name][number] = values
 
-    def carried(self, number: Array, frame: Array, lost: int) -> None:
-        """The frames of these datagrams, (n,) each, did not reach so many radios that they were meant for."""
-        self._sent["frame"][number] = frame
-        self._lost += lost
+    def due(self, traffic: Traffic, at_ns: Array) -> None:
+        """What arrives, and when that is on the monotonic clock; what is settled."""
+        came = {"number": traffic.number, "frame": traffic.frame, "receiver": traffic.receiver}
+        self._due.add(**came, received_ns=traffic.arrival_ns, wanted=at_ns)
+        self._sent["settled"][traffic.settled] = 1
 
-    def due(self, number: Array, receiver: Array, received_ns: Array, at_ns: Array) -> None:
-        """Deliveries, (n,) each: when in the run's time, and on the monotonic clock."""
-        self._due.add(number=number, receiver=receiver, received_ns=received_ns, wanted=at_ns)
-
-    def went(self, row: Array, at_ns: Array, left_ns: Array) -> None:
-        """When deliveries, of these places among all, left: on the monotonic clock, and in the run's time."""
+    def went(self, row: Array, at_ns: Array) -> None:
+        """When deliveries, of these places among all, left: on the monotonic clock."""
         self._due["late"][row] = at_ns - self._due["wanted"][row]
-        self._due["left_ns"][row] = left_ns
 
     def summary(self, counts: dict[str, dict[str, int]]) -> dict[str, Any]:
         """How late deliveries were, s, and how many of what there were; None where there were none."""
-        late_s = self._due["late"][self._due["left_ns"] != NEVER] / SECOND_NS
+        late_s = self._due["late"][self._due["late"] != NEVER] / SECOND_NS
         p50, p99, most = np.quantile(late_s, [0.5, 0.99, 1.0]).tolist() if len(late_s) else (None, None, None)
         return {
             "datagrams": self._taken,
             "delivered": len(late_s),
-            "lost": self._lost,
+            "lost": self._lost(),
             "p50_s": p50,
             "p99_s": p99,
             "max_s": most,
@@ -89,22 +92,27 @@ class Lateness:
             "counts": counts,
         }
 
-    def table(self, doors: tuple[str, ...], vehicles: tuple[str, ...]) -> "pa.Table":
+    def _lost(self) -> int:
+        """Vehicles that did not receive a datagram that was meant for them, summed up over datagrams that are settled."""
+        settled = self._sent["settled"] != NEVER
+        number, receiver = self._due["number"], self._due["receiver"]
+        arrived = np.unique((number * len(self._vehicles) + receiver)[settled[number]])  # some come twice
+        return int(self._sent["meant"][settled].sum()) - len(arrived)
+
+    def table(self, doors: tuple[str, ...]) -> "pa.Table":
         """A row per delivery, in the order in which the run decided; times in the run's, ``late_s`` on the wall clock."""
         import pyarrow as pa
 
-        number = self._due["number"]
-        gone = self._due["left_ns"] != NEVER
+        number, vehicles = self._due["number"], self._vehicles
         columns = {
             "number": pa.array(number),
-            "frame": pa.array(self._sent["frame"][number]),
+            "frame": pa.array(self._due["frame"]),
             "door": _names(doors, self._sent["door"][number]),
             "sender": _names(vehicles, self._sent["sender"][number]),
             "receiver": _names(vehicles, self._due["receiver"]),
             "came_ns": pa.array(self._sent["sent_ns"][number]),
             "wanted_ns": pa.array(self._due["received_ns"]),
-            "left_ns": pa.array(self._due["left_ns"], mask=~gone),
-            "late_s": pa.array(self._due["late"] / SECOND_NS, mask=~gone),
+            "late_s": pa.array(self._due["late"] / SECOND_NS, mask=self._due["late"] == NEVER),
         }
         return pa.table(columns)
 

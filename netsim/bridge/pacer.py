@@ -55,8 +55,10 @@ class Pacer:
         """Let all leave whose time has come."""
         self._timer = None
         heap, leave, now = self._heap, self._leave, self._now
-        for _ in range(AT_ONCE):
-            if not heap or heap[0].at_ns > now():
-                break
-            leave(heapq.heappop(heap))
-        self.arm()
+        try:
+            for _ in range(AT_ONCE):
+                if not heap or heap[0].at_ns > now():
+                    break
+                leave(heapq.heappop(heap))
+        finally:
+            self.arm()

@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +21,18 @@ from cosim.codec import encode
 from cosim.errors import ScenarioError, place_of
 from cosim.transport.link import Link
 from netsim.bridge import wire
-from netsim.bridge.door import BROADCAST, Door, DoorError
+from netsim.bridge.door import Door, DoorError
 from netsim.bridge.hall import OpenHall
 from netsim.bridge.pacer import Delivery, Pacer
-from netsim.bridge.store import Kept, Store
+from netsim.bridge.store import Store
 
 OPENING_S = 10.0  # from the start to being told what to open
-CLOSE_S = 3.0  # for a door to close
+CLOSE_S = 3.0  # for a door to close, or for last words,
+VEHICLE_S = 0.02  # and more for each vehicle
 RETRY_S = 0.001  # between two attempts to say something to a run that does not read
 REPORT_S = 0.05  # between two reports of what was delivered and counted
 WENT_MOST = 4000  # deliveries that are not left to wait for that
+COUNTED_MOST = 100  # vehicles in a message
 
 
 class Process:
@@ -39,6 +42,7 @@ class Process:
         self._link, self._loop = link, loop
         self._over: asyncio.Future[str] = loop.create_future()  # why it ends; empty: it is to
         self._doors: list[tuple[str, Door]] = []
+        self._begun: list[tuple[str, Door]] = []  # those that are open, or were to be
         self._unsaid: deque[bytes] = deque()
         self._given = 0  # datagrams that the run has been told of
         self._batch = False  # whether it has still to take those of the last batch
@@ -49,21 +53,29 @@ class Process:
 
     async def serve(self) -> int:
         """All of it; the exit code."""
-        problem = ""
         try:
-            opening = self._opening()
-            self._loop.set_exception_handler(self._on_exception)
-            self._loop.add_signal_handler(signal.SIGTERM, self._end, "it was told to end (SIGTERM)")
-            self._loop.add_reader(self._link.fileno(), self._hear)
-            await self._open(opening)
-            problem = await self._over
+            problem = await self._go_through(self._opening())
         except (DoorError, ScenarioError) as error:
             problem = str(error)
         except Exception as error:
-            problem = f"{type(error).__name__}: {error}{place_of(error)}"
-        await self._close()
-        self._last_words(problem)
+            problem = _words(error)
+        if problem:
+            self._say(wire.Failed(problem=problem))
+        self._say_the_rest()
         return 3 if problem else 0
+
+    async def _go_through(self, opening: wire.Opening) -> str:
+        """From opening the doors to closing them; why it ends."""
+        self._loop.set_exception_handler(self._on_exception)
+        self._loop.add_signal_handler(signal.SIGTERM, self._end, "it was told to end (SIGTERM)")
+        self._loop.add_reader(self._link.fileno(), self._hear)
+        try:
+            await self._open(opening)
+            return await self._over
+        finally:
+            await self._close(CLOSE_S + VEHICLE_S * len(opening.vehicles))
+            self._tell_went()
+            self._tell_counts()
 
     # The beginning
 
@@ -90,6 +102,7 @@ class Process:
                 self._doors.append((spec.name, _built(spec, folder)))
         lines: list[str] = []
         for name, door in self._doors:
+            self._begun.append((name, door))
             task = asyncio.ensure_future(door.open(self._hall))
             either: list[asyncio.Future[Any]] = [task, self._over]
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
@@ -102,6 +115,8 @@ class Process:
                 lines += [f"bridge.{name}: {line}" for line in task.result()]
             except DoorError as error:
                 raise DoorError(f"bridge.{name}: {error}") from error
+            except Exception as error:
+                raise DoorError(f"bridge.{name}: {_words(error)}") from error
         self._say(wire.Ready(lines=tuple(lines)))
         self._report()
 
@@ -149,7 +164,12 @@ class Process:
 
     def _go_on_saying(self) -> None:
         while self._unsaid:
-            if not self._link.send(self._unsaid[0]):
+            try:
+                went = self._link.send(self._unsaid[0])
+            except ValueError:
+                self._unsaid.popleft()  # or nothing could be said any more, not even this
+                raise
+            if not went:
                 if not self._over.done():
                     self._loop.call_later(RETRY_S, self._go_on_saying)
                 return
@@ -170,7 +190,7 @@ class Process:
             self._pacer.put(Delivery(message.at_ns, self._store.speak(message.sender, message.payload), -1, message.receiver))
             self._pacer.arm()
         elif isinstance(message, wire.Levels):
-            self._hall.levels = message.dbm
+            self._hall.tell_levels(message.first, message.dbm)
         elif isinstance(message, wire.Leave):
             self._end("")
 
@@ -182,8 +202,10 @@ class Process:
             row += 1
         self._due = row
         for number in due.settled.tolist():
-            if (kept := store.settle(number)) is not None:
-                _tell_lost(kept)
+            kept = store.settle(number)
+            if kept is not None and kept.door is not None and (lost := getattr(kept.door, "lost", None)) is not None:
+                with self._blamed(kept.door):
+                    lost(kept.sender, kept.to, kept.payload)
         if self._batch and due.taken >= self._given:
             self._batch = False
             self._flush()
@@ -191,16 +213,26 @@ class Process:
 
     def _deliver(self, delivery: Delivery) -> None:
         kept = self._store[delivery.number]
-        if kept.door is not None:
-            kept.door.deliver(kept.sender, delivery.receiver, kept.payload)
-        else:
-            for _, door in self._doors:
-                door.deliver(kept.sender, delivery.receiver, kept.payload)
-        self._store.left(delivery.number)
+        doors = [door for _, door in self._doors] if kept.door is None else [kept.door]
+        try:
+            for door in doors:
+                with self._blamed(door):
+                    door.deliver(kept.sender, delivery.receiver, kept.payload)
+        finally:
+            self._store.left(delivery.number)
         if delivery.row >= 0:
             self._went.append((delivery.row, time.monotonic_ns()))
             if len(self._went) >= WENT_MOST:
                 self._tell_went()
+
+    @contextlib.contextmanager
+    def _blamed(self, door: Door) -> Iterator[None]:
+        """Whatever a door lets out here ends the bridge, with its name."""
+        try:
+            yield
+        except Exception as error:
+            name = next(name for name, each in self._doors if each is door)
+            self._end(f"bridge.{name}: {_words(error)}")
 
     def _tell_went(self) -> None:
         if self._went:
@@ -209,15 +241,17 @@ class Process:
             self._say(wire.Went(due=due, went_ns=went_ns))
 
     def _report(self) -> None:
-        """Say again and again what was delivered and counted."""
-        self._tell_went()
-        if self._hall.counted:
+        """Say again and again what was delivered and counted, to a run that reads: what it is told later says more."""
+        if not self._unsaid:
+            self._tell_went()
             self._tell_counts()
         self._loop.call_later(REPORT_S, self._report)
 
     def _tell_counts(self) -> None:
-        self._hall.counted = False
-        self._say(wire.Counted(counts={vehicle: dict(each) for vehicle, each in self._hall.counts.items()}))
+        counts, changed = self._hall.counts, list(self._hall.counted)
+        self._hall.counted.clear()
+        for first in range(0, len(changed), COUNTED_MOST):
+            self._say(wire.Counted(counts={name: dict(counts[name]) for name in changed[first : first + COUNTED_MOST]}))
 
     # The end
 
@@ -231,22 +265,17 @@ class Process:
         if isinstance(error, OSError) or error is None:
             sys.stderr.write(f"bridge: {context.get('message', 'trouble')}: {error}\n")
         else:
-            self._end(f"{type(error).__name__}: {error}{place_of(error)}")
+            self._end(_words(error))
 
-    async def _close(self) -> None:
-        for name, door in self._doors:
+    async def _close(self, seconds: float) -> None:
+        for name, door in self._begun:
             try:
-                await asyncio.wait_for(door.close(), CLOSE_S)
+                await asyncio.wait_for(door.close(), seconds)
             except Exception as error:  # others are to be closed, too
-                sys.stderr.write(f"bridge: closing bridge.{name}: {type(error).__name__}: {error}{place_of(error)}\n")
+                sys.stderr.write(f"bridge: closing bridge.{name}: {_words(error)}\n")
 
-    def _last_words(self, problem: str) -> None:
+    def _say_the_rest(self) -> None:
         """Say what is left to say, as long as somebody listens."""
-        if hasattr(self, "_hall"):
-            self._tell_went()
-            self._tell_counts()
-        if problem:
-            self._say(wire.Failed(problem=problem))
         until = time.monotonic() + CLOSE_S
         while self._unsaid and time.monotonic() < until and not self._link.ended:
             self._go_on_saying()
@@ -262,7 +291,5 @@ def _built(spec: wire.DoorSpec, folder: Path) -> Door:
     return door
 
 
-def _tell_lost(kept: Kept) -> None:
-    """A door may want to know what was lost of what it had handed over for one receiver."""
-    if (lost := getattr(kept.door, "lost", None)) is not None and kept.to != BROADCAST:
-        lost(kept.sender, kept.to, kept.payload)
+def _words(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}{place_of(error)}"

@@ -44,9 +44,10 @@ class Spoken(Value, frozen=True, kw_only=True, tag="spoken"):
 
 
 class Levels(Value, frozen=True, kw_only=True, tag="levels"):
-    """Mean levels, `Hall.level_dbm`."""
+    """Mean levels, `Hall.level_dbm`: some rows of them."""
 
-    dbm: Array  # (n, n) float64: of the row's radio at the column's
+    first: int  # row
+    dbm: Array  # (k, n) float64: of the row's radio at the column's
 
 
 class Leave(Value, frozen=True, kw_only=True, tag="leave"):
@@ -83,7 +84,7 @@ class Asked(Value, frozen=True, kw_only=True, tag="asked"):
 
 
 class Counted(Value, frozen=True, kw_only=True, tag="counted"):
-    """All that was counted so far."""
+    """All that was counted so far of some vehicles: of whom that has changed."""
 
     counts: dict[str, dict[str, int]]  # vehicle -> words -> number
 

@@ -100,8 +100,10 @@ class ZenohDoor:
         self._sessions: dict[int, zenoh.Session] = {}  # by the vehicle's row
 
     def check(self, vehicles: Sequence[str]) -> None:
-        """Vehicles that there are, endpoints that can be."""
+        """Vehicles that there are, endpoints and keys that can be."""
         self._endpoints(vehicles)
+        if any(each in self._prefix for each in "*?#$") or "//" in self._prefix:
+            raise ValueError(f"unicast_prefix: {self._prefix!r} is no key: without *, ?, #, $ and empty parts")
 
     async def open(self, hall: Hall) -> Sequence[str]:
         """Listen for the programs of each vehicle."""

@@ -153,6 +153,41 @@ def test_late_without_sleeping_is_how_far_the_wall_went_on() -> None:
     assert wall.slept == []
 
 
+@given(
+    st.sampled_from([0.5, 1.0, 2.0]),
+    st.lists(st.tuples(st.integers(0, SECOND_NS), st.integers(0, SECOND_NS)), min_size=1, max_size=8),
+    st.integers(0, SECOND_NS),
+)
+def test_what_time_it_was_no_slip_changes_and_none_passes_while_the_run_stands(
+    speed: float, walk: list[tuple[int, int]], later_ns: int
+) -> None:
+    wall = FakeWall(7)
+    clock = wall.clock(speed)
+    known = [(0, round(-7 * speed))]  # on the wall clock, and logical
+    for goes_ns, stands_ns in walk:
+        known.append((wall.now_ns + goes_ns // 2, clock.logical_ns(wall.now_ns + goes_ns // 2)))
+        wall.now_ns += goes_ns
+        known.append((wall.now_ns, clock.logical_ns(wall.now_ns)))
+        known.append((wall.now_ns + stands_ns // 2, known[-1][1]))
+        wall.now_ns += stands_ns
+        clock.slip(stands_ns)
+        known.append((wall.now_ns, known[-1][1]))
+    known.append((wall.now_ns + later_ns, known[-1][1] + round(later_ns * speed)))
+    found = [clock.logical_ns(when_ns) for when_ns, _ in known]
+    assert found == sorted(found)
+    assert all(abs(now - was) <= 1 for now, (_, was) in zip(found, known, strict=True))  # rounded
+
+
+def test_after_a_slip_times_go_on_from_the_instant_that_was_late() -> None:
+    wall = FakeWall(0)
+    clock = wall.clock()
+    assert clock.wait_until(SECOND_NS) == 0
+    wall.now_ns += 3 * SECOND_NS
+    clock.slip(clock.wait_until(2 * SECOND_NS))
+    assert [clock.logical_ns(each * SECOND_NS) for each in range(7)] == [each * SECOND_NS for each in (0, 1, 2, 2, 2, 3, 4)]
+    assert clock.monotonic_ns(3 * SECOND_NS) == 5 * SECOND_NS
+
+
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("inf"), float("nan")])
 def test_a_speed_is_positive_and_finite(speed: float) -> None:
     with pytest.raises(ValueError, match="positive"):

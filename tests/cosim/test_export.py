@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import cosim
@@ -16,7 +18,8 @@ from cosim.errors import UsageError
 from cosim.record import export_csv, export_source, export_video, load, plots
 from cosim.record.export import NAMES, export
 from cosim.record.export_source import Values
-from cosim.record.mcap import Recorded, messages
+from cosim.record.mcap import Recorded, contents, messages
+from cosim.record.tables import RunFacts, radio_table, write_table
 from cosim.types import VehicleState
 from tests.cosim import exporting
 from tests.cosim.command import vcmvsp
@@ -53,6 +56,25 @@ def test_states_and_radio_are_those_of_the_runs_own_tables(tables: Path) -> None
         assert float(ours["sent_s"]) == pytest.approx(own["sent_ns"] / SECOND_NS)
         assert (ours["received_s"] == "") == (own["received_ns"] is None)
     assert len(frames) > 3
+
+
+def test_the_radio_of_a_run_with_programs_and_routes_is_its_own_table_with_all_its_frames(tmp_path: Path) -> None:
+    vehicles = ("car-1", "car-2")
+    facts = RunFacts(scenario="cart", seed=1, end_ns=0, vehicles=vehicles)
+    with (exporting.run_of("a crossing cart") / "run.mcap").open("rb") as stream:
+        reports = [Values().of(each) for each in contents(stream) if each.topic == "radio/frame"]
+    of_programs = [msgspec.structs.replace(each, frame=each.frame + len(reports)) for each in reports]
+    table = radio_table([*reports, *of_programs], facts)
+    table = table.append_column("origin", pa.array(["car-2"] * table.num_rows))
+    table = table.append_column("origin_sent_ns", pa.array([1_500_000_000] * table.num_rows))
+    folder = exporting.cut("a crossing cart", tmp_path / "run", 1.0)
+    write_table(table, folder / "radio.parquet")
+    said: list[str] = []
+    export(folder, csv=tmp_path / "csv", tell=said.append)
+    frames = rows(tmp_path / "csv/radio.csv")
+    assert len({row["frame"] for row in frames}) == 2 * len(reports)
+    assert {(row["origin"], float(row["origin_sent_s"])) for row in frames} == {("car-2", 1.5)}
+    assert said == []
 
 
 def test_each_sensor_of_numbers_has_its_table_with_units(tables: Path) -> None:
@@ -252,6 +274,7 @@ def test_of_a_run_that_was_killed_all_is_exported_that_is_there(part: float, tmp
     assert 0 < len(left) // 3 <= len(whole)
     if part < 0.9:  # else it is the index that is missing, and no message
         assert outcome.err.count("is damaged (it ends too soon): what is exported ends at ") == 1
+    assert outcome.err.count("no radio.parquet here: radio.csv is without frames of programs, and without routes") == 1
     assert left[3]["x_m"] == str(whole[1][1]["position"][0])
     assert all(path.exists() for path in outputs.values())
 

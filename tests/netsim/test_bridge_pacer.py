@@ -1,6 +1,7 @@
 import asyncio
 from collections.abc import Callable
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -64,6 +65,25 @@ def test_all_leave_once_never_early_and_those_that_are_due_together_in_order(giv
         together = [each for at_ns, each in left if at_ns == now_ns]
         late = [each for each in together if each.at_ns == now_ns]
         assert late == sorted(late)
+
+
+def test_one_whose_door_fails_holds_up_none_of_the_others() -> None:
+    loop, left = Turning(), list[int]()
+
+    def leave(delivery: Delivery) -> None:
+        left.append(delivery.row)
+        if delivery.row == 1:
+            raise RuntimeError("no luck")
+
+    pacer = Pacer(loop, leave, lambda: loop.now_ns)  # type: ignore[arg-type]
+    for row in range(3):
+        pacer.put(Delivery(10 * row, 0, row, 0))
+    pacer.arm()
+    loop.turn_until(9)
+    with pytest.raises(RuntimeError, match="no luck"):
+        loop.turn_until(10)
+    loop.turn_until(20)
+    assert left == [0, 1, 2]
 
 
 def test_many_that_are_late_leave_in_order_and_others_have_their_turn() -> None:

@@ -1,5 +1,6 @@
 """The bridge process by itself: the test is the run."""
 
+import asyncio
 import itertools
 import os
 import select
@@ -14,9 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.codec import encode
 from cosim.errors import FederateError
 from netsim.bridge import wire
 from netsim.bridge.beside import Beside
+from netsim.bridge.process import Process
 from netsim.bridge.store import BATCH_OF_ONE, MOST
 from tests.netsim.bridge_runs import wait_for
 from tests.netsim.bridging import free_ports
@@ -121,7 +124,8 @@ def test_a_door_of_ones_own_hears_what_is_due_what_is_lost_and_how_strong_others
         heard += process.read()
     (came,) = [each for each in heard if isinstance(each, wire.Came)]
     assert (came.sender.tolist(), came.to.tolist(), came.payloads) == ([0, 0], [1, -1], (b"to one", b"to all"))
-    process.say(wire.Levels(dbm=np.arange(9.0).reshape(3, 3)))
+    process.say(wire.Levels(first=1, dbm=np.arange(3.0, 9.0).reshape(2, 3)))
+    process.say(wire.Levels(first=0, dbm=np.arange(3.0).reshape(1, 3)))
     wait_for(lambda: said() == ["level 2.0"])
     now_ns = time.monotonic_ns()
     process.say(due((1, 2, now_ns + 20_000_000), (1, 1, now_ns + 10_000_000), taken=2, settled=(0, 1)))
@@ -140,9 +144,89 @@ def test_a_door_that_cannot_be_opened_ends_the_bridge_in_its_own_words(
 ) -> None:
     probe.params["fails"] = "open"
     started.append(process := Beside.start(opening(probe, folder=tmp_path)))
-    with pytest.raises(FederateError, match=r"bridge: RuntimeError: no luck \(probe.py line \d+, in open\)"):
+    with pytest.raises(FederateError, match=r"bridge: bridge.probe: RuntimeError: no luck \(probe.py line \d+, in open\)"):
         process.wait_ready()
     assert (tmp_path / "out.txt").read_text() == "closed\n"
+
+
+def test_doors_that_were_never_to_be_opened_are_not_closed(probe: wire.DoorSpec, tmp_path: Path, started: list[Beside]) -> None:
+    second = wire.DoorSpec(name="second", kind="probe.py:Probe", params={"out": str(tmp_path / "second.txt")})
+    probe.params["fails"] = "open"
+    started.append(process := Beside.start(opening(probe, second, folder=tmp_path)))
+    with pytest.raises(FederateError, match=r"bridge: bridge\.probe: RuntimeError"):
+        process.wait_ready()
+    process.close()
+    assert (tmp_path / "out.txt").exists()
+    assert not (tmp_path / "second.txt").exists()
+
+
+class Deaf:
+    """In the place of the link to a run that does not read."""
+
+    def __init__(self, *says: wire.Down) -> None:
+        self.says, self.ended = [encode(each) for each in says], False
+        self.reads = False
+        self.heard: list[bytes] = []
+
+    def wait(self, seconds: float) -> None:
+        pass
+
+    def receive(self) -> list[bytes]:
+        said, self.says = self.says, []
+        return said
+
+    def send(self, message: bytes) -> bool:
+        if self.reads:
+            self.heard.append(message)
+        return self.reads
+
+
+def test_what_is_counted_while_the_run_does_not_read_is_said_once_when_it_does() -> None:
+    async def trial() -> tuple[int, list[wire.Up]]:
+        link: Any = Deaf(opening())
+        process = Process(link, asyncio.get_running_loop())
+        process._opening()
+        for k in range(50):
+            process._hall.count(k % 2, "too long")
+            process._report()
+        unsaid, link.reads = len(process._unsaid), True
+        process._go_on_saying()
+        process._report()
+        return unsaid, [wire.ups.decode(each) for each in link.heard]
+
+    unsaid, said = asyncio.run(trial())
+    assert unsaid == 1
+    counts: dict[str, dict[str, int]] = {}
+    for each in said:
+        assert isinstance(each, wire.Counted)
+        counts |= each.counts
+    assert counts == {"a": {"too long": 25}, "b": {"too long": 25}}
+    assert len(said) == 2
+
+
+def test_that_a_message_was_too_long_can_be_said(probe: wire.DoorSpec, tmp_path: Path, started: list[Beside]) -> None:
+    (tmp_path / "probe.py").write_text(PROBE.replace('return ["probe is open"]', 'return ["x" * 1_000_000]'))
+    started.append(process := Beside.start(opening(probe, folder=tmp_path)))
+    with pytest.raises(FederateError, match=r"bridge: ValueError: a message of 1000\d+ bytes is longer than the link takes"):
+        process.wait_ready()
+
+
+def test_what_is_counted_for_many_vehicles_fits_into_messages() -> None:
+    async def trial() -> list[bytes]:
+        names = tuple(f"vehicle{k}" for k in range(3000))
+        link: Any = Deaf(wire.Opening(run="test", folder=".", vehicles=names, doors=(), payloads=False))
+        link.reads = True
+        process = Process(link, asyncio.get_running_loop())
+        process._opening()
+        for row in range(len(names)):
+            for what in range(8):
+                process._hall.count(row, f"what there is no room for, of kind {what}")
+        process._tell_counts()
+        return link.heard  # type: ignore[no-any-return]
+
+    said = asyncio.run(trial())
+    assert max(map(len, said)) < 100_000
+    assert sum(len(each.counts) for message in said if isinstance(each := wire.ups.decode(message), wire.Counted)) == 3000
 
 
 def test_so_does_one_that_fails_later(probe: wire.DoorSpec, tmp_path: Path, started: list[Beside]) -> None:
@@ -150,7 +234,19 @@ def test_so_does_one_that_fails_later(probe: wire.DoorSpec, tmp_path: Path, star
     started.append(process := Beside.start(opening(probe, folder=tmp_path)))
     process.wait_ready()
     process.say(wire.Spoken(sender=0, receiver=1, at_ns=0, payload=b"said"))
-    with pytest.raises(FederateError, match=r"bridge: RuntimeError: no luck \(probe.py line \d+, in deliver\)"):
+    with pytest.raises(FederateError, match=r"bridge: bridge.probe: RuntimeError: no luck \(probe.py line \d+, in deliver\)"):
+        hear(process, wire.Went)
+
+
+def test_what_befalls_a_door_as_it_delivers_is_its_failure_though_it_be_of_the_operating_system(
+    probe: wire.DoorSpec, tmp_path: Path, started: list[Beside]
+) -> None:
+    probe.params["fails"] = "deliver"
+    (tmp_path / "probe.py").write_text(PROBE.replace('RuntimeError("no luck")', 'OSError("no luck")'))
+    started.append(process := Beside.start(opening(probe, folder=tmp_path)))
+    process.wait_ready()
+    process.say(wire.Spoken(sender=0, receiver=1, at_ns=0, payload=b"said"))
+    with pytest.raises(FederateError, match=r"bridge: bridge.probe: OSError: no luck \(probe.py line \d+, in deliver\)"):
         hear(process, wire.Went)
 
 

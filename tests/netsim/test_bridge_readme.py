@@ -66,7 +66,7 @@ def test_the_worked_example(tmp_path: Path) -> None:
     answered = sum(line.endswith(" ms") for line in said)
     out = tmp_path / "two-programs"
     rows = pq.read_table(out / "bridge.parquet").to_pylist()
-    left = [row for row in rows if row["left_ns"] is not None]
+    left = [row for row in rows if row["late_s"] is not None]
     assert 0 < answered <= sum(row["receiver"] == "car1" for row in left)
     assert all(15_000_000 <= row["wanted_ns"] - row["came_ns"] <= 25_000_000 for row in rows)
     carried = json.loads((out / "about.json").read_text())["bridge"]

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.clock import SECOND_NS, WallClock
 from cosim.codec import encode
 from cosim.errors import FederateError
 from cosim.federate import Event, Prompted, Releasable, RunInfo, Slot, Step
@@ -68,7 +70,10 @@ def test_what_arrives_is_what_the_radio_says_datagram_by_datagram() -> None:
     lateness, rows = run.bridge.lateness, run.bridge.table().to_pylist()
     for place in (1, 2):
         assert sorted(heard[place]) == sorted(wanted[place])
-        left = sorted((each for each in rows if each["receiver"] == "abc"[place]), key=lambda each: each["left_ns"])
+        left = sorted(
+            (each for each in rows if each["receiver"] == "abc"[place]),
+            key=lambda each: each["wanted_ns"] + round(each["late_s"] * SECOND_NS),
+        )
         assert heard[place] == [said[each["number"]] for each in left]
     assert lateness["datagrams"] == count
     assert lateness["delivered"] == len(heard[1]) + len(heard[2]) == len(rows)
@@ -307,3 +312,72 @@ def test_datagrams_contend_for_the_air_as_frames_of_agents_do() -> None:
     assert [each for each in heard if each.startswith(b"b")] == [b"b%d" % k for k in range(200)]
     assert max(report.access_ns for report in run.reports) > 0
     assert run.bridge.lateness["delivered"] == 400
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_at_another_speed_delays_are_so_much_shorter_on_the_wall_clock(speed: float) -> None:
+    run = BridgeRun("a", "b", clock=WallClock(speed), delay={"seconds": 0.1})
+    took_s = []
+    with run.program(1) as b, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+        for _ in range(3):
+            began = time.monotonic()
+            a.sendto(b"x", run.port(0, 2))
+            assert b.recv(100) == b"x"
+            took_s.append(time.monotonic() - began)
+    assert min(took_s) >= 0.1 / speed
+    assert all(row["wanted_ns"] - row["came_ns"] == 100_000_000 for row in run.bridge.table().to_pylist())
+
+
+class Halting:
+    """Holds up the run for a while, once, at half a second."""
+
+    name, slot, wake_slot = "halting", Slot.AGENT, Slot.AGENT
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.halts = seconds, threading.Event()
+
+    def start(self, run: RunInfo) -> int:
+        return 500_000_000
+
+    def step(self, now_ns: int, inbox: Any) -> Step:
+        self.halts.set()
+        time.sleep(self.seconds)
+        return Step([], None)
+
+    def close(self) -> None:
+        pass
+
+
+def test_what_comes_while_the_run_stands_is_of_the_time_at_which_it_stood() -> None:
+    halting = Halting(0.6)
+    run = BridgeRun("a", "b", agents=[halting], seconds=1.0, delay={"seconds": 0.1})
+    run.kernel._tolerance_ns = 100_000_000
+    run.go()
+    assert halting.halts.wait(10.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+        while run._thread.is_alive():
+            a.sendto(b"x", run.port(0, 2))
+            time.sleep(0.01)
+    run.join()
+    assert run.error is None
+    assert run.kernel._clock.slipped_ns > 400_000_000
+    sent_ns = np.concatenate([value.sent_ns for _, value in run.sent])
+    assert sent_ns[0] >= 500_000_000  # and not long before that
+    assert sent_ns[10] <= 700_000_000  # nor when it came to go on
+    assert (np.diff(sent_ns) >= 0).all()
+    assert all(row["late_s"] is None or row["late_s"] >= 0.0 for row in run.bridge.table().to_pylist())
+
+
+def test_that_the_process_had_to_be_killed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("netsim.bridge.beside.CLOSE_S", 0.1)
+    run = BridgeRun("a", "b", seconds=0.2)
+    run.go()
+    process = run.bridge._process
+    assert process is not None
+    os.kill(process.pid, signal.SIGSTOP)
+    run.join()
+    assert run.told[-1] == "bridge: its process did not end by itself and was killed"
+    assert process._process.returncode == -signal.SIGKILL
