@@ -1,10 +1,9 @@
 """Many radios, against closed forms and against ns-3.44 with the same positions and the same traffic."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
+from cosim.validation.sharing import EDGES_M, NS3
 from netsim.dcf import Dcf
 from netsim.layers import Floats
 from netsim.medium import Fate
@@ -53,56 +52,7 @@ def test_saturated_broadcast_sends_in_a_slot_with_2_over_w_plus_1(count: int) ->
     assert 1 - alone == pytest.approx(1 - (1 - 2 / 33) ** (count - 1), abs=0.02)
 
 
-class Judged(NamedTuple):
-    """A scenario, and what ns-3.44 makes of it: random times, 100 bytes, radios uniform in a square, two or three runs."""
-
-    phy: Dsss | Ofdm
-    radios: int
-    side_m: float
-    exponent: float
-    hz: float
-    seconds: int
-    runs: int
-    delivery: float
-    mean_ms: float
-    quantiles_ms: tuple[float, float, float]
-    shares: tuple[float, float, float]  # of delays that are not above these
-    by_distance: tuple[float, ...]  # delivery, see EDGES_M
-
-
-EDGES_M = (0.0, 20.0, 40.0, 60.0, 75.0, 86.0)
-NS3 = {
-    "b 1 Mbit/s, 50 in one domain": Judged(
-        *(Dsss(1e6), 50, 200.0, 2.0, 10.0, 4, 2, 0.9617, 2.952),
-        (2.191, 7.366, 11.023),
-        (0.500, 0.950, 0.990),
-        (0.9953, 0.9902, 0.9785, 0.9713, 0.9650, 0.9524),
-    ),
-    "b 1 Mbit/s, 100 in one domain, overloaded": Judged(
-        *(Dsss(1e6), 100, 200.0, 2.0, 10.0, 2, 2, 0.6223, 12.597),
-        (10.985, 29.476, 39.012),
-        (0.500, 0.950, 0.990),
-        (0.9687, 0.8801, 0.7618, 0.6714, 0.6082, 0.5406),
-    ),
-    "g 6 Mbit/s, 100 in one domain": Judged(
-        *(Ofdm(6e6), 100, 200.0, 2.0, 30.0, 1, 3, 0.8684, 0.748),
-        (0.499, 2.096, 2.937),
-        (0.503, 0.950, 0.990),
-        (0.9879, 0.9634, 0.9264, 0.8916, 0.8709, 0.8358),
-    ),
-    "b 1 Mbit/s, 30, hidden from each other": Judged(
-        *(Dsss(1e6), 30, 170.0, 3.0, 15.0, 6, 3, 0.4155, 1.721),
-        (1.330, 3.376, 5.015),
-        (0.700, 0.950, 0.990),
-        (0.9826, 0.9568, 0.9273, 0.8476, 0.7423, 0.0),
-    ),
-    "g 6 Mbit/s, 40, hidden from each other": Judged(
-        *(Ofdm(6e6), 40, 170.0, 3.0, 40.0, 2, 3, 0.4129, 0.327),
-        (0.264, 0.650, 1.022),
-        (0.800, 0.950, 0.990),
-        (0.9846, 0.9699, 0.9387, 0.8824, 0.8032, 0.0),
-    ),
-}
+PHYS: dict[str, Dsss | Ofdm] = {"wifi-b-1": Dsss(1e6), "wifi-g-6": Ofdm(6e6)}
 
 
 def traffic(count: int, hz: float, seconds: int, seed: int) -> tuple[list[int], list[int]]:
@@ -127,7 +77,7 @@ def test_as_ns_3(name: str) -> None:
             frame(k, time, i, levels[i], patience=rng.exponential(size=n))
             for k, (time, i) in enumerate(zip(times, senders, strict=True))
         ]
-        for each in run(open_air(n, judged.phy, seed=seed), frames, 60_000 * MS):
+        for each in run(open_air(n, PHYS[judged.preset], seed=seed), frames, 60_000 * MS):
             i, ok = frames[each.number].sender, each.fate == Fate.RECEIVED
             sent += np.bincount(np.delete(bins[i], i), minlength=len(EDGES_M))
             got += np.bincount(bins[i][ok], minlength=len(EDGES_M))
