@@ -12,6 +12,7 @@ Floats = NDArray[np.float64]
 
 SHEET_M = 0.01  # thickness of what has no inside: a mesh that is not closed, assumed
 _SHORT_M = 1e-9  # what is left of a touch after rounding
+_STEP_M = 1e-7  # aside, for a line through a corner
 _BLOCK = 1 << 16  # lines x triangles at a time
 _ASIDE = np.array(
     [0.5377, 0.7241, 0.4319]
@@ -45,8 +46,19 @@ class Triangles:
         )
 
     def inside(self, tx: Floats, rx: Floats) -> Floats:
-        """Lengths inside each mesh, (n, c) m, of the lines from ``tx`` (3,) to each of ``rx`` (n, 3)."""
-        result = np.zeros((len(rx), len(self.columns)))
+        """Lengths inside each mesh, (n, c) m, of the lines from ``tx`` (3,) to each of ``rx`` (n, 3).
+
+        A line through a corner may, by rounding, pass on one side of each edge there and slip through. It then comes into a
+        body more or less often than it goes out, and is moved aside by a tenth of a micrometre.
+        """
+        result, uneven = self._inside(tx, rx)
+        if len(uneven):
+            result[uneven], _ = self._inside(tx + _STEP_M * _ASIDE, rx[uneven] + _STEP_M * _ASIDE)
+        return result
+
+    def _inside(self, tx: Floats, rx: Floats) -> tuple[Floats, Array]:
+        """These lengths, and the lines that come into a closed mesh another number of times than they go out."""
+        result, balance = np.zeros((2, len(rx), len(self.columns)))
         rows = max(1, _BLOCK // max(1, len(self._of)))
         for first in range(0, len(rx), rows):
             run = rx[first : first + rows] - tx
@@ -57,8 +69,9 @@ class Triangles:
             within = np.abs(place) <= 0.5
             share = np.where(self._closed[of], sign * np.clip(place, -0.5, 0.5) * length[line], np.where(within, SHEET_M, 0.0))
             np.add.at(result, (first + line, of), share)
+            np.add.at(balance, (first + line, of), sign * self._closed[of])
         result[result < _SHORT_M] = 0.0
-        return result
+        return result, np.flatnonzero(balance.any(axis=1))
 
     def _near(self, tx: Floats, run: Floats) -> tuple[Array, Array]:
         """Pairs of endless lines and triangles no further from each other than the triangle reaches."""

@@ -58,7 +58,7 @@ class Desk:
         self._pipe.close()
         self._theirs.close()
 
-    def live(self, scenario: Scenario, source: Source, assembly: Assembly, speed: float | None) -> Live:
+    def live(self, scenario: Scenario, source: Source, assembly: Assembly, speed: float | None, *, paced: None) -> Live:
         scenery = scenery_of(scenario, source, world=assembly.world, live=True)
         live = Live(Feed(self._pipe, scenery, clock=lambda: self.now_ns / SECOND_NS), assembly.operator)
         live.clock = LiveClock(speed, live.listen, now=lambda: self.now_ns, sleep=self._sleep)

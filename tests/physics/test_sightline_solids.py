@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from cosim.types import Array
@@ -77,6 +77,7 @@ def test_lines_through_edges_corners_and_along_faces(
 
 
 @settings(deadline=None)
+@example(tx=(0.0, 2.0, 1.5), rx=(5.0, 0.0, 0.0), radii=[5.0, 4.0, 1.0], bottom=0.0)  # through a corner
 @given(tx=place, rx=place, radii=st.lists(st.floats(0.5, 9.0), min_size=3, max_size=11), bottom=st.floats(-6.0, 2.0))
 def test_the_length_in_a_prism_is_what_sampling_finds(
     tx: tuple[float, ...], rx: tuple[float, ...], radii: list[float], bottom: float
