@@ -34,9 +34,9 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list
     alone: dict[type, str] = {}  # keys of those of which there is one at most
     for name, content in scenario.bridge.doors.items():
         key = f"bridge.{name}"
-        if not isinstance(content, dict) and name in registry.KINDS["door"]:
-            raise ScenarioError(f"must be a table, not {table.show(content)}", key=key, source=source.of(key))
         if not isinstance(content, dict):
+            if name in registry.KINDS["door"]:
+                raise ScenarioError(f"must be a table, not {table.show(content)}", key=key, source=source.of(key))
             allowed = [*(each for each in table.parameters(type(scenario.bridge)) if each != "doors"), *registry.KINDS["door"]]
             raise ScenarioError(table.unknown("key", name, allowed), key=key, source=source.of(key))
         kind = kind_of(name, content)

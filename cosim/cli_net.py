@@ -24,7 +24,7 @@ from cosim.cli_run import (
 from cosim.errors import UsageError
 
 RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
-NEEDS = "networks of namespaces need {}: start it as root (sudo), a container with --privileged"
+NEEDS = "networks of namespaces need {}: start it as root (sudo), or in a container with --privileged"
 
 net_app = typer.Typer(
     name="net",

@@ -212,7 +212,7 @@ class Recorder:
         states, radio = self._built()
         moved, got = metrics.motion(states), metrics.receptions(radio)
         end_ns, vehicles = self.facts.end_ns, self._run.vehicles
-        ages = metrics.age_metrics(metrics.informed(radio), self._follows, self._ticks, window, end_ns)
+        ages = metrics.age_metrics(metrics.informed(radio, got), self._follows, self._ticks, window, end_ns)
         hardware = metrics.hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         mission = self._mission.metrics(moved, self._targets)
         commands = {name: np.array(rows).reshape(-1, 5) for name, rows in self._commands.items()}

@@ -113,14 +113,14 @@ def _near(count: int) -> Array:
 
 def _rate_hz(count: int, reports: Sequence[FrameReport]) -> float:
     """Frames that saturated radios get through in a second."""
-    tau, air_ns = _chance(count), reports[0].air_time_ns
+    tau, air_ns = sending_chance(count), reports[0].air_time_ns
     idle, alone = (1 - tau) ** count, count * tau * (1 - tau) ** (count - 1)
     slot_ns = idle * SLOT_NS + alone * (air_ns + SIFS_NS + ACK_NS + DIFS_NS) + (1 - idle - alone) * (air_ns + DIFS_NS)
     return 1e9 * alone / slot_ns
 
 
-def _chance(count: int, window: int = 32, stages: int = 5) -> float:
-    """To send in a slot (equations 7 and 9 of Bianchi), by bisection."""
+def sending_chance(count: int, window: int = 32, stages: int = 5) -> float:
+    """Of a saturated radio to send in a slot (G. Bianchi, IEEE JSAC 18(3), 2000, equations 7 and 9), by bisection."""
     low, high, tau = 0.0, 1.0, 0.0
     for _ in range(60):
         p = (low + high) / 2.0

@@ -157,12 +157,12 @@ def test_information_is_of_its_origin_and_for_whom_it_was_meant(routing: Routing
         ("a", "b"),
         ("c", "b"),
     }
-    assert age_metrics(informed(table), (), {}, (0.0, None), 10**10)["mean"] is None
+    assert age_metrics(informed(table, receptions(table)), (), {}, (0.0, None), 10**10)["mean"] is None
 
 
 def test_a_table_without_routing_is_read_as_it_is() -> None:
     table = radio_table(REPORTS, FACTS)
-    assert informed(table).sent_ns.tolist() == receptions(table).sent_ns.tolist()
+    assert informed(table, receptions(table)).sent_ns.tolist() == receptions(table).sent_ns.tolist()
     assert set(links(table)) == {("b", "a"), ("a", "b"), ("c", "b")}
 
 

@@ -3,23 +3,13 @@
 import numpy as np
 import pytest
 
-from cosim.validation.sharing import EDGES_M, NS3
+from cosim.validation.sharing import EDGES_M, NS3, sending_chance
 from netsim.dcf import Dcf
 from netsim.layers import Floats
 from netsim.medium import Fate
 from netsim.phy import Dsss
 from netsim.phy_ofdm import Ofdm
 from tests.netsim.dcf_runs import MS, US, frame, open_air, run, square
-
-
-def bianchi(count: int, window: int = 32, stages: int = 5) -> tuple[float, float]:
-    """Chance to send in a slot, and to collide then (G. Bianchi, IEEE JSAC 18(3), 2000, equations 7 and 9), by bisection."""
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        p = (low + high) / 2.0
-        tau = 2.0 / (1.0 + window + p * window * sum((2.0 * p) ** stage for stage in range(stages)))
-        low, high = (p, high) if 1 - (1 - tau) ** (count - 1) > p else (low, p)
-    return tau, p
 
 
 @pytest.mark.parametrize("count", [3, 10])
@@ -33,7 +23,8 @@ def test_saturated_unicast_is_bianchis(count: int) -> None:
     assert len(decided) < 0.8 * len(frames)  # saturated to the end
     received = sum(bool((each.fate == Fate.RECEIVED).any()) for each in decided)
     attempts = sum(each.attempts for each in decided)
-    tau, p = bianchi(count)
+    tau = sending_chance(count)
+    p = 1 - (1 - tau) ** (count - 1)
     assert 1 - received / attempts == pytest.approx(p, abs=0.02)
     air_ns, idle, success = Dsss(11e6).air_time_ns(1000), (1 - tau) ** count, count * tau * (1 - tau) ** (count - 1)
     acknowledged_ns = air_ns + 10 * US + 203 * US + 50 * US

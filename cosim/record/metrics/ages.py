@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from cosim.clock import SECOND_NS, Ticks
-from cosim.record.metrics.radio import Receptions, informed, quantiles
+from cosim.record.metrics.radio import Receptions, informed, quantiles, receptions
 from cosim.record.metrics.window import FOREVER_NS, Window, followers, stretches, window_ns
 from cosim.record.tables import Placement
 from cosim.types import Array
@@ -65,7 +65,7 @@ class _Stretch(NamedTuple):
 
 def links(radio: pa.Table | Receptions) -> dict[tuple[str, str], Link]:
     """What was received of every vehicle by every other (receiver, sender), over whatever relays."""
-    got = radio if isinstance(radio, Receptions) else informed(radio)
+    got = radio if isinstance(radio, Receptions) else informed(radio, receptions(radio))
     width = max(len(got.senders), 1)
     code = got.to.astype(np.int64) * width + got.by
     small = len(got.receivers) * width < 2**16  # then sorting takes time in proportion to the rows

@@ -32,12 +32,15 @@ def receptions(radio: pa.Table) -> Receptions:
     return Receptions(receivers, senders, to[got], by[got], numbers(radio, "sent_ns")[got], received[got])
 
 
-def informed(radio: pa.Table) -> Receptions:
+def informed(radio: pa.Table, got: Receptions) -> Receptions:
     """Whose information was received by whom, and from when it was: as `receptions`, but for what was passed on.
 
     That came from its origin, and only to those for whom it was meant (`cosim.record.metrics.routing`).
+
+    Args:
+        radio: the table of frames.
+        got: its receptions.
     """
-    got = receptions(radio)
     if "origin" not in radio.column_names:
         return got
     rows = np.flatnonzero(numbers(radio, "received_ns", null=-1) >= 0)
