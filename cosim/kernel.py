@@ -12,11 +12,13 @@ that instant. Nothing in this order depends on where a federate runs or on how l
 same bytes in one process and in many.
 """
 
+import contextlib
+import gc
 import heapq
 import select
 import traceback
-from collections.abc import Callable, Sequence
-from operator import attrgetter, itemgetter
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 from typing import TypeVar
 
 import simpy
@@ -31,11 +33,7 @@ T = TypeVar("T")
 Observer = Callable[[Event], None]
 Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """Of a key: who reads every event, whom it wakes, who keeps only the newest."""
-Due = tuple[int, Slot, str, int, Event, Route]
-"""An event and its place in the order of publication: time, slot, key, number."""
-Present = tuple[str, Event, Route]
-"""An event of the slot that is being worked off, behind its key."""
-_time, _key = attrgetter("time_ns"), itemgetter(0)
+_time, _key = attrgetter("time_ns"), attrgetter("key")
 
 
 class Kernel:
@@ -80,9 +78,9 @@ class Kernel:
         self._next: list[int | None] = [None] * len(self._federates)
         self._inbox: list[list[Event]] = [[] for _ in self._federates]
         self._newest: list[dict[str, Event]] = [{} for _ in self._federates]
-        self._future: list[Due] = []  # heap of events not yet published
-        self._present: list[Present] = []  # those that belong to the slot that is being worked off
-        self._given = 0  # events of the future given so far; keeps the order of giving among equal keys
+        self._future: list[tuple[int, Slot]] = []  # heap of the slots to come for which events were given
+        self._given: dict[tuple[int, Slot], list[Event]] = {}  # these events, in the order of giving
+        self._present: list[Event] = []  # those that belong to the slot that is being worked off
         self._routes: dict[str, Route] = {}
         self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> whose answers are awaited there
 
@@ -100,7 +98,7 @@ class Kernel:
             on_instant: called with the time before each instant (progress).
         """
         self._observe = observe
-        with threadpool_limits(1):  # of linear algebra: sums come out the same on any number of cores, small ones quicker
+        with threadpool_limits(1), _seldom_collected():  # of linear algebra: sums are the same on any number of cores
             self._run(on_instant)
 
     def _run(self, on_instant: Callable[[int], None] | None) -> None:
@@ -262,20 +260,31 @@ class Kernel:
     def _give(self, index: int, events: Sequence[Event], now: int, slot: Slot) -> None:
         """Take what a federate gave; an event of the future that wakes someone has its instant scheduled."""
         home, routes = self._federates[index].slot, self._routes
+        last, given = now, self._present
         for event in events:
             when, key = event.time_ns, event.key
             route = routes.get(key) or self._route(key)
             if when == now:
-                self._present.append((key, event, route))
+                self._present.append(event)
                 at = slot
             elif when > now:
-                self._given += 1
                 at = home
-                heapq.heappush(self._future, (when, at, key, self._given, event, route))
+                if when != last:  # many follow each other that are of one time: receptions of a frame
+                    last, given = when, self._those_of(when, home)
+                given.append(event)
             else:
                 raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
             for woken in route[1]:
                 self._wake(woken, event, at)
+
+    def _those_of(self, when: int, slot: Slot) -> list[Event]:
+        """The events given for a slot to come."""
+        place = when, slot
+        given = self._given.get(place)
+        if given is None:
+            given = self._given[place] = []
+            heapq.heappush(self._future, place)
+        return given
 
     def _wake(self, index: int, event: Event, at: Slot) -> None:
         federate = self._federates[index]
@@ -287,18 +296,17 @@ class Kernel:
 
     def _publish(self, now: int, slot: Slot) -> None:
         """Record and route all events up to this slot of this instant."""
-        future, limit, own = self._future, (now, slot), (now, slot + 1)
+        future, here = self._future, (now, slot)
         due, self._present = self._present, []
-        before: list[Present] = []
-        ripe: list[Present] = []
-        while future and future[0] < own:
-            given = heapq.heappop(future)
-            (before if given < limit else ripe).append((given[2], *given[4:]))
-        if ripe:
-            due = ripe + due  # of one key, what was given earlier comes first
+        before: list[Event] = []
+        while future and future[0] < here:
+            before += sorted(self._given.pop(heapq.heappop(future)), key=_key)
+        if future and future[0] == here:
+            due = self._given.pop(heapq.heappop(future)) + due  # of one key, what was given earlier comes first
         due.sort(key=_key)
-        observe, inboxes, newest = self._observe, self._inbox, self._newest
-        for key, event, (readers, _, keepers) in before + due if before else due:
+        observe, inboxes, newest, routes = self._observe, self._inbox, self._newest, self._routes
+        for event in before + due if before else due:
+            readers, _, keepers = routes[event.key]
             try:
                 observe(event)
             except (Exception, SystemExit) as error:
@@ -306,7 +314,7 @@ class Kernel:
             for index in readers:
                 inboxes[index].append(event)
             for index in keepers:
-                newest[index][key] = event
+                newest[index][event.key] = event
 
     def _route(self, key: str) -> Route:
         route = self._routes.get(key)
@@ -334,6 +342,20 @@ def _until_readable(descriptors: Sequence[int]) -> Sleep:
 
 
 _SELECT_MOST = 1024  # descriptors from there on select() does not take
+
+
+@contextlib.contextmanager
+def _seldom_collected() -> Iterator[None]:
+    """Let Python look for cycles less often: events hold none, and thousands of them wait at a time."""
+    before = gc.get_threshold()
+    gc.set_threshold(max(before[0], _COLLECTED), *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+_COLLECTED = 50_000  # objects made and still there
 
 
 class _blame:  # noqa: N801  reads as a word: with _blame(federate)

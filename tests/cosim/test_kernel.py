@@ -1,6 +1,7 @@
 """The order of an instant, of events, and of remote answers: the contract of `cosim.federate`, as the kernel keeps it."""
 
 import fcntl
+import gc
 import resource
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -484,3 +485,18 @@ def test_of_one_key_what_comes_from_elsewhere_is_published_first(names: tuple[st
     kernel.start()
     kernel.run(lambda event: given.append(event.value))
     assert given == [Note(values={"value": 2.0}), Note(values={"value": 1.0})]
+
+
+def test_a_run_leaves_the_collector_of_its_process_as_it_was() -> None:
+    before, during = gc.get_threshold(), list[int]()
+    kernel = Kernel(RunInfo(scenario="s", seed=1, duration_ns=5, vehicles=()), [Script("a", Slot.WORLD, {0: [("a/note", 0)]})])
+    kernel.start()
+
+    def observe(_: Event) -> None:
+        during.append(gc.get_threshold()[0])
+        raise ValueError("the disk is full")
+
+    with pytest.raises(FederateError, match="the disk is full"):
+        kernel.run(observe)
+    assert during[0] >= before[0]
+    assert gc.get_threshold() == before
