@@ -36,7 +36,7 @@ class Slot(IntEnum):
     APPLY = 4
 
 
-class Event(msgspec.Struct, frozen=True, array_like=True):
+class Event(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """A value under its key, such as ``car2/command``, in effect from ``time_ns`` on."""
 
     key: str

@@ -29,7 +29,7 @@ OnLost = Literal["stop", "hold", "remove"]
 Name = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-]+\Z")]
 
 
-class Value(msgspec.Struct, frozen=True, kw_only=True):
+class Value(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Base of all values: immutable and encodable (see `cosim.codec`)."""
 
 

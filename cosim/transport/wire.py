@@ -1,4 +1,4 @@
-"""What travels between the kernel and a host of agents: MessagePack, one question and one answer at a time.
+"""What travels between the kernel and a host of agents: one question and one answer at a time (`cosim.transport.packing`).
 
 =========  ==============================================  =========================
 question   meaning                                         answer
@@ -17,11 +17,12 @@ from typing import Any
 import msgspec
 
 from cosim.agent import AgentInfo, AgentSpec
-from cosim.codec import Decoder, encode
+from cosim.codec import Decoder
 from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from cosim.federate import Event, RunInfo
+from cosim.transport.packing import Unpacker, pack
 
-PROTOCOL = 6
+PROTOCOL = 7
 """Version of this table; a host of another version is refused."""
 
 
@@ -129,8 +130,9 @@ numbers = struct.Struct("<QQ")
 number = struct.Struct("<Q")
 """Before each answer: the number of its question."""
 
-questions: Decoder[Question] = Decoder(Question)
-answers: Decoder[Answer] = Decoder(Answer)
+encode = pack
+questions: Unpacker[Question] = Unpacker(Question)
+answers: Unpacker[Answer] = Unpacker(Answer)
 hellos: Decoder[Hello] = Decoder(Hello)
 welcomes: Decoder[Welcome] = Decoder(Welcome)
 

@@ -1,5 +1,6 @@
 """Runs that could get in each other's way, and agents that could get in the platform's way: none of them does."""
 
+import copy
 import subprocess
 import sys
 import tomllib
@@ -10,9 +11,11 @@ from typing import Any
 import pytest
 
 import cosim
-from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from agents.federate import AgentHost
+from cosim.agent import Agent, AgentSpec, Observation, Radio, VehicleInfo
 from cosim.errors import AgentError
-from cosim.types import Follows, Velocity
+from cosim.federate import Event, RunInfo
+from cosim.types import Follows, Message, Reception, VehicleState, Velocity
 from tests.cosim.hosting import UNDRAWN
 
 
@@ -191,3 +194,32 @@ def test_another_agent_takes_what_it_knows_of_the_files_parameters() -> None:
 def test_a_wrong_parameter_beside_a_kind_that_is_set_is_still_refused() -> None:
     with pytest.raises(cosim.ScenarioError, match="unknown key 'probabilty'"):
         cosim.run("formation-circle", set={"radio.loss.kind": "bernoulli", "radio.loss.probabilty": 0.5})
+
+
+@pytest.mark.parametrize(
+    "body", [{"x": 1.0}, {"x": 1.0, "way": [[0.0, 1.0]]}, {"x": 1.0, "more": {"y": 2.0}}, b"raw"], ids=repr
+)
+def test_an_agent_that_changes_what_it_has_heard_changes_nobody_elses(body: Any) -> None:
+    seen: list[Any] = []
+
+    class Changing(Agent):
+        def act(self, obs: Observation, radio: Radio) -> None:
+            for each in obs.heard:
+                own = each.message.body
+                seen.append(copy.deepcopy(own))
+                if isinstance(own, dict):
+                    for value in own.values():
+                        if isinstance(value, list | dict):
+                            value.clear()
+                    own.clear()
+
+    common: dict[str, Any] = {"kind": "changing", "folder": "", "params": {}, "defaults": {}, "period_s": 0.1, "latency_s": 0.0}
+    specs = [AgentSpec(vehicle=name, source="a.toml", **common) for name in ("car1", "car2")]
+    host = AgentHost("agents", specs, {spec.vehicle: Changing() for spec in specs})
+    host.start(RunInfo(scenario="a", seed=1, duration_ns=10**9, vehicles=("car1", "car2", "car3")))
+    message = Message(sender="car3", body=copy.deepcopy(body), size_bytes=9)
+    heard = Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=0)
+    states = [Event(f"{spec.vehicle}/estimate", 0, VehicleState(position=(0.0, 0.0, 0.0))) for spec in specs]
+    host.step(0, [*states, *(Event(f"{spec.vehicle}/heard", 0, heard) for spec in specs)])
+    assert seen == [body, body]
+    assert message.body == body

@@ -1,0 +1,48 @@
+"""Agents as a scenario describes them: their classes, and what they are made with."""
+
+from pathlib import Path
+from typing import Any
+
+from cosim import registry, table
+from cosim.agent import Agent, AgentSpec
+from cosim.errors import ScenarioError
+from cosim.scenario_tables import AgentTable
+
+
+class Kinds:
+    """Classes of agents, each looked up once per host: a file is not executed again for every vehicle."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str], Any] = {}
+
+    def find(self, spec: AgentSpec) -> Any:
+        """The class that a spec names."""
+        if (spec.kind, spec.folder) not in self._found:
+            key, origin = f"vehicle.{spec.vehicle}.agent.kind", table.Named(spec.source)
+            found = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
+            self._found[spec.kind, spec.folder] = found
+        return self._found[spec.kind, spec.folder]
+
+
+def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
+    """Build the agent of a spec: (agent, all its parameters, the [agents] defaults that it takes)."""
+    key, origin = f"vehicle.{spec.vehicle}.agent", table.Named(spec.source)
+    kind = kinds.find(spec)
+    if kind.act is Agent.act:
+        raise ScenarioError(f"'{spec.kind}' has no act(obs, radio) of its own", key=f"{key}.kind", source=spec.source)
+    known = table.parameters(kind)
+    taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
+    params = {**{name: spec.defaults[name] for name in taken}, **spec.params}
+    params |= {
+        name: table.fitted(params[name], known[name].annotation, kept)
+        for name, kept in spec.replaced.items()
+        if name in params and name in known
+    }
+    try:
+        with registry.looking_in(Path(spec.folder)):
+            agent: Agent = table.call(kind, params, key=key, origin=origin, also=table.parameters(AgentTable))
+    except ScenarioError as error:
+        name = error.key.removeprefix(f"{key}.")
+        shared = name.partition(".")[0] in taken  # the first chunk: what is wrong may be inside a table
+        raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if shared else error) from error
+    return agent, table.complete(kind, params), taken
