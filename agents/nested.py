@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from cosim import registry, table
+from cosim import registered, registry, table
 from cosim.agent import Agent
 from cosim.errors import ScenarioError
 
@@ -12,7 +12,7 @@ def built(described: Mapping[str, Any], key: str) -> Agent:
     """The agent that a table describes: its ``kind`` and its parameters; errors name the key inside the table ``key``."""
     kind, where = described.get("kind"), table.join(key, "kind")
     if not isinstance(kind, str):
-        allowed = ", ".join(registry.KINDS["agent"])
+        allowed = ", ".join(registered.KINDS["agent"])
         raise ScenarioError(f"must be a string, one of {allowed}, module:Class or file.py:Class", key=where)
     found = registry.find("agent", kind, key=where)
     if found.act is Agent.act:

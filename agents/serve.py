@@ -20,7 +20,7 @@ from cosim.errors import UsageError, VcmvspError
 from cosim.scenario_tables import AgentTable
 from cosim.transport.desk import Desk
 from cosim.transport.dialling import serve
-from cosim.transport.security import endpoint_rules
+from cosim.transport.endpoints import endpoint_rules
 from cosim.transport.wire import PROTOCOL, Hello
 
 GRACE_S = 0.2

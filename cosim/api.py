@@ -13,11 +13,11 @@ from cosim.assemble import Assembly
 from cosim.clock import Clock, SimClock, WallClock
 from cosim.errors import Interrupted, UsageError
 from cosim.files import Folder, writing
-from cosim.hosts import Tell
 from cosim.kernel import Kernel, Observer
 from cosim.record import inputs
 from cosim.result import Result, figures_again
 from cosim.simulation import Progress, Simulation
+from cosim.text import Tell
 
 if TYPE_CHECKING:
     from cosim.view.viewing import Viewing

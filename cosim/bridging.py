@@ -1,18 +1,17 @@
 """Programs outside that take part in a run: ``[bridge]`` and ``[sockets]`` checked, and handed to who knows sockets."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
-from cosim import component, registry, table
+from cosim import registered, registry, table
 from cosim.errors import ScenarioError
 from cosim.federate import Federate
 from cosim.resolve import Resolution
 from cosim.scenario_tables import Scenario
 from cosim.source import Source
-
-Tell = Callable[[str], None]
+from cosim.text import Tell
 
 
 class DoorTable(msgspec.Struct, frozen=True):
@@ -35,14 +34,15 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list
     for name, content in scenario.bridge.doors.items():
         key = f"bridge.{name}"
         if not isinstance(content, dict):
-            if name in registry.KINDS["door"]:
+            if name in registered.KINDS["door"]:
                 raise ScenarioError(f"must be a table, not {table.show(content)}", key=key, source=source.of(key))
-            allowed = [*(each for each in table.parameters(type(scenario.bridge)) if each != "doors"), *registry.KINDS["door"]]
+            allowed = [
+                *(each for each in table.parameters(type(scenario.bridge)) if each != "doors"),
+                *registered.KINDS["door"],
+            ]
             raise ScenarioError(table.unknown("key", name, allowed), key=key, source=source.of(key))
         kind = kind_of(name, content)
-        door, full = component.build(
-            "door", {**content, "kind": kind}, key=key, source=source, portable=resolution.portable, keep=resolution.keep
-        )
+        door, full = resolution.component("door", {**content, "kind": kind}, key)
         if getattr(door, "only_one", False) and (first := alone.setdefault(type(door), key)) != key:
             problem = f"a run has one door of kind {kind} at most, and {first} is one: leave one of the two out"
             raise ScenarioError(problem, key=key, source=source.of(key))

@@ -15,23 +15,26 @@ HOME = Path(__file__).resolve().parent.parent
 
 def bench_command(
     parts: Annotated[
-        list[str] | None, typer.Argument(metavar="[PART]...", help="E.g. core, radio, recording, growth; without it: all.")
+        list[str] | None,
+        typer.Argument(metavar="[PART]...", help="E.g. core, shares, messages, radio; without it: all."),
     ] = None,
     json: AsJson = False,
 ) -> None:
     """Measure what the platform costs, beside what it is built on.
 
     The measuring programs come with the sources, not with an installation: elsewhere than in a checkout there is nothing to do.
-    All of it takes a quarter of an hour. The exit code is 1 if a demand is missed.
+    All of it takes about twenty minutes, and each part tells how long it took. The exit code is 1 if a demand is missed.
 
     Example: vcmvsp bench core recording
     """
     if not (HOME / "bench" / "__main__.py").is_file():
         raise UsageError(f"there is no folder bench beside {HOME / 'cosim'}: run this in a checkout of the sources")
     command = [sys.executable, "-m", "bench", *(parts or []), *(["--json"] if json else [])]
-    try:
-        code = subprocess.run(command, cwd=HOME, check=False).returncode
-    except KeyboardInterrupt:
-        raise Interrupted("interrupted") from None
+    with subprocess.Popen(command, cwd=HOME) as measuring:
+        try:
+            code = measuring.wait()
+        except KeyboardInterrupt:
+            measuring.wait()  # until it has told what it measured
+            raise Interrupted("interrupted") from None
     if code:
         raise SystemExit(code)

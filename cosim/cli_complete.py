@@ -18,7 +18,7 @@ from typing import Any
 import typer
 from typer.models import ParameterInfo
 
-from cosim import registry
+from cosim import registered, registry
 from cosim.cli_kinds import GROUPS
 from cosim.cli_new import PARTS
 
@@ -79,7 +79,7 @@ def _scenarios(incomplete: str) -> list[str]:
 
 
 def _worlds(incomplete: str) -> list[str]:
-    return [*registry.KINDS["world"], *_scenarios(incomplete)]
+    return [*registered.KINDS["world"], *_scenarios(incomplete)]
 
 
 def _what(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -89,7 +89,7 @@ def _what(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def _kinds(ctx: typer.Context) -> list[str]:
-    return [*registry.KINDS.get(_first(ctx, "what"), ())]
+    return [*registered.KINDS.get(_first(ctx, "what"), ())]
 
 
 def _vehicles(ctx: typer.Context) -> list[str]:
@@ -114,7 +114,7 @@ def _sections() -> list[str]:
 def _keys(ctx: typer.Context, incomplete: str) -> list[str]:
     """The keys that begin so, down to the next dot; of the only one that is left, its values too."""
     prefix = PREFIXES.get(ctx.info_name or "", "")
-    if ctx.info_name == "world" and _first(ctx, "world") not in registry.KINDS["world"]:
+    if ctx.info_name == "world" and _first(ctx, "world") not in registered.KINDS["world"]:
         prefix = ""
     known = {key.removeprefix(prefix): values for key, values in _named(ctx, prefix + incomplete) if key.startswith(prefix)}
     key, equals, _ = incomplete.partition("=")

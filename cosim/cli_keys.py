@@ -40,9 +40,9 @@ def init_command(
 
     Example: vcmvsp keys init keys --name 192.168.1.10
     """
-    from cosim import certificates
+    from cosim import authority
 
-    _say_hub(certificates.init(folder, name or (), days=days, force=force))
+    _say_hub(authority.init(folder, name or (), days=days, force=force))
 
 
 @keys_app.command("hub")
@@ -55,9 +55,9 @@ def hub_command(
 
     Example: vcmvsp keys hub --name 10.0.0.7
     """
-    from cosim import certificates
+    from cosim import authority
 
-    _say_hub(certificates.renew_hub(keys, name or (), days=days))
+    _say_hub(authority.renew_hub(keys, name or (), days=days))
 
 
 @keys_app.command("vehicle")
@@ -73,11 +73,11 @@ def vehicle_command(
 
     Example: vcmvsp keys vehicle car2; vcmvsp keys vehicle car3 car4 --as laptop
     """
-    from cosim import certificates
+    from cosim import authority
 
     if as_ is None and len(vehicle) > 1:
         raise UsageError("several vehicles: give their machine a name, with --as HOST")
-    bundle = certificates.issue(keys, as_ or vehicle[0], vehicle, days=days, out=out, force=force)
+    bundle = authority.issue(keys, as_ or vehicle[0], vehicle, days=days, out=out, force=force)
     _say_bundle(bundle, f"there: vcmvsp agent --vehicle {' --vehicle '.join(bundle.vehicles)} --connect")
 
 
@@ -93,9 +93,9 @@ def observer_command(
 
     Example: vcmvsp keys observer anna
     """
-    from cosim import certificates
+    from cosim import authority
 
-    _say_bundle(certificates.issue(keys, name, days=days, out=out, force=force), "there: vcmvsp watch")
+    _say_bundle(authority.issue(keys, name, days=days, out=out, force=force), "there: vcmvsp watch")
 
 
 @keys_app.command("list")
@@ -128,9 +128,9 @@ def revoke_command(
 
     Example: vcmvsp keys revoke laptop
     """
-    from cosim import certificates
+    from cosim import authority
 
-    entry = certificates.revoke(keys, name)
+    entry = authority.revoke(keys, name)
     sys.stdout.write(f"{entry.name} is revoked: runs that begin from now on do not let it in\n")
 
 

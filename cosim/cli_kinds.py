@@ -28,13 +28,13 @@ def list_command(
 
     Example: vcmvsp list vehicles
     """
-    from cosim import meanings, registry, table
+    from cosim import meanings, registered, registry, table
     from cosim import scenario as scenarios
 
     if what == "scenarios":
         about = {name: scenarios.first_words(name) for name in scenarios.names()}
     elif what in GROUPS:
-        kinds = registry.KINDS[GROUPS[what]]
+        kinds = registered.KINDS[GROUPS[what]]
         about = {kind: meanings.summary(registry.find(GROUPS[what], kind)) for kind in kinds}
     else:
         raise UsageError(f"vcmvsp list {what}: {table.unknown('word', what, ['scenarios', *GROUPS])}")
@@ -105,17 +105,17 @@ def world_command(
 
 def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
     """A kind: what it is, and each parameter with unit, default and meaning (which names its source)."""
-    from cosim import meanings, reference, registry, table
+    from cosim import meanings, reference_keys, registered, registry, table
 
     if group not in GROUPS.values():
         raise UsageError(f"vcmvsp show {group} {kind}: {table.unknown('word', group, GROUPS.values())}")
     if kind is None:
-        raise UsageError(f"vcmvsp show {group}: which one? ({', '.join(registry.KINDS[group])})")
+        raise UsageError(f"vcmvsp show {group}: which one? ({', '.join(registered.KINDS[group])})")
     found = registry.find(group, kind, folder=Path.cwd())
     means = meanings.meanings(found, joined=True)
     parameters = {
         name: {
-            "type": reference.type_of(name, parameter.annotation),
+            "type": reference_keys.type_of(name, parameter.annotation),
             "default": None if parameter.required else table.plain(parameter.default),
             "required": parameter.required,
             "meaning": means.get(name, ""),
@@ -127,7 +127,7 @@ def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
 
 def _text(about: dict[str, Any]) -> str:
     """The parameters as lines."""
-    from cosim.reference import toml
+    from cosim.reference_keys import toml
 
     rows = [
         (

@@ -22,6 +22,7 @@ from cosim.cli_run import (
     conduct,
 )
 from cosim.errors import UsageError
+from cosim.view import HOST, PORT
 
 RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
 NEEDS = "networks of namespaces need {}: start it as root (sudo), or in a container with --privileged"
@@ -51,8 +52,8 @@ def up_command(
     json: AsJson = False,
     quiet: Quiet = False,
     view: View = False,
-    view_host: ViewHost = "127.0.0.1",
-    view_port: ViewPort = 8080,
+    view_host: ViewHost = HOST,
+    view_port: ViewPort = PORT,
 ) -> None:
     """Run a scenario with a network for its vehicles' programs, at wall pace.
 

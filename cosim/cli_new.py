@@ -106,13 +106,13 @@ def write(texts: Mapping[str, str], folder: Path) -> None:
 
 def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
     """Names that mean something else already, where they are to stand."""
-    from cosim import registry
+    from cosim import registered
     from cosim import scenario as scenarios
 
     here = f"vcmvsp new {part} {snake}"
-    layers = [group for group, verb in registry.VERBS.items() if "frame" in verb or "paths" in verb]
+    layers = [group for group, verb in registered.VERBS.items() if "frame" in verb or "paths" in verb]
     groups = {"channel": layers, "scenario": []}.get(part, [part])
-    built_in = scenarios.names() if part == "scenario" else [kind for group in groups for kind in registry.KINDS[group]]
+    built_in = scenarios.names() if part == "scenario" else [kind for group in groups for kind in registered.KINDS[group]]
     if snake in {each.replace("-", "_") for each in built_in}:
         raise UsageError(f"{here}: there is a built-in {part} of that name; give another one, such as my-{snake}")
     if part == "scenario":

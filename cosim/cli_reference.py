@@ -19,17 +19,17 @@ def reference_command(
 
     Example: vcmvsp reference radio.loss
     """
-    from cosim import reference_text, reference_tree
+    from cosim import reference_asked, reference_text, reference_tree
 
     if json:
         import msgspec
 
-        found = reference_tree.Reference(sections=tuple(reference_tree.asked(section)))
+        found = reference_tree.Reference(sections=tuple(reference_asked.asked(section)))
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(found), indent=2).decode() + "\n")
         return
     on_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size().columns if on_terminal else None
-    for number, each in enumerate(reference_tree.asked(section)):
+    for number, each in enumerate(reference_asked.asked(section)):
         shown = reference_text.lines(each, width, _strong if on_terminal else str)
         typer.echo(("\n" if number else "") + "\n".join(shown))
 

@@ -11,6 +11,7 @@ import typer
 from cosim.cli_options import AsJson
 from cosim.errors import UsageError, VcmvspError
 from cosim.streams import stdout_to_stderr
+from cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
     from cosim.api import Result
@@ -57,8 +58,8 @@ def run_command(
     quiet: Quiet = False,
     twin: Twin = False,
     view: View = False,
-    view_host: ViewHost = "127.0.0.1",
-    view_port: ViewPort = 8080,
+    view_host: ViewHost = HOST,
+    view_port: ViewPort = PORT,
 ) -> None:
     """Run a scenario; leaves recording, tables, metrics, figures.
 

@@ -43,7 +43,7 @@ def validate_command(
     from cosim.validation import document, kit
 
     try:
-        with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
+        with stdout_to_stderr(), StudyProgress(quiet=quiet, what="checks") as progress:
             outcomes = kit.run_all(checks, jobs or cores(), lambda done, of: progress.on_run(done, 0, of))
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.cli_options import AsJson
+from cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
     from cosim.view.player import Player
@@ -20,8 +21,8 @@ PERIOD_S = 1.0 / 30.0  # between two pictures
 
 def view_command(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left, or still writes.")],
-    port: Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Where the page is; 0: any that is free.")] = 8080,
-    host: Annotated[str, typer.Option(metavar="HOST", help="Address of this machine on which it is.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Where the page is; 0: any that is free.")] = PORT,
+    host: Annotated[str, typer.Option(metavar="HOST", help="Address of this machine on which it is.")] = HOST,
     json: AsJson = False,
 ) -> None:
     """Show a recorded run in the browser: open the URL that is printed. Ctrl-C ends it.

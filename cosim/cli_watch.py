@@ -40,7 +40,7 @@ def watch_command(
 
     Example: vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'
     """
-    from cosim.transport.security import endpoint_rules
+    from cosim.transport.endpoints import endpoint_rules
     from cosim.transport.watching import watch
 
     bundle = None

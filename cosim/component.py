@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim import registry, table
+from cosim import registered, registry, table
 from cosim.errors import ScenarioError, place_of
 from cosim.source import Source
 
@@ -57,7 +57,7 @@ def build(
     """
     kind = content.get("kind")
     if not isinstance(kind, str):
-        allowed = ", ".join(registry.KINDS[group])
+        allowed = ", ".join(registered.KINDS[group])
         raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=source.of(f"{key}.kind"))
     target = registry.find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source)
     known = table.parameters(target)

@@ -51,8 +51,8 @@ def connection(endpoint: str, keys: Path | None = None, *, insecure: bool = Fals
     Raises:
         UsageError: the endpoint is none, or may not be dialled so, or the file is none of a machine.
     """
+    from cosim.transport.endpoints import endpoint_rules
     from cosim.transport.examining import examine
-    from cosim.transport.security import endpoint_rules
 
     bundle = None
     if keys is not None:

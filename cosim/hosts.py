@@ -1,42 +1,30 @@
 """Where agents run: in this process, in child processes, or in hosts that somebody starts elsewhere."""
 
 import contextlib
-import queue
 import secrets
-import shlex
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from cosim import joining, registry
 from cosim.agent import Agent, AgentInfo, AgentSpec
-from cosim.errors import AgentError, ScenarioError, UsageError
+from cosim.entrance import Entrance, indispensable, knocking, patience_s
+from cosim.errors import AgentError, ScenarioError
 from cosim.federate import Federate
 from cosim.scenario_tables import AgentsTable
+from cosim.text import Tell
 from cosim.transport.crew import Crew, Link, MemoryLink
 from cosim.transport.desk import Desk, HostFederate
 from cosim.transport.remote import RemoteHost
 from cosim.transport.wire import Built, Machine
 
 if TYPE_CHECKING:
-    from cosim.certificates import Keys
-    from cosim.transport.topics import Topics
-    from cosim.transport.zenoh import Hub, Knock, ZenohLink
+    from cosim.transport.zenoh import ZenohLink
 
 HOST_PROCESS = "agents.serve"
-POLL_S = 0.05
 GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
-MOST_TOLD = 100  # different reasons for which hosts were refused
-
-
-class Tell(Protocol):
-    """Takes a line for the user."""
-
-    def __call__(self, text: str) -> None:
-        """Show it."""
 
 
 class Hosts:
@@ -64,14 +52,11 @@ class Hosts:
         self._about = {**(about or {}), "missing": self._absent}
         self._agents, self._tell, self._keys, self._insecure, self._watch = agents, tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
-        self.hub: Hub | None = None  # where those who are elsewhere, or only watch, dial in
-        self.topics: Topics | None = None  # what the latter see
+        self.entrance: Entrance | None = None  # where those who are elsewhere, or only watch, dial in
         self.federates: list[Federate] = []
         self.infos: list[AgentInfo] = []
         self.kinds: dict[str, str] = {}  # vehicle -> class that a host brought along instead of the scenario's
         self._links: list[tuple[str, ZenohLink]] = []
-        self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # of Zenoh's threads, for the user
-        self._refused: set[str] = set()  # what has been said of those who were refused
         self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
         self._specs: dict[str, AgentSpec] = {}  # of those, as their hosts have them
         self._wanted: dict[str, AgentSpec] = {}  # ... as the scenario has them
@@ -89,6 +74,12 @@ class Hosts:
             if link.cuts_s:
                 cuts.setdefault(vehicles, []).extend(link.cuts_s)
         return cuts
+
+    def listen(self, specs: Sequence[AgentSpec] = ()) -> Entrance:
+        """Let machines dial in that host these agents, or only watch."""
+        self.entrance = Entrance(self._agents, specs, self._tell, keys=self._keys, insecure=self._insecure, about=self._about)
+        self._stack.callback(self.entrance.close)
+        return self.entrance
 
     def run_here(self, specs: Sequence[AgentSpec], objects: Mapping[str, Agent]) -> None:
         """Host agents in this process."""
@@ -109,7 +100,7 @@ class Hosts:
 
         # A socket in a folder that is this user's alone: whoever else is on this machine cannot ask the children anything.
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))
-        hub = Hub(f"{UNIX}{folder}/hub", patience_s=self._patience_s(specs))
+        hub = Hub(f"{UNIX}{folder}/hub", patience_s=patience_s(self._agents, specs))
         self._stack.callback(hub.close)
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
@@ -118,7 +109,7 @@ class Hosts:
             children[token] = HostProcess(HOST_PROCESS, hub.endpoint, [spec.vehicle for spec in group], token)
             self._stack.callback(children[token].close)
         links: dict[str, ZenohLink] = {}
-        for knock in self._knocking(hub, lambda: self._missing(groups, links, children)):
+        for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):
             token = knock.hello.token
             if link := knock.answer(None if token in groups and token not in links else "this run starts its own hosts"):
                 link.why_lost = children[token].why_ended
@@ -129,12 +120,11 @@ class Hosts:
 
     def await_by_hand(self, specs: Sequence[AgentSpec]) -> None:
         """Wait until hosts that somebody starts have joined for all these agents, as far as the run cannot begin without."""
-        self.listen(specs)
-        hub, wanted = self.hub, {spec.vehicle: spec for spec in specs}
-        assert hub is not None  # noqa: S101
-        waiting = self._waiting = dict(wanted)
+        entrance, wanted = self.listen(specs), {spec.vehicle: spec for spec in specs}
+        hub, waiting = entrance.hub, dict(wanted)
+        self._waiting = waiting
         if self._watch is None:  # nobody else starts them
-            self._tell_how(hub.endpoint, specs)
+            entrance.tell_how(specs)
         joined: dict[Machine, tuple[ZenohLink, list[AgentSpec]]] = {}
 
         def give_up(hosts: Collection[Machine]) -> None:
@@ -152,11 +142,12 @@ class Hosts:
                 raise AgentError(tuple(waiting), "host", why)
             return [*waiting, *(spec.vehicle for host in gone if host in joined for spec in joined[host][1])]
 
-        for knock in self._knocking(hub, missing, indispensable=lambda vehicle: _indispensable(wanted[vehicle])):
+        timeout_s, needed = self._agents.join_timeout_s, lambda vehicle: indispensable(wanted[vehicle])
+        for knock in knocking(hub, timeout_s, missing, self._tell, needed):
             hello = knock.hello
             # Whoever comes in place of one that is out of reach need not wait until that is given up.
             give_up({host for host in hub.gone.keys() & joined.keys() if _runs(joined[host][1], hello.vehicles)})
-            if link := self._let_in(knock, joining.refusal(hello, waiting, wanted)):
+            if link := entrance.let_in(knock, joining.refusal(hello, waiting, wanted)):
                 specs_of = [joining.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
                 joined[knock.machine] = link, specs_of
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
@@ -165,55 +156,6 @@ class Hosts:
         if not waiting:
             hub.shut()
         self._add_remote(list(joined.values()), list(waiting.values()))
-
-    def _tell_how(self, endpoint: str, specs: Sequence[AgentSpec]) -> None:
-        self._tell(f"waiting for {len(specs)} agents at {endpoint}; start each with")
-        for spec in specs:
-            how = ["--vehicle", spec.vehicle, "--connect", endpoint]
-            how += ["--keys", f"{spec.vehicle}.keys"] if self._keys else ["--insecure"] if self._insecure else []
-            self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
-
-    def _tell_news(self) -> None:
-        """Tell what has happened as it happens, however long that takes: Zenoh's threads have other things to do."""
-        while (text := self._news.get()) is not None:
-            self._tell(text)
-
-    def listen(self, specs: Sequence[AgentSpec] = ()) -> None:
-        """Let machines dial in that host these agents, or only watch."""
-        from cosim.transport.topics import Topics
-        from cosim.transport.zenoh import Hub
-
-        keys = self._certificates(specs)
-        self.hub = Hub(self._agents.listen, keys, patience_s=self._patience_s(specs))
-        self._stack.callback(self.hub.close)
-        self.topics = Topics(self.hub.session, self._about, keys)
-        self._stack.callback(self.topics.close)
-        threading.Thread(target=self._tell_news, daemon=True).start()
-        self._stack.callback(self._news.put, None)
-        if not specs:
-            self.hub.shut()
-
-    def _patience_s(self, specs: Sequence[AgentSpec]) -> float:
-        """For how long a host waits for a run that it is cut off from: where it may come back, it had better be there."""
-        agents = self._agents
-        return agents.deadline_s if all(map(_indispensable, specs)) else max(agents.deadline_s, agents.join_timeout_s)
-
-    def _certificates(self, specs: Sequence[AgentSpec]) -> "Keys | None":
-        """What the user says of who may come from elsewhere, checked."""
-        from cosim.transport.security import endpoint_rules
-
-        keys = None
-        if self._keys is not None:
-            from cosim import certificates
-
-            keys = certificates.load(self._keys)
-            if warning := keys.check():
-                self._tell(warning)
-        endpoint_rules(self._agents.listen, keys, insecure=self._insecure)
-        if keys and (lacking := keys.lacking([spec.vehicle for spec in specs])):
-            command = f"vcmvsp keys vehicle {lacking[0]} --keys {self._keys}"
-            raise UsageError(f"no machine has a certificate for {', '.join(lacking)}: {command}")
-        return keys
 
     # --- who is there -------------------------------------------------------------------------------------------------------
 
@@ -227,7 +169,7 @@ class Hosts:
                 self._add_host([crew], crew.build())
             except (AgentError, ScenarioError) as error:
                 asked_for = [self._wanted.get(vehicle) for vehicle in crew.vehicles]
-                if not all(spec is not None and not _indispensable(spec) for spec in asked_for):
+                if not all(spec is not None and not indispensable(spec) for spec in asked_for):
                     for other in crews:
                         other.release(f"the run cannot begin: {error}")
                     raise
@@ -244,7 +186,7 @@ class Hosts:
     def _add_host(self, crews: Sequence[Crew], built: Built, missing: Sequence[AgentSpec] = ()) -> None:
         name = f"agents-{len(self.federates)}"
         host = RemoteHost(name, crews, [built], missing=missing, door=self._answer_door, tell=self._tell)
-        if self.hub is not None:
+        if self.entrance is not None:
             self._elsewhere.append(host)
         self._add(host)
 
@@ -255,8 +197,8 @@ class Hosts:
         who = ", ".join(spec.vehicle for spec in specs)
         self._links.append((who, link))
         link.cut_deadline_s = max(self._agents.deadline_s, GONE_S)
-        if self.hub is not None:  # of a child that is gone, the run knows more
-            link.noticed = lambda there: self._news.put(f"the host of {who} is {'back' if there else 'out of reach'}")
+        if (entrance := self.entrance) is not None:  # of a child that is gone, the run knows more
+            link.noticed = lambda there: entrance.note(f"the host of {who} is {'back' if there else 'out of reach'}")
         return self._crew(link, specs)
 
     def _add(self, host: HostFederate) -> None:
@@ -273,10 +215,9 @@ class Hosts:
 
     def _answer_door(self) -> None:
         """While somebody is away, a host that knocks may take its place."""
-        hub = self.hub
-        if hub is None:
+        if self.entrance is None:
             return
-        lost = self._lost()
+        hub, lost = self.entrance.hub, self._lost()
         if lost:
             hub.open()
         else:
@@ -284,50 +225,21 @@ class Hosts:
         if knock := hub.next_hello(0.0):  # one a tick: nobody can keep the run at the door
             hello = knock.hello
             places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
-            link = self._let_in(knock, joining.late_refusal(hello, self._specs, lost, together=bool(places)))
+            link = self.entrance.let_in(knock, joining.late_refusal(hello, self._specs, lost, together=bool(places)))
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")
                 specs = [joining.at_its_place(self._specs[vehicle], hello) for vehicle in hello.vehicles]
                 places[0].welcome(self._crew_at(link, specs))
-
-    def _let_in(self, knock: "Knock", refusal: str | None) -> "ZenohLink | None":
-        """A link to a host that knocks, unless it is refused."""
-        if why := knock.denied or refusal:
-            words = f"refused a host{f' with the certificate of {knock.machine[0]}' if self._keys else ''}: {why}"
-            if words not in self._refused and len(self._refused) < MOST_TOLD:
-                self._refused.add(words)
-                self._tell(words)
-        return knock.answer(refusal)
-
-    def _knocking(
-        self, hub: "Hub", missing: Callable[[], Sequence[str]], indispensable: Callable[[str], bool] = lambda _: True
-    ) -> "Iterator[Knock]":
-        """Hosts that want to join, until nobody is missing; too late is an error that names who is, if the run needs them."""
-        last = time.monotonic() + self._agents.join_timeout_s
-        while vehicles := missing():
-            if time.monotonic() > last:
-                cause = f"did not join within {self._agents.join_timeout_s:g} s (agents.join_timeout_s)"
-                if needed := tuple(filter(indispensable, vehicles)):
-                    raise AgentError(needed, "host", cause)
-                self._tell(f"the host of {', '.join(vehicles)} {cause}; the run begins without")
-                return
-            if knock := hub.next_hello(POLL_S):
-                yield knock
-
-    @staticmethod
-    def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:
-        """Vehicles whose child has not joined yet; a child that has ended never will."""
-        for token, group in groups.items():
-            if token not in links and not children[token].running:
-                cause = f"its process {children[token].why_ended()} before it joined"
-                raise AgentError(tuple(spec.vehicle for spec in group), group[0].kind, cause)
-        return [spec.vehicle for token, group in groups.items() if token not in links for spec in group]
 
 
 def _runs(specs: Sequence[AgentSpec], vehicles: Collection[str]) -> bool:
     return any(spec.vehicle in vehicles for spec in specs)
 
 
-def _indispensable(spec: AgentSpec) -> bool:
-    """Whether the run cannot begin without it: it must not be lost, or only its host knows what it is."""
-    return spec.on_lost == "stop" or not spec.kind
+def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:
+    """Vehicles whose child has not joined yet; a child that has ended never will."""
+    for token, group in groups.items():
+        if token not in links and not children[token].running:
+            cause = f"its process {children[token].why_ended()} before it joined"
+            raise AgentError(tuple(spec.vehicle for spec in group), group[0].kind, cause)
+    return [spec.vehicle for token, group in groups.items() if token not in links for spec in group]

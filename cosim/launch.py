@@ -16,12 +16,12 @@ from cosim import api, hosts_file, table
 from cosim import scenario as scenarios
 from cosim.errors import UsageError, VcmvspError
 from cosim.files import writing
-from cosim.hosts import Tell
 from cosim.hosts_file import HostsTable, HostTable
 from cosim.scenario_tables import AgentsTable, Scenario
+from cosim.text import Tell
 from cosim.transport import ssh
+from cosim.transport.endpoints import endpoint_rules, is_loopback
 from cosim.transport.process import ending
-from cosim.transport.security import endpoint_rules, is_loopback
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
@@ -136,11 +136,11 @@ class Fleet:
 
     def end(self, patience_s: float) -> None:
         """End them all; for so long they may leave by themselves."""
-        if self._remaining(patience_s):
-            for far in self._started:
-                far.release()
-            for far in self._remaining(END_S):
-                far.kill()
+        self._remaining(patience_s)
+        for far in self._started:
+            far.release()
+        for far in self._remaining(END_S):
+            far.kill()
 
     def save(self, folder: Path) -> None:
         """Keep what they said, a file for each."""
@@ -251,7 +251,7 @@ def _check_dialling(what: str, host: HostTable, connect: str, listen: str, keys:
 
 def _bundle(keys: "Keys", host: HostTable, tell: Tell) -> str:
     """The content of a host's file of keys, which is made if its name has none yet."""
-    from cosim import certificates
+    from cosim import authority, certificates
 
     path = keys.folder / f"{host.called}{certificates.SUFFIX}"
     if path.exists():
@@ -261,7 +261,7 @@ def _bundle(keys: "Keys", host: HostTable, tell: Tell) -> str:
         again = f"vcmvsp keys vehicle {' '.join(host.vehicles)} --as {host.called} --keys {keys.folder} --force"
         raise UsageError(f"{path}: is not there, though '{host.called}' has a certificate; make it again with: {again}")
     else:
-        bundle = certificates.issue(keys.folder, host.called, host.vehicles)
+        bundle = authority.issue(keys.folder, host.called, host.vehicles)
         tell(f"{path}: a new certificate for {', '.join(host.vehicles)}, valid until {bundle.until:%Y-%m-%d}")
     if warning := bundle.check():
         tell(warning)

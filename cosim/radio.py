@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from cosim import component, registry, table
+from cosim import component, registered, registry, table
 from cosim.errors import ScenarioError
 from cosim.scenario_tables import Scenario
 from cosim.source import Source
@@ -117,8 +117,8 @@ def build(
 
 def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
     """The preset's table with what is changed of it; another kind has a table of its own."""
-    if own and base["kind"] == "none" and len(registry.KINDS[layer]) == 2:  # it can be left out, or be the one that there is
-        return {"kind": next(iter(registry.KINDS[layer])), **own}
+    if own and base["kind"] == "none" and len(registered.KINDS[layer]) == 2:  # it can be left out, or be the one that there is
+        return {"kind": next(iter(registered.KINDS[layer])), **own}
     return {**base, **own} if own.get("kind", base["kind"]) == base["kind"] else own
 
 

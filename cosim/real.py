@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from cosim import component, registry, table
+from cosim import registry, table
 from cosim.errors import ScenarioError
 from cosim.resolve import Resolution
 from cosim.scenario_tables import SIMULATED, SafetyTable, Scenario, VehicleTable
@@ -119,10 +119,9 @@ def _builder(
 ) -> Callable[[str, Mapping[str, Any], str], tuple[str, dict[str, Any]]]:
     """Checks a table by building what it describes, which does nothing yet; its kind and complete parameters."""
     offered = {"vehicle": vehicle, "folder": str(source.folder.resolve())}
-    portable, keep = resolution.portable, resolution.keep
 
     def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
-        built, full = component.build(group, content, key=key, source=source, portable=portable, offered=offered, keep=keep)
+        built, full = resolution.component(group, content, key, offered=offered)
         if flies and getattr(built, "ground_only", False):
             problem = f"drives robots on the ground, and {vehicle} flies"
             raise ScenarioError(problem, key=f"{key}.kind", source=source.of(f"{key}.kind"))

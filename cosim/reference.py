@@ -1,38 +1,27 @@
 """The reference of worlds, vehicles, sensors and the radio, written from the code: ``python -m cosim.reference --write``.
 
-Between two comments of ``scenarios/README.md`` stands what this module makes of signatures (types, ranges, defaults),
-docstrings and comments (`cosim.meanings`): what a key means is said where its type and default are, and nowhere else.
+Between two comments of ``scenarios/README.md`` stand the tables that this module makes of what the code says of keys
+(`cosim.reference_keys`): what a key means is said where its type and default are, and nowhere else.
 """
 
 import argparse
-import functools
 import inspect
-import json
 import math
-import re
 import sys
 import typing
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from cosim import registry, table
-from cosim.meanings import meanings, summary
+from cosim import registered, registry, table
+from cosim.meanings import summary
+from cosim.reference_keys import about, common_of, default_of, first_meanings, keys, markdown, said, toml, type_of
 from cosim.reference_range import RANGE_BYTES, params, reach_m
 from cosim.scenario import BUILT_IN
 from cosim.scenario_tables import ClockTable, SafetyTable, SocketsTable
 
 PAGE = BUILT_IN / "README.md"
 UPDATE = "python -m cosim.reference --write"
-OFFERED = ("sightline", "noise_dbm", "world", "outside")
-"""Parameters that come from the rest of the scenario (`cosim.radio.build`, `cosim.assemble`), not from a key."""
-
-OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder")}
-"""The same, of what is physics' or what a station builds (`cosim.real`)."""
 
 VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
     "Vehicles that are points": [["kinematic", "lag", "inertial"]],
@@ -43,21 +32,6 @@ VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
 """Kinds of vehicles that stand in one table, by the headings over them."""
 
 ABSENT = "–"  # this kind takes no such key
-
-_UNITS = {
-    "_per_s": "1/s",
-    "_s": "s",
-    "seconds": "s",
-    "_us": "us",
-    "_m": "m",
-    "_kg": "kg",
-    "_rad": "rad",
-    "_hz": "Hz",
-    "_bps": "bit/s",
-    "_db": "dB",
-    "_dbm": "dBm",
-    "_dbi": "dBi",
-}
 
 
 # --- the page -----------------------------------------------------------------------------------------------------------------
@@ -108,7 +82,7 @@ def vehicles() -> str:
 
 def families(group: str) -> str:
     """What the kinds of a group have in common, then each kind and those that it comes from, then the tables that they hold."""
-    classes = {kind: registry.find(group, kind) for kind in registry.KINDS[group]}
+    classes = {kind: registry.find(group, kind) for kind in registered.KINDS[group]}
     common = common_of(classes.values())
     alike: dict[Any, dict[str, Any]] = {}
     for kind, each in classes.items():
@@ -118,19 +92,12 @@ def families(group: str) -> str:
     return "\n\n".join([*parts, *lists([common, *classes.values()])])
 
 
-def common_of(classes: Iterable[Any]) -> Any:
-    """The base class that most of these have."""
-    bases = [base for each in classes for base in each.__mro__[1:] if "__annotations__" in vars(base)]
-    ((common, _),) = Counter(bases).most_common(1)
-    return common
-
-
 def radio() -> str:
     """Layers, presets, and a table of parameters for each layer."""
     presets = registry.piece("radio presets")
     parts = [_layers(presets.LAYERS), _presets(presets)]
     for layer in presets.LAYERS:
-        classes = {kind: registry.find(layer, kind) for kind in registry.KINDS[layer]}
+        classes = {kind: registry.find(layer, kind) for kind in registered.KINDS[layer]}
         parts += [f"#### `[radio.{layer}]`", kinds(classes), *lists(classes.values())]
     return "\n\n".join(parts)
 
@@ -147,7 +114,7 @@ def agents(*names: str) -> str:
 
 def apart(group: str) -> str:
     """The kinds of a group that have little in common: a table each, and the tables that they hold."""
-    classes = {kind: registry.find(group, kind) for kind in registry.KINDS[group]}
+    classes = {kind: registry.find(group, kind) for kind in registered.KINDS[group]}
     return "\n\n".join([*(kinds({kind: each}) for kind, each in classes.items()), *lists(classes.values())])
 
 
@@ -195,7 +162,7 @@ def _layers(layers: Sequence[str]) -> str:
     """What each layer is about: the first words of the module that defines its first kind."""
     rows = []
     for layer in layers:
-        kinds_of = registry.KINDS[layer]
+        kinds_of = registered.KINDS[layer]
         about = inspect.getmodule(registry.find(layer, next(iter(kinds_of))))
         rows.append([f"`{layer}`", markdown(summary(about)), ", ".join(f"`{kind}`" for kind in kinds_of)])
     return grid(["layer", "what it is about", "kinds"], rows)
@@ -240,11 +207,6 @@ def kinds(classes: Mapping[str, Any], common: Any = None) -> str:
     return "\n".join(lines) + (f"\n\n{parameter_table(with_keys, common)}" if with_keys else "")
 
 
-def about(target: Any) -> str:
-    """What a class is, in a line, without the name of its kind."""
-    return markdown(re.sub(r" \(kind ``[^`]*``\)", "", summary(target)))
-
-
 def lists(classes: Iterable[Any]) -> list[str]:
     """For each parameter that is a table or a list of tables, the keys of such a table; those within tables too."""
     holders: dict[Any, dict[str, str]] = {}  # kind of table -> how the keys that hold it are spoken of
@@ -255,10 +217,10 @@ def lists(classes: Iterable[Any]) -> list[str]:
                 listed = typing.get_origin(parameter.annotation) is tuple
                 holders.setdefault(item, {})[name] = f"each of the `{name}`" if listed else f"`{name}`"
     columns: dict[str, dict[str, Any]] = {}  # of each table: what it is of, and the kinds that it may be
-    for item, said in holders.items():
+    for item, spoken in holders.items():
         config = item.__struct_config__
         by, column = (f", by `{config.tag_field}`", config.tag) if config.tag_field else ("", item.__name__.lower())
-        columns.setdefault(f"Of {', '.join(said.values())}{by}:", {})[column] = item
+        columns.setdefault(f"Of {', '.join(spoken.values())}{by}:", {})[column] = item
     return [f"{of}\n\n{parameter_table(kinds)}" for of, kinds in columns.items()]
 
 
@@ -279,86 +241,9 @@ def parameter_table(columns: Mapping[str, Any], common: Any = None) -> str:
     return grid(["key", "type, unit", *columns, "meaning"], cells)
 
 
-def said(parameter: table.Parameter, words: str) -> tuple[str, str]:
-    """What a key means and, where its default is None, what holds without it: ``how long; None: for ever``."""
-    if parameter.default is not None:
-        return words.rstrip("; "), ""
-    meaning, _, without = re.sub(r"\b(None|default): ", "\0", words).partition("\0")
-    return meaning.rstrip("; "), without
-
-
-@functools.cache
-def first_meanings(target: Any) -> dict[str, str]:
-    """What the first of its base classes that speaks of a parameter says; what others add is of their own default."""
-    found: dict[str, str] = {}
-    for base in reversed(getattr(target, "__mro__", (target,))):
-        found = {**meanings(base), **found}
-    return found
-
-
-def keys(target: Any, common: Any = None) -> dict[str, table.Parameter]:
-    """The parameters that a scenario can give, but for those that are as in a common base class."""
-    known = keys(common) if common in getattr(target, "__mro__", ()) and common is not None else {}
-    offered = {*OFFERED, *OFFERED_TO.get(target.__module__.partition(".")[0], ())}
-    own = {name: each for name, each in table.parameters(target).items() if name not in offered}
-    return {name: each for name, each in own.items() if each != known.get(name)}
-
-
-def type_of(name: str, annotation: Any) -> str:
-    """Unit, by the end of the name, and what values are allowed."""
-    unit = unit_of(name)
-    words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", table.describe(annotation))
-    listed = "list of tables" if typing.get_origin(annotation) is tuple else "table"
-    words = f"{listed}: see below" if table.structs(annotation) else _short(words)
-    words = re.sub(r"^a number ?", "", words) if unit or words != "a number" else words
-    return ", ".join(filter(None, [unit, words.removeprefix("a ")]))
-
-
-def unit_of(name: str) -> str:
-    """The unit of a key, by the end of its name; empty: it has none, or its meaning says it."""
-    return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
-
-
-def _short(numbers: str) -> str:
-    """Numbers without what their exponents need not have: 1e+09 is 1e9; and whole numbers without the largest that there is."""
-    return re.sub(r"(?<=\d)[eE]\+?(-?)0*(?=\d)", r"e\1", numbers).replace("0 to 9.22337e18", ">= 0")
-
-
-def default_of(parameter: table.Parameter, without: str) -> str:
-    """``required``, the default as TOML or, where that is None, what then holds; of a table what is unlike its own defaults."""
-    if parameter.required:
-        return "required"
-    value = changed(parameter.default)
-    return markdown(without or "none") if value is None else f"`{toml(table.plain(value))}`"
-
-
-def changed(value: Any) -> Any:
-    """A default; of a table what is unlike the table's own defaults."""
-    if isinstance(value, msgspec.Struct):
-        known = table.parameters(type(value))
-        return {name: own for name in known if (own := getattr(value, name)) != known[name].default}
-    return value
-
-
-def toml(value: Any) -> str:
-    """A value as it can be written in a scenario."""
-    if isinstance(value, float):
-        return _short(Decimal(repr(value)).normalize().to_eng_string() if abs(value) >= 1e5 else repr(value))
-    if isinstance(value, dict):
-        return f"{{ {', '.join(f'{name} = {toml(each)}' for name, each in value.items())} }}" if value else "{}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return json.dumps(value)
-
-
 def grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table in Markdown."""
     return "\n".join(f"| {' | '.join(row)} |" for row in [heads, *rows]).replace("\n", f"\n|{'---|' * len(heads)}\n", 1)
-
-
-def markdown(text: str) -> str:
-    """Text of a docstring: code has single quotes there."""
-    return text.replace("``", "`")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.reference import toml
+from cosim.reference_keys import toml
 from cosim.reference_tree import VEHICLE, Key, Section, places, whole
 
 INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")

@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Callable, Iterator
 
-from cosim.reference import toml
+from cosim.reference_keys import toml
 from cosim.reference_tree import Key, Section
 
 NARROWEST = 30  # columns for a meaning; where there are fewer, it stands below its key

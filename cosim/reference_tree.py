@@ -4,9 +4,7 @@ A `Place` is somewhere in a scenario where a table may stand. Places are known w
 place are what the code says of it: one for the keys that count whatever its ``kind``, and one for each kind.
 """
 
-import difflib
 import functools
-import operator
 import re
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,8 +12,7 @@ from typing import Any
 
 import msgspec
 
-from cosim import reference, registry, scenario_tables, table
-from cosim.errors import UsageError
+from cosim import reference_keys, registered, registry, scenario_tables, table
 from cosim.reference_unsaid import UNSAID
 from cosim.repeat import Repeat
 from cosim.scenario_tables import AgentTable, SafetyTable, Scenario, VehicleTable
@@ -24,7 +21,7 @@ SCHEMA = "vcmvsp.reference/1"
 REST = ("defaults", "params", "doors", "channel", "router")  # what is no key of the table itself
 OF_ALL = ("world", "sensor")  # groups whose kinds have much in common: it is said once
 VEHICLE = "vehicle.NAME"
-DOORS = (*registry.KINDS["door"],)
+DOORS = (*registered.KINDS["door"],)
 
 
 class Key(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,7 +64,7 @@ class Place(typing.NamedTuple):
     @property
     def steps(self) -> tuple[str, ...]:
         """Its path without names of one's own."""
-        return _steps(self.path)
+        return steps_of(self.path)
 
     @property
     def name(self) -> str:
@@ -77,7 +74,7 @@ class Place(typing.NamedTuple):
     @property
     def kinds(self) -> Sequence[str]:
         """The kinds that it may be of."""
-        return [*registry.KINDS[self.group]] if self.group else []
+        return [*registered.KINDS[self.group]] if self.group else []
 
 
 def _piece(name: str) -> Callable[[], Sequence[Any]]:
@@ -127,81 +124,9 @@ def _is_table(name: str) -> bool:
     return len(_field(name)()) == 1 and _field(name)()[0] is table.parameters(Scenario)[name].annotation
 
 
-# --- what is asked for --------------------------------------------------------------------------------------------------------
-
-
-def asked(section: str = "") -> Iterator[Section]:
-    """The sections that a name stands for, as they are found out; all of them, if it is empty.
-
-    ``radio`` is that table and all within it, ``radio.loss.bernoulli`` one kind, ``radio.loss.probability`` one key; the
-    beginning may be left out, as in ``loss`` or ``leader_follower``.
-
-    Raises:
-        UsageError: there is nothing of that name; the nearest one is told.
-    """
-    if not section:
-        return (each for place in places() for each in of_place(place))
-    wanted = _steps(section) or (section,)
-    top, *others = places()
-    named = [(place, 0) for place in others if _overlap(place.steps, wanted)]
-    within = [(place, cut) for place in others for cut in range(1, len(place.steps)) if _overlap(place.steps[cut:], wanted)]
-    kinds = [(place, len(place.steps)) for place in others if wanted[:1] and wanted[0] in place.kinds]
-    for candidates in (named, [(top, 0)], [*within, *kinds]):
-        chosen = [
-            part
-            for place, cut in candidates
-            for each in of_place(place)
-            if (part := _part(each, _steps(each.path)[cut:], place, wanted)) is not None
-        ]
-        if chosen:
-            return iter(chosen)
-    anywhere = [part for each in whole().sections for part in _called(each, wanted)]
-    if anywhere:
-        return iter(anywhere)
-    raise UsageError(f"vcmvsp reference {section}: {_nearest(section, wanted)}")
-
-
-def _steps(path: str) -> tuple[str, ...]:
+def steps_of(path: str) -> tuple[str, ...]:
     """A path without names of one's own."""
     return tuple(each for each in path.split(".") if each and not each.isupper())
-
-
-def _overlap(some: tuple[str, ...], others: tuple[str, ...]) -> bool:
-    """Whether one begins with the other."""
-    return all(map(operator.eq, some, others))
-
-
-def _part(section: Section, name: tuple[str, ...], place: Place, wanted: tuple[str, ...]) -> Section | None:
-    """Of a section of this name what is wanted: all of it, one key, or nothing."""
-    kinds = [section.kind] if section.kind else place.kinds if section.path == place.path else []
-    if (name and name[: len(wanted)] == wanted) or wanted in [(*name, kind) for kind in kinds]:
-        return section
-    named = [name, *((*name, kind) for kind in kinds)]
-    keys = tuple(key for key in section.keys if wanted in [(*each, key.name) for each in named])
-    return msgspec.structs.replace(section, keys=keys) if keys else None
-
-
-def _called(section: Section, wanted: tuple[str, ...]) -> list[Section]:
-    """What is wanted, if a table within a table or a key has that name: ``formation``, ``probability``."""
-    steps = _steps(section.path)
-    place = Place(section.path)
-    parts = (_part(section, steps[cut:], place, wanted) for cut in range(1, len(steps) + 1))
-    return [part for part in parts if part is not None][:1]
-
-
-def _nearest(section: str, wanted: tuple[str, ...]) -> str:
-    """What there is instead: the keys and kinds of the last table that it names, or all tables."""
-    begun = [place for place in places() if place.steps and wanted[: len(place.steps)] == place.steps]
-    if begun:
-        place = max(begun, key=lambda each: len(each.steps))
-        size = len(place.steps)
-        keys = {key.name for each in of_place(place) if each.path == place.path for key in each.keys}
-        keys |= {each.steps[size] for each in places() if each.steps[:size] == place.steps and len(each.steps) > size}
-        return table.unknown(f"key or kind of {place.name}", ".".join(wanted[size:]), {*keys, *place.kinds})
-    _, *others = places()
-    kinds = {kind for place in others for kind in place.kinds}
-    near = difflib.get_close_matches(section, kinds, n=1)
-    return table.unknown("section", section, {*table.parameters(Scenario), *(place.name for place in others), *near})
 
 
 # --- what the code says -------------------------------------------------------------------------------------------------------
@@ -212,7 +137,7 @@ def of_place(place: Place) -> Iterator[Section]:
     classes = {kind: registry.find(place.group, kind) for kind in place.kinds}
     own, common = list(place.own()), None
     if place.group in OF_ALL:
-        common = reference.common_of(classes.values())
+        common = reference_keys.common_of(classes.values())
         own.append(common)
     known = {registry.find(place.group, kind): kind for kind in place.kinds}
     if own:
@@ -241,29 +166,29 @@ def _within(path: str, targets: Sequence[Any], seen: set[tuple[str, Any]]) -> It
 
 def _about(target: Any) -> str:
     """What a class is, without where it stands."""
-    return re.sub(r"^(An? )?`\[+\w+\]+`[:;.] ?", "", reference.about(target))
+    return re.sub(r"^(An? )?`\[+\w+\]+`[:;.] ?", "", reference_keys.about(target))
 
 
 def _parameters(target: Any, common: Any = None) -> Mapping[str, table.Parameter]:
     ours = target.__module__ in (scenario_tables.__name__, Repeat.__module__)  # nothing else offers what these name
-    known = table.parameters(target) if ours else reference.keys(target, common)
+    known = table.parameters(target) if ours else reference_keys.keys(target, common)
     return {name: each for name, each in known.items() if name not in REST}
 
 
 def _keys(target: Any, common: Any = None) -> Iterator[Key]:
     """The keys of a class, in its order."""
-    means = {**reference.first_meanings(target), **UNSAID.get(getattr(target, "__name__", ""), {})}
+    means = {**reference_keys.first_meanings(target), **UNSAID.get(getattr(target, "__name__", ""), {})}
     for name, parameter in _parameters(target, common).items():
-        meaning, without = reference.said(parameter, means.get(name, ""))
+        meaning, without = reference_keys.said(parameter, means.get(name, ""))
         yield Key(
             name=name,
-            type=reference.type_of(name, parameter.annotation).replace(": see below", ""),
-            unit=reference.unit_of(name),
+            type=reference_keys.type_of(name, parameter.annotation).replace(": see below", ""),
+            unit=reference_keys.unit_of(name),
             schema=_schema(parameter.annotation),
             required=parameter.required,
-            default=None if parameter.required else table.plain(reference.changed(parameter.default)),
-            without=reference.markdown(without),
-            meaning=reference.markdown(meaning),
+            default=None if parameter.required else table.plain(reference_keys.changed(parameter.default)),
+            without=reference_keys.markdown(without),
+            meaning=reference_keys.markdown(meaning),
         )
 
 
@@ -298,4 +223,4 @@ def _schema(annotation: Any) -> dict[str, Any]:
 @functools.cache
 def whole() -> Reference:
     """All of it."""
-    return Reference(sections=tuple(asked()))
+    return Reference(sections=tuple(each for place in places() for each in of_place(place)))

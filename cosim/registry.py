@@ -1,4 +1,4 @@
-"""From the ``kind`` of a scenario to a class: short names, ``module:Class``, or ``file.py:Class``.
+"""From the ``kind`` of a scenario to a class: short names (`cosim.registered`), ``module:Class``, or ``file.py:Class``.
 
 Parts are reached only through here, as strings, so that ``import cosim`` stays light. Other distributions add short names
 through the entry-point groups ``cosim.<group>``, e.g. ``cosim.agent``.
@@ -12,230 +12,16 @@ import importlib.machinery
 import importlib.metadata
 import importlib.util
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from cosim.errors import ScenarioError, UsageError, place_of
+from cosim.registered import KINDS, NOTHING, PIECES, VERBS
 from cosim.table import Named, Origin, unknown
 
 PARTS = ("physics", "netsim", "agents", "hardware", "scenarios")
-
-VERBS: Mapping[str, str] = {
-    "physics": "step(now_ns, inbox)",
-    "world": "build()",
-    "vehicle": "radius_m",
-    "sensor": "measure(scene, row, rng)",
-    "agent": "act(obs, radio)",
-    "estimator": "predict(report, age_s)",
-    "avoidance": "decide(view, task)",
-    "path_loss": "loss_db(paths)",
-    "walls": "loss_db(paths)",
-    "shadowing": "loss_db(paths)",
-    "fading": "gain_db(frame, draw)",
-    "phy": "air_time_ns(size_bytes)",
-    "mac": "open(phy, count, keys, noise_mw)",
-    "loss": "lost(frame, draw)",
-    "delay": "delay_ns(frame, draw)",
-    "script": "gain_db(frame, draw)",
-    "trace": "level_dbm(frame)",
-    "jammer": "interference_mw(start_ns, end_ns, rx, loss_db, where)",
-    "delivery": "deliver(sender_row, rows, received_ns, size_bytes, draw)",
-    "door": "deliver(sender, receiver, payload)",
-    "routing": "open(vehicles, seed)",
-    "driver": "write(velocity)",
-    "localisation": "read(now_ns)",
-}
-"""What a class of each group must have."""
-
-PIECES: Mapping[str, str] = {
-    "agent host": "agents.federate:AgentHost",
-    "host process": "agents.serve:host",
-    "flies": "physics.vehicles:flies",
-    "vehicle body": "physics.vehicles:body_of",
-    "vehicle spec": "physics.vehicles:VehicleSpec",
-    "positioning": "physics.positioning:Positioning",
-    "world": "physics.world:World",
-    "world pictures": "physics.draw",
-    "mesh colors": "physics.mesh_colors:mesh_colors",
-    "hull": "physics.bodies:hull_of",
-    "least clearance": "physics.clearance:least_clearance_m",
-    "radio": "netsim.federate:RadioFederate",
-    "recorded radio": "netsim.recorded:RecordedChannel",
-    "channel": "netsim.channel:Channel",
-    "radio presets": "netsim.presets",
-    "bridge": "netsim.bridge.federate:Bridge",
-    "bridge playback": "netsim.bridge.playback:BridgePlayback",
-    "networks": "netsim.bridge.ip_runs",
-    "socket server": "netsim.sockets.federate:Programs",
-    "radio paths": "netsim.layers:Paths",
-    "radio frame": "netsim.layers:Frame",
-    "radio links": "netsim.layers:Links",
-    "calibration": "netsim.calibrate",
-    "coverage": "netsim.coverage",
-    "channel trial": "netsim.trial",
-    "channel curves": "netsim.trial_curves",
-    "positions file": "netsim.trial_positions:read_positions",
-    "row file": "netsim.trial_rows:RowFile",
-    "vehicle radio": "netsim.radios:Radio",
-    "sightline": "physics.sightline:Sightline",
-    "hardware": "hardware.federate:Hardware",
-    "stations": "hardware.station.control",
-    "safety check": "hardware.connecting:check_safety",
-    "playback": "hardware.playback:Playback",
-    "emulate options": "hardware.emulate.options",
-    "emulated robot": "hardware.emulate.robot:emulate",
-    "emulated vehicle": "hardware.emulate.scenario:emulate",
-    "emulated tag": "hardware.emulate.robot:emulate_tag",
-    "emulated autopilot": "hardware.emulate.autopilot:emulate",
-    "emulated ros2 robot": "hardware.emulate.ros2:emulate",
-    "fusion": "hardware.positioning.fusion:Fusion",
-    "scene": "physics.scene",
-    "reconnaissance": "agents.reconnaissance",
-    "ground point": "agents.reconnaissance.ground_point",
-    "watch": "agents.reconnaissance.watch",
-    "looks of a picture": "agents.reconnaissance.search_map:of_picture",
-    "recognition": "agents.reconnaissance.recognition",
-    "recognition ground": "agents.reconnaissance.recognition.ground",
-    "recognition inspection": "agents.reconnaissance.recognition.inspection",
-}
-"""Pieces of parts that are no kinds of a scenario, for `piece`."""
-
-NOTHING = "cosim.component:nothing"
-"""A kind of a layer that may be left out."""
-
-KINDS: Mapping[str, Mapping[str, str]] = {
-    "physics": {"bullet": "physics.federate:BulletPhysics", "kinematic": "physics.federate:KinematicPhysics"},
-    "world": {
-        "empty": "physics.worlds:Empty",
-        "boxes": "physics.worlds:Boxes",
-        "laboratory": "physics.worlds:Laboratory",
-        "recreation-centre": "physics.worlds:RecreationCentre",
-        "urban": "physics.worlds:Urban",
-        "corridor": "physics.worlds:Corridor",
-        "gates": "physics.worlds:Gates",
-        "gates-offset": "physics.worlds:GatesOffset",
-        "pillar": "physics.worlds:Pillar",
-        "file": "physics.importers:File",
-        "map": "physics.importers:Map",
-        "geojson": "physics.importers:GeoJson",
-        "mesh": "physics.importers:MeshFile",
-    },
-    "vehicle": {
-        "p2dx": "physics.vehicles:P2DX",
-        "amigobot": "physics.vehicles:AmigoBot",
-        "quadrotor": "physics.quadrotor:Quadrotor",
-        "point": "physics.vehicles:Point",
-        "urdf": "physics.urdf:UrdfDrive",
-        "urdf-quadrotor": "physics.urdf:UrdfQuadrotor",
-        "kinematic": "physics.vehicles:Kinematic",
-        "lag": "physics.vehicles:Lag",
-        "inertial": "physics.vehicles:Inertial",
-    },
-    "sensor": {
-        "range_scanner": "physics.scanner:RangeScanner",
-        "lms": "physics.scanner:Lms",
-        "ring": "physics.scanner:Ring",
-        "camera": "physics.camera:Camera",
-        "nadir_camera": "physics.camera:NadirCamera",
-        "gps": "physics.sensors.gps:Gps",
-        "uwb": "physics.sensors.uwb:Uwb",
-        "imu": "physics.sensors.imu:InertialUnit",
-        "wheel_odometry": "physics.sensors.odometry:WheelOdometry",
-        "bumper": "physics.sensors.bumper:Bumper",
-        "neighbour_range": "physics.sensors.neighbours:NeighbourRange",
-        "altimeter": "physics.sensors.altimeter:Altimeter",
-        "compass": "physics.sensors.compass:Compass",
-        "positioning": "physics.sensors.positioning:PositioningSensor",
-        "target_sensor": "physics.sensors.targets:TargetSensor",
-    },
-    "agent": {
-        "trajectory": "agents.formation.trajectory:Trajectory",
-        "route": "agents.formation.route:Route",
-        "teleop": "agents.formation.teleop:Teleop",
-        "leader_follower": "agents.formation.leader_follower:LeaderFollower",
-        "consensus": "agents.formation.consensus:Consensus",
-        "patrol": "agents.patrol:Patrol",
-        "aerial_route": "agents.formation.aerial_route:AerialRoute",
-        "aerial_follower": "agents.formation.aerial_follower:AerialFollower",
-        "avoid": "agents.avoidance.avoid:Avoid",
-        "search": "agents.reconnaissance.search:Search",
-        "track": "agents.reconnaissance.track:Track",
-        "mission": "agents.mission.mission:Mission",
-    },
-    "estimator": {},  # a parameter of agents, which know their own
-    "avoidance": {},  # likewise
-    "path_loss": {
-        "log_distance": "netsim.propagation:LogDistance",
-        "friis": "netsim.ground:Friis",
-        "two_ray_ground": "netsim.ground:TwoRayGround",
-        "none": "netsim.propagation:NoPathLoss",
-    },
-    "walls": {
-        "itu": "netsim.materials:ItuWalls",
-        "fixed": "netsim.materials:FixedWalls",
-        "none": NOTHING,
-    },
-    "shadowing": {"gudmundson": "netsim.shadowing:Shadowing", "none": NOTHING},
-    "fading": {
-        "rayleigh": "netsim.fading:Rayleigh",
-        "nakagami": "netsim.fading:Nakagami",
-        "rician": "netsim.fading:Rician",
-        "none": NOTHING,
-    },
-    "script": {"script": "netsim.script:Script", "none": NOTHING},
-    "trace": {"trace": "netsim.trace:Trace", "none": NOTHING},
-    "jammer": {"jammer": "netsim.jammer:Jammer", "none": NOTHING},
-    "phy": {
-        "constant_rate": "netsim.phy:ConstantRate",
-        "dsss": "netsim.phy:Dsss",
-        "ofdm": "netsim.phy_ofdm:Ofdm",
-        "ieee802154": "netsim.phy:Ieee802154",
-    },
-    "mac": {"ideal": "netsim.mac:Ideal", "dcf": "netsim.dcf:Dcf", "csma154": "netsim.csma154:Csma154"},
-    "loss": {
-        "bernoulli": "netsim.loss:Bernoulli",
-        "gilbert_elliott": "netsim.burst:GilbertElliott",
-        "bursts": "netsim.bursts:Bursts",
-        "none": "netsim.loss:NoLoss",
-    },
-    "driver": {
-        "arcos": "hardware.arcos.driver:ArcosDriver",
-        "bench": "hardware.bench:Bench",
-        "zenoh": "hardware.onboard.driver:ZenohDriver",
-        "ros2": "hardware.ros2.driver:Ros2Driver",
-        "mavlink": "hardware.mavlink.driver:MavlinkDriver",
-    },
-    "localisation": {
-        "ubisense": "hardware.positioning.sources:Ubisense",
-        "dwm1001": "hardware.positioning.sources:Dwm1001",
-        "nmea": "hardware.positioning.sources:Nmea",
-        "zenoh": "hardware.positioning.pose_topic:ExternalPose",
-    },
-    "door": {
-        "udp": "netsim.bridge.udp:Udp",
-        "wss": "netsim.bridge.wss:Wss",
-        "ip": "netsim.bridge.ip:Ip",
-        "zenoh": "netsim.bridge.zenoh:ZenohDoor",
-    },
-    "routing": {
-        "flooding": "netsim.routing.flooding:Flooding",
-        "static": "netsim.routing.static:Static",
-        "distance_vector": "netsim.routing.distance_vector:DistanceVector",
-        "none": NOTHING,
-    },
-    "delivery": {"delivery": "netsim.delivery:Delivery", "none": NOTHING},
-    "delay": {
-        "fixed": "netsim.delay:FixedDelay",
-        "uniform": "netsim.random_delay:UniformDelay",
-        "normal": "netsim.random_delay:NormalDelay",
-        "gamma": "netsim.random_delay:GammaDelay",
-        "empirical": "netsim.random_delay:EmpiricalDelay",
-        "none": "netsim.delay:NoDelay",
-    },
-}
-
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
 
@@ -299,7 +85,7 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
 
 
 def piece(name: str) -> Any:
-    """A piece of a part that the core needs (see `PIECES`)."""
+    """A piece of a part that the core needs (see `cosim.registered.PIECES`)."""
     module, _, attribute = PIECES[name].partition(":")
     loaded = importlib.import_module(module)
     return getattr(loaded, attribute) if attribute else loaded

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim import registry, table
+from cosim import component, registry, table
 from cosim.agent import AgentInfo
 from cosim.clock import SECOND_NS
 from cosim.scenario_tables import ClockTable, Scenario, VehicleTable
@@ -34,6 +34,20 @@ class Resolution:
         self.real: dict[str, dict[str, Any]] = {}
         self.files: dict[str, bytes] = {}
         self._paths: dict[str, Path] = {}
+
+    def component(
+        self,
+        group: str,
+        content: Mapping[str, Any],
+        key: str,
+        *,
+        given: Mapping[str, Any] | None = None,
+        offered: Mapping[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Build what a table describes, and keep its files; the object, and the table complete (`cosim.component.build`)."""
+        return component.build(
+            group, content, key=key, source=self._source, portable=self.portable, given=given, offered=offered, keep=self.keep
+        )
 
     def portable(self, kind: str, *, foreign: bool = False) -> str:
         """The kind without a folder; a Python file that it names is kept.

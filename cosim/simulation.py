@@ -22,13 +22,12 @@ from cosim.clock import SECOND_NS, Clock, seconds_to_ns
 from cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
 from cosim.federate import Event
 from cosim.files import Folder, finite
-from cosim.hosts import Tell
 from cosim.kernel import Kernel, Observer
 from cosim.record.inputs import FILE, InputLog
 from cosim.record.recorder import Recorder
 from cosim.record.tables import write_table
 from cosim.result import Result
-from cosim.text import plain
+from cosim.text import Tell, plain
 from cosim.types import Presence
 
 if TYPE_CHECKING:

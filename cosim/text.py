@@ -1,6 +1,10 @@
-"""Texts from elsewhere, fit to be shown: what a host says of itself, or what an agent raises."""
+"""Lines for the user, and texts from elsewhere, fit to be shown: what a host says of itself, or what an agent raises."""
 
 import re
+from collections.abc import Callable
+
+Tell = Callable[[str], None]
+"""Takes a line for the user."""
 
 LONGEST_LINE, LONGEST_DETAILS, LONGEST_NAME = 500, 20_000, 100
 """Characters of what a host says of itself, of a traceback, and of a word inside a message."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim import component, registry, table
+from cosim import component, registered, registry, table
 from cosim import scenario as scenarios
 from cosim.errors import UsageError
 from cosim.source import Source
@@ -25,7 +25,7 @@ def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
         settings: keys of the world or, for a scenario, of the scenario, and their values.
     """
     path, seed = Path(what), 0
-    if what in registry.KINDS["world"] or ":" in what:
+    if what in registered.KINDS["world"] or ":" in what:
         table_, source, name = {"kind": what}, Source("--set", Path()), what.rpartition(":")[2]
     elif path.suffix in (*FILES, *MESHES) and path.is_file() and not _is_scenario(path):
         kind = FILES.get(path.suffix, "mesh")
@@ -34,7 +34,7 @@ def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
         parsed, source = scenarios.load(what, settings=settings)
         table_, name, seed, settings = dict(parsed.world), parsed.name, parsed.seed, {}
     else:
-        known = table.unknown("world", what, [*registry.KINDS["world"], *scenarios.names()])
+        known = table.unknown("world", what, [*registered.KINDS["world"], *scenarios.names()])
         raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
     world, _ = component.world_of({**table_, **settings}, source, seed=seed)
     return world, name

@@ -9,7 +9,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from cosim.errors import FederateError, UsageError
-from cosim.transport import security, wire
+from cosim.transport import diagnosis, key_names, security, wire
 from cosim.transport.desk import Desk
 from cosim.transport.zenoh import UNIX, common_names, opened, threads
 
@@ -48,22 +48,22 @@ def serve(
         UsageError: the endpoint is none, or the hub refuses this host.
         FederateError: an agent of this host failed, or the run is gone.
     """
-    name = security.OPEN if bundle is None else bundle.name
+    name = key_names.OPEN if bundle is None else bundle.name
     with threads(_READS):
         session = dial(endpoint, bundle, on_state)
     with session:
         host = str(session.zid())
         questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
-        key = security.host_key(name, host, "ask")
+        key = key_names.host_key(name, host, "ask")
         hears = session.declare_subscriber(key, Callback(questions.put, indirect=False))
-        says = session.declare_publisher(security.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
-        token = session.liveliness().declare_token(security.host_key(name, host, "alive"))
+        says = session.declare_publisher(key_names.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
+        token = session.liveliness().declare_token(key_names.host_key(name, host, "alive"))
 
         def on_hub(sample: zenoh.Sample) -> None:
             questions.put(sample.kind == zenoh.SampleKind.PUT)
 
         listens = Callback(on_hub, indirect=False)
-        watch = session.liveliness().declare_subscriber(security.HUB_ALIVE, listens, history=True)
+        watch = session.liveliness().declare_subscriber(key_names.HUB_ALIVE, listens, history=True)
         welcome = _join(session, name, hello(host))
         on_state("joined; waiting for the run to begin")
         try:
@@ -145,7 +145,7 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
         except UsageError as error:
             if "Unable to connect" not in str(error):
                 raise
-        refusal = None if endpoint.startswith(UNIX) else security.diagnose(endpoint, bundle)
+        refusal = None if endpoint.startswith(UNIX) else diagnosis.diagnose(endpoint, bundle)
         if refusal is not None and refusal.final:
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
         waits = f"waiting for a run at {endpoint}" + (f": {refusal.why}" if refusal else "")
@@ -169,7 +169,7 @@ def _join(session: zenoh.Session, name: str, hello: wire.Hello) -> wire.Welcome:
         raise UsageError(f"the greeting is too long ({len(greeting)} bytes; at most {security.MAX_JOIN}): fewer --set")
     last = time.monotonic() + JOIN_S
     while True:
-        for reply in session.get(security.join_key(name), payload=greeting, timeout=_NO_TIMEOUT_S):
+        for reply in session.get(key_names.join_key(name), payload=greeting, timeout=_NO_TIMEOUT_S):
             if reply.ok is not None:
                 welcome = wire.welcomes.decode(reply.ok.payload.to_bytes())
                 if welcome.refused:
@@ -178,6 +178,6 @@ def _join(session: zenoh.Session, name: str, hello: wire.Hello) -> wire.Welcome:
         if time.monotonic() > last:
             break
         time.sleep(_DIAL_S)
-    if name == security.OPEN:
+    if name == key_names.OPEN:
         raise FederateError("the run", "ended before it let this host in")
     raise UsageError(security.silence(name))

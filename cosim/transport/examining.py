@@ -13,7 +13,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from cosim.errors import UsageError
-from cosim.transport import security, wire
+from cosim.transport import diagnosis, key_names, security, wire
 from cosim.transport.topics import ECHO
 from cosim.transport.watching import PATIENCE_S, POLL_S, ask, greeted, which
 from cosim.transport.zenoh import common_names, opened
@@ -41,7 +41,7 @@ def examine(endpoint: str, bundle: "Bundle | None") -> Iterator[Check]:
         yield own
         if not own[1]:
             return
-    refusal = security.diagnose(endpoint, bundle)
+    refusal = diagnosis.diagnose(endpoint, bundle)
     session = None if refusal else _session(endpoint, bundle)
     if session is None:
         yield ("endpoint", False, f"{endpoint}: {refusal.why if refusal else 'it breaks off every connection'}")
@@ -80,14 +80,14 @@ def _session(endpoint: str, bundle: "Bundle | None") -> zenoh.Session | None:
 def _certificate_of_run(endpoint: str, bundle: "Bundle", session: zenoh.Session) -> Check:
     try:
         security.check_hub(common_names(session))
-        names, until = security.shown(endpoint, bundle)
+        names, until = diagnosis.shown(endpoint, bundle)
     except (UsageError, OSError) as error:
         return ("run's certificate", False, str(error))
     return ("run's certificate", True, f"for {', '.join(names)}, valid until {until:%Y-%m-%d}")
 
 
 def _questions(session: zenoh.Session, bundle: "Bundle | None") -> Iterator[Check]:
-    name = security.OPEN if bundle is None else bundle.name
+    name = key_names.OPEN if bundle is None else bundle.name
     try:
         about = greeted(session, name)
     except UsageError as error:
@@ -134,7 +134,7 @@ def _access(session: zenoh.Session, name: str, bundle: "Bundle | None") -> Check
     def on_echo(_sample: zenoh.Sample) -> None:
         heard.put(True)
 
-    subscriber = session.declare_subscriber(f"{security.TOPIC}echo/{name}", Callback(on_echo, indirect=False))
+    subscriber = session.declare_subscriber(f"{key_names.TOPIC}echo/{name}", Callback(on_echo, indirect=False))
     ask(session, name, ECHO)
     try:
         hears = heard.get(timeout=PATIENCE_S if bundle is None or bundle.role == "observer" else PATIENCE_S / 4)

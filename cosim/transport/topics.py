@@ -18,7 +18,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from cosim.federate import Event
-from cosim.transport import security, wire
+from cosim.transport import key_names, wire
 from cosim.types import Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Topics:
         self._heard: dict[str, bool] = {}  # whether anybody listens, by key
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._each: tuple[tuple[str, ...], tuple[str, ...]] = (), ()  # vehicles, and the keys of their states
-        self._queryable = session.declare_queryable(security.ABOUT, Callback(self._on_question, indirect=False))
+        self._queryable = session.declare_queryable(key_names.ABOUT, Callback(self._on_question, indirect=False))
 
     def on(self, event: Event) -> None:
         """Take an event at its own time."""
@@ -99,7 +99,7 @@ class Topics:
         if set(key).isdisjoint("*$?#"):  # of a part of the user's own
             with contextlib.suppress(zenoh.ZError):
                 publisher = self._session.declare_publisher(
-                    security.TOPIC + key,
+                    key_names.TOPIC + key,
                     congestion_control=zenoh.CongestionControl.DROP,
                     priority=zenoh.Priority.DATA_LOW,
                 )
@@ -126,13 +126,13 @@ class Topics:
         self._publishers[key].put(payload, encoding=f"application/json;{tag}", attachment=stamp.pack(time_ns))
 
     def _on_question(self, query: zenoh.Query) -> None:
-        speaker = security.speaker(str(query.key_expr))
+        speaker = key_names.speaker(str(query.key_expr))
         with query:
             if speaker is not None:
                 query.reply(query.key_expr, msgspec.json.encode(self._answer(speaker[0])), encoding="application/json;about")
                 if query.payload is not None and query.payload.to_bytes() == ECHO:
                     self._session.put(
-                        f"{security.TOPIC}echo/{speaker[0]}",
+                        f"{key_names.TOPIC}echo/{speaker[0]}",
                         b'{"type":"echo"}',
                         encoding="application/json;echo",
                         attachment=stamp.pack(self._now_ns or 0),

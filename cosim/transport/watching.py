@@ -10,7 +10,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from cosim.errors import UsageError
-from cosim.transport import security
+from cosim.transport import diagnosis, key_names, security
 from cosim.transport.dialling import dial, hub_of
 from cosim.transport.topics import About, stamp
 
@@ -64,7 +64,7 @@ def watch(
         owner = ", ".join(bundle.vehicles)
         raise UsageError(f"{bundle.path}: is for the host of {owner}; to watch use what 'vcmvsp keys observer NAME' makes")
     with dial(endpoint, bundle, on_state) as session:
-        name = security.OPEN if bundle is None else bundle.name
+        name = key_names.OPEN if bundle is None else bundle.name
         about = greeted(session, name)
         inbox: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
         lost = 0
@@ -97,7 +97,7 @@ class _Presence:
         self._gone_at: float | None = None  # its token
         self._cut_at: float | None = None  # its session
         changes = Callback(self._on_token, indirect=False)
-        session.liveliness().declare_subscriber(security.HUB_ALIVE, changes, history=True)
+        session.liveliness().declare_subscriber(key_names.HUB_ALIVE, changes, history=True)
 
     def is_over(self) -> bool:
         """Whether the run has ended, or is out of reach for good."""
@@ -111,7 +111,7 @@ class _Presence:
         since = self._gone_at or self._cut_at
         if since is None:
             return False
-        refusal = security.diagnose(self._endpoint, self._bundle)
+        refusal = diagnosis.diagnose(self._endpoint, self._bundle)
         hopeless = (refusal is not None and refusal.final) or time.monotonic() > since + PATIENCE_S
         if not hopeless:
             time.sleep(POLL_S)
@@ -143,19 +143,19 @@ def _seen(sample: zenoh.Sample) -> Seen | None:
         return None  # nothing that a run has said
     (time_ns,) = stamp.unpack(when.to_bytes())
     kind = str(sample.encoding).rpartition(";")[2]
-    return None if kind == "echo" else Seen(time_ns, key.removeprefix(security.TOPIC), kind, sample.payload.to_bytes())
+    return None if kind == "echo" else Seen(time_ns, key.removeprefix(key_names.TOPIC), kind, sample.payload.to_bytes())
 
 
 def _expression(topic: str) -> str:
     try:
-        return str(zenoh.KeyExpr(security.TOPIC + topic))
+        return str(zenoh.KeyExpr(key_names.TOPIC + topic))
     except zenoh.ZError as error:
         raise UsageError(f"--topic {topic}: must be a key like car2/command, with * for one part and ** for many") from error
 
 
 def ask(session: zenoh.Session, name: str, payload: bytes = b"") -> About | None:
     """What the run says of itself on the key of this name; None: it says nothing."""
-    for reply in session.get(security.about_key(name), payload=payload, timeout=PATIENCE_S):
+    for reply in session.get(key_names.about_key(name), payload=payload, timeout=PATIENCE_S):
         if reply.ok is not None:
             try:
                 return msgspec.json.decode(reply.ok.payload.to_bytes(), type=About)
@@ -175,7 +175,7 @@ def greeted(session: zenoh.Session, name: str) -> About:
 
 
 def _no_answer(name: str) -> str:
-    if name == security.OPEN:
+    if name == key_names.OPEN:
         return "what listens there does not say what run it is: use the same vcmvsp version at both ends"
     return security.silence(name)
 

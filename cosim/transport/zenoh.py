@@ -1,9 +1,9 @@
 """The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients.
 
-The host's end is `cosim.transport.dialling`; the keys, and who may use which, are in `cosim.transport.security`. Questions and
-answers are publications, which Zenoh loses in silence when a link breaks. So they are numbered, and a host keeps its last
-answers: one whose token comes back, or that has been silent for a second, is asked again all that is open, and does nothing
-twice.
+The host's end is `cosim.transport.dialling`; the keys are in `cosim.transport.key_names`, and who may use which in
+`cosim.transport.security`. Questions and answers are publications, which Zenoh loses in silence when a link breaks. So they are
+numbered, and a host keeps its last answers: one whose token comes back, or that has been silent for a second, is asked again
+all that is open, and does nothing twice.
 Callbacks are always direct (no thread per callback) and only hand over to a queue.
 """
 
@@ -21,7 +21,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from cosim.errors import UsageError
-from cosim.transport import checking, security, wire
+from cosim.transport import checking, key_names, security, wire
 from cosim.transport.crew import LateError, LinkError
 from cosim.transport.wire import Machine
 
@@ -89,9 +89,9 @@ class Hub:
         self.gone: dict[Machine, float] = {}  # hosts whose token has gone, and when
         self._links: dict[Machine, ZenohLink] = {}
         session = self.session
-        self._watch = session.liveliness().declare_subscriber(security.ALIVE, Callback(self._on_token, indirect=False))
-        self._door = session.declare_queryable(security.JOIN, Callback(self._on_join, indirect=False))
-        self._token = session.liveliness().declare_token(security.HUB_ALIVE)
+        self._watch = session.liveliness().declare_subscriber(key_names.ALIVE, Callback(self._on_token, indirect=False))
+        self._door = session.declare_queryable(key_names.JOIN, Callback(self._on_join, indirect=False))
+        self._token = session.liveliness().declare_token(key_names.HUB_ALIVE)
 
     def next_hello(self, timeout_s: float) -> "Knock | None":
         """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
@@ -99,11 +99,11 @@ class Hub:
             query = self._joins.get(timeout=timeout_s)
         except queue.Empty:
             return None
-        speaker = security.speaker(str(query.key_expr))
+        speaker = key_names.speaker(str(query.key_expr))
         try:
             hello = wire.hellos.decode(query.payload.to_bytes() if query.payload else b"")
             machine = speaker[0] if speaker else "", hello.host
-            key = security.host_key(*machine, "ask")
+            key = key_names.host_key(*machine, "ask")
             checking.greeting(hello)
         except ValueError:
             self._reply(query, "that was no greeting of a vcmvsp host")
@@ -138,7 +138,7 @@ class Hub:
         self.session.close()  # type: ignore[no-untyped-call]
 
     def _on_token(self, sample: zenoh.Sample) -> None:
-        speaker = security.speaker(str(sample.key_expr))
+        speaker = key_names.speaker(str(sample.key_expr))
         if speaker is None:
             return
         there = sample.kind == zenoh.SampleKind.PUT
@@ -226,7 +226,7 @@ class ZenohLink:
         self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
         self._open: deque[_Question] = deque()
         self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
-        self._answers = zenoh.KeyExpr(security.answer_key(key))
+        self._answers = zenoh.KeyExpr(key_names.answer_key(key))
         # A callback in Python costs more than it does: in a thread of Zenoh's, each call has memory mapped for its frames.
         take = self._on_answer if stranger else self._news.put
         self._hears = session.declare_subscriber(self._answers, Callback(take, indirect=False))

@@ -1,7 +1,10 @@
 """What the control station knows: the newest of all that it was shown, in rows as the scenery has its vehicles."""
 
 from collections import deque
+from collections.abc import Mapping
+from typing import get_origin
 
+import msgspec
 import numpy as np
 
 from cosim.types import (
@@ -20,21 +23,7 @@ from cosim.view.shown import Line, Pace, Scenery, Shown
 
 NEVER_NS = -(2**62)
 LINES = 200  # of the log are kept
-MAPPINGS = (
-    "obstacles",
-    "targets",
-    "places",
-    "notes",
-    "fixes",
-    "scans",
-    "images",
-    "sightings",
-    "maps",
-    "mosaics",
-    "heard_ns",
-    "presence",
-    "real",
-)
+MAPPINGS = tuple(each.name for each in msgspec.structs.fields(Shown) if get_origin(each.type) is Mapping)
 """Fields of `Shown` of which the newest of each key counts."""
 
 

@@ -11,7 +11,7 @@ from typing import Self
 from cosim import codec
 from cosim.errors import UsageError
 from cosim.transport.process import BOOT, ending
-from cosim.view import wire
+from cosim.view import HOST, wire
 from cosim.view.feed import Feed
 from cosim.view.feed_newest import Places, Poses
 from cosim.view.gate_rules import new_token, url_of
@@ -32,10 +32,10 @@ class Viewer:
     def open(
         cls,
         scenery: Scenery,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        token: str | None = None,
+        host: str = HOST,
         *,
+        port: int,
+        token: str | None = None,
         moving: Poses | None = None,
         targets: Places | None = None,
     ) -> Self:

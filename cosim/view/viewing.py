@@ -12,8 +12,6 @@ from cosim.view.live import Live, may
 from cosim.view.scenery import scenery_of
 from cosim.view.viewer import Viewer
 
-PORT = 8080
-
 
 class Viewing:
     """The control station of one run. Use it as a context manager: leaving it closes the page.
@@ -24,7 +22,7 @@ class Viewing:
         opened: told the address of the page, with the token that lets one in.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = PORT, opened: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(self, host: str, port: int, opened: Callable[[str], None]) -> None:
         self._host, self._port, self._opened = host, port, opened
         self._viewer: Viewer | None = None
 
@@ -53,7 +51,7 @@ class Viewing:
         self._viewer = Viewer.open(
             scenery,
             self._host,
-            self._port,
+            port=self._port,
             moving={each.name: each.pose for each in world.moving},
             targets={each.name: each.place for each in world.targets},
         )

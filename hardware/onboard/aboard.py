@@ -15,7 +15,8 @@ from cosim.clock import seconds_to_ns
 from cosim.text import plain
 from cosim.types import Vec3
 from hardware.driver import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
-from hardware.onboard.wire import DEADMAN_S, NOT_YET, NOTICES_AT_ONCE, Down, Failure
+from hardware.onboard.wire import DEADMAN_S, NOTICES_AT_ONCE, Down, Failure
+from hardware.pace import NOT_YET
 from hardware.station.guarded import within
 
 GRACE_S = 2.0  # beyond what a driver says of itself

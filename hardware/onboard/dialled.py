@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import zenoh
 from zenoh.handlers import Callback
 
-from cosim.transport import security
+from cosim.transport import key_names
 from cosim.transport.dialling import dial
 from hardware.onboard import wire
 from hardware.onboard.wire import Welcome
@@ -45,18 +45,18 @@ class Dialled:
     """
 
     def __init__(self, endpoint: str, bundle: "Bundle | None", vehicle: str) -> None:
-        self._name = security.OPEN if bundle is None else bundle.name
+        self._name = key_names.OPEN if bundle is None else bundle.name
         self._session = dial(endpoint, bundle, _give_up)
         self.id = str(self._session.zid())
         self._news: queue.SimpleQueue[Told | Literal["gone"]] = queue.SimpleQueue()
         try:
-            down, up, alive = (security.robot_key(self._name, vehicle, self.id, each) for each in ("down", "up", "alive"))
+            down, up, alive = (key_names.robot_key(self._name, vehicle, self.id, each) for each in ("down", "up", "alive"))
             drop = zenoh.CongestionControl.DROP  # what is not taken is said again
             self._says = self._session.declare_publisher(up, congestion_control=drop, express=True)
             watch = Callback(self._on_hub, indirect=False)
             self._kept: list[Any] = [
                 self._session.declare_subscriber(down, Callback(self._on_sample, indirect=False)),
-                self._session.liveliness().declare_subscriber(security.HUB_ALIVE, watch, history=True),
+                self._session.liveliness().declare_subscriber(key_names.HUB_ALIVE, watch, history=True),
                 self._session.liveliness().declare_token(alive),
             ]
         except BaseException:
@@ -65,7 +65,7 @@ class Dialled:
 
     def greet(self, greeting: bytes) -> Welcome | None:
         """The answer to a greeting; None: there is none."""
-        for reply in self._session.get(security.greet_key(self._name), payload=greeting, timeout=ANSWER_S):
+        for reply in self._session.get(key_names.greet_key(self._name), payload=greeting, timeout=ANSWER_S):
             if reply.ok is not None:
                 with contextlib.suppress(ValueError):
                     return wire.welcomes.decode(reply.ok.payload.to_bytes())

@@ -13,7 +13,7 @@ from zenoh.handlers import Callback
 
 from cosim.codec import encode
 from cosim.errors import UsageError
-from cosim.transport import security
+from cosim.transport import key_names, security
 from cosim.transport.zenoh import opened
 from hardware.driver import PortError
 from hardware.onboard.wire import Welcome
@@ -84,14 +84,14 @@ class Door:
         watch = Callback(self._on_token, indirect=False)
         self._kept: list[Any] = [
             self._session.liveliness().declare_subscriber(alive, watch),
-            self._session.declare_queryable(security.GREET, Callback(self._on_greeting, indirect=False)),
-            self._session.liveliness().declare_token(security.HUB_ALIVE),
+            self._session.declare_queryable(key_names.GREET, Callback(self._on_greeting, indirect=False)),
+            self._session.liveliness().declare_token(key_names.HUB_ALIVE),
         ]
 
     def follow(self, peer: Peer) -> None:
         """Hear this robot from now on, and speak to it; raises `ValueError` if there can be no such robot."""
-        up = security.robot_key(peer.name, self._vehicle, peer.session, "up")
-        down = security.robot_key(peer.name, self._vehicle, peer.session, "down")
+        up = key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
+        down = key_names.robot_key(peer.name, self._vehicle, peer.session, "down")
         self.leave()
         self._subscriber = self._session.declare_subscriber(up, Callback(self._on_sample, indirect=False))
         drop = zenoh.CongestionControl.DROP  # a robot that does not listen holds nobody up
@@ -116,7 +116,7 @@ class Door:
             self._session.close()  # type: ignore[no-untyped-call]
 
     def _on_greeting(self, query: zenoh.Query) -> None:
-        speaker = security.robot_speaker(str(query.key_expr))
+        speaker = key_names.robot_speaker(str(query.key_expr))
         said = query.payload.to_bytes() if query.payload else b""
         if speaker is None or len(said) > security.MAX_ROBOT:
             return
@@ -140,5 +140,5 @@ class Door:
 
     def _peer(self, key: zenoh.KeyExpr) -> Peer | None:
         """Who has said it; None: a key with wildcards of its own, say."""
-        speaker = security.robot_speaker(str(key))
+        speaker = key_names.robot_speaker(str(key))
         return Peer(speaker[0], speaker[2]) if speaker is not None and speaker[1] == self._vehicle else None

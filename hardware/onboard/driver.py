@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.errors import ScenarioError, UsageError
 from cosim.text import plain
-from cosim.transport import security
+from cosim.transport import endpoints, key_names
 from cosim.types import NonNegative, Positive, Vec3
 from hardware.driver import COMMAND_TIMEOUT_S, CommandTimeout, DriverError, HandshakeError, LinkLost, PortError
 from hardware.onboard import wire
@@ -167,7 +167,7 @@ class ZenohDriver(Talking):
         try:
             hello = wire.hellos.decode(knock.said)
             peer = Peer(knock.name, hello.session)
-            security.robot_key(peer.name, self._vehicle, peer.session, "up")
+            key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
         except ValueError:
             knock.answer(Welcome(refused="that was no greeting of a robot of this version", final=True))
             return
@@ -216,4 +216,4 @@ def _check(listen: str, keys: str, *, insecure: bool) -> None:
     """Raise `UsageError` if it may not listen there so; the keys themselves are read when it is opened."""
     if keys and insecure:
         raise UsageError("keys and insecure exclude one another: leave one of them out")
-    security.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")
+    endpoints.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")

@@ -5,7 +5,7 @@ No clock and no link of its own: time comes in, velocities come out.
 
 from cosim.clock import seconds_to_ns
 from cosim.types import Velocity
-from hardware.onboard.wire import NOT_YET
+from hardware.pace import NOT_YET
 
 
 class Orders:

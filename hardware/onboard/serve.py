@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim import registry, table
 from cosim.errors import ScenarioError, UsageError
-from cosim.transport import security
+from cosim.transport import endpoints, key_names
 from cosim.types import Vec3
 from hardware.driver import Driver
 from hardware.onboard.program import Program
@@ -48,11 +48,11 @@ def robot(
         ScenarioError: the driver cannot be built so.
     """
     try:
-        security.robot_key(security.OPEN, vehicle, "0", "up")
+        key_names.robot_key(key_names.OPEN, vehicle, "0", "up")
     except ValueError:
         raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -") from None
     bundle, foreign = _bundle(keys, vehicle, tell)
-    security.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
+    endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
     start = None if pose is None else pose_of(pose)
     program = Program(vehicle, built(driver, params or {}), connect, bundle, pose=start, foreign=foreign, tell=tell)
     before = {each: signal.signal(each, program.told_to_end) for each in (signal.SIGINT, signal.SIGTERM)}

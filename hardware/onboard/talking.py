@@ -12,7 +12,7 @@ import time
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.codec import encode
 from cosim.text import plain
-from cosim.transport import security
+from cosim.transport import key_names
 from cosim.types import Vec3, Velocity
 from hardware.driver import DriverError, HandshakeError, LinkLost, PortError
 from hardware.onboard import wire
@@ -20,6 +20,7 @@ from hardware.onboard.door import Door, Gone, Heard, Knock, News, Peer
 from hardware.onboard.orders import Orders
 from hardware.onboard.track import Track
 from hardware.onboard.wire import SAY_S, Down, Failure, Hello
+from hardware.pace import NOT_YET
 from hardware.threaded import NOTICES, Threaded
 
 GRACE_S = 2.0  # for a robot, beyond what its driver says of itself
@@ -123,7 +124,7 @@ class Talking(Threaded):
             yours_ns=self._yours_ns,
             noticed=noticed,
             velocity=velocity,
-            stop="" if velocity else stopped or wire.NOT_YET,
+            stop="" if velocity else stopped or NOT_YET,
             leave=leave,
         )
         self._door.say(encode(down))
@@ -161,7 +162,7 @@ class Talking(Threaded):
             return
         with self._lock:
             self._connected, self._lost = True, None
-        who = "" if self._peer.name == security.OPEN else f", certificate of '{self._peer.name}'"
+        who = "" if self._peer.name == key_names.OPEN else f", certificate of '{self._peer.name}'"
         about = f"{plain(self._hello.device)} aboard{who}; its clock is known to {clock.error_ns / 1e6:.1f} ms"
         self._notice("connected", about)
         self._ready.set()

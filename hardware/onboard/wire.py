@@ -10,6 +10,7 @@ from typing import Literal
 from cosim.codec import Decoder
 from cosim.types import Value, Vec3, Velocity
 from hardware.driver import COMMAND_TIMEOUT_S, Notice, Sample
+from hardware.pace import NOT_YET
 
 PROTOCOL = 1
 SAY_S = 0.05
@@ -17,8 +18,6 @@ DEADMAN_S = COMMAND_TIMEOUT_S
 """Aboard: without a velocity for so long, or with one that may be older, the robot is stopped."""
 
 NOTICES_AT_ONCE = 20  # in one message; more wait until these have been heard
-
-NOT_YET = "no command yet"
 
 
 class Hello(Value, frozen=True, kw_only=True):

@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Sequence
 from typing import Protocol
 
-from cosim.transport.security import is_loopback
+from cosim.transport.endpoints import is_loopback
 
 BROADCAST = -1
 """In place of the row of a vehicle: all who can hear it."""

@@ -21,7 +21,7 @@ from zenoh.handlers import Callback
 
 from cosim.codec import Decoder, encode
 from cosim.errors import UsageError
-from cosim.transport import security
+from cosim.transport import endpoints, security
 from cosim.transport.zenoh import opened
 from cosim.types import Name
 from netsim.bridge.door import BROADCAST, LARGEST, DoorError, Hall
@@ -166,7 +166,7 @@ class ZenohDoor:
         parts = _ENDPOINT.fullmatch(endpoint)
         if not parts or not 0 < int(parts[2]) < 65_536:
             raise ValueError(f"listen: '{endpoint}' of {name} must be tcp/HOST:PORT")
-        if not self._insecure and not security.is_loopback(parts[1].strip("[]")):
+        if not self._insecure and not endpoints.is_loopback(parts[1].strip("[]")):
             problem = f"listen: {endpoint} of {name} lets in everybody who can reach that address"
             raise ValueError(f"{problem}: listen at 127.0.0.1 and come through ssh -L, or add insecure = true")
         return endpoint

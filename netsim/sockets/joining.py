@@ -12,7 +12,7 @@ from cosim.errors import FederateError, ScenarioError
 from cosim.sockets_wire import MOST_UP, PIECE, VERSION, Hello, Refused, Stream, Up, Welcome, WireError, parsed, up
 from cosim.table import unknown
 from cosim.text import LONGEST_NAME, plain
-from cosim.transport.security import is_loopback
+from cosim.transport.endpoints import is_loopback
 
 MOST_STRANGERS = 64  # who have connected and not said who they are
 GREETING_S = 5.0  # within which they must

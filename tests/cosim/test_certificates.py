@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cosim import certificates, signing
+from cosim import authority, certificates, signing
 from cosim.errors import UsageError
 from tests.cosim.command import vcmvsp
 
@@ -25,17 +25,17 @@ DAY = dt.timedelta(days=1)
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An authority that no test changes."""
     folder = tmp_path_factory.mktemp("authority") / "keys"
-    certificates.init(folder, ["10.0.0.5", "lab.example.org"])
-    certificates.issue(folder, "car2", ["car2"])
-    certificates.issue(folder, "laptop", ["car3", "car4"])
-    certificates.issue(folder, "anna")
+    authority.init(folder, ["10.0.0.5", "lab.example.org"])
+    authority.issue(folder, "car2", ["car2"])
+    authority.issue(folder, "laptop", ["car3", "car4"])
+    authority.issue(folder, "anna")
     return folder
 
 
 @pytest.fixture
 def keys(tmp_path: Path) -> Path:
     """An authority to change."""
-    return certificates.init(tmp_path / "keys").folder
+    return authority.init(tmp_path / "keys").folder
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def test_valid_for_as_long_as_is_said(shared: Path, keys: Path) -> None:
     near = dt.timedelta(minutes=2)
     assert abs(certificates.load(shared).until - now - 365 * DAY) < near
     assert abs(certificates.load_bundle(shared / "car2.keys").until - now - 90 * DAY) < near
-    assert abs(certificates.issue(keys, "car2", ["car2"], days=3).until - now - 3 * DAY) < near
+    assert abs(authority.issue(keys, "car2", ["car2"], days=3).until - now - 3 * DAY) < near
     ca = x509.load_pem_x509_certificate((shared / "ca.pem").read_bytes())
     assert abs(ca.not_valid_after_utc - now - 3650 * DAY) < near
 
@@ -144,7 +144,7 @@ def test_the_index_knows_who_may_come(shared: Path) -> None:
 
 
 def test_a_machine_that_expired_serves_nobody(keys: Path, at: Callable[[dt.timedelta], None]) -> None:
-    certificates.issue(keys, "car2", ["car2"], days=1)
+    authority.issue(keys, "car2", ["car2"], days=1)
     assert certificates.load(keys).lacking(["car2"]) == []
     at(2 * DAY)
     assert certificates.load(keys).lacking(["car2"]) == ["car2"]
@@ -153,79 +153,79 @@ def test_a_machine_that_expired_serves_nobody(keys: Path, at: Callable[[dt.timed
 def test_nothing_is_written_over_unless_that_is_wanted(keys: Path, tmp_path: Path) -> None:
     ca = (keys / "ca.pem").read_text()
     with pytest.raises(UsageError, match="holds an authority; --force"):
-        certificates.init(keys)
+        authority.init(keys)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
     with pytest.raises(UsageError, match="is not empty"):
-        certificates.init(tmp_path / "other", force=True)
-    certificates.issue(keys, "car2", ["car2"])
+        authority.init(tmp_path / "other", force=True)
+    authority.issue(keys, "car2", ["car2"])
     first = (keys / "car2.keys").read_text()
     with pytest.raises(UsageError, match=r"'car2' has a certificate until .* --force makes another"):
-        certificates.issue(keys, "car2", ["car2"], out=tmp_path / "else.keys")
+        authority.issue(keys, "car2", ["car2"], out=tmp_path / "else.keys")
     taken = tmp_path / "taken.keys"
     taken.write_text("precious")
     with pytest.raises(UsageError, match=r"taken\.keys: exists"):
-        certificates.issue(keys, "car3", ["car3"], out=taken)
+        authority.issue(keys, "car3", ["car3"], out=taken)
     assert (keys / "car2.keys").read_text() == first
     assert taken.read_text() == "precious"
-    assert certificates.issue(keys, "car2", ["car2"], force=True).certificate_pem not in first
+    assert authority.issue(keys, "car2", ["car2"], force=True).certificate_pem not in first
     assert (keys / "ca.pem").read_text() == ca
-    certificates.init(keys, force=True)
+    authority.init(keys, force=True)
     assert (keys / "ca.pem").read_text() != ca
     assert certificates.load(keys).index.issued == ()
 
 
 def test_the_hubs_certificate_again_voids_no_other(keys: Path) -> None:
-    certificates.issue(keys, "car2", ["car2"])
-    again = certificates.renew_hub(keys, ["10.0.0.9"])
+    authority.issue(keys, "car2", ["car2"])
+    again = authority.renew_hub(keys, ["10.0.0.9"])
     assert again.names[-1] == "10.0.0.9"
     assert [entry.name for entry in again.members] == ["car2"]
-    assert certificates.renew_hub(keys).names == again.names
+    assert authority.renew_hub(keys).names == again.names
     assert shake((keys / "hub.pem", keys / "hub.key"), keys / "car2.keys", keys / "ca.pem", "10.0.0.9") == ""
 
 
 def test_a_name_means_one_thing_for_good(keys: Path) -> None:
-    certificates.issue(keys, "laptop", ["car3", "car4"])
+    authority.issue(keys, "laptop", ["car3", "car4"])
     with pytest.raises(UsageError, match="is for car3, car4: choose another name"):
-        certificates.issue(keys, "laptop", ["car3", "car5"], force=True)
+        authority.issue(keys, "laptop", ["car3", "car5"], force=True)
     with pytest.raises(UsageError, match="is for car3, car4: choose another name"):
-        certificates.issue(keys, "laptop", force=True)
-    assert certificates.issue(keys, "laptop", ["car4", "car3"], force=True).name == "laptop"
-    assert certificates.revoke(keys, "laptop").revoked
+        authority.issue(keys, "laptop", force=True)
+    assert authority.issue(keys, "laptop", ["car4", "car3"], force=True).name == "laptop"
+    assert authority.revoke(keys, "laptop").revoked
     assert certificates.load(keys).members == ()
     assert certificates.load(keys).lacking(["car3"]) == ["car3"]
     with pytest.raises(UsageError, match="'laptop' was revoked, and a new certificate would make the old one good again"):
-        certificates.issue(keys, "laptop", ["car3", "car4"], force=True)
+        authority.issue(keys, "laptop", ["car3", "car4"], force=True)
     with pytest.raises(UsageError, match=r"has given no certificate to 'car9' \(but to: laptop\)"):
-        certificates.revoke(keys, "car9")
+        authority.revoke(keys, "car9")
 
 
 @pytest.mark.parametrize("name", ["", "a b", "../x", "car*", "a/b", "\u00e4", "x" * 65, "a\n", "@a", "$*"])
 def test_names_that_could_be_more_than_a_name_are_refused(keys: Path, name: str) -> None:
     before = sorted(path.name for path in keys.iterdir())
     with pytest.raises(UsageError, match="is no name"):
-        certificates.issue(keys, name)
+        authority.issue(keys, name)
     with pytest.raises(UsageError, match="is no name"):
-        certificates.issue(keys, "host", ["car2", name])
+        authority.issue(keys, "host", ["car2", name])
     assert sorted(path.name for path in keys.iterdir()) == before
 
 
 def test_the_hubs_name_is_nobody_elses(keys: Path) -> None:
     with pytest.raises(UsageError, match="'hub' is the name of the run itself"):
-        certificates.issue(keys, "hub", ["hub"])
+        authority.issue(keys, "hub", ["hub"])
     for name in ("tls/10.0.0.1:7447", "a b", "-x", "10.0.0.1:7447", "*.example.org"):
         with pytest.raises(UsageError, match="must be a host name or an IP address"):
-            certificates.renew_hub(keys, [name])
+            authority.renew_hub(keys, [name])
     for days in (0, -1, 3651):
         with pytest.raises(UsageError, match=f"--days {days}: must be from 1 to 3650"):
-            certificates.issue(keys, "car2", ["car2"], days=days)
+            authority.issue(keys, "car2", ["car2"], days=days)
 
 
 def test_no_certificate_outlives_the_authority(keys: Path, at: Callable[[dt.timedelta], None]) -> None:
     at(3600 * DAY)
-    certificates.issue(keys, "car2", ["car2"], days=49)
+    authority.issue(keys, "car2", ["car2"], days=49)
     with pytest.raises(UsageError, match="days are too many: the authority is valid until"):
-        certificates.issue(keys, "car3", ["car3"], days=51)
+        authority.issue(keys, "car3", ["car3"], days=51)
 
 
 def test_expiry_is_told_before_and_named_after(shared: Path, at: Callable[[dt.timedelta], None]) -> None:
@@ -273,7 +273,7 @@ def test_a_folder_is_no_file_and_a_file_no_folder(shared: Path, tmp_path: Path) 
 
 
 def test_parts_that_do_not_belong_together_are_refused(shared: Path, keys: Path, tmp_path: Path) -> None:
-    certificates.issue(keys, "car2", ["car2"])
+    authority.issue(keys, "car2", ["car2"])
     one, other = (signing.blocks((folder / "car2.keys").read_text()) for folder in (shared, keys))
     for parts in ([other[0], *one[1:]], [*one[:2], other[2]], one[:2], [*one, *one], []):
         mixed = tmp_path / "mixed.keys"
@@ -285,7 +285,7 @@ def test_parts_that_do_not_belong_together_are_refused(shared: Path, keys: Path,
         certificates.load(keys)
     (keys / "ca.key").write_text((shared / "ca.key").read_text())
     with pytest.raises(UsageError):
-        certificates.issue(keys, "car5", ["car5"])
+        authority.issue(keys, "car5", ["car5"])
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -353,7 +353,7 @@ def test_wrong_commands_are_one_line_and_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], says: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    certificates.init(Path("keys"))
+    authority.init(Path("keys"))
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     outcome = vcmvsp("keys", *arguments)
     assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)

@@ -10,11 +10,13 @@ import msgspec
 import pytest
 
 from cosim import (
-    reference,
+    reference_asked,
     reference_index,
+    reference_keys,
     reference_text,
     reference_tree,
     reference_unsaid,
+    registered,
     registry,
     repeat,
     scenario_tables,
@@ -30,7 +32,7 @@ KEY = Key(name="size", type="> 0", unit="", schema={}, required=False, default=2
 
 def keys(section: str) -> dict[str, list[Key]]:
     """What is found for a section: keys by the path and kind of their tables."""
-    return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in reference_tree.asked(section)}
+    return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in reference_asked.asked(section)}
 
 
 def names(section: str) -> dict[str, list[str]]:
@@ -55,12 +57,12 @@ def test_every_key_of_every_table_is_there() -> None:
 @pytest.mark.parametrize("place", [place for place in reference_tree.places() if place.kinds], ids=lambda place: place.path)
 def test_every_kind_is_there_with_all_that_it_takes(place: reference_tree.Place) -> None:
     sections = [each for each in WHOLE.sections if each.path == place.path]
-    assert [each.kind for each in sections if each.kind] == [*registry.KINDS[place.group]]
+    assert [each.kind for each in sections if each.kind] == [*registered.KINDS[place.group]]
     shared = {key.name for each in sections if not each.kind for key in each.keys}
     for each in sections:
         if each.kind:
             wanted = {*table.parameters(registry.find(place.group, each.kind))}
-            hidden = {*reference.OFFERED, *itertools.chain(*reference.OFFERED_TO.values())}
+            hidden = {*reference_keys.OFFERED, *itertools.chain(*reference_keys.OFFERED_TO.values())}
             assert wanted - hidden <= {key.name for key in each.keys} | shared
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim import certificates, cli
+from cosim import authority, cli
 from cosim.cli_robot import register
 from cosim.errors import ScenarioError
 from hardware.arcos.driver import ArcosDriver
@@ -91,8 +91,8 @@ def test_options_that_are_wrong_are_named(options: tuple[str, ...], problem: str
 
 
 def test_the_certificate_of_an_observer_drives_nothing(tmp_path: Path) -> None:
-    certificates.init(tmp_path / "keys")
-    certificates.issue(tmp_path / "keys", "anna")
+    authority.init(tmp_path / "keys")
+    authority.issue(tmp_path / "keys", "anna")
     outcome = robot("--keys", str(tmp_path / "keys" / "anna.keys"), connect="tls/127.0.0.1:7448")
     assert outcome.code == 2
     assert "is for watching only" in outcome.err

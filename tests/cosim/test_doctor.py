@@ -13,9 +13,9 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from cosim import certificates, signing
+from cosim import authority, certificates, signing
 from cosim.certificates import Keys
-from cosim.transport import security, wire
+from cosim.transport import key_names, security, wire
 from cosim.transport.topics import Topics
 from cosim.transport.zenoh import Hub
 from tests.cosim.command import vcmvsp
@@ -26,11 +26,11 @@ ABOUT = {"scenario": "here", "duration_s": 60.0, "vehicles": ("car1", "car2"), "
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
     folder = tmp_path_factory.mktemp("doctor") / "keys"
-    certificates.init(folder)
-    certificates.issue(folder, "laptop", ["car1", "car2"])
+    authority.init(folder)
+    authority.issue(folder, "laptop", ["car1", "car2"])
     for name in ("anna", "gone"):
-        certificates.issue(folder, name)
-    certificates.revoke(folder, "gone")
+        authority.issue(folder, name)
+    authority.revoke(folder, "gone")
     return certificates.load(folder)
 
 
@@ -112,11 +112,11 @@ def test_what_is_wrong_is_named_and_ends_the_examination(
 ) -> None:
     endpoint = shows(stack, keys)
     foreign = tmp_path / "foreign"
-    certificates.init(foreign)
-    certificates.issue(foreign, "anna")
+    authority.init(foreign)
+    authority.issue(foreign, "anna")
     with monkeypatch.context() as patch:
         patch.setattr(signing, "now", lambda: dt.datetime.now(dt.UTC) - dt.timedelta(days=2))
-        certificates.issue(foreign, "old", days=1)
+        authority.issue(foreign, "old", days=1)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         nobody = f"tls/127.0.0.1:{free.getsockname()[1]}"
@@ -144,7 +144,7 @@ def test_the_other_clock_and_the_other_version(stack: contextlib.ExitStack, off_
         with query:
             query.reply(query.key_expr, json.dumps(about))
 
-    hub.session.declare_queryable(security.ABOUT, Callback(answer, indirect=False))
+    hub.session.declare_queryable(key_names.ABOUT, Callback(answer, indirect=False))
     code, checks = examined(hub.endpoint)
     assert code == 1
     ok, words = checks["versions"]

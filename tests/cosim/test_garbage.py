@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim import certificates
-from cosim.transport import security, wire
+from cosim import authority
+from cosim.transport import key_names, wire
 from cosim.transport.zenoh import Hub, opened
 from tests.cosim.hosting import Stage, ended, wait_for
 
@@ -64,8 +64,8 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
         (tmp_path / "garbage.toml").write_text(SCENARIO.format(duration=6.0))
         endpoint, with_keys, host_keys = f"{protocol}/127.0.0.1:{stage.port}", [], []
         if protocol == "tls":
-            certificates.init(tmp_path / "keys")
-            bundle = certificates.issue(tmp_path / "keys", "machine", ["car1", "car2"])
+            authority.init(tmp_path / "keys")
+            bundle = authority.issue(tmp_path / "keys", "machine", ["car1", "car2"])
             with_keys, host_keys = ["--keys", "keys"], ["--keys", str(bundle.path)]
         run = stage.start("run", "garbage.toml", "--listen", endpoint, *with_keys, "--realtime", "--out", "out")
         hosts = [stage.start("agent", "--vehicle", name, "--connect", endpoint, *host_keys) for name in ("car1", "car2")]
@@ -99,12 +99,12 @@ def test_nonsense_for_a_greeting_is_answered_and_the_next_host_is_heard() -> Non
                 nonsense = [draw.randbytes(draw.choice([0, 10, 5000])), honest[: draw.randrange(len(honest))], other][
                     number % 3
                 ]
-                replies = session.get(security.join_key("anyone"), payload=nonsense, timeout=10.0)
+                replies = session.get(key_names.join_key("anyone"), payload=nonsense, timeout=10.0)
                 assert hub.next_hello(10.0) is None
                 reply = replies.recv().ok
                 assert reply is not None
                 assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "that was no greeting of a vcmvsp host"
-            replies = session.get(security.join_key("anyone"), payload=honest, timeout=10.0)
+            replies = session.get(key_names.join_key("anyone"), payload=honest, timeout=10.0)
             knock = hub.next_hello(10.0)
             assert knock is not None
             assert knock.hello.vehicles == ("car2",)

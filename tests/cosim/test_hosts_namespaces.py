@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cosim
-from cosim import certificates
+from cosim import authority
 from tests.cosim.command import contents
 from tests.cosim.hosting import Stage, ended, wait_for
 from tests.cosim.namespaces import MIDDLE, PORT, RUN, Network
@@ -51,11 +51,11 @@ class Far(Stage):
         super().__init__(folder)
         self.network = network
         (folder / "far.toml").write_text(SCENARIO.format(duration=duration))
-        certificates.init(folder / "keys")
-        certificates.renew_hub(folder / "keys", [MIDDLE])
+        authority.init(folder / "keys")
+        authority.renew_hub(folder / "keys", [MIDDLE])
 
     def keys(self, name: str, *vehicles: str, of: str = "keys") -> str:
-        bundle = certificates.issue(self.folder / of, name, list(vehicles))
+        bundle = authority.issue(self.folder / of, name, list(vehicles))
         return str(bundle.path)
 
     def run(self, *more: str) -> "subprocess.Popen[str]":
@@ -121,7 +121,7 @@ serve.host(sys.argv[1], ("car3",), keys=Path(sys.argv[2]))
 """
 SPY = """
 import sys, time, zenoh, json; from pathlib import Path; from zenoh.handlers import Callback
-from cosim import certificates; from cosim.transport import security
+from cosim import certificates; from cosim.transport import key_names, security
 from cosim.transport.zenoh import COMMON
 heard = Path(sys.argv[3])
 bundle = certificates.load_bundle(Path(sys.argv[2]))
@@ -135,7 +135,7 @@ each = Callback(note, indirect=False)
 for key in ("**", "vcmvsp/**", "vcmvsp/topic/**", "vcmvsp/host/**", "vcmvsp/host/machine1/**", "vcmvsp/join/*"):
     listens.declare_subscriber(key, each)
     listens.declare_queryable(key, each)
-for key in ("vcmvsp/host/**", security.HUB_ALIVE):
+for key in ("vcmvsp/host/**", key_names.HUB_ALIVE):
     listens.liveliness().declare_subscriber(key, each, history=True)
 heard.touch()
 while True:
@@ -150,7 +150,7 @@ while True:
 
 def test_intruders_from_other_machines_are_refused_and_hear_nothing(tmp_path: Path) -> None:
     with Network([0, 0]) as network, Far(tmp_path, network, 2.0) as far:
-        certificates.init(tmp_path / "foreign")
+        authority.init(tmp_path / "foreign")
         stranger = far.keys("machine0", "car1", of="foreign")
         mine, theirs = far.keys("machine0", "car1", "car2"), far.keys("machine1", "car3")
         run = far.run("--realtime")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim import drive, registry
+from cosim import drive, registered
 from cosim.errors import UsageError
 from cosim.types import Velocity, Waypoint
 from tests.cosim.command import vcmvsp
@@ -37,7 +37,7 @@ heading = 1.0
 def test_every_kind_is_listed_and_each_of_its_parameters_is_shown_with_a_meaning(group: str) -> None:
     about = json.loads(vcmvsp("list", group, "--json").out)
     word = group.removesuffix("s")
-    assert list(about) == list(registry.KINDS[word])
+    assert list(about) == list(registered.KINDS[word])
     for kind, summary in about.items():
         shown = vcmvsp("show", word, kind)
         assert shown.code == 0

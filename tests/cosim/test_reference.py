@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim import radio, reference, registry, scenario, table
+from cosim import radio, reference, reference_keys, registered, registry, scenario, table
 from cosim.errors import ScenarioError
 from cosim.reference_range import reach_m
 from cosim.source import Source
@@ -136,16 +136,16 @@ def test_it_is_the_same_in_every_process(blocks: dict[str, str]) -> None:
 # --- what is in it ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("layer", "kind"), [(layer, kind) for layer in LAYERS for kind in registry.KINDS[layer]])
+@pytest.mark.parametrize(("layer", "kind"), [(layer, kind) for layer in LAYERS for kind in registered.KINDS[layer]])
 def test_the_keys_of_a_kind_are_those_that_a_scenario_can_set(layer: str, kind: str, tmp_path: Path) -> None:
     (tmp_path / "links.csv").write_text("time_s,sender,receiver,loss\n0,a,b,1\n")
-    known = reference.keys(registry.find(layer, kind))
+    known = reference_keys.keys(registry.find(layer, kind))
     given = {name: REQUIRED.get(name, 0.1) for name, each in known.items() if each.required}
     source = Source("test", tmp_path)
     preset = {"dcf": "wifi-b-1", "csma154": "zigbee"}.get(kind, "ideal")  # a mac needs a phy of its standard
     _, resolved = radio.build({"preset": preset, layer: {"kind": kind, **given}}, source, vehicles=("a", "b"))
     assert set(resolved[layer]) == {"kind", *given, *(name for name, each in known.items() if each.default is not None)}
-    for name in reference.OFFERED:
+    for name in reference_keys.OFFERED:
         if name in table.parameters(registry.find(layer, kind)):  # comes from elsewhere, and is nobody's to set
             with pytest.raises(ScenarioError, match=f"unknown key '{name}'"):
                 radio.build({layer: {"kind": kind, **given, name: 0.1}}, source, vehicles=("a", "b"))
@@ -165,7 +165,7 @@ def test_the_table_of_presets_together_with_the_defaults_is_each_preset(name: st
         assert kind == content["kind"]
         target = registry.find(layer, kind)
         own = {key: value for key, value in content.items() if key != "kind"}
-        assert table.complete(target, values, reference.OFFERED) == table.complete(target, own, reference.OFFERED)
+        assert table.complete(target, values, reference_keys.OFFERED) == table.complete(target, own, reference_keys.OFFERED)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -228,7 +228,7 @@ def test_tables_within_tables_stand_once_with_all_the_keys_that_hold_them() -> N
 
 def test_of_a_table_only_what_is_unlike_its_own_defaults_is_shown() -> None:
     def default(value: Any) -> str:
-        return reference.default_of(table.Parameter(Shower, value, required=False), "")
+        return reference_keys.default_of(table.Parameter(Shower, value, required=False), "")
 
     assert default(Shower()) == "`{}`"
     assert default(Shower(mm=2.0)) == "`{ mm = 2.0 }`"
@@ -248,7 +248,7 @@ def test_the_first_who_speaks_of_a_key_says_what_it_means_the_others_where_their
 
 def test_what_kinds_have_in_common_stands_in_front_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
     storms = {"storm": Storm, "hail": Hail, "sleet": Sleet, "rain": Rain}
-    monkeypatch.setitem(registry.KINDS, "world", dict.fromkeys(storms, ""))
+    monkeypatch.setitem(registered.KINDS, "world", dict.fromkeys(storms, ""))
     monkeypatch.setattr(registry, "find", lambda group, kind: storms[kind])
     common, storm, alike, heads, *rest = reference.families("world").split("\n\n")
     assert common.splitlines()[2:] == ["| `wind` | number | `3.0` | m/s |"]
@@ -287,7 +287,7 @@ def test_a_parameter_that_means_nothing_is_refused() -> None:
     ],
 )
 def test_types_and_units(name: str, annotation: Any, words: str) -> None:
-    assert reference.type_of(name, annotation) == words
+    assert reference_keys.type_of(name, annotation) == words
 
 
 @pytest.mark.parametrize(
@@ -308,10 +308,10 @@ def test_types_and_units(name: str, annotation: Any, words: str) -> None:
     ],
 )
 def test_values_are_written_as_toml_reads_them(value: Any, text: str) -> None:
-    assert reference.toml(value) == text
+    assert reference_keys.toml(value) == text
     assert scenario.value_of(text) == value
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(2**63), 2**63 - 1))
 def test_every_number_is_read_as_it_was(value: float) -> None:
-    assert scenario.value_of(reference.toml(value)) == value
+    assert scenario.value_of(reference_keys.toml(value)) == value

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from cosim import registry
+from cosim import registered, registry
 from cosim.errors import ScenarioError, UsageError
 from cosim.table import Named
 
@@ -24,26 +24,26 @@ def refusal(group: str, kind: str, folder: Path | None = None) -> ScenarioError:
     return caught.value
 
 
-@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registry.KINDS.items() for kind in kinds])
+@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registered.KINDS.items() for kind in kinds])
 def test_every_short_name_leads_to_its_class(group: str, kind: str) -> None:
     found = registry.find(group, kind)
-    module, _, name = registry.KINDS[group][kind].partition(":")
+    module, _, name = registered.KINDS[group][kind].partition(":")
     assert found is getattr(importlib.import_module(module), name)
-    assert isinstance(found, type) or registry.KINDS[group][kind] == registry.NOTHING
+    assert isinstance(found, type) or registered.KINDS[group][kind] == registered.NOTHING
     assert found.__doc__, "the documentation of a kind is that of its class"
 
 
-@pytest.mark.parametrize("name", registry.PIECES)
+@pytest.mark.parametrize("name", registered.PIECES)
 def test_every_piece_is_there(name: str) -> None:
     assert registry.piece(name) is not None
 
 
-@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registry.KINDS.items() for kind in kinds])
+@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registered.KINDS.items() for kind in kinds])
 def test_a_slip_of_the_pen_is_answered_with_the_nearest_name(group: str, kind: str) -> None:
     problem = refusal(group, kind + "x").problem
     assert f"'{kind}x'" in problem
     assert f"did you mean '{kind}'?" in problem
-    assert all(name in problem for name in registry.KINDS[group])
+    assert all(name in problem for name in registered.KINDS[group])
     assert "module:Class or file.py:Class" in problem
 
 

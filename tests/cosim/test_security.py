@@ -24,11 +24,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from zenoh.handlers import Callback
 
-from cosim import certificates, signing
+from cosim import authority, certificates, signing
 from cosim.certificates import Bundle, Keys
 from cosim.errors import UsageError
-from cosim.transport import security
-from cosim.transport.security import endpoint_rules, merge
+from cosim.transport import diagnosis, key_names, security
+from cosim.transport.endpoints import endpoint_rules
+from cosim.transport.security import merge
 
 QUIET: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
@@ -49,7 +50,7 @@ def direct(function: Callable[[Any], object]) -> Any:
 
 def answering(host: zenoh.Session, key: str, answer: Callable[[bytes], bytes] = lambda _: b"answer") -> None:
     """Answer what the hub asks under this key as a host does: not in a thread of Zenoh's, which has to send it, too."""
-    says = host.declare_publisher(security.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
+    says = host.declare_publisher(key_names.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
     asked: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     host.declare_subscriber(key, direct(asked.put))
 
@@ -84,18 +85,18 @@ class Hub:
         self.endpoint = self.endpoints[0]
         self._links: list[zenoh.LinkEvent] = []
         self.session.info.declare_link_events_listener(direct(self._links.append))
-        for key in (security.JOIN, security.ABOUT):
+        for key in (key_names.JOIN, key_names.ABOUT):
             self.session.declare_queryable(key, direct(self._greeted))
-        self._token = self.session.liveliness().declare_token(security.HUB_ALIVE)
+        self._token = self.session.liveliness().declare_token(key_names.HUB_ALIVE)
         watch = direct(lambda sample: self.seen.update([f"token {sample.key_expr}"]))
         self.session.liveliness().declare_subscriber("vcmvsp/**", watch)
         self.session.declare_subscriber("**", direct(self._heard))
 
     def ask(self, name: str, host: zenoh.Session, question: bytes = b"question", within_s: float = 1.0) -> list[bytes]:
         """The answer of a host, if one comes in time."""
-        key, box = security.host_key(name, str(host.zid()), "ask"), queue.SimpleQueue[bytes]()
+        key, box = key_names.host_key(name, str(host.zid()), "ask"), queue.SimpleQueue[bytes]()
         hears = self.session.declare_subscriber(
-            security.answer_key(key), direct(lambda sample: box.put(sample.payload.to_bytes()))
+            key_names.answer_key(key), direct(lambda sample: box.put(sample.payload.to_bytes()))
         )
         self.session.put(key, question)
         try:
@@ -128,11 +129,11 @@ class Hub:
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
     folder = tmp_path_factory.mktemp("network") / "keys"
-    certificates.init(folder)
+    authority.init(folder)
     for name in ("car2", "car3", "gone"):
-        certificates.issue(folder, name, [name])
-    certificates.issue(folder, "anna")
-    certificates.revoke(folder, "gone")
+        authority.issue(folder, name, [name])
+    authority.issue(folder, "anna")
+    authority.revoke(folder, "gone")
     return certificates.load(folder)
 
 
@@ -140,8 +141,8 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Keys:
     """Another authority, which has given a certificate of the same name."""
     folder = tmp_path_factory.mktemp("foreign") / "keys"
-    certificates.init(folder)
-    certificates.issue(folder, "car2", ["car2"])
+    authority.init(folder)
+    authority.issue(folder, "car2", ["car2"])
     return certificates.load(folder)
 
 
@@ -168,12 +169,12 @@ def dial(endpoint: str, machine: Bundle | None, mode: str = "client") -> zenoh.S
 
 
 def greet(session: zenoh.Session, name: str, payload: bytes = b"hello") -> list[bytes]:
-    replies = session.get(security.join_key(name), payload=payload, timeout=PATIENCE_S)
+    replies = session.get(key_names.join_key(name), payload=payload, timeout=PATIENCE_S)
     return [each.ok.payload.to_bytes() for each in replies if each.ok]
 
 
 def inquire(session: zenoh.Session, name: str, payload: bytes = b"about") -> list[bytes]:
-    replies = session.get(security.about_key(name), payload=payload, timeout=PATIENCE_S)
+    replies = session.get(key_names.about_key(name), payload=payload, timeout=PATIENCE_S)
     return [each.ok.payload.to_bytes() for each in replies if each.ok]
 
 
@@ -182,7 +183,7 @@ def lasting(folder: Path, name: str, seconds: float, monkeypatch: pytest.MonkeyP
     with monkeypatch.context() as patch:
         real = signing.now
         patch.setattr(signing, "now", lambda: real() + dt.timedelta(days=-1, seconds=seconds))
-        return certificates.issue(folder, name, [name], days=1)
+        return authority.issue(folder, name, [name], days=1)
 
 
 # --- the door ---
@@ -193,14 +194,14 @@ def test_who_has_a_certificate_comes_in_and_both_know_the_other(hub: Hub, keys: 
         security.check_hub(link.auth_identifier for link in host.info.links())
         until(lambda: hub.links("car2"))
         assert greet(host, "car2") == [b"welcome"]
-    assert security.diagnose(hub.endpoint, bundle(keys, "car2")) is None
+    assert diagnosis.diagnose(hub.endpoint, bundle(keys, "car2")) is None
 
 
 def refused(endpoint: str, machine: Bundle | None) -> str:
     """Why nothing came of dialling; the reason is found, and says that trying again is no use."""
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         dial(endpoint, machine)
-    found = security.diagnose(endpoint, machine)
+    found = diagnosis.diagnose(endpoint, machine)
     assert found is not None
     assert found.final
     return found.why
@@ -255,12 +256,12 @@ def test_a_host_cannot_pose_as_a_run(keys: Keys, stack: contextlib.ExitStack) ->
 def test_a_run_whose_certificate_has_expired_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
 ) -> None:
-    folder = certificates.init(tmp_path / "keys").folder
-    machine = certificates.issue(folder, "car2", ["car2"])
+    folder = authority.init(tmp_path / "keys").folder
+    machine = authority.issue(folder, "car2", ["car2"])
     with monkeypatch.context() as patch:
         real = signing.now
         patch.setattr(signing, "now", lambda: real() - dt.timedelta(days=2))
-        certificates.renew_hub(folder, days=1)
+        authority.renew_hub(folder, days=1)
     late = Hub(security.hub_security(certificates.load(folder)))
     stack.callback(late.session.close)
     assert "has expired; on its machine: vcmvsp keys hub" in refused(late.endpoint, machine)
@@ -273,8 +274,8 @@ def test_tls_to_a_run_without_is_refused(keys: Keys, stack: contextlib.ExitStack
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         dial(endpoint, bundle(keys, "car2"))
     silent = "what listens there does not answer in TLS; is it a run with --listen tcp/...?"
-    assert security.diagnose(endpoint, bundle(keys, "car2")) == security.Refusal(silent, final=False)
-    assert security.diagnose(plain.endpoint, None) is None
+    assert diagnosis.diagnose(endpoint, bundle(keys, "car2")) == diagnosis.Refusal(silent, final=False)
+    assert diagnosis.diagnose(plain.endpoint, None) is None
 
 
 def test_where_nobody_listens_one_may_wait(keys: Keys) -> None:
@@ -282,24 +283,24 @@ def test_where_nobody_listens_one_may_wait(keys: Keys) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     for machine, protocol in ((bundle(keys, "car2"), "tls"), (None, "tcp")):
-        found = security.diagnose(f"{protocol}/127.0.0.1:{port}", machine)
-        assert found == security.Refusal("nobody listens there (Connection refused)", final=False)
-        found = security.diagnose(f"{protocol}/nobody.invalid:{port}", machine)
-        assert found == security.Refusal("no machine is known by the name 'nobody.invalid'", final=False)
+        found = diagnosis.diagnose(f"{protocol}/127.0.0.1:{port}", machine)
+        assert found == diagnosis.Refusal("nobody listens there (Connection refused)", final=False)
+        found = diagnosis.diagnose(f"{protocol}/nobody.invalid:{port}", machine)
+        assert found == diagnosis.Refusal("no machine is known by the name 'nobody.invalid'", final=False)
 
 
 HUB_PROCESS = """
 import json, sys, zenoh
 from pathlib import Path
 from cosim import certificates
-from cosim.transport import security
+from cosim.transport import key_names, security
 zenoh.init_log_from_env_or(security.LOG)
 folder, endpoint = sys.argv[1:]
 own = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"delay": 0, "multicast": {"enabled": False}}}
 own["transport"] = {"shared_memory": {"enabled": False}}
 rules = security.hub_security(certificates.load(Path(folder)))
 with zenoh.open(zenoh.Config.from_json5(json.dumps(security.merge(own, rules)))) as session:
-    door = session.declare_queryable(security.JOIN)
+    door = session.declare_queryable(key_names.JOIN)
     print("up", flush=True)
     for query in door:
         with query:
@@ -355,7 +356,7 @@ def test_three_hundred_connections_of_garbage_hurt_nobody(keys: Keys, stack: con
     hub = Hub(security.hub_security(keys), ("tls/127.0.0.1:0",) * 20)
     stack.callback(hub.session.close)
     inside = stack.enter_context(dial(hub.endpoint, bundle(keys, "car2")))
-    key = security.host_key("car2", str(inside.zid()), "ask")
+    key = key_names.host_key("car2", str(inside.zid()), "ask")
     answering(inside, key)
     assert greet(inside, "car2") == [b"welcome"]
     draw, silent = random.Random(1), []
@@ -396,15 +397,15 @@ class Stage:
         self.host = stack.enter_context(dial(self.hub.endpoint, bundle(keys, "car2")))
         self.anna = stack.enter_context(dial(self.hub.endpoint, bundle(keys, "anna")))
         zid = str(self.host.zid())
-        self.keys = security.host_key("car2", zid, "ask"), security.host_key("car2", zid, "alive")
+        self.keys = key_names.host_key("car2", zid, "ask"), key_names.host_key("car2", zid, "alive")
         answering(self.host, self.keys[0], self._asked)
         self._token = self.host.liveliness().declare_token(self.keys[1])
         watch = direct(lambda sample: self.seen.update([f"car2 sees hub {sample.kind}"]))
-        self.host.liveliness().declare_subscriber(security.HUB_ALIVE, watch, history=True)
+        self.host.liveliness().declare_subscriber(key_names.HUB_ALIVE, watch, history=True)
         look = direct(lambda sample: self.seen.update([f"anna sees hub {sample.kind}"]))
-        self.anna.liveliness().declare_subscriber(security.HUB_ALIVE, look, history=True)
+        self.anna.liveliness().declare_subscriber(key_names.HUB_ALIVE, look, history=True)
         hear = direct(lambda sample: self.seen.update([f"anna hears {sample.payload.to_string()}"]))
-        self.anna.declare_subscriber(security.TOPICS, hear)
+        self.anna.declare_subscriber(key_names.TOPICS, hear)
 
     def _asked(self, question: bytes) -> bytes:
         self.seen.update([f"car2 asked {question.decode()}"])
@@ -487,9 +488,9 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
 
     for key in (
         "vcmvsp/join/car2",
-        security.JOIN,
+        key_names.JOIN,
         "vcmvsp/about/car2",
-        security.ABOUT,
+        key_names.ABOUT,
         "**",
         stage.keys[0],
         "vcmvsp/host/*/*/ask",
@@ -501,17 +502,17 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         got.update(f"token {each}" for each in found)
         see = direct(lambda sample: got.update([f"token {sample.key_expr}"]))
         session.liveliness().declare_subscriber(key, see, history=True)
-    tokens = [security.host_key("car2", zid, "alive"), security.HUB_ALIVE, "vcmvsp/hub/*", f"vcmvsp/host/*/{zid}/alive"]
+    tokens = [key_names.host_key("car2", zid, "alive"), key_names.HUB_ALIVE, "vcmvsp/hub/*", f"vcmvsp/host/*/{zid}/alive"]
     declared = [session.liveliness().declare_token(key) for key in tokens]
-    answer = security.answer_key(stage.keys[0])
+    answer = key_names.answer_key(stage.keys[0])
     for key in (stage.keys[0], "vcmvsp/host/car2/*/ask", "vcmvsp/host/**", "**", "vcmvsp/join/car2", "vcmvsp/about/**"):
         session.declare_queryable(key, direct(lie), complete=True)
     secrets = (stage.keys[0], answer, "vcmvsp/host/**", "vcmvsp/join/**")
     for key in secrets if name == "anna" else (TOPIC, "**", *secrets):
         session.declare_subscriber(key, direct(lambda sample: got.update([f"hears {sample.payload.to_string()}"])))
     settle()
-    mine = f"vcmvsp/host/{name}/{zid}/ask", security.join_key(name)
-    for key in (TOPIC, security.TOPICS, "vcmvsp/**", "**", *mine, *secrets, "vcmvsp/host/*/*/answer"):
+    mine = f"vcmvsp/host/{name}/{zid}/ask", key_names.join_key(name)
+    for key in (TOPIC, key_names.TOPICS, "vcmvsp/**", "**", *mine, *secrets, "vcmvsp/host/*/*/answer"):
         session.put(key, b"evil")
     stage.hub.ask("car2", stage.host)
     stage.hub.session.put(TOPIC, b"truth")
@@ -551,7 +552,7 @@ def test_without_the_rules_all_that_would_get_through(keys: Keys, stack: context
     assert stage.seen["anna hears evil"] > 0
     assert stage.hub.seen["sample evil"] > 0
     assert stage.hub.seen["greeting vcmvsp/join/car2 evil"] > 0
-    assert stage.hub.seen[f"token {security.HUB_ALIVE}"] > 0
+    assert stage.hub.seen[f"token {key_names.HUB_ALIVE}"] > 0
 
 
 def test_a_revoked_machine_is_answered_by_silence_that_has_words(hub: Hub, keys: Keys) -> None:
@@ -586,7 +587,7 @@ def test_wildcards_of_ones_own_are_nobodys_key(hub: Hub, keys: Keys) -> None:
         wide = "vcmvsp/host/car2/*/alive"
         token = host.liveliness().declare_token(wide)
         until(lambda: hub.seen[f"token {wide}"])  # Zenoh lets it through: it is within what car2 may say
-        assert security.speaker(wide) is None
+        assert key_names.speaker(wide) is None
         token.undeclare()  # type: ignore[no-untyped-call]
 
 
@@ -594,7 +595,7 @@ def test_messages_beyond_the_limits_are_dropped_and_the_link_stays(hub: Hub, key
     with dial(hub.endpoint, bundle(keys, "car2")) as host:
         assert greet(host, "car2", b"x" * security.MAX_JOIN) == [b"welcome"]
         assert greet(host, "car2", b"x" * (security.MAX_JOIN + 1)) == []
-        key = security.host_key("car2", str(host.zid()), "ask")
+        key = key_names.host_key("car2", str(host.zid()), "ask")
         answering(host, key, lambda question: b"answer".ljust(int(question)))
         assert greet(host, "car2") == [b"welcome"]
         assert hub.ask("car2", host, b"%d" % (security.MAX_MESSAGE + 1)) == []
@@ -619,30 +620,30 @@ zids = st.from_regex(r"\A[0-9a-f]{1,32}\Z")
 
 @given(names, zids)
 def test_the_speaker_of_a_key_is_the_name_in_it(name: str, zid: str) -> None:
-    assert security.speaker(security.join_key(name)) == (name, "")
-    assert security.speaker(security.about_key(name)) == (name, "")
-    assert security.speaker(security.host_key(name, zid, "ask")) == (name, zid)
-    assert security.speaker(security.host_key(name, zid, "alive")) == (name, zid)
+    assert key_names.speaker(key_names.join_key(name)) == (name, "")
+    assert key_names.speaker(key_names.about_key(name)) == (name, "")
+    assert key_names.speaker(key_names.host_key(name, zid, "ask")) == (name, zid)
+    assert key_names.speaker(key_names.host_key(name, zid, "alive")) == (name, zid)
 
 
 @given(names, zids, st.sampled_from(["/", "*", "**", "$*", "?", "#", "@", " ", "\n", "\u0661", "/.."]), st.integers(0, 40))
 def test_what_could_be_another_key_is_none(name: str, zid: str, evil: str, where: int) -> None:
     bad_name, bad_zid = (each[: where % (len(each) + 1)] + evil + each[where % (len(each) + 1) :] for each in (name, zid))
     for key in (
-        security.join_key(bad_name),
-        security.about_key(bad_name),
+        key_names.join_key(bad_name),
+        key_names.about_key(bad_name),
         f"vcmvsp/host/{bad_name}/{zid}/ask",
         f"vcmvsp/host/{name}/{bad_zid}/alive",
     ):
-        assert security.speaker(key) is None
+        assert key_names.speaker(key) is None
     with pytest.raises(ValueError, match="no key of a host"):
-        security.host_key(name, bad_zid, "ask")
+        key_names.host_key(name, bad_zid, "ask")
 
 
 @given(st.text(max_size=60))
 def test_any_text_is_a_key_or_none(text: str) -> None:
-    assert security.speaker(text) is None
-    assert security.speaker(f"vcmvsp/{text}") is None or "/" in text
+    assert key_names.speaker(text) is None
+    assert key_names.speaker(f"vcmvsp/{text}") is None or "/" in text
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.1", "[::1]", "localhost"])
@@ -673,7 +674,7 @@ def test_zenoh_dials_no_ipv6_address_with_tls(keys: Keys, stack: contextlib.Exit
     except zenoh.ZError:
         pytest.skip("this machine has no IPv6")
     stack.callback(hub.session.close)
-    assert security.diagnose(hub.endpoint, bundle(keys, "car2")) is None
+    assert diagnosis.diagnose(hub.endpoint, bundle(keys, "car2")) is None
     with pytest.raises(zenoh.ZError):  # where this no longer holds, endpoint_rules need not refuse it
         dial(hub.endpoint, bundle(keys, "car2"))
     endpoint_rules(hub.endpoint, keys)
@@ -738,11 +739,11 @@ def other_machine() -> Iterator[str]:
 def test_between_machines(other_machine: str, tmp_path: Path, foreign: Keys) -> None:
     there = ("ip", "netns", "exec", other_machine)
     endpoint = "tls/10.213.7.1:7447"
-    held = certificates.init(tmp_path / "keys")
-    machine = certificates.issue(held.folder, "car2", ["car2"])
+    held = authority.init(tmp_path / "keys")
+    machine = authority.issue(held.folder, "car2", ["car2"])
     with hub_process(str(held.folder), endpoint, before=there):
         assert "not for '10.213.7.1'; on its machine: vcmvsp keys hub --name 10.213.7.1" in refused(endpoint, machine)
-    certificates.renew_hub(held.folder, ["10.213.7.1"])
+    authority.renew_hub(held.folder, ["10.213.7.1"])
     with hub_process(str(held.folder), endpoint, before=there):
         with dial(endpoint, machine) as host:
             assert greet(host, "car2") == [b"welcome"]

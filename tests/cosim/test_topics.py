@@ -19,11 +19,11 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from cosim import certificates
+from cosim import authority, certificates
 from cosim.certificates import Keys
 from cosim.federate import Event
 from cosim.record import foxglove
-from cosim.transport import security, wire
+from cosim.transport import key_names, security, wire
 from cosim.transport.topics import ECHO, Topics, stamp
 from cosim.transport.zenoh import QUEUES, Hub, opened
 from cosim.types import (
@@ -84,7 +84,7 @@ VALUES: dict[str, Any] = {
 class Ear:
     """Somebody who listens, and notes the type, time and value of all that comes."""
 
-    def __init__(self, session: zenoh.Session, expression: str = security.TOPICS) -> None:
+    def __init__(self, session: zenoh.Session, expression: str = key_names.TOPICS) -> None:
         self.heard: list[tuple[str, str, int, Any]] = []
         self.subscriber = session.declare_subscriber(expression, Callback(self._on, indirect=False))
 
@@ -92,7 +92,7 @@ class Ear:
         assert sample.attachment is not None
         (time_ns,) = stamp.unpack(sample.attachment.to_bytes())
         said = json.loads(sample.payload.to_string())
-        self.heard.append((str(sample.key_expr).removeprefix(security.TOPIC), str(sample.encoding), time_ns, said))
+        self.heard.append((str(sample.key_expr).removeprefix(key_names.TOPIC), str(sample.encoding), time_ns, said))
 
     def values(self) -> dict[str, Any]:
         return {key: said for key, _, _, said in self.heard}
@@ -259,24 +259,24 @@ def ask(session: zenoh.Session, key: str, payload: bytes = b"") -> list[Any]:
 def test_who_asks_is_told_what_run_this_is(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     session = stack.enter_context(client(hub.endpoint))
     before = time.time_ns()
-    (about,) = ask(session, security.about_key("anyone"))
+    (about,) = ask(session, key_names.about_key("anyone"))
     assert before <= about.pop("wall_ns") <= time.time_ns()
     you: dict[str, Any] = {"name": "anyone", "role": None, "vehicles": []}
     facts = {"scenario": "here", "vehicles": ["car1"], "missing": ["car1"], "time_ns": None, "you": you}
     assert about.items() >= facts.items()
     assert about["protocol"] == wire.PROTOCOL
     topics.on(Event("car1/note", 17, VALUES["note"]))
-    assert ask(session, security.about_key("anyone"))[0]["time_ns"] == 17
-    for key in (security.ABOUT, "vcmvsp/**", "vcmvsp/about/a b", "vcmvsp/about/$*x"):
+    assert ask(session, key_names.about_key("anyone"))[0]["time_ns"] == 17
+    for key in (key_names.ABOUT, "vcmvsp/**", "vcmvsp/about/a b", "vcmvsp/about/$*x"):
         assert ask(session, key) == []
     topics.close()
-    assert ask(session, security.about_key("anyone")) == []
+    assert ask(session, key_names.about_key("anyone")) == []
 
 
 def test_a_question_may_be_answered_on_a_topic_too(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     session = stack.enter_context(client(hub.endpoint))
     ear = Ear(session, "vcmvsp/topic/echo/*")
-    until(lambda: ask(session, security.about_key("me"), ECHO) and ear.heard)
+    until(lambda: ask(session, key_names.about_key("me"), ECHO) and ear.heard)
     assert ear.heard[0] == ("echo/me", "application/json;echo", 0, {"type": "echo"})
 
 
@@ -286,11 +286,11 @@ def test_a_question_may_be_answered_on_a_topic_too(hub: Hub, topics: Topics, sta
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
     folder = tmp_path_factory.mktemp("topics") / "keys"
-    certificates.init(folder)
-    certificates.issue(folder, "laptop", ["car2", "car3"])
+    authority.init(folder)
+    authority.issue(folder, "laptop", ["car2", "car3"])
     for name in ("anna", "ben", "gone"):
-        certificates.issue(folder, name)
-    certificates.revoke(folder, "gone")
+        authority.issue(folder, name)
+    authority.revoke(folder, "gone")
     return certificates.load(folder)
 
 
@@ -309,17 +309,17 @@ def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitS
     show(topics, "car2/note", VALUES["note"], ears["ben"])
     roles = {"laptop": ("host", ["car2", "car3"]), "anna": ("observer", []), "ben": ("observer", []), "gone": None}
     for name, session in sessions.items():
-        found = [(each["you"]["role"], each["you"]["vehicles"]) for each in ask(session, security.about_key(name))]
+        found = [(each["you"]["role"], each["you"]["vehicles"]) for each in ask(session, key_names.about_key(name))]
         assert found == ([roles[name]] if roles[name] else [])
         for other in {*names, "hub", "*"} - {name}:
-            assert ask(session, security.about_key(other)) == []
-        assert ask(session, security.about_key(name), b"x" * (security.MAX_JOIN + 1)) == []
+            assert ask(session, key_names.about_key(other)) == []
+        assert ask(session, key_names.about_key(name), b"x" * (security.MAX_JOIN + 1)) == []
     mine = ears["anna"].subscriber  # what anna says stays with her
     mine.undeclare()  # type: ignore[no-untyped-call]
     sessions["anna"].put("vcmvsp/topic/car2/command", b"evil")
-    sessions["anna"].declare_queryable(security.about_key("ben"), Callback(zenoh.Query.drop, indirect=False))
+    sessions["anna"].declare_queryable(key_names.about_key("ben"), Callback(zenoh.Query.drop, indirect=False))
     settle()
-    assert ask(sessions["ben"], security.about_key("ben"))[0]["scenario"] == "here"
+    assert ask(sessions["ben"], key_names.about_key("ben"))[0]["scenario"] == "here"
     assert {key for key, *_ in ears["ben"].heard} == {"car2/note"}
     assert ears["laptop"].heard == ears["gone"].heard == []
 

@@ -15,7 +15,7 @@ import pytest
 from mcap.reader import make_reader
 
 import cosim
-from cosim import certificates, cli_watch, transport
+from cosim import authority, cli_watch, transport
 from cosim.transport.watching import Seen
 from tests.cosim.command import vcmvsp
 from tests.cosim.hosting import VCMVSP, Stage, ended, wait_for
@@ -185,13 +185,13 @@ def test_a_terminal_has_the_newest_twice_a_second(theatre: Theatre) -> None:
 
 def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
     folder = theatre.folder / "keys"
-    certificates.init(folder)
+    authority.init(folder)
     for name, vehicles in (("anna", ()), ("gone", ()), ("laptop", ("car1", "car2"))):
-        certificates.issue(folder, name, vehicles)
-    certificates.revoke(folder, "gone")
+        authority.issue(folder, name, vehicles)
+    authority.revoke(folder, "gone")
     other = theatre.folder / "other"
-    certificates.init(other)
-    certificates.issue(other, "anna")
+    authority.init(other)
+    authority.issue(other, "anna")
     theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
     run = theatre.waiting("--keys", "keys")
     anna = theatre.watch("anna", "--keys", "keys/anna.keys", "--json")
@@ -269,8 +269,8 @@ def test_the_readme_watches_a_run(theatre: Theatre) -> None:
     readme = (Path(transport.__file__).parent / "README.md").read_text("utf-8")
     blocks = dict(re.findall(r"^```(json5|python)\n(.*?)^```", readme, re.DOTALL | re.MULTILINE))
     theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
-    certificates.init(theatre.folder / "keys")
-    certificates.issue(theatre.folder / "keys", "anna", out=theatre.folder / "anna.keys")
+    authority.init(theatre.folder / "keys")
+    authority.issue(theatre.folder / "keys", "anna", out=theatre.folder / "anna.keys")
     (theatre.folder / "watch.json5").write_text(blocks["json5"].replace("tls/192.168.1.10:7447", theatre.endpoint))
     (theatre.folder / "program.py").write_text(blocks["python"])
     assert len(blocks["python"].splitlines()) <= 30

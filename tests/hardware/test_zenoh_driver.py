@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from cosim import certificates
+from cosim import authority
 from cosim.types import Velocity
 from hardware.driver import DriverError, HandshakeError, LinkLost, PortError, Sample
 from hardware.onboard.driver import ZenohDriver
@@ -414,9 +414,9 @@ def test_a_port_that_is_taken(port: int) -> None:
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("robots") / "keys"
-    certificates.init(folder)
+    authority.init(folder)
     for name in ("car2", "car3"):
-        certificates.issue(folder, name, [name])
+        authority.issue(folder, name, [name])
     return folder
 
 

@@ -20,6 +20,7 @@ from hardware.onboard.driver import ZenohDriver
 from hardware.onboard.orders import Orders
 from hardware.onboard.track import Track
 from hardware.onboard.wire import Down, Up
+from hardware.pace import NOT_YET
 
 SECOND = 10**9
 AHEAD = Velocity(linear=(0.3, 0.0, 0.0))
@@ -52,7 +53,7 @@ def test_a_command_counts_for_its_time_and_a_stop_until_the_next_command() -> No
     orders.stop("enough")
     assert orders.at(SECOND) is None
     orders.connect(9)
-    assert (orders.stopped, orders.held) == (wire.NOT_YET, True)
+    assert (orders.stopped, orders.held) == (NOT_YET, True)
 
 
 # --- samples ---

@@ -11,9 +11,9 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from cosim import certificates
+from cosim import authority, certificates
 from cosim.codec import encode
-from cosim.transport import security
+from cosim.transport import key_names, security
 from cosim.types import Odometry
 from hardware.driver import Notice, Sample
 from hardware.onboard import wire
@@ -28,12 +28,12 @@ HELLO = b"hello"
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> certificates.Keys:
     folder = tmp_path_factory.mktemp("doors") / "keys"
-    certificates.init(folder)
+    authority.init(folder)
     for name in ("car2", "car3", "gone"):
-        certificates.issue(folder, name, [name])
-    certificates.issue(folder, "laptop", ["car3", "car4"])
-    certificates.issue(folder, "anna")
-    certificates.revoke(folder, "gone")
+        authority.issue(folder, name, [name])
+    authority.issue(folder, "laptop", ["car3", "car4"])
+    authority.issue(folder, "anna")
+    authority.revoke(folder, "gone")
     return certificates.load(folder)
 
 
@@ -74,7 +74,7 @@ class Stage:
 
 
 def greeted(session: zenoh.Session, name: str) -> bool:
-    replies = session.get(security.greet_key(name), payload=HELLO, timeout=PATIENCE_S)
+    replies = session.get(key_names.greet_key(name), payload=HELLO, timeout=PATIENCE_S)
     return any(wire.welcomes.decode(each.ok.payload.to_bytes()).run == "yes" for each in replies if each.ok)
 
 
@@ -89,7 +89,7 @@ def hearing(session: zenoh.Session, key: str) -> list[str]:
 
 
 def said(session: zenoh.Session, name: str, vehicle: str = "car3", what: Any = "up", zid: str = "") -> str:
-    return security.robot_key(name, vehicle, zid or str(session.zid()), what)
+    return key_names.robot_key(name, vehicle, zid or str(session.zid()), what)
 
 
 @pytest.mark.parametrize("name", ["car3", "laptop"])
@@ -141,7 +141,7 @@ def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, st
         for key in ("vcmvsp/robot/*/car3/*/up", "vcmvsp/robot/**", said(session, "car3", what="down", zid=peer.session), "**"):
             session.put(key, b"lie")
         tokens = [session.liveliness().declare_token(said(session, "car3", what="alive", zid=peer.session))]
-        tokens.append(session.liveliness().declare_token(security.HUB_ALIVE))
+        tokens.append(session.liveliness().declare_token(key_names.HUB_ALIVE))
         for token in tokens:
             token.undeclare()  # type: ignore[no-untyped-call]
     stage.door.say(b"there")
@@ -186,12 +186,12 @@ def test_without_the_rules_others_would_be_heard_and_hear(
 
 
 def test_keys_say_who_speaks_and_no_name_makes_one_of_another() -> None:
-    key = security.robot_key("laptop", "car3", "a1", "up")
+    key = key_names.robot_key("laptop", "car3", "a1", "up")
     assert key == "vcmvsp/robot/laptop/car3/a1/up"
-    assert security.robot_speaker(key) == ("laptop", "car3", "a1")
-    assert security.robot_speaker(security.greet_key("laptop")) == ("laptop", "", "")
+    assert key_names.robot_speaker(key) == ("laptop", "car3", "a1")
+    assert key_names.robot_speaker(key_names.greet_key("laptop")) == ("laptop", "", "")
     for wrong in ("vcmvsp/robot/*/car3/a1/up", "vcmvsp/robot/laptop/car3/*/up", "vcmvsp/robot/laptop/car3/a1/up/x", f"{key}\n"):
-        assert security.robot_speaker(wrong) is None
+        assert key_names.robot_speaker(wrong) is None
     for name, vehicle, zid in (
         ("a/b", "car3", "a1"),
         ("a", "car*", "a1"),
@@ -200,7 +200,7 @@ def test_keys_say_who_speaks_and_no_name_makes_one_of_another() -> None:
         ("", "c", "a"),
     ):
         with pytest.raises(ValueError, match="no key of a robot"):
-            security.robot_key(name, vehicle, zid, "up")
+            key_names.robot_key(name, vehicle, zid, "up")
 
 
 def test_all_that_a_robot_says_at_once_fits_into_a_message() -> None:
@@ -225,4 +225,4 @@ def test_who_is_sent_away_is_told_why(keys: certificates.Keys) -> None:
     assert refusal("car3", protocol=99).endswith("use the same vcmvsp version")
     assert "\x1b" not in refusal("car3", "\x1b[2Jcar")
     anybody = Admission("car3", None)
-    assert anybody.refusal(security.OPEN, Hello(protocol=1, vehicle="car3", robot="r", session="a1", device="bench")) == ""
+    assert anybody.refusal(key_names.OPEN, Hello(protocol=1, vehicle="car3", robot="r", session="a1", device="bench")) == ""
