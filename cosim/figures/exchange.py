@@ -22,6 +22,7 @@ COUNTS = (2, 4)
 LIMITS_S = {2: 600.0, 4: 500.0}
 LOSSES = (0.0, 0.3, 0.6, 0.9)
 SEEDS = 24
+ALONE = 8  # seeds of those who exchange nothing: all of them search in vain until the limit
 KINDS = ("ledger", "delta", "consensus")
 
 # An independent simulation: medians of eight searches, s; of those of which many are not over within the limit, their share.
@@ -49,10 +50,12 @@ SEQUENTIAL = {0.9: (3, 0.00137, 3.740), 0.8: (4, 0.00389, 6.615)}  # p: net hits
 def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] = LOSSES) -> Figure:
     """How long it takes until all know both targets, by exchange and loss."""
     cases = [(count, kind, loss) for count in COUNTS for kind in KINDS for loss in losses]
-    cases += [(count, "none", 0.0) for count in COUNTS]
-    jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case in cases for seed in range(seeds)]
+    tries = dict.fromkeys(cases, seeds) | {(count, "none", 0.0): min(seeds, ALONE) for count in COUNTS}
+    jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case, most in tries.items() for seed in range(most)]
     answers = iter(runner(jobs))
-    seen: dict[tuple[int, str, float], list[Searched]] = {case: [next(answers) for _ in range(seeds)] for case in cases}
+    seen: dict[tuple[int, str, float], list[Searched]] = {
+        case: [next(answers) for _ in range(most)] for case, most in tries.items()
+    }
     rows: list[Row] = sequential_rows()
     for count in COUNTS:
         rows += _rows(count, seen, losses)

@@ -1,9 +1,7 @@
 """What a figure leaves: the points that are drawn, the pictures, and the rows of expected and measured numbers."""
 
 import csv
-import math
 from pathlib import Path
-from typing import Any
 
 from cosim.figures.kit import Figure, Row
 from cosim.files import to_json, writing
@@ -11,7 +9,7 @@ from cosim.files import to_json, writing
 
 def as_json(name: str, figure: Figure) -> str:
     """The rows of a figure: ``name`` and ``rows`` of ``case``, ``expected``, ``measured``, ``tolerance``, ``ok``."""
-    return to_json({"name": name, "rows": [_plain(row) for row in figure.rows]})
+    return to_json({"name": name, "rows": [row.plain for row in figure.rows]})
 
 
 def write(name: str, figure: Figure, folder: Path) -> list[Path]:
@@ -30,7 +28,7 @@ def write(name: str, figure: Figure, folder: Path) -> list[Path]:
 def table(figure: Figure) -> str:
     """The rows as lines of a text: what was expected, what came out, and whether that is within the tolerance."""
     lines: list[tuple[str, ...]] = [("case", "expected", "measured", "tolerance", "")]
-    lines += [(row.case, *map(_short, (row.expected, row.measured, row.tolerance)), _verdict(row)) for row in figure.rows]
+    lines += [(*row.cells, _verdict(row)) for row in figure.rows]
     widths = [max(len(line[column]) for line in lines) for column in range(5)]
     text = [
         "  ".join([line[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(line[1:4], widths[1:4], strict=True))])
@@ -42,15 +40,6 @@ def table(figure: Figure) -> str:
 
 def _verdict(row: Row) -> str:
     return "ok" if row.ok else "MISSED"
-
-
-def _short(value: float) -> str:
-    return f"{value:.5g}"
-
-
-def _plain(row: Row) -> dict[str, Any]:
-    measured = row.measured if math.isfinite(row.measured) else None
-    return {"case": row.case, "expected": row.expected, "measured": measured, "tolerance": row.tolerance, "ok": row.ok}
 
 
 def _write_points(path: Path, figure: Figure) -> None:

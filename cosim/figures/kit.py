@@ -4,6 +4,7 @@ A figure is a function ``make(runner: Runner) -> Figure`` in a module of its own
 scenarios as mappings, hands them to the runner as jobs, and says what to draw; it never draws, and knows no part but ``cosim``.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
@@ -33,6 +34,17 @@ class Row:
     def ok(self) -> bool:
         """Whether it came out; never if it is no number."""
         return bool(abs(self.measured - self.expected) <= self.tolerance)
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The row for JSON, with ``ok``; what was measured is None where it is no finite number."""
+        measured = self.measured if math.isfinite(self.measured) else None
+        return {"case": self.case, "expected": self.expected, "measured": measured, "tolerance": self.tolerance, "ok": self.ok}
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """The row for a reader: case, expected, measured and tolerance."""
+        return self.case, f"{self.expected:.6g}", f"{self.measured:.6g}", f"{self.tolerance:.6g}"
 
 
 @dataclass(frozen=True)

@@ -23,16 +23,26 @@ RARE = 0.7  # from this loss on, the closed form takes twice as many: errors las
 TITLES = {"slalom": "Leader on a slalom", "random": "Leader on a random path"}
 
 
-def loss(runner: Runner, followers: int = FOLLOWERS, probabilities: tuple[float, ...] = PROBABILITIES) -> Figure:
+def loss(
+    runner: Runner,
+    followers: int = FOLLOWERS,
+    probabilities: tuple[float, ...] = PROBABILITIES,
+    straight: int = FOLLOWERS,
+) -> Figure:
     """RMS of |z| over the probability of loss: closed form on a straight line, plain integration on two other paths.
 
     The reports of the platform are one tick old when they are used, without any loss; what is expected counts that tick. The
     rows integrate with the very losses of the run, the lines in the picture with many others.
+
+    Args:
+        runner: makes the runs.
+        followers: of each estimator on the two paths; what is expected knows their losses, however few they are.
+        probabilities: of loss.
+        straight: followers on the straight line; what is expected is a mean, which they must be enough for.
     """
     cases = [(path, p, estimator) for path in lossy.PATHS for p in probabilities for estimator in lossy.ESTIMATORS]
     curved = [team(path, radio(p), followers if p else 2, (estimator,)) for path, p, estimator in cases]
-    straight = [_straight(p, followers * (1 + (p >= RARE)) if p else 2) for p in probabilities]
-    seen = runner([*curved, *straight])
+    seen = runner([*curved, *(_straight(p, straight * (1 + (p >= RARE)) if p else 2) for p in probabilities)])
     measured = {case: root_mean_square(each.rms) for case, each in zip(cases, seen, strict=False)}
     p, panels, rows = np.array(probabilities), [], []
     for path in lossy.PATHS:

@@ -5,6 +5,7 @@ n + ``age`` on, unless it is lost. What each estimator makes of a report is a ta
 that a tick of all followers is a look-up and the law (Toh 2012, 3-31 to 3-35, corrected).
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ class Leader(NamedTuple):
     pose: Array
 
 
+@functools.cache
 def leader(path: str, duration_s: float = 120.0) -> Leader:
     """The standard paths of a leader, as far as its last plan goes."""
     count = round(duration_s / T) + PLAN + 1

@@ -39,7 +39,7 @@ class Cluster:
         try:
             distributed: Any = importlib.import_module("distributed")
         except ImportError as error:
-            raise UsageError('--cluster needs Dask: pip install "vcmvsp[cluster]"') from error
+            raise UsageError('--cluster needs Dask: in the checkout, pip install ".[cluster]"') from error
         self._distributed, self._work, self._name = distributed, work, str(address)
         if isinstance(address, str) and not _ADDRESS.fullmatch(address):
             raise UsageError(f"--cluster {address}: must be the address of a Dask scheduler, e.g. tcp://10.0.0.1:8786")

@@ -6,7 +6,16 @@ from cosim.progress import Shown, clock
 
 
 class StudyProgress(Shown):
-    """How far a study is, and within which bounds its first metric lies so far."""
+    """How far a study is, and within which bounds its first metric lies so far.
+
+    Args:
+        quiet: show nothing.
+        what: it consists of.
+    """
+
+    def __init__(self, *, quiet: bool, what: str = "runs") -> None:
+        super().__init__(quiet=quiet)
+        self._what = what
 
     _first: int | None = None  # how many runs were done before
     _begin = 0.0
@@ -26,7 +35,7 @@ class StudyProgress(Shown):
         now = time.monotonic()
         if self._first is None or done <= self._first:
             self._begin, self._first = now, done
-        words = f"{done} of {total} runs done" + (f", {failed} failed" if failed else "")
+        words = f"{done} of {total} {self._what} done" + (f", {failed} failed" if failed else "")
         if done > self._first:  # time left: as long for each as for those that are done
             words += f", {clock((now - self._begin) / (done - self._first) * (total - done))} left"
         if self._bounds is not None:

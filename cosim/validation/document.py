@@ -1,20 +1,16 @@
 """What a validation leaves: a document that can be read, and the same as JSON. Nothing in them tells when they were made."""
 
-import math
 import platform
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
-from cosim.figures.kit import Row
 from cosim.files import to_json, writing
 from cosim.validation import CHECKS
 from cosim.validation.kit import Outcome
 
 SCHEMA = "vcmvsp.validation/1"
-COLUMNS = "| case | expected | measured | tolerance | |"
 LIBRARIES = ("numpy", "scipy", "pybullet")
 
 
@@ -39,7 +35,7 @@ def as_json(outcomes: Sequence[Outcome]) -> str:
             "reduced": each.check.reduced,
             "ok": each.ok,
             "problem": each.problem,
-            "rows": [_plain(row) for row in each.rows],
+            "rows": [row.plain for row in each.rows],
         }
         for each in outcomes
     ]
@@ -55,10 +51,9 @@ def failures(outcomes: Sequence[Outcome]) -> list[str]:
     """A line for each row that is off, and for each check that broke off."""
     lines = []
     for each in outcomes:
-        lines += [
-            f"{each.check.name}: {row.case}: {_short(row.measured)}, not {_short(row.expected)} within {_short(row.tolerance)}"
-            for row in each.missed
-        ]
+        for row in each.missed:
+            case, expected, measured, tolerance = row.cells
+            lines.append(f"{each.check.name}: {case}: {measured}, not {expected} within {tolerance}")
         if not each.rows:
             lines.append(f"{each.check.name}: {each.problem}")
     return lines
@@ -68,13 +63,23 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[str]:
     rows, off = sum(len(each.rows) for each in outcomes), failures(outcomes)
     yield "# Validation\n"
     yield (
-        "Laws, closed forms, figures of the literature and outside references; `vcmvsp validate --out .` has measured all of\n"
-        "it and written this document. A row holds where measured and expected differ by no more than the absolute tolerance.\n"
+        "What the platform does, beside what is known without it: closed forms, standards, figures of the literature, other\n"
+        "programs. `vcmvsp validate` has measured every number under *measured* anew, and written this document.\n"
     )
     verdict = f"{len(off)} off" if off else "all hold"
-    yield f"{len(outcomes)} of {len(CHECKS)} checks, {rows} rows, {verdict}. {', '.join(_made_with())}.\n"
+    yield f"**{len(outcomes)} of {len(CHECKS)} checks, {rows} rows, {verdict}.** Made with {', '.join(_made_with())}.\n"
+    only = "" if len(outcomes) == len(CHECKS) else "".join(f" --only {each.check.name}" for each in outcomes)
+    minutes = sum(each.check.seconds for each in outcomes) / 60.0
+    yield f"To make it again, in about {max(minutes, 1.0):.0f} min of one core; the same versions give the same numbers:\n"
+    yield f"    vcmvsp validate{only}\n"
+    yield (
+        "A row holds where measured and expected differ by no more than the tolerance, an absolute number; where it is a\n"
+        "share of what is expected, the case says so. Where another program, a standard or a book says what is to be\n"
+        "expected, that stands under *expected by*, and in the code beside the number (`cosim/validation`, `cosim/figures`).\n"
+        "A check that is *reduced* has fewer runs than `vcmvsp figure` of the same name; its tolerances are the same.\n"
+    )
     yield "| area | check | what | expected by | rows | off |"
-    yield "|---|---|---|---|---|---|"
+    yield "|---|---|---|---|--:|--:|"
     for each in outcomes:
         off_here = str(len(each.missed)) if each.rows else "broke off"
         yield _line(each.check.area, f"`{each.check.name}`", each.check.title, each.check.source, str(len(each.rows)), off_here)
@@ -88,12 +93,12 @@ def _details(outcomes: Sequence[Outcome]) -> Iterator[str]:
             yield f"{each.check.title} Expected by: {each.check.source}."
             if each.check.reduced:
                 yield f"Reduced: {each.check.reduced}."
-            yield (
-                f"\n{each.problem}" if each.problem else "\n| case | expected | measured | tolerance | |\n|---|---|---|---|---|"
-            )
+            if each.problem:
+                yield f"\n{each.problem}"
+            else:
+                yield "\n| case | expected | measured | tolerance | verdict |\n|---|--:|--:|--:|---|"
             for row in each.rows:
-                numbers = map(_short, (row.expected, row.measured, row.tolerance))
-                yield _line(row.case, *numbers, "holds" if row.ok else "**OFF**")
+                yield _line(*row.cells, "holds" if row.ok else "**OFF**")
 
 
 def _line(*cells: str) -> str:
@@ -103,12 +108,3 @@ def _line(*cells: str) -> str:
 def _made_with() -> list[str]:
     versions = [f"{name} {metadata.version(name)}" for name in ("vcmvsp", *LIBRARIES)]
     return [*versions, f"Python {platform.python_version()}", platform.machine()]
-
-
-def _short(value: float) -> str:
-    return f"{value:.6g}"
-
-
-def _plain(row: Row) -> dict[str, Any]:
-    measured = row.measured if math.isfinite(row.measured) else None
-    return {"case": row.case, "expected": row.expected, "measured": measured, "tolerance": row.tolerance, "ok": row.ok}

@@ -5,7 +5,8 @@ What their rows are compared with, and the runs behind them, is the matter of ``
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+import pickle
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,27 @@ def one_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(delay, "REFERENCE", few)
 
 
+class Once(Runner):
+    """Makes a run once, however many figures show it."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self._made: dict[bytes, Any] = {}
+
+    def __call__(self, jobs: Sequence[Callable[[], Any]]) -> list[Any]:
+        keys = [pickle.dumps(job) for job in jobs]
+        for key, job in zip(keys, jobs, strict=True):
+            if key not in self._made:
+                self._made[key] = job()
+        return [self._made[key] for key in keys]
+
+
+RUNNER = Once()
+
+
 def made(name: str, folder: Path, panels: int, words: Sequence[str], **settings: Any) -> Figure:
     """A figure by its name, with all that holds for each of them."""
-    figure = figures.find(name)(Runner(1), **settings)
+    figure = figures.find(name)(RUNNER, **settings)
     assert [row for row in figure.rows if not row.ok] == []
     cases = [row.case for row in figure.rows]
     assert len(set(cases)) == len(cases)
@@ -48,7 +67,7 @@ def made(name: str, folder: Path, panels: int, words: Sequence[str], **settings:
 
 def test_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lossy, "PATHS", ("random",))
-    figure = made("loss", tmp_path, 2, [*lossy.ESTIMATORS, "straight"], followers=4, probabilities=(0.3,))
+    figure = made("loss", tmp_path, 2, [*lossy.ESTIMATORS, "straight"], followers=4, probabilities=(0.3,), straight=4)
     assert len(figure.rows) == 4 + 1 + 1  # each estimator, dr over hold, the closed form
 
 
