@@ -40,23 +40,27 @@ test: check
 	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 bench: setup .ns3/.ready .drones/.ready .peers/.ready
-	NS3_PREFIX=$$(echo .ns3/lib/python*/site-packages/ns3) $(BIN)/python -m bench
+	$(BIN)/python -m bench
 
-# ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++.
+# ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++. Of what cannot be installed, here and
+# below, the table says so.
 .ns3/.ready: $(VENV)/.ready
-	$(UV) venv --quiet --allow-existing .ns3 && $(UV) pip install --quiet --no-deps --python .ns3/bin/python ns3==3.44.post0
-	@touch $@
+	-$(UV) venv --quiet --allow-existing .ns3 && $(UV) pip install --quiet --no-deps --python .ns3/bin/python ns3==3.44.post0 && touch $@
 
-# PyFlyt, with which the quadrotors are compared; it wants a NumPy of its own.
-.drones/.ready: $(VENV)/.ready
-	$(UV) venv --quiet --allow-existing --python $(BIN)/python .drones
-	$(UV) pip install --quiet --python .drones/bin/python pyflyt==0.29.0 pybullet==3.2.7 numpy==1.26.4
-	@touch $@
+# PyFlyt, and the fork of gym-pybullet-drones that is on PyPI, with which the quadrotors are compared; they want a NumPy of their
+# own. The fork names its own Bullet and a library for learning, of which it needs none to fly.
+.drones/.ready: $(VENV)/.ready Makefile
+	-$(UV) venv --quiet --allow-existing --python $(BIN)/python .drones && \
+	$(UV) pip install --quiet --python .drones/bin/python pyflyt==0.29.0 pybullet==3.2.7 numpy==1.26.4 && \
+	$(UV) pip install --quiet --python .drones/bin/python transforms3d==0.4.2 pillow==13.0.0 matplotlib==3.10.9 setuptools==80.10.2 && \
+	$(UV) pip install --quiet --python .drones/bin/python --no-deps swarm-drone-gym==2.0.0.3 && touch $@
 
-# HELICS and mosaik, with which distributed agents are compared; where they cannot be installed, the table says so.
-.peers/.ready: $(VENV)/.ready
+# HELICS and mosaik, with which distributed agents are compared, and gradysim, with which messages are, without what it needs to
+# talk to autopilots.
+.peers/.ready: $(VENV)/.ready Makefile
 	-$(UV) venv --quiet --allow-existing --python $(BIN)/python .peers && \
-	$(UV) pip install --quiet --python .peers/bin/python helics==3.6.1 mosaik==3.6.0 && touch $@
+	$(UV) pip install --quiet --python .peers/bin/python helics==3.6.1 mosaik==3.6.0 && \
+	$(UV) pip install --quiet --python .peers/bin/python --no-deps gradysim==0.8.2 && touch $@
 
 clean:
 	rm -rf $(VENV) .uv .ns3 .drones .peers runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

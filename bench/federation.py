@@ -7,21 +7,18 @@ HELICS and mosaik need is in ``.peers`` (see the Makefile). HELICS is measured i
 held against, and in the quickest that could be found.
 """
 
-import contextlib
 import math
-import os
-import signal
-import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.measure import Row, Timed, in_turn, table
+from bench.asked import SilentError, installed, program
+from bench.measure import Row, in_turn, missing, table
 from bench.peers import ours
 
 ROUNDS = 7
+PAIRS = 10  # of agents that compute
 HERE = Path(sys.executable)
 PYTHON = Path(".peers/bin/python")
 
@@ -76,51 +73,6 @@ STARS = (
 )
 
 
-class SilentError(Exception):
-    """A program did not answer; the message is the last that it said."""
-
-
-@contextlib.contextmanager
-def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
-    """A program of `bench.peers` that has warmed up; each call runs a stretch and gives the seconds of an agent's step."""
-    command = [str(python), "-m", f"bench.peers.{module}"]
-    for name, value in options.items():
-        command += [f"--{name}"] if value is True else [f"--{name}", str(value)] if value else []
-    with tempfile.TemporaryFile("w+") as said, _process(command, said) as (asked, told):
-
-        def stretch() -> float:
-            if not (answer := told.readline()):
-                said.seek(0)
-                raise SilentError((said.read().strip().splitlines() or ["no word"])[-1])
-            return float(answer)
-
-        def timed() -> float:
-            asked.write("on\n")
-            asked.flush()
-            return stretch()
-
-        stretch()
-        yield timed
-
-
-@contextlib.contextmanager
-def _process(command: list[str], said: Any) -> Iterator[tuple[Any, Any]]:
-    """Its pipes; on the way out it and what it has started are gone."""
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    child = subprocess.Popen(command, text=True, stderr=said, start_new_session=True, **pipes)  # type: ignore[call-overload]
-    try:
-        yield child.stdin, child.stdout
-    finally:
-        with contextlib.suppress(OSError):
-            child.stdin.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            child.wait(10)
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
-        child.stdout.close()
-
-
 def beside(star: Star) -> Iterator[Row]:
     """A row for each peer."""
     asked, answered = ours.sizes(star.scans)
@@ -132,20 +84,13 @@ def beside(star: Star) -> Iterator[Row]:
             name = f"agents elsewhere: {star.name}; beside it {peer.name}"
             demand = "none" if share == NONE else f"<= {share:.2g}x"
             try:
-                python = HERE if peer.module == "bare" else installed()
+                python = HERE if peer.module == "bare" else installed(PYTHON)
                 with program(peer.module, python, **same, way=peer.way, asked=asked, answered=answered) as its:
                     one, other, ratio = in_turn(mine, its, ROUNDS)
             except SilentError as error:
-                yield Row(name, "", f"not measured: {error}", math.nan, demand, True)
+                yield missing(name, demand, error)
             else:
                 yield Row(name, f"{1e6 * one:.1f} us a step", f"{1e6 * other:.1f} us", ratio, demand, ratio <= share)
-
-
-def installed() -> Path:
-    """The Python that has the peers."""
-    if not PYTHON.exists():
-        raise SilentError(f"it is not installed: make {PYTHON.parts[0]}/.ready")
-    return PYTHON
 
 
 def compute_row() -> Row:
@@ -164,10 +109,10 @@ def _computing(name: str, demanded: float, processes: int, **options: Any) -> Ro
     print(f"measuring: federation, {name} ...", file=sys.stderr, flush=True)
     same: dict[str, Any] = {"agents": 2, "busy_s": 0.02, "stretch_s": 1.0, **options}
     with program("ours", HERE, **same, processes=processes) as apart, program("ours", HERE, **same) as together:
-        pairs = [(apart(), together()) for _ in range(2 * ROUNDS)]
+        pairs = [(apart(), together()) for _ in range(PAIRS)]
     mine, its = (min(each) for each in zip(*pairs, strict=True))
     ratio = mine / its
-    name = f"agents elsewhere: {name}; beside it all in one process (least of {2 * ROUNDS})"
+    name = f"agents elsewhere: {name}; beside it all in one process (least of {PAIRS})"
     return Row(name, f"{2e3 * mine:.1f} ms a step", f"{2e3 * its:.1f} ms", ratio, f"<= {demanded}x", ratio <= demanded)
 
 

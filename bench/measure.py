@@ -1,5 +1,6 @@
 """Timing two things in turn, so that a machine whose speed drifts drifts for both."""
 
+import math
 import statistics
 import sys
 import time
@@ -21,6 +22,11 @@ class Row(NamedTuple):
     holds: bool
 
 
+def missing(name: str, demand: str, why: object) -> Row:
+    """The line of a peer that is not there: no number, and nothing that fails."""
+    return Row(name, "", f"not measured: {why}", math.nan, demand, True)
+
+
 def cpu(work: Callable[[], object]) -> float:
     """CPU seconds of this process for one call."""
     begin = time.process_time()
@@ -30,7 +36,11 @@ def cpu(work: Callable[[], object]) -> float:
 
 def in_turn(ours: Timed, other: Timed, rounds: int) -> tuple[float, float, float]:
     """Median costs of both and the median of the ratios ours / other, pair by pair, after one round that does not count."""
-    pairs = [(ours(), other()) for _ in range(rounds + 1)][1:]
+    return medians([(ours(), other()) for _ in range(rounds + 1)][1:])
+
+
+def medians(pairs: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
+    """Of ours, of the other, and of the ratio of each pair."""
     return (
         statistics.median(a for a, _ in pairs),
         statistics.median(b for _, b in pairs),

@@ -27,7 +27,7 @@ from cosim.studies.worker import Job, Work, run_one, version
 
 ROUNDS = 5
 DURATION_S = 120.0
-RUNS = 200
+RUNS = 100
 JOBS = 2
 IDEAL = {"preset": "ideal", "loss": {"probability": 0.2}, "delay": {"seconds": 0.05, "jitter_s": 0.02}}
 VARY = {"radio.loss.probability": [0.1, 0.3]}

@@ -1,13 +1,16 @@
 """The scenarios that are timed, and one run of them without set-up and files."""
 
 import io
-from typing import Any
+from typing import Any, Literal
 
 from bench.measure import cpu
 from cosim import scenario as scenarios
 from cosim.assemble import Assembly
 from cosim.kernel import Kernel
 from cosim.record.recorder import Recorder
+
+Kept = Literal["mcap", "tables", "nothing"]
+"""What a run keeps in memory: all, with the file that Foxglove opens; tables and metrics, as in a study; or nothing."""
 
 
 def star(vehicles: int, *, physics: str, duration_s: float) -> dict[str, Any]:
@@ -29,7 +32,7 @@ def star(vehicles: int, *, physics: str, duration_s: float) -> dict[str, Any]:
     }
 
 
-def run_cpu_s(scenario: dict[str, Any]) -> float:
+def run_cpu_s(scenario: dict[str, Any], kept: Kept = "mcap") -> float:
     """CPU seconds of one run in this process: kernel, radio, agents, physics and recording; neither set-up nor files."""
     parsed, source = scenarios.load(scenario)
     with Assembly(parsed, source) as assembly:
@@ -38,14 +41,16 @@ def run_cpu_s(scenario: dict[str, Any]) -> float:
         recorder = Recorder(
             assembly.run_info,
             record_ticks=assembly.record_ticks,
-            mcap=io.BytesIO(),
+            mcap=io.BytesIO() if kept == "mcap" else None,
             agents=assembly.infos,
             radius_m=assembly.radius_m,
         )
 
         def work() -> None:
-            kernel.run(recorder.on)
+            kernel.run((lambda _: None) if kept == "nothing" else recorder.on)
             recorder.close(kernel.now_ns)
+            if kept == "tables":
+                recorder.metrics(window=(0.0, None))
 
         seconds = cpu(work)
         kernel.close()

@@ -1,8 +1,8 @@
 """Compiles ``wifi.cc`` against the ns-3 wheel, runs it, and keeps its results.
 
 The wheel (``pip install --no-deps ns3==3.44.post0``, in an environment of its own) carries headers and libraries. The variable
-``NS3_PREFIX`` names its folder ``.../site-packages/ns3``; without it the running interpreter's is taken. ``NS3_RESULTS``
-names the folder in which the program and the results are kept.
+``NS3_PREFIX`` names its folder ``.../site-packages/ns3``; without it the one that ``make .ns3/.ready`` has put there is taken,
+or the running interpreter's. ``NS3_RESULTS`` names the folder in which the program and the results are kept.
 """
 
 import hashlib
@@ -21,10 +21,15 @@ from numpy.typing import NDArray
 SOURCE = Path(__file__).with_name("wifi.cc")
 RESULTS = "1"  # another number when the program computes something else: results that were kept are then not taken any more
 LIBRARIES = ("wifi", "core", "network", "propagation", "spectrum", "mobility", "antenna", "stats", "energy")
-WHEEL = "pip install --no-deps ns3==3.44.post0 in an environment of its own, NS3_PREFIX=.../site-packages/ns3"
+HOME = Path(".ns3")  # see the Makefile
+WHEEL = "make .ns3/.ready, or NS3_PREFIX=.../site-packages/ns3 of ns3==3.44.post0"
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
+
+
+class MissingError(SystemExit):
+    """There is no ns-3."""
 
 
 class Frames(NamedTuple):
@@ -98,9 +103,9 @@ def program() -> Path:
 
 def _prefix() -> Path:
     named = os.environ.get("NS3_PREFIX")
-    found = None if named else importlib.util.find_spec("ns3")
-    places = [named] if named else list(found.submodule_search_locations or ()) if found else []
-    for place in map(Path, places):
+    found = importlib.util.find_spec("ns3")
+    own = map(Path, found.submodule_search_locations or ()) if found else ()
+    for place in [Path(named)] if named else [*HOME.resolve().glob("lib/python*/site-packages/ns3"), *own]:
         if (place / "include" / "ns3" / "wifi-module.h").exists():
             return place
-    raise SystemExit(f"no ns-3: {WHEEL}")
+    raise MissingError(f"no ns-3: {WHEEL}")

@@ -1,1 +1,1 @@
-"""The same star of agents in each of the systems that are compared: programs that `bench.federation` runs."""
+"""The same work in each of the systems that are compared: programs that `bench.asked` starts and asks."""

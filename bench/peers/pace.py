@@ -1,4 +1,4 @@
-"""What every program of `bench.peers` is told, and how it is timed: by itself, a stretch of steps whenever it is asked.
+"""What every program of `bench.peers` is told, and how it is timed: by itself, a stretch of work whenever it is asked.
 
 Standard library alone: the environment of the peers has nothing of ours.
 """
@@ -8,7 +8,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TextIO
 
 BEAMS = 512
 STATE = {
@@ -17,6 +18,7 @@ STATE = {
     "attitude": (0.7, 0.1, 0.1, 0.7),
     "angular_velocity": (0.1, 0.2, 0.3),
 }
+MESSAGE = "car007 12.5 -3.25 0.5"  # what is broadcast, where messages are compared
 COMMAND = {"linear": (0.3, 0.1, 0.1), "yaw_rate": 0.3}
 
 
@@ -32,6 +34,8 @@ class Options(argparse.Namespace):
     world_s: float  # CPU time that the world takes
     latency_s: float  # from what an agent sees to what its command does, for those that can overlap both
     stretch_s: float  # wall-clock time of a stretch
+    span_s: float  # simulated time of a stretch, for those that have it so
+    loss: float  # how likely a message is lost at each of its receivers
     way: str  # how it is done, of those that are measured in two ways
     at: str  # where a program's children find it
 
@@ -41,7 +45,7 @@ def options(arguments: Sequence[str] | None = None) -> Options:
     parser = argparse.ArgumentParser()
     for name in ("agents", "processes", "asked", "answered"):
         parser.add_argument(f"--{name}", type=int, default=0)
-    for name in ("busy_s", "world_s", "latency_s"):
+    for name in ("busy_s", "world_s", "latency_s", "span_s", "loss"):
         parser.add_argument(f"--{name}", type=float, default=0.0)
     parser.add_argument("--stretch_s", type=float, default=0.3)
     parser.add_argument("--scans", action="store_true")
@@ -57,8 +61,7 @@ class Pace:
     """
 
     def __init__(self, wanted: Options) -> None:
-        self._answers = os.fdopen(os.dup(1), "w")
-        os.dup2(2, 1)  # what libraries print is not for whoever reads the answers
+        self._answers = _answers()
         self._agents, self._stretch_s = wanted.agents, wanted.stretch_s
         self._steps = -1  # those of this stretch that are over
         self._begin = 0.0
@@ -75,6 +78,25 @@ class Pace:
                 return False
         self._steps, self._begin = 0, time.perf_counter()
         return True
+
+
+def stretches(prepare: Callable[[Options], Callable[[], None]]) -> None:
+    """Prepare some work, do it whenever asked, and print the CPU seconds of it; the first time, unasked, warms up."""
+    answers = _answers()
+    work = prepare(options())
+    while True:
+        begin = time.process_time()
+        work()
+        print(time.process_time() - begin, file=answers, flush=True)
+        if not sys.stdin.readline():
+            return
+
+
+def _answers() -> TextIO:
+    """Standard output; what libraries print there from now on is not for whoever reads the answers."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    return answers
 
 
 def busy(seconds: float) -> None:

@@ -1,0 +1,72 @@
+"""Peers as programs of their own: each does a stretch of its work whenever it is asked, and says what that cost."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from bench.measure import Timed
+
+
+class SilentError(Exception):
+    """A program did not answer; the message is the last that it said."""
+
+
+@contextlib.contextmanager
+def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
+    """A program of `bench.peers` that has warmed up; each call runs a stretch and gives its cost.
+
+    Raises:
+        SilentError: it ended instead of answering.
+    """
+    command = [str(python), "-m", f"bench.peers.{module}"]
+    for name, value in options.items():
+        command += [f"--{name}"] if value is True else [f"--{name}", str(value)] if value else []
+    with tempfile.TemporaryFile("w+") as said, _process(command, said) as (asked, told):
+
+        def stretch() -> float:
+            if not (answer := told.readline()):
+                said.seek(0)
+                raise SilentError((said.read().strip().splitlines() or ["no word"])[-1])
+            return float(answer)
+
+        def timed() -> float:
+            asked.write("on\n")
+            asked.flush()
+            return stretch()
+
+        stretch()
+        yield timed
+
+
+@contextlib.contextmanager
+def _process(command: list[str], said: Any) -> Iterator[tuple[Any, Any]]:
+    """Its pipes; on the way out it and what it has started are gone."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    child = subprocess.Popen(command, text=True, stderr=said, start_new_session=True, **pipes)  # type: ignore[call-overload]
+    try:
+        yield child.stdin, child.stdout
+    finally:
+        with contextlib.suppress(OSError):
+            child.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(10)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        child.stdout.close()
+
+
+def installed(python: Path) -> Path:
+    """The Python of an environment that has some peers.
+
+    Raises:
+        SilentError: there is none.
+    """
+    if not python.exists():
+        raise SilentError(f"it is not installed: make {python.parts[0]}/.ready")
+    return python

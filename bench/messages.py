@@ -1,0 +1,131 @@
+"""Vehicles that only talk, beside gradysim and a SimPy programme, in one run: ``python -m bench.messages``.
+
+Everybody stands still, broadcasts twenty bytes ten times a second over a channel that loses a fifth, and counts what it
+hears. gradysim keeps no record of a run, so ours keeps none in the rows beside it; a row says what tables and metrics add.
+UavNetSim is not on PyPI: a SimPy programme in its way stands for it (`bench.peers.simpy_air`). CPU seconds of each process.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.asked import SilentError, installed, program
+from bench.measure import Row, cpu, in_turn, missing, table
+from bench.peers.pace import MESSAGE
+from bench.workloads import Kept, run_cpu_s
+from cosim import scenario as scenarios
+from cosim.agent import Agent, Observation, Radio
+from cosim.assemble import Assembly
+from cosim.types import Message, Velocity
+from netsim.federate import RadioFederate
+
+ROUNDS = 3
+COUNTS = (10, 50, 100)
+LOSS = 0.2
+TENTH_NS = 100_000_000
+WORK = 100_000  # receptions that each round is about
+PEERS = Path(".peers/bin/python")
+STILL = Velocity(linear=(0.0, 0.0, 0.0), yaw_rate=0.0)
+IDEAL: dict[str, Any] = {"preset": "ideal"}
+LEVELS: dict[str, Any] = {"preset": "wifi-b-1", "mac": {"kind": "ideal"}}  # whoever sends has the air for itself
+
+
+class Counter(Agent):
+    """Stays where it is, broadcasts, and counts what it hears."""
+
+    def __init__(self) -> None:
+        self.heard = 0
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        """Ten times a second."""
+        self.heard += len(obs.heard)
+        radio.send(MESSAGE.encode())
+        return STILL
+
+
+def talk(count: int, radio: dict[str, Any], duration_s: float) -> dict[str, Any]:
+    """The scenario."""
+    places = [(3.0 * (n % 10), 3.0 * (n // 10), 0.0) for n in range(count)]
+    return {
+        "name": "talk",
+        "duration_s": duration_s,
+        "physics": {"kind": "kinematic"},
+        "radio": {**radio, "loss": {"probability": LOSS}},
+        "vehicles": {"kind": "kinematic"},
+        "agents": {"kind": "bench.messages:Counter", "period_s": 0.1},
+        "vehicle": [{"name": f"car{n}", "pose": place, "agent": {}} for n, place in enumerate(places)],
+    }
+
+
+def beside(count: int, radio: dict[str, Any], kept: Kept, what: str, peer: str, python: Path, least: float | None) -> Row:
+    """CPU seconds for each simulated second."""
+    print(f"measuring: messages, {count} beside {peer} ...", file=sys.stderr, flush=True)
+    span_s = max(2.0, round(WORK / (10 * count * (count - 1)), 1))
+    scenario = talk(count, radio, span_s)
+    demand = "none" if least is None else f">= {least:g} times less"
+    try:
+        with program(peer, installed(python), agents=count, span_s=span_s, loss=LOSS) as its:
+            ours, other, ratio = in_turn(lambda: run_cpu_s(scenario, kept), its, ROUNDS)
+    except SilentError as error:
+        return missing(what, demand, error)
+    cost, its_cost = f"{1e3 * ours / span_s:.1f} CPU ms a simulated s", f"{1e3 * other / span_s:.1f}"
+    return Row(what, cost, its_cost, ratio, demand, least is None or ratio <= 1.0 / least)
+
+
+def decisions(radio: dict[str, Any], what: str) -> Row:
+    """A hundred radios, of which one after the other sends; all have moved before they do so again."""
+    print(f"measuring: messages, decisions, {what} ...", file=sys.stderr, flush=True)
+    count, ticks = COUNTS[-1], 10
+    name = f"decisions of the channel (frame and receiver), {count} radios, {what}, by `Channel.send`; beside it gradysim's"
+    demand = ">= 1 million / CPU s"
+    ours = sends(count, radio, ticks)
+    try:
+        with program("gradysim_broadcast", installed(PEERS), agents=count, span_s=0.1 * ticks, loss=LOSS, way="decide") as its:
+            mine, other, ratio = in_turn(ours, its, ROUNDS)
+    except SilentError as error:
+        return missing(name, demand, error)
+    made = 1e-6 * count * (count - 1) * ticks
+    return Row(name, f"{made / mine:.2f} million / CPU s", f"{made / other:.2f}", ratio, demand, made / mine >= 1.0)
+
+
+def sends(count: int, radio: dict[str, Any], ticks: int) -> Callable[[], float]:
+    """Each call has all send so often, every time from other places, and gives the CPU seconds."""
+    parsed, source = scenarios.load(talk(count, radio, 1.0))
+    with Assembly(parsed, source) as assembly:
+        (channel,) = (each._channel for each in assembly.federates if isinstance(each, RadioFederate))
+    names = assembly.run_info.vehicles
+    messages = [Message(sender=name, body=MESSAGE.encode(), size_bytes=len(MESSAGE), to=None) for name in names]
+    places = np.array([(3.0 * (n % 10), 3.0 * (n // 10), 0.0) for n in range(count)])
+    tick = 0
+
+    def send() -> None:
+        nonlocal tick
+        for _ in range(ticks):
+            tick += 1
+            now = places + 0.01 * (tick % 100)
+            for message in messages:
+                channel.send(tick * TENTH_NS, message, names, now)
+
+    return partial(cpu, send)
+
+
+def rows() -> Iterator[Row]:
+    """All of them; each is measured when it is asked for."""
+    for count in COUNTS:
+        name = f"{count} that stand, broadcast at 10 Hz, a fifth lost, nothing recorded; beside it gradysim 0.8.2"
+        yield beside(count, IDEAL, "nothing", name, "gradysim_broadcast", PEERS, 2.0)
+    name = f"the same {COUNTS[-1]} with tables and metrics, as in a study; beside it gradysim 0.8.2, which records nothing"
+    yield beside(COUNTS[-1], IDEAL, "tables", name, "gradysim_broadcast", PEERS, None)
+    for count in COUNTS:
+        name = f"{count} that stand, broadcast at 10 Hz, by 802.11b levels; beside it a SimPy programme in the way of UavNetSim"
+        yield beside(count, LEVELS, "nothing", name, "simpy_air", Path(sys.executable), None)
+    yield decisions(IDEAL, "losses alone")
+    yield decisions(LEVELS, "802.11b levels by distance and losses")
+
+
+if __name__ == "__main__":
+    print(table(list(rows())))

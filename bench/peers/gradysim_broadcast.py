@@ -1,0 +1,94 @@
+"""gradysim (GrADyS-SIM NextGen): nodes that stand still and broadcast ten times a second.
+
+``--agents``, ``--span_s``, ``--loss``; ``--way decide``: nothing but its channel, which decides who hears a message, and puts
+its arrival into the queue of events.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from gradysim.protocol.interface import IProtocol  # type: ignore[import-not-found]
+from gradysim.protocol.messages.communication import BroadcastMessageCommand  # type: ignore[import-not-found]
+from gradysim.simulator.handler.communication import (  # type: ignore[import-not-found]
+    CommunicationHandler,
+    CommunicationMedium,
+)
+from gradysim.simulator.handler.timer import TimerHandler  # type: ignore[import-not-found]
+from gradysim.simulator.simulation import SimulationBuilder, SimulationConfiguration  # type: ignore[import-not-found]
+
+from bench.peers.pace import MESSAGE, Options, stretches
+
+RATE_HZ = 10
+
+
+class Counter(IProtocol):  # type: ignore[misc]
+    """Broadcasts, and counts what it hears."""
+
+    heard = 0  # by all
+
+    def initialize(self) -> None:
+        """At once."""
+        self._sent = 0
+        self.handle_timer("")
+
+    def handle_timer(self, timer: str) -> None:
+        """Broadcast, and wait for the next time."""
+        self.provider.send_communication_command(BroadcastMessageCommand(MESSAGE))
+        self._sent += 1
+        self.provider.schedule_timer("", self._sent / RATE_HZ)
+
+    def handle_packet(self, message: str) -> None:
+        """Count."""
+        Counter.heard += 1
+
+    def handle_telemetry(self, telemetry: object) -> None:
+        """There is none: nobody moves."""
+
+    def finish(self) -> None:
+        """Nothing."""
+
+
+def built(wanted: Options) -> tuple[Any, CommunicationHandler]:
+    """A simulation without physics, and its channel."""
+    medium = CommunicationMedium(transmission_range=1e6, failure_rate=wanted.loss)
+    radio = CommunicationHandler(medium)
+    duration_s = wanted.span_s - 0.5 / RATE_HZ  # without the broadcast at its end
+    builder = SimulationBuilder(SimulationConfiguration(duration=duration_s, execution_logging=False))
+    builder.add_handler(radio).add_handler(TimerHandler())
+    for number in range(wanted.agents):
+        builder.add_node(Counter, (3.0 * (number % 10), 3.0 * (number // 10), 0.0))
+    return builder.build(), radio
+
+
+def work(wanted: Options) -> Callable[[], None]:
+    """Each call is a run of its own, which is built, or as many decisions."""
+    return deciding(wanted) if wanted.way == "decide" else lambda: run(wanted)
+
+
+def run(wanted: Options) -> None:
+    """From the first to the last broadcast."""
+    Counter.heard = 0
+    simulation, _ = built(wanted)
+    simulation.start_simulation()
+    sent = wanted.agents * round(RATE_HZ * wanted.span_s)
+    share = Counter.heard / (sent * (wanted.agents - 1))
+    assert abs(share - (1.0 - wanted.loss)) < 0.05, share
+
+
+def deciding(wanted: Options) -> Callable[[], None]:
+    """Only what its channel does when it is handed a message."""
+    simulation, radio = built(wanted)
+    command, events = BroadcastMessageCommand(MESSAGE), simulation._event_loop
+    nodes = [simulation.get_node(number) for number in range(wanted.agents)]
+
+    def decide() -> None:
+        for _ in range(round(RATE_HZ * wanted.span_s)):
+            for node in nodes:
+                radio.handle_command(command, node)
+            events.clear()
+
+    return decide
+
+
+if __name__ == "__main__":
+    stretches(work)

@@ -1,0 +1,212 @@
+"""Where the CPU time of whole runs goes: Bullet, the rest of physics, radio, agents, kernel, recording, start and end.
+
+``python -m bench.shares [FOLDER]`` prints the table and leaves shares.csv, .png and .svg in the folder. Each run is a process
+of its own, from the interpreter's start to the last file, as ``vcmvsp run`` makes it, or as a study does. What is called there
+is clocked from outside; what the clock itself takes is measured first and taken off.
+"""
+
+import csv
+import functools
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bench.measure import Row, table
+from cosim import api
+from cosim.kernel import Kernel, Observer
+
+FOLDER = Path("runs") / "shares"
+PARTS = ("Bullet", "physics", "radio", "agents", "kernel", "recording", "start", "end")
+PACKAGES = {"physics": "physics", "netsim": "radio", "agents": "agents"}  # of federates; those of the core are the kernel's
+CALLS = 20_000  # that tell what the clock takes
+
+
+class Case(NamedTuple):
+    """A built-in scenario, as it is or with a few keys changed."""
+
+    what: str
+    settings: Mapping[str, Any] = {}
+    study: bool = False  # tables and metrics alone
+
+
+CASES = {
+    "formation-circle": Case("3 robots"),
+    "mixed-50": Case("25 robots, 25 quadrotors, sensors", {"duration_s": 15.0}),
+    "swarm-100": Case("100 quadrotors"),
+    "study-size": Case("50 kinematic vehicles, 802.11b, as in its study", {"vehicle.car.count": 49}, study=True),
+}
+
+
+class Stopwatch:
+    """CPU time of this process by part: what one part calls of another counts as the other's alone."""
+
+    def __init__(self) -> None:
+        self._spent = dict.fromkeys((*PARTS, "outside", "inside"), 0.0)
+        self._calls: Counter[tuple[str, str]] = Counter()  # by caller and called
+        self._now, self._since = "start", 0.0  # the process's clock began with it
+        self._outside_s, self._inside_s = self._own()
+
+    def change(self, part: str) -> str:
+        """From here on it is this part's time; the answer is whose it was."""
+        before, now = self._now, time.process_time()
+        self._spent[before] += now - self._since
+        self._now, self._since = part, now
+        return before
+
+    def clocked(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, whose time is this part's."""
+        calls, change = self._calls, self.change
+
+        def clocked(*args: Any, **named: Any) -> Any:
+            before = change(part)
+            try:
+                return function(*args, **named)
+            finally:
+                change(before)
+                calls[before, part] += 1
+
+        return clocked
+
+    def spent(self) -> dict[str, float]:
+        """CPU seconds by part, without what the clock took."""
+        self.change(self._now)
+        found = {part: self._spent[part] for part in PARTS}
+        for (caller, called), count in self._calls.items():
+            found[caller] -= count * self._outside_s
+            found[called] -= count * self._inside_s
+        return {part: max(0.0, seconds) for part, seconds in found.items()}
+
+    def _own(self) -> tuple[float, float]:
+        """CPU seconds that a clocked call takes beyond the call, of its caller's time and of its own."""
+
+        def nothing() -> None:
+            """No work."""
+
+        bare = time.process_time()
+        for _ in range(CALLS):
+            nothing()
+        bare = (time.process_time() - bare) / CALLS
+        clocked, before = self.clocked("inside", nothing), self.change("outside")
+        for _ in range(CALLS):
+            clocked()
+        self.change(before)
+        self._calls.clear()
+        outside, inside = self._spent["outside"] / CALLS, self._spent["inside"] / CALLS
+        return outside, max(0.0, inside - bare)
+
+
+def spent(name: str) -> dict[str, float]:
+    """CPU seconds by part of a run in this process, which has done nothing else yet."""
+    case, watch, run = CASES[name], Stopwatch(), Kernel.run
+
+    def clocked(kernel: Kernel, observe: Observer, **more: Any) -> None:
+        for federate in kernel._federates:
+            part = PACKAGES.get(type(federate).__module__.partition(".")[0])
+            if part is not None:
+                federate.step = watch.clocked(part, federate.step)  # type: ignore[method-assign]
+        bullet: Any = sys.modules.get("pybullet")
+        if bullet is not None:
+            bullet.stepSimulation = watch.clocked("Bullet", bullet.stepSimulation)
+        watch.change("kernel")
+        run(kernel, watch.clocked("recording", observe), **more)
+        watch.change("end")
+
+    Kernel.run = clocked  # type: ignore[method-assign, assignment]  # of this process alone
+    with tempfile.TemporaryDirectory() as folder:
+        out = None if case.study else Path(folder) / "run"
+        api.run(name, set=case.settings, agents="inprocess", mcap=not case.study, out=out)
+        return watch.spent()
+
+
+@functools.cache
+def measured() -> Mapping[str, Mapping[str, float]]:
+    """Of every case the CPU seconds by part; told as they begin."""
+    found = {}
+    for name in CASES:
+        print(f"measuring: shares, {name} ...", file=sys.stderr, flush=True)
+        command = [sys.executable, "-m", "bench.shares", "--one", name]
+        found[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+    return found
+
+
+def rows() -> list[Row]:
+    """A row for each run; the picture is drawn, too."""
+    found = measured()
+    print("\n".join(map(str, write(found, FOLDER))), file=sys.stderr)
+    return [_row(name, seconds) for name, seconds in found.items()]
+
+
+def _row(name: str, seconds: Mapping[str, float]) -> Row:
+    whole = sum(seconds.values())
+    shares = ", ".join(f"{part} {100 * seconds[part] / whole:.0f} %" for part in PARTS if seconds[part] >= 0.005 * whole)
+    what = f"`{name}`, {CASES[name].what}: where CPU time goes; beside it all of it (ratio: Bullet's share)"
+    return Row(what, shares, f"{whole:.1f} CPU s", seconds["Bullet"] / whole, "none", True)
+
+
+def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
+    """The CPU seconds as shares.csv, and drawn; the answer is what was written."""
+    from cosim.record import plots
+
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = folder / "shares.csv"
+    with numbers.open("w", encoding="utf-8", newline="") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(("scenario", *(f"{part}_s" for part in PARTS)))
+        lines.writerows((name, *(f"{seconds[part]:.4f}" for part in PARTS)) for name, seconds in found.items())
+    return [numbers, *plots.save(draw(found), folder / "shares")]
+
+
+def draw(found: Mapping[str, Mapping[str, float]]) -> Any:
+    """A bar for each run, as long as all others, of its parts."""
+    from matplotlib.figure import Figure
+
+    from cosim.record.palette import OKABE_ITO
+    from cosim.record.style import ABOVE, GREY, styled
+
+    colors = (*OKABE_ITO[1:], "0.8", GREY)  # black would hide what is written in it
+
+    @styled
+    def drawn() -> Figure:
+        figure = Figure(figsize=(7.0, 1.1 + 0.55 * len(found)), layout="constrained")
+        axes = figure.add_subplot()
+        figure.suptitle("Where the CPU time of a run goes")
+        left = dict.fromkeys(found, 0.0)
+        for part, color in zip(PARTS, colors, strict=True):
+            for place, (name, seconds) in enumerate(found.items()):
+                share = 100.0 * seconds[part] / sum(seconds.values())
+                label = part if place == 0 else None
+                axes.barh(place, share, left=left[name], height=0.7, color=color, edgecolor="white", linewidth=0.8, label=label)
+                if share >= 3.5:
+                    ink = "white" if part == "Bullet" else "black"
+                    axes.text(left[name] + 0.5 * share, place, f"{share:.0f}", ha="center", va="center", color=ink, fontsize=8)
+                left[name] += share
+        names = [f"{name}\n{sum(seconds.values()):.1f} CPU s" for name, seconds in found.items()]
+        axes.set_yticks(range(len(found)), names)
+        axes.invert_yaxis()
+        axes.grid(axis="y", visible=False)
+        axes.set_xlim(0.0, 100.0)
+        axes.set_xlabel("share of CPU time, from the start of the interpreter to the last file [%]")
+        axes.legend(ncols=len(PARTS), **{**ABOVE, "columnspacing": 0.9, "handlelength": 1.2, "handletextpad": 0.4})
+        return figure
+
+    return drawn()
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print the table and draw it; or, with ``--one NAME``, the CPU seconds of one run as JSON."""
+    if arguments[:1] == ["--one"]:
+        print(json.dumps(spent(arguments[1])))
+        return
+    found = measured()
+    print(table([_row(name, seconds) for name, seconds in found.items()]))
+    print("\n".join(map(str, write(found, Path(*arguments) if arguments else FOLDER))))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

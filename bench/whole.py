@@ -1,0 +1,146 @@
+"""Whole runs with bodies: physics, radio, agents in this process and recording together, each beside what it is built on.
+
+``python -m bench.whole`` prints the table. CPU time of one core, medians of pairs; neither start nor files are in it.
+"""
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from agents.patrol import Patrol
+from bench import bare
+from bench.measure import Row, in_turn, measured, table
+from bench.vehicles import Fleet, bare_cpu_s
+from bench.workloads import run_cpu_s, star
+from cosim import scenario as scenarios
+from cosim.agent import Agent, Observation, Radio, VehicleInfo
+from cosim.types import Velocity, Waypoint
+
+ROUNDS = 5
+
+
+class Lookout(Patrol):
+    """Patrol, and look at the scanner at every tick, in the air too."""
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint:
+        """Look, and go on."""
+        obs.readings.get(self.scanner)
+        return super().act(obs, radio)
+
+
+class Circler(Agent):
+    """Drive a small circle as the robots of `bench.vehicles` do, and tell once a second where one is: not all at once."""
+
+    def start(self, info: VehicleInfo) -> None:
+        """Note when to report first."""
+        self._report_at_s = info.stream("report").uniform()
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        """Go on."""
+        if obs.time_s >= self._report_at_s:
+            self._report_at_s += 1.0
+            x, y, z = obs.state.position
+            radio.send(x=x, y=y, z=z)
+        return Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.3)
+
+
+def built_in(name: str, duration_s: float, **changed: Mapping[str, Any]) -> dict[str, Any]:
+    """A built-in scenario with its agents in this process, of another length, and with some keys of its tables changed."""
+    raw = tomllib.loads(scenarios.text_of(name))
+    changed = {**changed, "agents": {"runs": "inprocess", **changed.get("agents", {})}}
+    return {**raw, "duration_s": duration_s, **{key: {**raw.get(key, {}), **keys} for key, keys in changed.items()}}
+
+
+def mixed_100(duration_s: float) -> dict[str, Any]:
+    """mixed-50 with twice as many of each, in a town twice as long; all have scanners at 10 Hz and look at them."""
+    raw = built_in("mixed-50", duration_s, world={"size": [430.0, 200.0]}, metrics={"from_s": 0.0})
+    ground, air = raw["vehicle"]
+    ground |= {"count": 50, "columns": 10, "position": [-212.0, -92.0, 0.0]}
+    air |= {"count": 50, "columns": 10, "position": [-180.0, -90.0, 45.0]}
+    for vehicle, scanner in ((ground, "scan"), (air, "ring")):
+        vehicle["sensors"][scanner]["rate_hz"] = 10.0
+        vehicle["agent"] |= {"scanner": scanner}
+    raw["agents"]["kind"] = "bench.whole:Lookout"
+    return raw
+
+
+def circling(fleet: Fleet) -> dict[str, Any]:
+    """The robots of a fleet on its open floor."""
+    listed = [{"name": spec.name, "position": spec.position, "agent": {}} for spec in fleet.specs()]
+    return {
+        "name": "circling",
+        "duration_s": fleet.duration_s,
+        "physics": {"rate_hz": fleet.rate_hz, "iterations": fleet.iterations},
+        "radio": {"preset": "wifi-g-6"},
+        "vehicles": {"kind": "p2dx"},
+        "agents": {"kind": "bench.whole:Circler"},
+        "vehicle": listed,
+    }
+
+
+def _speed(name: str, scenario: dict[str, Any], other: Callable[[], float], least: float) -> Row:
+    """How fast a run is; ``other`` costs so many CPU seconds for as long a time."""
+    duration_s = scenario["duration_s"]
+    ours, its, ratio = in_turn(lambda: run_cpu_s(scenario), other, ROUNDS)
+    speed = duration_s / ours
+    demand = f">= {least:g}x real time"
+    return Row(name, f"{speed:.3g}x real time", f"{duration_s / its:.3g}x", ratio, demand, speed >= least)
+
+
+def _swarm(report_s: float) -> Row:
+    scenario = built_in("swarm-100", 3.0, radio={"mac": {"kind": "dcf"}}, agents={"report_s": report_s})
+    name = f"whole run: swarm-100, 802.11g with contention, everybody reports every {report_s:g} s; beside it stepSimulation"
+    return _speed(name, scenario, lambda: 3.0 * bare_cpu_s(Fleet(0, 100)), 1.5)
+
+
+def mixed() -> Row:
+    """Fifty robots and fifty quadrotors that look about."""
+    name = (
+        "whole run: 50 p2dx, 50 quadrotors in a town, scans at 10 Hz, all looked at; beside it stepSimulation on an open floor"
+    )
+    return _speed(name, mixed_100(4.0), lambda: 4.0 * bare_cpu_s(Fleet(50, 50, duration_s=2.0)), 1.0)
+
+
+def formation() -> Row:
+    """formation-circle."""
+    scenario = built_in("formation-circle", 60.0)
+    name = "whole run: formation-circle, 3 p2dx; beside it stepSimulation"
+    return _speed(name, scenario, lambda: bare.bullet_cpu_s(3, 60.0), 30.0)
+
+
+def kinematic() -> Row:
+    """Ten vehicles without bodies."""
+    scenario = star(10, physics="kinematic", duration_s=60.0)
+    name = "whole run: 10 kinematic vehicles, 10 Hz, lossy 802.11b; beside it SimPy waking 10 idle processes"
+    return _speed(name, scenario, lambda: bare.simpy_cpu_s(10, 60.0), 150.0)
+
+
+def robots() -> Row:
+    """Fifty robots beside Bullet's own steps."""
+    fleet = Fleet(50, 0)
+    ours, other, ratio = in_turn(lambda: run_cpu_s(circling(fleet)), lambda: fleet.duration_s * bare_cpu_s(fleet), ROUNDS)
+    speeds = [f"{fleet.duration_s / cost:.1f}x" for cost in (ours, other)]
+    name = "whole run: 50 p2dx on circles, reports every second, 802.11g; beside it stepSimulation of the same"
+    return Row(name, f"{speeds[0]} real time", speeds[1], ratio, "<= 1.6", ratio <= 1.6)
+
+
+def swarm_1() -> Row:
+    """swarm-100 as it is."""
+    return _swarm(1.0)
+
+
+def swarm_10() -> Row:
+    """Ten times as many messages."""
+    return _swarm(0.1)
+
+
+ALL: Sequence[Callable[[], Row]] = (swarm_1, swarm_10, mixed, formation, kinematic, robots)
+
+
+def rows() -> list[Row]:
+    """All of them."""
+    return measured(ALL)
+
+
+if __name__ == "__main__":
+    print(table(rows()))
