@@ -1,0 +1,142 @@
+"""Every block that a README shows is used by a test, or said to be no code; its tables are those of a scenario."""
+
+import ast
+import inspect
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import cosim
+from cosim.federate import RunInfo
+from tests.cosim.command import vcmvsp
+from tests.docs.accounts import SHOWN
+from tests.docs.pages import CODE, INDENTED, ROOT, Block
+from tests.docs.pages import block as block_of
+from tests.docs.stories import KEEP_GAP
+from tests.netsim.bridge_runs import Standing
+
+DO = (
+    "A block in a README that is neither a scenario nor for a shell is used by a test, as `tests.docs.pages.block` gives it."
+    " Name that test in SHOWN in tests/docs/accounts.py, or say there why there can be none."
+)
+CARS = """
+[[vehicle]]
+name = "car1"
+kind = "p2dx"
+agent = { kind = "trajectory", path = "straight" }
+[[vehicle]]
+name = "car2"
+kind = "p2dx"
+pose = [-2.0, 0.0, 0.0]
+agent = { kind = "leader_follower", leader = "car1" }
+"""
+TEAM = CARS.replace(', leader = "car1"', "")  # the formation says whom it follows
+SEARCHERS = "\n".join(
+    f'[[vehicle]]\nname = "uav{n}"\nkind = "quadrotor"\nposition = [{10 * n}.0, 0.0, 30.0]\nagent = {{}}\n'
+    'sensors = { scan = { kind = "ring" }, camera = { kind = "nadir_camera" } }\n'
+    for n in (1, 2, 3)
+)
+
+
+@dataclass(frozen=True)
+class Around:
+    """What makes a scenario of a block that is a part of one.
+
+    Args:
+        after: other tables of it.
+        before: the same, in front.
+        files: that it names, by their names.
+    """
+
+    after: str = ""
+    before: str = ""
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+
+
+AROUND = {
+    ("README.md", "# gap.toml"): Around(files={"keep_gap.py": KEEP_GAP["keep_gap.py"]}),
+    ("agents/README.md", 'changes = [[30.0, "column"]'): Around(TEAM),
+    ("agents/README.md", "lookahead_m = 1.2"): Around(CARS.replace('kind = "p2dx"\n', "")),
+    ("agents/README.md", 'kind = "avoid", avoidance = { kind = "gap" }'): Around(
+        before='[[vehicle]]\nname = "car1"\nkind = "amigobot"\nsensors = { scan = { kind = "lms" } }\n'
+    ),
+    ("agents/README.md", "[agents.formation.passage]"): Around(
+        TEAM.replace('kind = "p2dx"', 'kind = "p2dx"\nsensors = { scan = { kind = "lms" } }'),
+        before='[agents.formation]\nshape = "wedge"\n',
+    ),
+    ("agents/README.md", "[agents.algorithms.search]"): Around(SEARCHERS),
+    ("hardware/README.md", 'kind = "arcos"'): Around(CARS),
+    ("netsim/README.md", 'preset = "wifi-g-6"'): Around(
+        '[[vehicle]]\nname = "car2"\nposition = [5.0, 0.0, 0.0]\n[vehicles]\nkind = "p2dx"\n'
+    ),
+    ("physics/README.md", 'picture = "mine.png"'): Around(
+        CARS, files={"mine.png": (ROOT / "scenarios" / "targets" / "bravo.png").read_bytes()}
+    ),
+    ("physics/README.md", 'kind = "urdf"'): Around(files={"cart.urdf": block_of("physics/README.md", "<robot name=")}),
+}
+"""By page, and words in the block; without an entry: two cars, where the block has no vehicle."""
+
+
+def is_table(block: Block) -> bool:
+    return block.language == "toml" or (block.language == INDENTED and block.text.startswith("["))
+
+
+def entries(block: Block, listed: Any) -> list[Any]:
+    """What is listed of a block."""
+    return [each for (page, words), each in listed.items() if page == block.page and words in block.text]
+
+
+@pytest.mark.parametrize("block", [each for each in CODE if not entries(each, SHOWN)], ids=str)
+def test_every_table_is_one_of_a_scenario(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert is_table(block), f"{block}: {block.text}{DO}"
+    monkeypatch.chdir(tmp_path)
+    (around,) = entries(block, AROUND) or [Around("" if "[[vehicle]]" in block.text else CARS)]
+    for name, content in around.files.items():
+        Path(name).write_bytes(content.encode() if isinstance(content, str) else content)
+    head = "" if "\nduration_s =" in block.text else 'name = "shown"\nduration_s = 100.0\n'
+    Path("shown.toml").write_text(head + around.before + block.text + around.after)
+    code, _, err = vcmvsp("check", "shown.toml")
+    assert code == 0, f"{block}: {err} If it is a part of a scenario, say in AROUND what is around it."
+
+
+@pytest.mark.parametrize("block", [each for each in CODE if each.language == "python"], ids=str)
+def test_every_program_is_python(block: Block) -> None:
+    ast.parse(block.text)
+
+
+@pytest.mark.parametrize("listed", [SHOWN, AROUND], ids=["shown", "around"])
+def test_what_is_listed_of_blocks_is_still_in_a_readme(listed: Any) -> None:
+    found = {key: [str(each) for each in CODE if entries(each, {key: 0})] for key in listed}
+    assert [key for key, blocks in found.items() if not blocks] == []
+    assert [blocks for (page, _), blocks in found.items() if len(blocks) > 1 and page != "scenarios/README.md"] == []
+
+
+def test_the_federate_of_ones_own() -> None:
+    run = RunInfo(scenario="own", seed=1, duration_ns=10**9, vehicles=("car1", "car2"))
+    names = {"MyFederate": Standing, "run_info": run, "inputs": []}
+    exec(compile(block_of("cosim/README.md", "check_federate("), "README.md", "exec", dont_inherit=True), names)
+
+
+def test_the_call_of_a_study_on_slurm_is_one_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is no such cluster here: what it is asked is written down, and the study is given nothing that it does not take."""
+    asked: list[tuple[Any, ...]] = []
+    signature = inspect.signature(cosim.study)
+
+    class Cluster:
+        def __init__(self, **options: Any) -> None:
+            asked.append(("cluster", options["processes"]))
+
+        def scale(self, *, jobs: int) -> None:
+            asked.append(("jobs", jobs))
+
+    package = ModuleType("dask_jobqueue")
+    package.SLURMCluster = Cluster  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", package)
+    monkeypatch.setattr(cosim, "study", lambda *args, **options: asked.append(signature.bind(*args, **options).args[:1]))
+    exec(compile(block_of("cosim/README.md", "SLURMCluster("), "README.md", "exec", dont_inherit=True), {})
+    assert asked == [("cluster", 1), ("jobs", 100), ("formation-slalom",)]

@@ -1,0 +1,149 @@
+"""Every command that a README shows is run by a test, or stands in a list with the reason why it cannot be."""
+
+import ast
+import re
+import shlex
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from cosim import scenario
+from tests.cosim.command import vcmvsp
+from tests.docs.accounts import ELSEWHERE, SHOWN, UNRUN
+from tests.docs.pages import COMMANDS, MENTIONS, PAGES, ROOT, Command, blocks_of, commands_in, program_of, words_of
+from tests.docs.parsing import mentioned, ours, understood
+from tests.docs.stories import STORIES, Step, Story
+from tests.gallery import section
+
+STEPS = {step.command for story in STORIES for step in story.steps}
+KNOWN = [each for each in COMMANDS if program_of(words_of(each.text)) in {"vcmvsp", "make"}]
+DO = (
+    "A command in a README is run by a test. Make it a `Step` of a story in tests/docs/stories.py; or, if a test runs it"
+    " already, name that in ELSEWHERE, or, if it cannot be run here, say why in UNRUN, both in tests/docs/accounts.py."
+)
+
+
+@cache
+def defined_in(file: str) -> set[str]:
+    """The names of the tests in a file; none if there is no such file."""
+    path = ROOT / file
+    nodes = ast.walk(ast.parse(path.read_text("utf-8"))) if path.is_file() else iter(())
+    return {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
+
+
+def changes() -> list[tuple[str, list[str]]]:
+    """Scenarios, and what the gallery says that one may set in them, or a sentence that one may vary."""
+    said = [(name, shlex.split(span)) for name in scenario.names() for span in re.findall(r"`(--set [^`]+)`", section(name))]
+    for mention in MENTIONS:
+        words = words_of(mention.partition(": ")[2])
+        for option, value in pairwise(words):
+            if option in {"--set", "--vary"} and words[2] in scenario.names():
+                said.append((words[2], ["--set", value.partition(",")[0]]))
+    return said
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=str)
+def test_every_command_is_accounted_for(command: Command) -> None:
+    lists = [each for each in (STEPS, ELSEWHERE, UNRUN) if command.text in each]
+    assert lists, f"{command}\nis in no list. {DO}"
+    assert len(lists) == 1 or UNRUN not in lists, f"{command}\nis run, and said to be one that cannot be"
+
+
+@pytest.mark.parametrize("command", KNOWN, ids=str)
+def test_every_command_is_one_that_we_have(command: Command) -> None:
+    words = words_of(command.text.partition(" > ")[0])
+    if program_of(words) == "vcmvsp":
+        understood(ours(words))
+    else:
+        mentioned(words)
+
+
+@pytest.mark.parametrize("mention", MENTIONS)
+def test_what_a_sentence_says_of_a_command_is_so(mention: str) -> None:
+    mentioned(mention.partition(": ")[2].split())
+
+
+@pytest.mark.parametrize(("name", "settings"), changes())
+def test_every_key_that_is_to_be_changed_is_one_of_its_scenario(name: str, settings: list[str]) -> None:
+    code, _, err = vcmvsp("check", name, *settings)
+    assert code == 0, err
+
+
+def test_what_is_listed_is_still_in_a_readme() -> None:
+    shown = {each.text for each in COMMANDS} | {each.partition(": ")[2] for each in MENTIONS}
+    assert [each for each in (*STEPS, *ELSEWHERE, *UNRUN) if each not in shown] == []
+
+
+@pytest.mark.parametrize("test", sorted({each for each in (*ELSEWHERE.values(), *SHOWN.values()) if "::" in each}))
+def test_the_tests_that_are_named_are_there(test: str) -> None:
+    file, _, name = test.partition("::")
+    assert name in defined_in(file), f"there is no {test}: another test must run what it ran. {DO}"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["run", "formation-circle", "--sede", "3"], "--sede"),
+        (["rum", "formation-circle"], "no command rum"),
+        (["run", "formation-cirlce"], "no scenario formation-cirlce"),
+        (["figure", "25a"], "no figure 25a"),
+        (["run", "formation-circle", "--seed", "three"], "valid integer"),
+        (["net", "exec", "car2"], "Missing parameter: command"),
+        (["--install-compeltion"], "--install-compeltion"),
+    ],
+)
+def test_a_word_that_is_none_of_ours_would_be_seen(words: list[str], says: str) -> None:
+    with pytest.raises(Exception, match=re.escape(says)):
+        understood(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("vcmvsp plot DIR --svgs", "no option --svgs"),
+        ("vcmvsp calibrate LINKS.csv [--wrold SCENARIO.toml] [--out DIR]", "no option --wrold"),
+        ("vcmvsp emulate ubisense | dwm1002", "no command dwm1002"),
+        ("sudo .venv/bin/vcmvsp nett", "no command nett"),
+        ("vcmvsp study study-los", "no scenario study-los"),
+        ("make demos", "no target demos"),
+        ("python -m bench.bridges", "no module bench.bridges"),
+        ("pytest tests/agent", "no tests/agent"),
+        ('pip install "vcmvsp[cluster]"', "no package in any index called vcmvsp"),
+        ('pip install ".[clutter]"', "no extra clutter"),
+    ],
+)
+def test_a_word_in_a_sentence_that_is_none_of_ours_would_be_seen(words: str, says: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(says)):
+        mentioned(words.split())
+
+
+def test_a_new_command_would_be_seen_wherever_it_stands() -> None:
+    page = "Text.\n\n    vcmvsp new one   # why\n    sudo ls\n\n```sh\nvcmvsp two &\n```\n\n    x = y\n    vcmvsp no\n"
+    found = [command.text for block in blocks_of("page", page) for command in commands_in(block)]
+    assert found == ["vcmvsp new one", "sudo ls", "vcmvsp two"]
+    assert len(PAGES) >= 12
+    assert len(COMMANDS) > 100
+
+
+@pytest.mark.parametrize("story", STORIES, ids=lambda story: story.name)
+def test_commands_do_what_they_are_for(story: Story, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in story.files.items():
+        (tmp_path / name).write_text(text)
+    for step in story.steps:
+        done(step)
+
+
+def done(step: Step) -> None:
+    """Run it here; it ends well, and what it is told to write is there."""
+    command, _, target = step.command.partition(" > ")
+    words = [step.instead.get(word, word) for word in ours(words_of(command))] + shlex.split(step.shorter)
+    code, out, err = vcmvsp(*words)
+    assert code == 0, f"{step.command}\n{err}"
+    if target:
+        Path(target).write_text(out)
+    for option, name in pairwise(words):
+        if option in {"--out", "--png"}:
+            assert Path(name).exists(), f"{step.command} wrote no {name}"
