@@ -16,6 +16,7 @@ from cosim.frames import arc
 from cosim.rng import stream
 from cosim.types import NonNegative, Odometry, Positive, Probability, Rate, Seed, Vec3, Velocity
 from hardware.driver import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, LinkLost, Notice, Sample, checked
+from hardware.pace import NOT_YET
 
 TICK_NS = 10_000_000  # of the motion
 TRACK_M = 0.3  # between the wheels, for the speeds of wheels alone
@@ -86,7 +87,7 @@ class Bench:
         self._told = start  # where odometry says that it is
         self._v = self._w = 0.0
         self._wanted = (0.0, 0.0)
-        self._stopped, self._given_ns = "no command yet", 0
+        self._stopped, self._given_ns = NOT_YET, 0
         self._origin_ns, self._time_ns = self._now(), 0  # the latter since the former
         self._under_way: deque[Sample] = deque()
         self._samples, self._arrival_ns = 0, 0

@@ -89,7 +89,8 @@ def check_safety(vehicle: RealVehicle) -> None:
     x, y, _ = vehicle.start
     fence = vehicle.safety.fence
     if fence is not None and not Polygon(fence).contains(x, y):
-        raise ValueError(f"{vehicle.name} starts outside the fence, at x = {x:g} m, y = {y:g} m: it would stand there")
+        where = f"{vehicle.name} starts outside the fence, at x = {x:g} m, y = {y:g} m"
+        raise ValueError(f"{where}: it would stand there; start it inside, or make safety.fence wider")
 
 
 def mission(vehicle: RealVehicle, run: str, period_s: float = 0.0) -> Mission:

@@ -26,6 +26,9 @@ from cosim.types import Odometry, Value, Vec3, VehicleState, Velocity
 COMMAND_TIMEOUT_S = 0.5  # five periods of 10 Hz: short beside the 2 s of a robot's own watchdog
 ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 
+What = Literal["connected", "lost", "stopped", "warned"]
+"""Kinds of notices."""
+
 CommandTimeout = Annotated[float, msgspec.Meta(gt=0, le=2)]
 """How long a driver may go on without a command, s: no longer than a robot's own watchdog does."""
 
@@ -73,7 +76,7 @@ class Notice(Value, frozen=True, kw_only=True):
     """Something that a recording should tell: a connection, a loss, a stop or something odd, with its cause."""
 
     time_ns: int  # of this machine's monotonic clock
-    what: Literal["connected", "lost", "stopped", "warned"]
+    what: What
     cause: str
 
 

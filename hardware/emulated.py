@@ -6,7 +6,6 @@ where the scenario says, and wears a tag that is as good as the positioning sens
 
 import json
 import os
-import select
 import socket
 import subprocess
 import sys
@@ -23,6 +22,8 @@ from cosim.types import Value, Vec3
 from hardware.emulate.options import PtyPort, RobotOptions, Tags, UdpAddress
 from hardware.emulate.positioning import Errors
 from hardware.emulate.robot import KINDS, Rig, device_of
+from hardware.positioning.ubisense import tag_of
+from hardware.waiting import readable
 
 EMULATED = "emulated"
 READY_S = 20.0
@@ -75,11 +76,12 @@ class Emulated:
         """Where it is served: the first thing that the process says."""
         out = self._process.stdout
         assert out is not None  # noqa: S101
-        readable, _, _ = select.select([out], [], [], READY_S)
-        line = out.readline() if readable else b""
+        spoke = readable([out.fileno()], READY_S)
+        line = out.readline() if spoke else b""
         if not line:
             self.close()
-            raise UsageError("the emulated robot did not start" + ("" if readable else f" within {READY_S:g} s"))
+            late = "" if spoke else f" within {READY_S:g} s"
+            raise UsageError(f"the emulated robot did not start{late}; look at what it says above")
         url: str = json.loads(line)["url"]
         return url
 
@@ -118,7 +120,7 @@ def main() -> int:
     wanted = msgspec.json.decode(sys.argv[1], type=Wanted)
     address = None if wanted.ubisense is None else UdpAddress(*wanted.ubisense)
     chosen = RobotOptions(
-        port=PtyPort(), tags=Tags(ubisense=address, name=f"{int(wanted.tag, 16):016X}", errors=wanted.errors, seed=wanted.seed)
+        port=PtyPort(), tags=Tags(ubisense=address, name=tag_of(wanted.tag), errors=wanted.errors, seed=wanted.seed)
     )
     device = device_of(wanted.robot, chosen, wanted.pose)
 

@@ -16,6 +16,7 @@ import serial  # type: ignore[import-untyped]
 from serial.tools.list_ports import comports  # type: ignore[import-untyped]
 
 from hardware.driver import LinkLost, PortError
+from hardware.waiting import readable, writable
 
 READ_BYTES = 4096
 WRITE_S = 0.2  # a hundred bytes take 0.1 s at 9600 baud
@@ -73,12 +74,12 @@ def open_line(url: str, baud: int) -> Line:
 
 
 class _Serial:
-    """A serial port, 8N1, or a pseudo-terminal."""
+    """A serial port, 8N1, or a pseudo-terminal. pyserial opens it; its own reading and writing fail above 1023 open files."""
 
     def __init__(self, path: str, baud: int) -> None:
         self._path = path
         try:
-            self._port = serial.Serial(path, baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
+            self._port = serial.Serial(path, baud, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             raise _port_error(path, error) from None
 
@@ -87,17 +88,31 @@ class _Serial:
 
     def read(self) -> bytes:
         try:
-            return bytes(self._port.read(READ_BYTES))
-        except (serial.SerialException, OSError):  # the end of the file, or an error of input: both say that it is gone
-            raise _unplugged(self._path) from None
+            if not readable([self.fileno()], 0.0):
+                return b""
+            chunk = os.read(self.fileno(), READ_BYTES)
+        except OSError:
+            chunk = b""
+        if not chunk:  # the end of the file, or an error of input: both say that it is gone
+            raise _unplugged(self._path)
+        return chunk
 
     def write(self, data: bytes) -> None:
+        until = time.monotonic() + WRITE_S
         try:
-            self._port.write(data)
-        except serial.SerialTimeoutException:
-            raise LinkLost(self._path, "the port takes no more bytes", "look at cable and radio") from None
-        except (serial.SerialException, OSError):
+            while data := data[self._written(data) :]:
+                left_s = until - time.monotonic()
+                if left_s <= 0.0 or not writable(self.fileno(), left_s):
+                    raise LinkLost(self._path, "the port takes no more bytes", "look at cable and radio")
+        except OSError:
             raise _unplugged(self._path) from None
+
+    def _written(self, data: bytes) -> int:
+        """How many bytes went."""
+        try:
+            return os.write(self.fileno(), data)
+        except BlockingIOError:
+            return 0
 
     def close(self) -> None:
         try:

@@ -2,13 +2,15 @@
 
 import contextlib
 import os
-import select
 import socket
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Self
+
+from cosim.clock import SECOND_NS
+from hardware.waiting import readable
 
 _PAUSE_NS = 100_000_000  # the longest sleep
 _CLOSE_S = 5.0  # the thread ends within one sleep
@@ -78,11 +80,8 @@ class Serving(ABC):
         """Sleep until something is due or comes; whether to stop."""
         due_ns, now_ns = self._due_ns(), time.monotonic_ns()
         pause_ns = _PAUSE_NS if due_ns is None else max(0, min(due_ns - now_ns, _PAUSE_NS))
-        poll = select.poll()  # select() takes no descriptors above 1023
-        for each in (self._wake_read, self._waits_on()):
-            if each is not None:
-                poll.register(each, select.POLLIN)
-        return any(each == self._wake_read for each, _ in poll.poll(pause_ns / 1e6))
+        waits_on = [each for each in (self._wake_read, self._waits_on()) if each is not None]
+        return self._wake_read in readable(waits_on, pause_ns / SECOND_NS)
 
 
 class Tcp:

@@ -5,20 +5,18 @@ the thread talks to the robot; `Wired` is for those that own something to select
 """
 
 import os
-import select
 import threading
 import time
 from collections import deque
-from typing import Literal, Protocol
+from typing import Protocol
 
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.types import Vec3
-from hardware.driver import ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample
+from hardware.driver import ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample, What
+from hardware.waiting import readable
 
 NOTICES = 1000  # kept for somebody who asks
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # before one attempt to connect again and the next: doubled each time
-
-What = Literal["connected", "lost", "stopped", "warned"]
 
 
 class Threaded:
@@ -240,8 +238,10 @@ class Wired(Threaded):
         except Exception as error:  # whatever it is: the caller must be told, and the robot stopped
             self._failure = self._broken(error)
         finally:
-            self._hang_up()
-            self._ready.set()
+            try:
+                self._hang_up()
+            finally:
+                self._ready.set()
 
     def _work(self) -> None:
         self._connect(self._connect_s)
@@ -281,7 +281,7 @@ class Wired(Threaded):
 
     def _select(self, files: list[int], until_ns: int) -> list[int]:
         left_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
-        ready, _, _ = select.select([self._woken, *files], [], [], left_s)
+        ready = readable([self._woken, *files], left_s)
         if self._woken in ready:
             os.read(self._woken, 4096)
         if self._closing.is_set() and not self._leaving:

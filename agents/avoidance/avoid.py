@@ -3,7 +3,8 @@
 from typing import Any
 
 from agents.avoidance import Avoidance
-from agents.avoidance.get_around import GetAround, Point
+from agents.avoidance.get_around import GetAround
+from agents.avoidance.method import Point
 from agents.nested import built
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.types import Velocity, Waypoint

@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.avoidance.method import Decision, Method, Point, Task
 from agents.avoidance.settings import Settings
-from agents.avoidance.view import View
+from agents.avoidance.view import View, wrapped
 from cosim.agent import Body
 from cosim.frames import arc, rotate2, wrap
 from cosim.types import Array, NonNegative, Positive
@@ -226,7 +226,7 @@ class _DynamicWindow:
         turn = w * self._period_s + 0.5 * w * np.abs(w) / self._set.turn_acceleration
         chord = way * np.sinc(0.5 * turn / math.pi)
         x, y = aim[0] - chord * np.cos(0.5 * turn), aim[1] - chord * np.sin(0.5 * turn)
-        off: Array = np.abs((np.arctan2(y, x) - turn + math.pi) % math.tau - math.pi)
+        off: Array = np.abs(wrapped(np.arctan2(y, x) - turn))
         return 1.0 - off / math.pi
 
     def _turning(self, view: View, task: Task) -> Decision:

@@ -10,7 +10,7 @@ from agents.avoidance.gaps import Gaps, gaps, gaps_ahead
 from agents.avoidance.lane import free_m, lane_free, ways
 from agents.avoidance.method import Decision, Method, Point, Task
 from agents.avoidance.settings import Settings
-from agents.avoidance.view import View
+from agents.avoidance.view import View, wrapped
 from cosim.agent import Body
 from cosim.types import Array, NonNegative, Positive
 
@@ -157,7 +157,7 @@ class GapMethod:
         if free_m(view, bearing, self._half_m, lookahead) == math.inf:
             return bearing
         free = view.bearings[ways(view, self._half_m, lookahead)]
-        aside, turn = _wrapped(free - bearing), _wrapped(free)
+        aside, turn = wrapped(free - bearing), wrapped(free)
         if not self._elsewhere and not np.any(np.abs(aside) <= half):
             return bearing
         if not len(free):
@@ -180,12 +180,6 @@ class GapMethod:
 
 def _bearing(place: Point) -> float:
     return math.atan2(place[1], place[0])
-
-
-def _wrapped(angles: Array) -> Array:
-    """From -pi to pi."""
-    wrapped: Array = (angles + math.pi) % math.tau - math.pi
-    return wrapped
 
 
 def _side(view: View, task: Task, lookahead_m: float) -> int:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.avoidance.view import View
+from agents.avoidance.view import View, wrapped
 from cosim.types import Array
 
 QUARTER = 0.5 * math.pi + 1e-9  # rad: the beams at its ends belong to it
@@ -63,7 +63,7 @@ def gaps(ranges: Array, lookahead_m: float, first: float, step: float, cyclic: b
     width = np.where(delta >= math.pi, a + b, np.sqrt((a - b) ** 2 + 4.0 * a * b * np.sin(0.5 * delta) ** 2))
     bearing = first + step * 0.5 * (begin + end - 1)
     if cyclic:
-        bearing = (bearing + math.pi) % math.tau - math.pi
+        bearing = wrapped(bearing)
     order = np.argsort(-width, kind="stable")
     return Gaps(begin[order], end[order], width[order], bearing[order])
 

@@ -3,13 +3,12 @@
 import math
 
 from agents.avoidance import Avoidance
+from agents.avoidance.method import Point
 from agents.avoidance.steering import Steering
 from agents.avoidance.waypoint import velocity_to
 from agents.formation.aerial import around
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.types import Velocity, Waypoint
-
-Point = tuple[float, float]
 
 SAME = 1e-9  # m/s: a velocity turned into the body frame and back
 

@@ -44,7 +44,7 @@ def ways(view: View, half_width: float, length: float) -> Array:
     """
     count = len(view.ranges)
     near = np.flatnonzero(view.ranges <= length)
-    beside = np.ceil(_half_angles(view.ranges[near], half_width) / view.step - EVEN).astype(int) - 1
+    beside = np.ceil(half_angles(view.ranges[near], half_width) / view.step - EVEN).astype(int) - 1
     # What begins and ends to be blocked at each beam, also beyond both borders: in a full turn that is the other side.
     rows = 3 if view.cyclic else 1
     first, last = near - beside + (rows // 2) * count, near + beside + 1 + (rows // 2) * count
@@ -64,7 +64,7 @@ def free_m(view: View, bearing: float, half_width: float, length: float) -> floa
     return float((along[met] - np.sqrt(half_width**2 - aside[met] ** 2)).min(initial=math.inf))
 
 
-def _half_angles(ranges: Array, half_width: float) -> Array:
-    """Half of the angle, rad, that a return blocks for a disc."""
+def half_angles(ranges: Array, half_width: float) -> Array:
+    """Half of the angle, (n,) rad, that returns at these distances, m, block for a disc of radius ``half_width``, m."""
     found: Array = np.arcsin(np.minimum(1.0, half_width / np.maximum(ranges, half_width)))
     return found

@@ -32,13 +32,11 @@ into fast: at 3 m/s with a lag of 0.5 s a vehicle comes nearer than 0.2 m. Limit
 
 import math
 
-from agents.avoidance.method import Decision, Method, Task, saturated
+from agents.avoidance.method import Decision, Method, Point, Task, saturated
 from agents.avoidance.settings import Settings
 from agents.avoidance.view import View
 from cosim.agent import Body
 from cosim.types import Array, NonNegative, Positive
-
-Point = tuple[float, float]
 
 BEAMS = 32  # in a full turn, of the scanner that the gain is meant for (Toh 2012)
 EDGE_M = 0.05  # from the core to where the push grows no further

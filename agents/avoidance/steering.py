@@ -3,15 +3,13 @@
 import math
 
 from agents.avoidance.levels import Levels
-from agents.avoidance.method import Decision, Task, saturated
+from agents.avoidance.method import Decision, Point, Task, saturated
 from agents.avoidance.settings import Settings, body_of
 from agents.avoidance.view import Looking, View
 from cosim.agent import Observation, VehicleInfo
 from cosim.clock import seconds_to_ns
 from cosim.errors import ScenarioError
 from cosim.frames import rotate2
-
-Point = tuple[float, float]
 
 VANISHED_S = 0.5  # all that was near is gone at once: so long that is not believed
 UNSEEN = 0.1  # m/s: on wheels, to where the scanner does not look

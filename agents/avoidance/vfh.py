@@ -13,9 +13,10 @@ from typing import Annotated, NamedTuple
 import msgspec
 import numpy as np
 
+from agents.avoidance.lane import half_angles
 from agents.avoidance.method import Decision, Method, Point, Task
 from agents.avoidance.settings import Settings
-from agents.avoidance.view import View
+from agents.avoidance.view import View, wrapped
 from cosim.agent import Body
 from cosim.frames import rotate2, wrap
 from cosim.types import Array, NonNegative, Positive
@@ -85,7 +86,7 @@ def histogram(view: View, keep: float, sectors: int, within: float = math.inf) -
     if not len(near):
         return np.full(sectors, math.inf)
     ranges = view.ranges[near]
-    half = np.arcsin(np.minimum(1.0, keep / np.maximum(ranges, keep)))
+    half = half_angles(ranges, keep)
     apart = _apart(len(view.ranges), float(view.bearings[0]), view.step, sectors)
     if len(near) < len(view.ranges):
         apart = apart[near]
@@ -190,7 +191,7 @@ class _Vfh:
             return np.ones(self._set.sectors, dtype=bool)
         close = view.ranges < min(self._set.freed_m, 2.0 * radius + self._keep)  # none further can be touched
         x, y = (view.units[close] * view.ranges[close, None]).T
-        bearings = (view.bearings[close] + math.pi) % math.tau - math.pi
+        bearings = wrapped(view.bearings[close])
         left = bearings[(bearings >= 0.0) & (np.hypot(x, y - radius) < radius + self._keep)]
         right = bearings[(bearings <= 0.0) & (np.hypot(x, y + radius) < radius + self._keep)]
         directions = _directions(self._set.sectors)
@@ -223,7 +224,7 @@ class _Vfh:
         sector = round(target / self._angle) % len(seen)
         if seen[sector]:
             return target
-        away = np.abs(_wrapped(_directions(len(seen)) - target))
+        away = np.abs(wrapped(_directions(len(seen)) - target))
         away[~seen] = math.inf
         return float(_directions(len(seen))[int(away.argmin())])
 
@@ -267,11 +268,6 @@ def _kept(values: Array) -> Array:
     return values
 
 
-def _wrapped(angles: Array) -> Array:
-    wrapped: Array = (angles + math.pi) % math.tau - math.pi
-    return wrapped
-
-
 @lru_cache(maxsize=16)
 def _directions(sectors: int) -> Array:
     """Where the sectors point, rad in (-pi, pi]."""
@@ -282,11 +278,11 @@ def _directions(sectors: int) -> Array:
 @lru_cache(maxsize=16)
 def _apart(count: int, first: float, step: float, sectors: int) -> Array:
     """Angles between beams and sectors, (count, sectors) rad."""
-    return _kept(np.abs(_wrapped(first + step * np.arange(count)[:, None] - _directions(sectors))))
+    return _kept(np.abs(wrapped(first + step * np.arange(count)[:, None] - _directions(sectors))))
 
 
 @lru_cache(maxsize=16)
 def _seen(count: int, first: float, step: float, sectors: int, *, cyclic: bool) -> Array:
     """The sectors, (sectors,), that beams look into."""
     middle = first + 0.5 * (count - 1) * step
-    return _kept(cyclic | (np.abs(_wrapped(_directions(sectors) - middle)) <= 0.5 * count * step))
+    return _kept(cyclic | (np.abs(wrapped(_directions(sectors) - middle)) <= 0.5 * count * step))

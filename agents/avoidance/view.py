@@ -143,6 +143,12 @@ class Looking:
         return True
 
 
+def wrapped(angles: Array) -> Array:
+    """The same angles, rad, in [-pi, pi)."""
+    result: Array = (angles + math.pi) % math.tau - math.pi
+    return result
+
+
 @lru_cache(maxsize=64)
 def _beams(count: int, first: float, step: float) -> tuple[Array, Array, bool]:
     """Bearings, directions, and whether they close a turn."""

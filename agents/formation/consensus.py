@@ -26,6 +26,7 @@ from agents.formation.formation import Formation, ShapeName
 from agents.formation.geometry import axle_velocity, hand_point
 from agents.formation.report import PLAUSIBLE
 from agents.formation.shape import slots
+from agents.formation.team import members_of
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.clock import seconds_to_ns
 from cosim.frames import rotate2, wrap
@@ -99,13 +100,14 @@ class Consensus(Agent):
         self._changes: list[tuple[int, ShapeName]] = []  # still to come, the next one last
 
     def start(self, info: VehicleInfo) -> None:
-        """Find the neighbours, and take the formation's first shape."""
-        named = self.formation.members if self.formation else ()
-        members = named or info.vehicles
-        if strangers := [name for name in members if name not in info.vehicles]:
-            raise ValueError(f"formation.members: {strangers[0]!r} is not a vehicle of this run ({', '.join(info.vehicles)})")
-        if len(set(members)) < len(members) or info.name not in members:
-            raise ValueError(f"formation.members must name {info.name}, and every member once; they are {', '.join(members)}")
+        """Find the neighbours, and take the formation's first shape.
+
+        Raises:
+            ValueError: a vehicle on wheels without a handle, or names that do not fit.
+        """
+        if self.handle is None and info.body is not None and not info.body.flies:
+            raise ValueError("handle is missing: on wheels no vehicle moves sideways; give one, e.g. handle = 0.3 (m, > 0)")
+        members = members_of(self.formation or Formation(), info.vehicles, info.name)
         self._members, self._index = members, members.index(info.name)
         self._neighbours = self._named_neighbours(info.name) if self.neighbours is not None else self._of_graph()
         shape: ShapeName | None = None
@@ -160,8 +162,6 @@ class Consensus(Agent):
         x, y, _ = obs.state.position
         if self.handle is not None:
             x, y = hand_point(x, y, obs.state.yaw, self.handle)
-        elif "odometry" in obs.readings:
-            raise ValueError("a vehicle on wheels cannot move sideways: give a handle, e.g. handle = 0.3 (m, > 0)")
         return Seen(obs.time_ns, x, y)
 
     def _listen(self, obs: Observation) -> None:

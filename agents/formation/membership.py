@@ -65,7 +65,8 @@ class Membership:
         self.team: Team | None = None
         self.lookout: Lookout | None = None
         self.notes: dict[str, str | int] = {}
-        self._reports: list[Report] = []
+        self._reports: list[Report] = []  # of the last tick
+        self._newest: Report | None = None  # of whom it follows
         check_silence(self._reporter.sending, formation, heartbeat_s)
         if formation is not None:
             if leader is not None:
@@ -112,7 +113,8 @@ class Membership:
             self._keep_up(self.team, obs.time_ns)
         if self.listening.refused:
             self.notes["refused"] = self.listening.refused
-        return self._newest()
+        self._newest = None if self.leader is None else self.listening.newest.get(self.leader)
+        return self._newest
 
     def tell(self, obs: Observation, radio: Radio, v: float, w: float, **more: Any) -> None:
         """Once a tick: report the own speeds, m/s and rad/s, and more, where somebody needs that; answer whom it follows."""
@@ -122,12 +124,13 @@ class Membership:
             if self.lookout is not None:
                 more["cl"] = int(self.lookout.is_clear(obs, self.listening, self.estimator))
             self._reporter.tell(radio, obs, v, w, **more)
-        newest = self._newest()
+        self.answer(radio)
+
+    def answer(self, radio: Radio) -> None:
+        """Once a tick, as `tell` does it: answer whom it follows, if that is asked for."""
+        newest = self._newest
         if newest is not None and self.leader is not None and "ak" in newest.body and newest in self._reports:
             acknowledge(radio, newest, self.leader)
-
-    def _newest(self) -> Report | None:
-        return None if self.leader is None else self.listening.newest.get(self.leader)
 
     def _keep_up(self, team: Team, now_ns: int) -> None:
         before, heartbeat_ns = team.changed, self._heartbeat_ns

@@ -42,7 +42,7 @@ class Team:
 
     def __init__(self, formation: Formation, vehicles: Sequence[str], name: str) -> None:
         self.formation, self.name = formation, name
-        self.members = _members(formation.members or tuple(vehicles), vehicles, name)
+        self.members = members_of(formation, vehicles, name)
         self.index, count = self.members.index(name), len(self.members)
         self._by_name = formation.topology == "graph"
         if self._by_name:
@@ -170,7 +170,13 @@ def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -
         )
 
 
-def _members(members: tuple[str, ...], vehicles: Sequence[str], name: str) -> tuple[str, ...]:
+def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tuple[str, ...]:
+    """Who belongs to the formation of this vehicle: whom it names, or else all.
+
+    Raises:
+        ValueError: it names who is none of the vehicles, or somebody twice, or leaves this one out.
+    """
+    members = formation.members or tuple(vehicles)
     known, seen = frozenset(vehicles), set()
     for member in members:
         if member not in known:

@@ -26,9 +26,9 @@ Point = tuple[float, float]
 
 SAME_M = 3.0  # targets without a name that lie so near to one another are one
 APART_M = 20.0  # so far from one another even those of one name are two
-GIVEN_UP_NS = 60_000_000_000
-FARTHEST_M = 1e9
-LATEST_MS = 2**53
+GIVEN_UP_NS = seconds_to_ns(60.0)  # so long a place that was given up is left alone
+FARTHEST_M = 1e9  # no place on Earth lies further from an origin
+LATEST_MS = 2**53  # of the clock; more is no time
 LONGEST_NAME = 100  # characters
 
 
@@ -200,7 +200,7 @@ def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict
     of: dict[str, str] = {}
     for sector in sectors:
         if not sector:
-            raise ValueError("sectors: there is one in which nobody is")
+            raise ValueError("sectors: there is one in which nobody is; leave it out, or name somebody")
         for name in sector:
             if name not in members:
                 raise ValueError(f"sectors: {unknown('member', name, members)}")

@@ -27,7 +27,7 @@ CAMERA = "camera"
 MOST_CELLS = 1_000_000  # of a map; each contributor has one
 CLIMB_M = 2.0  # further below or above its height it goes straight up or down
 YAW_RATE = 1.0  # rad/s, at most, to hold the heading
-SHOW_NS = 1_000_000_000
+SHOW_NS = seconds_to_ns(1.0)  # the map is recorded so often
 NOTHING: tuple[Array, Array] = (np.empty(0, np.intp), np.empty(0, bool))
 
 
@@ -221,7 +221,8 @@ class Search(Agent):
         if looks is None:
             return None
         if not isinstance(looks, Looks):
-            raise TypeError(f"sensor = {self.sensor!r}: says nothing of cells, but gives a {type(looks).__name__}")
+            gives = f"says nothing of cells, but gives a {type(looks).__name__}"
+            raise TypeError(f"sensor = {self.sensor!r}: {gives}; name a sensor of kind target_sensor, or 'camera'")
         if looks.time_ns == self._looked_ns:
             return None
         self._looked_ns = looks.time_ns

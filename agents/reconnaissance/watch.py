@@ -124,8 +124,8 @@ class Watch:
         if image is None:
             return None
         if not isinstance(image, Image):
-            kind = type(image).__name__
-            raise TypeError(f"{self._key}.camera = {self.settings.camera!r}: takes no pictures, but gives a {kind}")
+            gives = f"takes no pictures, but gives a {type(image).__name__}"
+            raise TypeError(f"{self._key}.camera = {self.settings.camera!r}: {gives}; name a camera that looks straight down")
         if self._taken_ns is not None and image.time_ns <= self._taken_ns:
             return None
         self._taken_ns = image.time_ns

@@ -2,13 +2,17 @@
 
 Its fields come in a fixed order without offsets, strings end with a zero byte. Older firmware ends sooner, newer firmware goes
 on behind the version. Source: the order and the widths are those in which ARIA reads the packet.
+
+Who connects looks into it for what a driver relies on without being able to enforce it: `warnings`.
 """
 
+import math
 import struct
 
 import msgspec
 
 from hardware.arcos.commands import CONFIG_PACKET
+from hardware.arcos.robots import Robot
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,7 +36,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     rear_sonar: int = 0
     low_battery: int = 0  # 0.1 V
     rev_count: int = 0  # encoder ticks of half a turn of the robot
-    watchdog: int = 0  # ms
+    watchdog: int | None = None  # ms; 0: it is off; None: it does not say
     plain_packets: int = 0
     stall_value: int = 0
     stall_count: int = 0
@@ -117,3 +121,25 @@ def decode_config(data: bytes) -> Config:
             (fields[name],) = struct.unpack_from(code, data, offset)
             offset += struct.calcsize(code)
     return msgspec.convert(fields, Config)
+
+
+def warnings(config: Config, robot: Robot, max_speed: float | None, max_yaw_rate: float | None) -> list[str]:
+    """What the robot says of itself that is not as a user expects; each a sentence for a notice.
+
+    Args:
+        config: what it has told.
+        robot: what it is taken to be.
+        max_speed: m/s, that it was told to allow itself; None: nothing was.
+        max_yaw_rate: rad/s, likewise.
+    """
+    said = []
+    if config.watchdog == 0:
+        said.append("its watchdog is off: nothing stops it where the driver or the line fails; switch it on in its parameters")
+    elif config.watchdog is not None and config.watchdog > 1e3 * robot.watchdog_s:
+        said.append(f"its watchdog waits for {1e-3 * config.watchdog:g} s before it stops it, not {robot.watchdog_s:g} s")
+    if config.top_speed and max_speed is not None and round(1e3 * max_speed) > config.top_speed:
+        said.append(f"max_speed = {max_speed:g} m/s, but it is set to drive no faster than {1e-3 * config.top_speed:g} m/s")
+    top = math.radians(config.top_yaw_rate)
+    if top and max_yaw_rate is not None and round(math.degrees(max_yaw_rate)) > config.top_yaw_rate:
+        said.append(f"max_yaw_rate = {max_yaw_rate:g} rad/s, but it is set to turn no faster than {top:.3g} rad/s")
+    return said

@@ -13,6 +13,7 @@ import msgspec
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.types import NonNegative, Positive, Vec3, Velocity
 from hardware.arcos.commands import Command
+from hardware.arcos.config import warnings
 from hardware.arcos.handshake import ZERO_SPEED, Handshake, Settings
 from hardware.arcos.packet import Reader, command
 from hardware.arcos.robots import Robot
@@ -134,6 +135,9 @@ class ArcosDriver(Wired):
             self._steering = Steering(self.robot, self._mode, self._timeout_s)
         name = handshake.name or "a robot without a name"
         self._notice("connected", f"{name}, {self.robot.name}")
+        if handshake.config is not None:
+            for each in warnings(handshake.config, self.robot, self._settings.max_speed, self._settings.max_yaw_rate):
+                self._notice("warned", each)
         self._reader = handshake.reader
         self._ready.set()
 

@@ -11,7 +11,8 @@ from typing import Literal
 
 from cosim.clock import seconds_to_ns
 from cosim.types import Value
-from hardware.arcos.commands import BAUDS, SYNC0, SYNC2, Command
+from hardware.arcos.commands import BAUDS, CONFIG_PACKET, SYNC0, SYNC2, Command
+from hardware.arcos.config import Config, decode_config
 from hardware.arcos.packet import Reader, command
 from hardware.arcos.robots import ROBOTS, Robot, robot_of
 from hardware.arcos.sip import decode, is_sip
@@ -64,6 +65,7 @@ class Handshake:
     def __init__(self, *, device: str, kind: str, settings: Settings, baud: int, give_up_s: float) -> None:
         self.robot: Robot | None = None
         self.name = ""  # that the robot has been given
+        self.config: Config | None = None  # what it says of itself, if it does
         self.due_ns = 0  # when `advance` wants to be called next
         self.reader = Reader()
         self._device, self._kind, self._settings, self._baud, self._give_up_s = device, kind, settings, baud, give_up_s
@@ -108,6 +110,8 @@ class Handshake:
             return self._synchronise(data, now_ns)
         if self._phase in ("open", "enable") and is_sip(data):
             return self._session(data, now_ns)
+        if self._phase == "enable" and data[:1] == bytes((CONFIG_PACKET,)):
+            self.config = decode_config(data)
         return b""  # stragglers
 
     def _synchronise(self, data: bytes, now_ns: int) -> bytes:

@@ -2,6 +2,7 @@
 
 import math
 
+from cosim.frames import arc, rotate2, wrap
 from hardware.arcos.commands import Command
 from hardware.arcos.robots import Robot
 
@@ -10,16 +11,10 @@ Pose = tuple[float, float, float]  # x m, y m, yaw rad
 _ARRIVED_M = 1e-3  # MOVE ends this near to its goal; the firmware's own margin is not published
 
 
-def wrapped(angle: float) -> float:
-    """The angle in [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
-
-
 def relative(pose: Pose, origin: Pose) -> Pose:
     """A pose as seen from another."""
-    dx, dy = pose[0] - origin[0], pose[1] - origin[1]
-    cos, sin = math.cos(origin[2]), math.sin(origin[2])
-    return cos * dx + sin * dy, cos * dy - sin * dx, wrapped(pose[2] - origin[2])
+    x, y = rotate2(pose[0] - origin[0], pose[1] - origin[1], -origin[2])
+    return x, y, wrap(pose[2] - origin[2])
 
 
 class Motion:
@@ -60,9 +55,9 @@ class Motion:
             case Command.RVEL | Command.ROTATE:
                 self._w, self.heading = math.radians(value), None
             case Command.HEAD:
-                self.heading = wrapped(math.radians(value))
+                self.heading = wrap(math.radians(value))
             case Command.DHEAD:
-                self.heading = wrapped(heading + math.radians(value))
+                self.heading = wrap(heading + math.radians(value))
             case Command.VEL2:
                 self._wheels(value)
             case Command.STOP | Command.ESTOP:
@@ -108,7 +103,7 @@ class Motion:
         if self._left_m is not None:
             v = math.copysign(math.sqrt(2.0 * self.decel * abs(self._left_m)), self._left_m)
         if self.heading is not None:
-            error = wrapped(self.heading - heading)
+            error = wrap(self.heading - heading)
             w = math.copysign(math.sqrt(2.0 * self.yaw_decel * abs(error)), error)
         return max(-self.max_speed, min(self.max_speed, v)), max(-self.max_yaw_rate, min(self.max_yaw_rate, w))
 
@@ -141,10 +136,7 @@ class Wheels:
         else:
             self.v = _towards(self.v, wanted[0], motion.accel * dt, motion.decel * dt)
             self.w = _towards(self.w, wanted[1], motion.yaw_accel * dt, motion.yaw_decel * dt)
-        x, y, yaw = self.pose
-        half = 0.5 * self.w * dt
-        chord = self.v * dt * (math.sin(half) / half if half else 1.0)  # of an arc
-        self.pose = x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + 2.0 * half
+        self.pose = arc(self.pose, self.v, self.w, dt)
 
 
 def _towards(now: float, goal: float, up: float, down: float) -> float:

@@ -70,11 +70,6 @@ class Sip(msgspec.Struct, frozen=True, kw_only=True):
         """Whether the right wheel is blocked."""
         return bool(self.stall & 0x100)
 
-    @property
-    def bumped(self) -> bool:
-        """Whether any bumper is pressed."""
-        return bool(self.stall & 0xFEFE)
-
 
 def is_sip(data: bytes) -> bool:
     """Whether a packet's data part is a SIP, by its first byte."""

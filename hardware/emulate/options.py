@@ -12,6 +12,7 @@ from cosim.types import Positive, Vec3
 from hardware.arcos.serve import TCP_PORT
 from hardware.arcos.wire import Faults
 from hardware.emulate.positioning import Errors
+from hardware.positioning import ubisense
 
 LOOPBACK = "127.0.0.1"
 
@@ -117,10 +118,13 @@ def duration_of(seconds: float | None) -> float | None:
 
 def pose_of(text: str) -> Vec3:
     """``X,Y,YAW``: m, m, rad."""
-    numbers = [_number(each, f"--pose {text}") for each in text.split(",")]
-    if len(numbers) != 3:
+    try:
+        x, y, yaw = map(float, text.split(","))
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
         raise UsageError(f"--pose {text}: write X,Y,YAW (m, m, rad), e.g. 1.5,0,1.57")
-    return numbers[0], numbers[1], numbers[2]
+    return x, y, yaw
 
 
 def circle_of(text: str) -> tuple[float, float]:
@@ -134,12 +138,9 @@ def circle_of(text: str) -> tuple[float, float]:
 def tag_of(text: str) -> str:
     """The number of a tag in hexadecimal, as 16 digits."""
     try:
-        number = int(text, 16)
-    except ValueError:
-        number = -1
-    if not 0 <= number < 2**64:
-        raise UsageError(f"--tag {text}: must be hexadecimal, of at most 16 digits, e.g. 11CE0000A1")
-    return f"{number:016X}"
+        return ubisense.tag_of(text)
+    except ValueError as error:
+        raise UsageError(f"--tag: {error}") from None
 
 
 def robot_options(

@@ -22,7 +22,8 @@ from hardware.line import OPEN_S
 from hardware.mavlink.codec import Encoder, Reader, Sender, mavlink, sender_of
 from hardware.mavlink.hello import Peer, Search
 from hardware.mavlink.link import Link, open_link
-from hardware.mavlink.pilot import Orders, Pilot, heartbeat
+from hardware.mavlink.messages import heartbeat
+from hardware.mavlink.pilot import Orders, Pilot
 from hardware.mavlink.steering import finite
 from hardware.mavlink.track import Track
 from hardware.positioning.tangent_plane import TangentPlane

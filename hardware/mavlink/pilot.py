@@ -6,27 +6,24 @@ or because it was acknowledged: a mode and "armed" are what the vehicle's heartb
 
 from collections import deque
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.types import Value, Vec3, Velocity
-from hardware.driver import Sample
+from hardware.driver import Sample, What
+from hardware.mavlink import messages
 from hardware.mavlink.codec import Message, mavlink
 from hardware.mavlink.hello import Peer
 from hardware.mavlink.steering import STILL, Steering, finite, setpoint
+from hardware.mavlink.texts import Texts
 from hardware.mavlink.track import Track
 
 ASK_NS = 500_000_000  # until something that was not done is asked for again
 CLIMB = 0.7  # m/s, of a take-off
 NEAR = 0.9  # of its height: a take-off is done
 STANDS = 0.05  # m/s
-TEXT = 50  # characters of a STATUSTEXT; a longer text comes in pieces
-REPEAT_NS = 10_000_000_000  # the same text is told again after so long
-STATUS_HZ = 1.0  # of the battery, and of whether it stands on the ground
-WHAT = Literal["connected", "lost", "stopped", "warned"]
-SAID: WHAT = "warned"  # of a text by which the autopilot tells an error
+SAID: What = "warned"  # of a text by which the autopilot tells an error
 
-_DATA_STREAMS = (mavlink.MAV_DATA_STREAM_POSITION, mavlink.MAV_DATA_STREAM_EXTRA1, mavlink.MAV_DATA_STREAM_EXTENDED_STATUS)
 _RESULTS = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now",
     mavlink.MAV_RESULT_DENIED: "refused",
@@ -64,7 +61,7 @@ class Pilot:
 
     def __init__(self, peer: Peer, orders: Orders, track: Track, now_ns: int) -> None:
         self.in_command, self.interrupted = False, ""
-        self.news: list[tuple[WHAT, str]] = []
+        self.news: list[tuple[What, str]] = []
         self._peer, self._orders, self._track = peer, orders, track
         self._steering = Steering(orders.timeout_s)
         self._boot_ns = self._now_ns = now_ns
@@ -72,9 +69,7 @@ class Pilot:
         self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
         self._leaving = self._has_armed = False
         self._climb_to: float | None = None  # m, z in the world
-        self._refusal, self._said = "", ""
-        self._said_ns = -REPEAT_NS
-        self._piece: dict[int, str] = {}  # of a text, by its number
+        self._refusal, self._texts = "", Texts()
         self._old_streams = False
         self._steps = deque(self._opening())
         self._asked_ns: int | None = None
@@ -91,7 +86,8 @@ class Pilot:
     @property
     def waits_for(self) -> str:
         """The step that is not done, with what the vehicle said to it."""
-        said = ", ".join(each for each in (self._refusal, self._said and f'it says "{self._said}"') if each)
+        last = self._texts.last
+        said = ", ".join(each for each in (self._refusal, last and f'it says "{last}"') if each)
         return (self._steps[0].what if self._steps else "nothing") + (f" ({said})" if said else "")
 
     @property
@@ -127,11 +123,11 @@ class Pilot:
 
             def hold() -> list[Message]:
                 holds.rotate(-1)
-                return [self._switch(holds[-1])]
+                return [messages.switch(self._peer.sender, self._peer.autopilot, holds[-1])]
 
             self._steps.append(_Step("it to hold its place", lambda: not self.in_command, hold))
             if self._has_armed:
-                disarm = self._arm(on=False)
+                disarm = messages.arm(self._peer.sender, on=False)
                 self._steps.append(_Step("it to disarm", lambda: not (self._armed and self._stands), lambda: [disarm]))
 
     def farewell(self) -> list[Message]:
@@ -147,7 +143,7 @@ class Pilot:
         sent: list[Message] = []
         if now_ns >= self._beat_ns:
             self._beat_ns = now_ns + SECOND_NS
-            sent.append(heartbeat())
+            sent.append(messages.heartbeat())
         before = self._steering.stopped
         if (speeds := self._steering.advance(now_ns)) is not None:
             sent += self._points(*speeds)
@@ -185,7 +181,8 @@ class Pilot:
             case "COMMAND_ACK":
                 self._acknowledged(message)
             case "STATUSTEXT":
-                self._hear(message)
+                if text := self._texts.hear(message, now_ns):
+                    self.news.append((SAID, f'the autopilot says "{text}"'))
         return None
 
     # Steps
@@ -195,7 +192,7 @@ class Pilot:
         orders, autopilot = self._orders, self._peer.autopilot
         steps = [_Step(f"its position ({self._track.position_message} and ATTITUDE)", self._located, self._telemetry)]
         if orders.switch_mode:
-            switch = self._switch(autopilot.follows)
+            switch = messages.switch(self._peer.sender, autopilot, autopilot.follows)
             steps.append(_Step("set-points to have come for a while", self._led, list))
             steps.append(_Step(f"it to switch to {autopilot.follows}", lambda: self.in_command, lambda: [switch]))
         if orders.arm:
@@ -220,26 +217,14 @@ class Pilot:
 
     def _ask_to_arm(self) -> list[Message]:
         self._has_armed = True
-        return [self._arm(on=True)]
+        return [messages.arm(self._peer.sender, on=True)]
 
     def _telemetry(self) -> list[Message]:
         """Ask for what is needed; in the old way too, if the new one did not help."""
-        hz = self._orders.telemetry_hz
-        wanted = (
-            (self._track.position_message, hz),
-            ("ATTITUDE", hz),
-            ("SYS_STATUS", STATUS_HZ),
-            ("EXTENDED_SYS_STATE", STATUS_HZ),
-        )
-        asked = [
-            self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), round(1e6 / rate))
-            for name, rate in wanted
-        ]
+        to, hz = self._peer.sender, self._orders.telemetry_hz
+        asked = messages.intervals(to, self._track.position_message, hz)
         if self._old_streams:
-            to = self._peer.sender
-            for stream in _DATA_STREAMS:
-                rate = max(1, round(hz if stream != mavlink.MAV_DATA_STREAM_EXTENDED_STATUS else STATUS_HZ))
-                asked.append(mavlink.MAVLink_request_data_stream_message(to.system, to.component, stream, rate, 1))
+            asked += messages.streams(to, hz)
         self._old_streams = True
         return asked
 
@@ -252,7 +237,7 @@ class Pilot:
             self._climb_to = state.position[2] + NEAR * height
         if self._peer.autopilot.kind == "px4":
             return []
-        return [self._command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)]
+        return [messages.command(self._peer.sender, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)]
 
     def _high(self) -> bool:
         state = self._track.state
@@ -299,20 +284,7 @@ class Pilot:
             name = command.name.removeprefix("MAV_CMD_") if command else f"command {message.command}"
             self._refusal = f"{name}: {_RESULTS[message.result]}"
 
-    def _hear(self, message: Message) -> None:
-        """A text; one that is longer than a message comes in pieces of one number."""
-        text = self._piece.pop(message.id, "") + message.text if message.id and message.chunk_seq else message.text
-        if message.id and len(message.text) == TEXT:
-            self._piece = {message.id: text}
-            return
-        if message.severity > mavlink.MAV_SEVERITY_ERROR or not text.strip():
-            return
-        text = "".join(each if each.isprintable() else "?" for each in text.strip())
-        if text != self._said or self._now_ns - self._said_ns >= REPEAT_NS:
-            self.news.append((SAID, f'the autopilot says "{text}"'))
-            self._said, self._said_ns = text, self._now_ns
-
-    # Messages
+    # Set-points
 
     def _points(self, linear: Vec3, yaw_rate: float) -> list[Message]:
         """The set-point; while ArduPilot takes off there is none, as any would end that."""
@@ -322,24 +294,5 @@ class Pilot:
             linear, yaw_rate = (0.0, 0.0, CLIMB), 0.0
         return [setpoint(self._peer.sender, self._ms(), linear, yaw_rate, on_ground=self._peer.on_ground)]
 
-    def _switch(self, mode: str) -> Message:
-        return self._command(mavlink.MAV_CMD_DO_SET_MODE, *self._peer.autopilot.switch_to(mode))
-
-    def _arm(self, *, on: bool) -> Message:
-        """Never by force: the second parameter, which would overrule all checks, stays zero."""
-        return self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, float(on), 0)
-
-    def _command(self, number: int, *parameters: float) -> Message:
-        to = self._peer.sender
-        padded = (*parameters, *(0.0,) * (7 - len(parameters)))
-        return mavlink.MAVLink_command_long_message(to.system, to.component, number, 0, *padded)
-
     def _ms(self) -> int:
         return (self._now_ns - self._boot_ns) // 1_000_000
-
-
-def heartbeat() -> Message:
-    """Ours, once a second: a ground station's, so that an autopilot's data-link failsafe watches over us."""
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-    )

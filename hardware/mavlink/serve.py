@@ -15,6 +15,7 @@ from typing import Any
 from hardware.mavlink.vehicle import Vehicle
 from hardware.serving import Serving, Tcp
 
+LOOPBACK = "127.0.0.1"
 _READ = 65_535  # bytes
 
 
@@ -23,18 +24,18 @@ class _Udp:
 
     _to: Any  # an address of the operating system
 
-    def __init__(self, host: str, port: int, to: tuple[str, int] | None) -> None:
+    def __init__(self, to: tuple[str, int] | None) -> None:
         family, self._to, self._fixed = socket.AF_INET, None, to is not None
         if to:
             family, _, _, _, self._to = socket.getaddrinfo(*to, type=socket.SOCK_DGRAM)[0]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
-            self._socket.bind(("" if to else host, port))  # what is bound to loopback reaches nobody else
+            self._socket.bind(("" if to else LOOPBACK, 0))  # what is bound to loopback reaches nobody else
         except OSError:
             self._socket.close()
             raise
-        self.url = f"udpin:{_bracketed(to[0])}:{to[1]}" if to else f"udpout:{host}:{self._socket.getsockname()[1]}"
+        self.url = f"udpin:{_bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{self._socket.getsockname()[1]}"
 
     def waits_on(self) -> int:
         return self._socket.fileno()
@@ -94,22 +95,21 @@ class Served(Serving):
             self._line.write(sent)
 
 
-def serve_udp(vehicle: Vehicle, *, host: str = "127.0.0.1", port: int = 0, to: tuple[str, int] | None = None) -> Served:
+def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> Served:
     """Serve it over UDP.
 
     Args:
         vehicle: its time goes on from where it is.
-        host: where it is bound, if it answers.
-        port: the same; 0: any that is free.
-        to: where it sends, unasked, as PX4 does to port 14540; None: it answers whom it heard last.
+        to: where it sends, unasked, as PX4 does to port 14540; None: it answers whom it heard last, at a free port of
+            loopback.
 
     Raises:
         OSError: there is no such place.
     """
-    return Served(vehicle, _Udp(host, port, to))
+    return Served(vehicle, _Udp(to))
 
 
-def serve_tcp(vehicle: Vehicle, *, host: str = "127.0.0.1", port: int = 0) -> Served:
+def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> Served:
     """Serve it at a TCP port, as ArduPilot's simulator does at 5760; 0: any that is free."""
     return Served(vehicle, _Tcp(host, port))
 

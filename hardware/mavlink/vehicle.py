@@ -2,7 +2,7 @@
 
 It does what a driver relies on and what it has to survive: modes that are refused (PX4: OFFBOARD before set-points have come
 for a second), a pilot who switches (`pilot_switches`), arming and its refusal, the end of OFFBOARD when set-points stay away,
-telemetry that has to be asked for.
+telemetry that has to be asked for (`telemetry`).
 
 It moves on its own (`motion.Motion`), or somebody else moves it: whoever passes ``start=None`` asks `commanded` and tells
 `moved`.
@@ -17,28 +17,18 @@ from cosim.frames import quaternion_from_yaw
 from cosim.types import Vec3, VehicleState, Velocity
 from hardware.mavlink.autopilot import Kind, autopilot_of
 from hardware.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
-from hardware.mavlink.frames import body_flipped, euler_from_attitude, world_flipped
+from hardware.mavlink.frames import body_flipped, world_flipped
 from hardware.mavlink.motion import Motion
 from hardware.mavlink.steering import STILL
-from hardware.positioning.tangent_plane import TangentPlane
+from hardware.mavlink.telemetry import SITE, TICK_NS, Now, Telemetry, version
 
-TICK_NS = 5_000_000  # of the emulation: what it does at a tick depends on no other time
-TELEMETRY_HZ = 50.0
 LEAD_NS = 1_000_000_000  # PX4: set-points have to come for more than this before OFFBOARD [PX4 guide, Offboard mode]
 GAP_NS = 500_000_000  # ... at more than 2 Hz
 LOSS_NS = {"px4": 500_000_000, "ardupilot": 3_000_000_000}  # without set-points (COM_OF_LOSS_T; GUID_TIMEOUT)
 TAKEOFF_MPS, LAND_MPS = 1.0, 0.7
-SITE = (47.397742, 8.545594, 488.0)  # latitude, longitude (deg), height (m): where PX4's simulators begin
 
 _TYPES = {"quadrotor": mavlink.MAV_TYPE_QUADROTOR, "rover": mavlink.MAV_TYPE_GROUND_ROVER}
-_NUMBERS = {"px4": mavlink.MAV_AUTOPILOT_PX4, "ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA}
 _NO_VELOCITY, _NO_YAW_RATE = 0b11_1000, 1 << 11  # of a type mask
-_INTERVALS = ("LOCAL_POSITION_NED", "ATTITUDE", "GLOBAL_POSITION_INT", "SYS_STATUS", "EXTENDED_SYS_STATE")
-_STREAMS = {
-    mavlink.MAV_DATA_STREAM_POSITION: ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"),
-    mavlink.MAV_DATA_STREAM_EXTRA1: ("ATTITUDE",),
-    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: ("SYS_STATUS", "EXTENDED_SYS_STATE"),
-}
 _OK, _DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 _UNKNOWN = mavlink.MAV_RESULT_UNSUPPORTED
 
@@ -54,7 +44,7 @@ class Vehicle:
         system_id: its number.
         start: where it stands at first: x, y, z (m, world) and yaw (rad); None: somebody else moves it.
         ground: where it stands when it has landed: z, m, world.
-        origin: of its local frame in the world, m; at the place `SITE` of the earth.
+        origin: of its local frame in the world, m; at the place `telemetry.SITE` of the earth.
         mode: the first one; None: that of a pilot who holds the sticks.
         armed: from the beginning.
         can_arm: False: it refuses, and says why.
@@ -66,7 +56,6 @@ class Vehicle:
         armed: its motors may turn.
         state: where it is.
         heard: the last messages, with their time.
-        battery_v: what it says of its battery.
         blind: it tells NaN for its position, as without an estimate.
     """
 
@@ -90,22 +79,17 @@ class Vehicle:
         self.mode = mode or ("POSITION" if autopilot == "px4" else "LOITER")
         self.armed, self.can_arm, self.old = armed, can_arm, old
         self.heard: deque[tuple[int, Message]] = deque(maxlen=10_000)
-        self.battery_v, self.blind = 15.8, False
+        self.blind = False
         self.state = VehicleState(
             position=start[:3] if start else origin, attitude=quaternion_from_yaw(start[3] if start else 0.0)
         )
         self.motion = Motion(self.state, on_ground=kind == "rover") if start is not None else None
         self._flies = kind != "rover"
-        self._origin, self._ground = origin, ground
-        self._plane = TangentPlane(*SITE)
+        self._ground = ground
         self._encode = Encoder(Sender(system=system_id, component=mavlink.MAV_COMP_ID_AUTOPILOT1))
         self._reader = Reader()
-        # PX4 tells these by itself, ArduPilot when it is asked.
-        every = {"LOCAL_POSITION_NED": TELEMETRY_HZ, "ATTITUDE": TELEMETRY_HZ, "SYS_STATUS": 1.0, "EXTENDED_SYS_STATE": 1.0}
-        self._period_ns = {name: round(SECOND_NS / hz) for name, hz in every.items()} if autopilot == "px4" else {}
-        self._next_ns = dict.fromkeys(self._period_ns, 0)
-        self._heartbeat_ns = max(TICK_NS, round(heartbeat_s * SECOND_NS))
-        self._beat_ns = self._time_ns = 0
+        self._telemetry = Telemetry(self.autopilot, self.type, origin, heartbeat_s)
+        self._time_ns = 0
         self._wanted, self._wanted_yaw_rate = STILL, 0.0
         self._setpoint_ns: int | None = None  # of the last one
         self._since_ns = 0  # set-points have come without a gap
@@ -128,14 +112,16 @@ class Vehicle:
         while self._time_ns + TICK_NS <= now_ns:
             self._time_ns += TICK_NS
             self._tick()
-            sent += self._encode(*self._telemetry()) + self._say()
+            if self._time_ns >= self._telemetry.due_ns:
+                now = Now(self.mode, self.armed, self.landed, self.state, self._ground, self.blind)
+                sent += self._encode(*self._telemetry.messages(self._time_ns, now))
+            sent += self._say()
         return sent
 
     @property
     def due_ns(self) -> int:
         """When `advance` will have something to send."""
-        due = min([self._beat_ns, *(self._next_ns.values())])
-        return max(self._time_ns + TICK_NS, -(-due // TICK_NS) * TICK_NS)
+        return max(self._time_ns + TICK_NS, -(-self._telemetry.due_ns // TICK_NS) * TICK_NS)
 
     @property
     def now_ns(self) -> int:
@@ -206,52 +192,9 @@ class Vehicle:
         if self.mode == "LAND" and self.armed and self.landed:
             self.armed = False
 
-    def _telemetry(self) -> list[Message]:
-        sent = []
-        if self._time_ns >= self._beat_ns:
-            self._beat_ns += self._heartbeat_ns
-            sent.append(self._heartbeat())
-        for name, period_ns in self._period_ns.items():
-            if self._time_ns >= self._next_ns[name]:
-                self._next_ns[name] = max(self._next_ns[name] + period_ns, self._time_ns + TICK_NS)
-                sent.append(self._told(name))
-        return sent
-
     def _say(self) -> bytes:
         texts, self._texts = self._texts, []
         return self._encode(*texts)
-
-    def _heartbeat(self) -> Message:
-        flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
-        status = mavlink.MAV_STATE_ACTIVE if self.armed else mavlink.MAV_STATE_STANDBY
-        number = self.autopilot.modes[self.mode]
-        return mavlink.MAVLink_heartbeat_message(self.type, _NUMBERS[self.autopilot.kind], flags, number, status, 3)
-
-    def _told(self, name: str) -> Message:
-        """A message of telemetry."""
-        boot_ms = self._time_ns // 1_000_000
-        state = self.state
-        here: Vec3 = tuple(a - b for a, b in zip(state.position, self._origin, strict=True))  # type: ignore[assignment]
-        north, east, down = world_flipped(here) if not self.blind else (math.nan,) * 3
-        velocity = world_flipped(state.velocity)
-        match name:
-            case "LOCAL_POSITION_NED":
-                return mavlink.MAVLink_local_position_ned_message(boot_ms, north, east, down, *velocity)
-            case "ATTITUDE":
-                rates = body_flipped(state.angular_velocity)
-                return mavlink.MAVLink_attitude_message(boot_ms, *euler_from_attitude(state.attitude), *rates)
-            case "GLOBAL_POSITION_INT":
-                latitude, longitude, height = self._plane.geodetic(*here)
-                cm = [round(100.0 * each) for each in velocity]
-                heading = round(100.0 * math.degrees(euler_from_attitude(state.attitude)[2])) % 36_000
-                above = round(1e3 * (state.position[2] - self._ground))
-                place = (round(1e7 * latitude), round(1e7 * longitude), round(1e3 * height), above)
-                return mavlink.MAVLink_global_position_int_message(boot_ms, *place, *cm, heading)
-            case "SYS_STATUS":
-                return mavlink.MAVLink_sys_status_message(0, 0, 0, 100, round(1e3 * self.battery_v), -1, -1, 0, 0, 0, 0, 0, 0)
-            case _:
-                landed = mavlink.MAV_LANDED_STATE_ON_GROUND if self.landed else mavlink.MAV_LANDED_STATE_IN_AIR
-                return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed)
 
     # Messages of clients
 
@@ -268,8 +211,7 @@ class Vehicle:
                 return [mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to), *extra]
             case "REQUEST_DATA_STREAM":
                 rate = message.req_message_rate if message.start_stop else 0
-                for name in _STREAMS.get(message.req_stream_id, ()):
-                    self._tell_every(name, SECOND_NS // rate if rate else -1)
+                self._telemetry.ask_stream(message.req_stream_id, rate, self._time_ns)
         return []
 
     def _follow(self, message: Message) -> None:
@@ -292,7 +234,8 @@ class Vehicle:
         """A command: its result, and what is sent with it."""
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if not self.old:
-                return self._set_interval(_whole(message.param1), message.param2), []
+                known = self._telemetry.ask(_whole(message.param1), message.param2, self._time_ns)
+                return _OK if known else _UNKNOWN, []
             case mavlink.MAV_CMD_DO_SET_MODE:
                 return self._set_mode(message), []
             case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
@@ -303,24 +246,8 @@ class Vehicle:
                 self._enter("LAND")
                 return _OK, []
             case mavlink.MAV_CMD_REQUEST_MESSAGE if message.param1 == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                return _OK, [self._version()]
+                return _OK, [version()]
         return _UNKNOWN, []
-
-    def _set_interval(self, number: int, microseconds: float) -> int:
-        kind = mavlink.mavlink_map.get(number)
-        if kind is None or kind.msgname not in _INTERVALS or not math.isfinite(microseconds):
-            return int(_UNKNOWN)
-        self._tell_every(kind.msgname, round(1000.0 * microseconds))
-        return int(_OK)
-
-    def _tell_every(self, name: str, period_ns: int) -> None:
-        """Zero or less: not at all."""
-        if period_ns > 0:
-            self._period_ns[name] = max(TICK_NS, period_ns)
-            self._next_ns.setdefault(name, self._time_ns)
-        else:
-            self._period_ns.pop(name, None)
-            self._next_ns.pop(name, None)
 
     def _set_mode(self, message: Message) -> int:
         main, sub = _whole(message.param2), max(0, _whole(message.param3))
@@ -366,12 +293,6 @@ class Vehicle:
             self.mode, self._rise_to = mode, None
             if self.autopilot.kind == "ardupilot":  # PX4 follows the last set-point at once
                 self._wanted, self._wanted_yaw_rate = STILL, 0.0
-
-    @staticmethod
-    def _version() -> Message:
-        capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-        none = (0,) * 8
-        return mavlink.MAVLink_autopilot_version_message(capabilities, 0, 0, 0, 0, none, none, none, 0, 0, 0)
 
 
 def _whole(number: float) -> int:

@@ -1,6 +1,5 @@
 """What ``vcmvsp robot`` is told, as text, into a driver, a certificate and a `Program`."""
 
-import math
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -9,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from cosim import registry, table
 from cosim.errors import ScenarioError, UsageError
 from cosim.transport import endpoints, key_names
-from cosim.types import Vec3
 from hardware.driver import Driver
+from hardware.emulate.options import pose_of
 from hardware.onboard.program import Program
 
 if TYPE_CHECKING:
@@ -78,17 +77,6 @@ def _bundle(keys: Path | None, vehicle: str, tell: Callable[[str], None]) -> "tu
     except UsageError as error:
         return bundle, str(error)
     return bundle, ""
-
-
-def pose_of(text: str) -> Vec3:
-    """``X,Y,YAW``: m, m, rad."""
-    try:
-        x, y, yaw = map(float, text.split(","))
-    except ValueError:
-        x = y = yaw = math.nan
-    if not all(map(math.isfinite, (x, y, yaw))):
-        raise UsageError(f"--pose {text}: write X,Y,YAW (m, m, rad), e.g. 1.5,0,1.57")
-    return x, y, yaw
 
 
 def built(text: str, params: dict[str, Any]) -> Driver:

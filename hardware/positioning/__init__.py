@@ -6,7 +6,7 @@ it came; what it cannot read it counts, and never raises.
 
 import msgspec
 
-from cosim.types import Fix, Vec3
+from cosim.types import Vec3
 
 
 class Located(msgspec.Struct, frozen=True, kw_only=True):
@@ -18,9 +18,3 @@ class Located(msgspec.Struct, frozen=True, kw_only=True):
     sigma_m: float | None = None  # standard deviation of x and y; None: it does not say
     quality: float | None = None  # 0 to 1, where the system gives such a number
     source_ns: int | None = None  # when it was measured by the system's own clock; None: it does not say
-
-    def fix(self, time_ns: int, sigma_m: float) -> Fix:
-        """The position as a reading, measured at ``time_ns`` of the run; ``sigma_m`` counts where the system says none."""
-        if self.position is None:
-            raise ValueError("there is no position to make a fix of")
-        return Fix(time_ns=time_ns, position=self.position, sigma_m=self.sigma_m or sigma_m)

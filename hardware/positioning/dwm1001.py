@@ -8,6 +8,7 @@ check sum a line from which bytes were lost may still read as one: what uses the
 
 import math
 
+from cosim.clock import SECOND_NS, seconds_to_ns
 from hardware.positioning import Located
 
 WAKE = b"\r\r"
@@ -15,7 +16,6 @@ POSITIONS = b"lep\r"
 PROMPT = "dwm> "
 BAUD = 115200
 LONGEST_BYTES = 512  # of a line; `lec` with four anchors has 140
-SECOND_NS = 1_000_000_000
 
 
 def decode(line: str) -> Located | None:
@@ -82,7 +82,7 @@ class Waker:
     """
 
     def __init__(self, patience_s: float = 2.0) -> None:
-        self._patience_ns = round(patience_s * SECOND_NS)
+        self._patience_ns = seconds_to_ns(patience_s)
         self._due_ns: int | None = None
         self._awake = False
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import select
 import threading
 import time
 from collections.abc import Callable
@@ -11,6 +10,7 @@ from hardware.driver import LinkLost, PortError
 from hardware.line import Line
 from hardware.positioning.placing import Placing
 from hardware.positioning.source import Reads, Source, Words, as_failure
+from hardware.waiting import readable
 
 RETRY_S = 0.5
 TICK_S = 0.1  # between looks at what to say
@@ -87,11 +87,7 @@ class PortSource(Source):
 
     def _woken(self, seconds: float, line: Line | None = None) -> bool:
         """Hear and speak, for at most so long; whether to stop."""
-        poll = select.poll()  # select() takes no descriptors above 1023
-        poll.register(self._wake_read, select.POLLIN)
-        if line is not None:
-            poll.register(line.fileno(), select.POLLIN)
-        ready = [each for each, _ in poll.poll(seconds * 1000.0)]
+        ready = readable([self._wake_read] if line is None else [self._wake_read, line.fileno()], seconds)
         if self._wake_read in ready:
             return True
         if line is not None:

@@ -171,12 +171,4 @@ class Nmea(PortSource):
 
 def _hexadecimal(tag: str) -> str:
     """A tag as 16 hexadecimal digits; empty as it is."""
-    if not tag:
-        return ""
-    try:
-        number = int(tag, 16)
-    except ValueError:
-        number = -1
-    if not 0 <= number < 2**64:
-        raise ValueError(f"a tag is a hexadecimal number of at most 16 digits, not '{tag}'")
-    return f"{number:016X}"
+    return ubisense.tag_of(tag) if tag else ""

@@ -19,6 +19,21 @@ _FIELDS = "HHQIffffQ"
 ByteOrder = Literal["<", ">"]
 
 
+def tag_of(text: str) -> str:
+    """The number of a tag, which is hexadecimal, as 16 digits.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        number = int(text, 16)
+    except ValueError:
+        number = -1
+    if not 0 <= number < 2**64:
+        raise ValueError(f"a tag is a hexadecimal number of at most 16 digits, e.g. 11CE0000A1, not '{text}'")
+    return f"{number:016X}"
+
+
 def decode(datagram: bytes) -> Located:
     """What a datagram says; `ValueError` if it is none of this protocol."""
     if len(datagram) != SIZE_BYTES:

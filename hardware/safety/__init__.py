@@ -5,7 +5,7 @@
     limits       how fast, and how fast to become so
     braking      how far a robot moves until it stands, and how fast it may be so that this fits
     sector       how far it is to walls and discs, over all directions in which a robot may come to move
-    geofence     a polygon or a circle that it stays inside
+    geofence     a polygon that it stays inside
     separation   other vehicles, real or simulated, that it keeps away from
     deadman      who must have been heard lately, else it stops
     rounds       what a supervisor's step begins and ends with
@@ -15,7 +15,7 @@
 
 from hardware.safety.aerial import AerialParameters, AerialSupervisor
 from hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
-from hardware.safety.geofence import Circle, Fence, Polygon
+from hardware.safety.geofence import Polygon
 from hardware.safety.limits import Limits, clamp
 from hardware.safety.rounds import Decision
 from hardware.safety.separation import Others
@@ -25,10 +25,8 @@ __all__ = [
     "AerialParameters",
     "AerialSupervisor",
     "Cause",
-    "Circle",
     "Deadman",
     "Decision",
-    "Fence",
     "Heard",
     "Limits",
     "Others",

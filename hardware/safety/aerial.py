@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from cosim.types import NonNegative, Positive, Velocity
 from hardware.safety.braking import TOLERANCE_M, fastest, stops_within
 from hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
-from hardware.safety.geofence import Fence
+from hardware.safety.geofence import Polygon
 from hardware.safety.limits import Limits, clamp
 from hardware.safety.rounds import Decision, Rounds, unusable
 from hardware.safety.sector import Around, Floats
@@ -60,7 +60,7 @@ class AerialParameters(msgspec.Struct, frozen=True, kw_only=True):
     climb_mps: Positive  # up and down
     radius_m: NonNegative  # of a circle around the body, seen from above
     reaction_s: Positive  # from a command to when the next one acts: the control period, and the delays of pose and link
-    fence: Fence | None = None
+    fence: Polygon | None = None
     fence_margin_m: NonNegative = 0.0  # between body and fence: above all for the error of the pose
     floor_m: float | None = None  # the least z; who is below may climb
     ceiling_m: float | None = None  # the greatest
@@ -87,10 +87,6 @@ class AerialSupervisor:
         self._placed = any(each is not None for each in (parameters.fence, parameters.floor_m, parameters.ceiling_m))
         self.last = (0.0, 0.0, 0.0, 0.0)  # x, y, z m/s, yaw rad/s
 
-    def reset(self) -> None:
-        """Let latched stops end (an operator's deed); one whose cause still holds is back at the next step."""
-        self._rounds.reset()
-
     def step(self, now_ns: int, command: Velocity | None, pose: Pose | None, others: Others | None, heard: Heard) -> Decision:
         """Decide what is sent at ``now_ns``.
 
@@ -109,7 +105,7 @@ class AerialSupervisor:
         else:
             assert command is not None  # noqa: S101  else it would be among the causes
             self.last, slowed = self._safe(command, pose, others, dt)
-        return self._rounds.decide(now_ns, Velocity(linear=self.last[:3], yaw_rate=self.last[3]), stops, slowed)
+        return self._rounds.decide(Velocity(linear=self.last[:3], yaw_rate=self.last[3]), stops, slowed)
 
     def _safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Pose, tuple[Cause, ...]]:
         """The command within limits, fence and distances, and which of them changed it."""

@@ -1,4 +1,4 @@
-"""Who must have been heard lately, else the robot stops; and which stops last until somebody resets them."""
+"""Who must have been heard lately, else the robot stops; and which stops last for as long as the station does."""
 
 from enum import StrEnum
 
@@ -47,8 +47,8 @@ LATCHED = (Cause.OPERATOR, Cause.FEDERATION, Cause.CLOCK)
 class Deadman:
     """Watches ages against time-outs.
 
-    A cause in ``latched`` lasts until `reset`, also when what was lost is back; the others end by themselves. What was
-    never heard stops the robot, but has not been lost: it latches nothing.
+    A cause in ``latched`` lasts for as long as this object does, also when what was lost is back; the others end by themselves.
+    What was never heard stops the robot, but has not been lost: it latches nothing.
     """
 
     def __init__(self, time_outs: TimeOuts | None = None, latched: tuple[Cause, ...] = LATCHED) -> None:
@@ -93,7 +93,3 @@ class Deadman:
             elif now_ns - time_ns > self._limits_ns[cause]:
                 causes.add(cause)
         return never
-
-    def reset(self) -> None:
-        """Let latched causes end; one that still holds is back at the next step."""
-        self._held.clear()

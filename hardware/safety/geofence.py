@@ -1,4 +1,4 @@
-"""The ground that a robot must not leave: a polygon, convex or not, or a circle, seen from above."""
+"""The ground that a robot must not leave: a polygon, convex or not, seen from above."""
 
 import math
 from collections.abc import Sequence
@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.types import Positive
 from hardware.safety.sector import Around, Floats, Stadiums, toward
+
+RETURN_MPS = 0.1  # of who is outside: nothing is known of what is there
 
 _NONE = np.zeros(1)
 _STRAIGHT = 0.5  # cosine: who is outside may drive back within 60 degrees of the shortest way
@@ -18,7 +19,7 @@ _ON_M = 1e-9  # so near to a side, the direction to it says nothing
 class Polygon:
     """Inside a polygon with these corners ((x, y) m, world; at least three, in any sense of rotation, without crossings)."""
 
-    def __init__(self, corners: Sequence[tuple[float, float]], return_mps: Positive = 0.1) -> None:
+    def __init__(self, corners: Sequence[tuple[float, float]]) -> None:
         points = np.array(corners, float)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
             raise ValueError(f"a fence needs at least three corners (x, y), all finite, not {list(corners)}")
@@ -26,7 +27,7 @@ class Polygon:
         area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
         if area < 0.0:
             points = points[::-1].copy()  # so that outside is on the right of each side
-        self.a, self.b, self.return_mps = points, np.roll(points, -1, axis=0), return_mps
+        self.a, self.b = points, np.roll(points, -1, axis=0)
         if area == 0.0 or bool((self.a == self.b).all(axis=1).any()) or _crosses(self.a, self.b):
             raise ValueError(f"the sides of a fence must not cross, touch or be empty: {list(corners)}")
 
@@ -56,33 +57,12 @@ class Polygon:
         return math.atan2(-away[best, 1], -away[best, 0])
 
 
-class Circle:
-    """Inside a circle around ``centre`` ((x, y) m, world) with this radius, m."""
-
-    def __init__(self, centre: tuple[float, float], radius: Positive) -> None:
-        if not all(map(math.isfinite, (*centre, radius))) or radius <= 0.0:
-            raise ValueError(f"a fence needs a finite centre and a radius above 0, not {centre} and {radius}")
-        self.centre, self.radius = centre, radius
-
-    def contains(self, x: float, y: float) -> bool:
-        """Whether a point is inside."""
-        return math.dist((x, y), self.centre) <= self.radius
-
-    def around(self, x: float, y: float, margin: float) -> Around:
-        """The fence as it is seen from (x, y) by a robot whose centre must stay ``margin`` m away from it."""
-        return _InCircle(x - self.centre[0], y - self.centre[1], self.radius - margin)
-
-
-Fence = Polygon | Circle
-
-
 class _Outside:
-    """Outside a polygon: only towards the nearest point of it, and slowly, because nothing is known of what is here."""
+    """Outside a polygon: only towards the nearest point of it, and slowly."""
 
-    clearance, closing = 0.0, _NONE
+    clearance, closing, speed = 0.0, _NONE, RETURN_MPS
 
     def __init__(self, fence: Polygon, x: float, y: float) -> None:
-        self.speed = fence.return_mps
         self._back = fence.way_back(x, y)
 
     def free(self, lo: float, hi: float) -> Floats:
@@ -91,30 +71,6 @@ class _Outside:
         # the least cosine between "back" and the cone is minus the greatest one between "away" and the cone
         least = -toward(self._back + math.pi - 0.5 * (lo + hi), half) if half < math.pi else -1.0
         return np.array([math.inf if least >= _STRAIGHT else 0.0])
-
-
-class _InCircle:
-    """A circle of radius r seen from d = (dx, dy) off its centre. Along u it is ``-d.u + sqrt((d.u)^2 + r^2 - d^2)`` away.
-
-    This falls as d.u grows, so the heading that is nearest to d's decides. Who is outside may not get farther from the
-    centre: the same with r = d.
-    """
-
-    closing, speed = _NONE, math.inf
-
-    def __init__(self, dx: float, dy: float, radius: float) -> None:
-        self._off, self._bearing = math.hypot(dx, dy), math.atan2(dy, dx)
-        self._room = max(0.0, radius * radius - self._off * self._off) if radius > 0.0 else 0.0  # r^2 - d^2
-        self.clearance = max(0.0, radius - self._off)
-
-    def free(self, lo: float, hi: float) -> Floats:
-        """See `Around`."""
-        outward = self._off * toward(self._bearing - 0.5 * (lo + hi), 0.5 * (hi - lo))
-        root = math.sqrt(outward * outward + self._room)
-        # the difference of nearly equal numbers is avoided where d.u > 0
-        if outward > 0.0:
-            return np.array([self._room / (outward + root)])
-        return np.array([root - outward])
 
 
 def _crosses(a: Floats, b: Floats) -> bool:

@@ -17,23 +17,15 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True):
     causes: tuple[Cause, ...] = ()  # all that act now
     began: tuple[Cause, ...] = ()  # those that did not act at the step before: what is worth recording
     stop: bool = False  # the robot must stop; one with a deceleration of its own may be told zero at once
-    disable: bool = False  # it has been stopped for long: switch the motors off
 
 
 class Rounds:
-    """The time, the deadman and the causes of a supervisor; a stop that lasts ``disable_after_s`` asks for motors off."""
+    """The time, the deadman and the causes of a supervisor."""
 
-    def __init__(
-        self, time_outs: TimeOuts, latched: tuple[Cause, ...], reaction_s: float, disable_after_s: float | None = None
-    ) -> None:
-        self._deadman, self._reaction_s, self._disable_after_s = Deadman(time_outs, latched), reaction_s, disable_after_s
+    def __init__(self, time_outs: TimeOuts, latched: tuple[Cause, ...], reaction_s: float) -> None:
+        self._deadman, self._reaction_s = Deadman(time_outs, latched), reaction_s
         self._last_ns: int | None = None
-        self._stopped_ns: int | None = None
         self._causes: tuple[Cause, ...] = ()
-
-    def reset(self) -> None:
-        """Let latched causes end."""
-        self._deadman.reset()
 
     def begin(self, now_ns: int, heard: Heard, unusable: list[Cause]) -> tuple[float, list[Cause]]:
         """For how many seconds a command may have acted by now, and what stops the robot."""
@@ -44,20 +36,12 @@ class Rounds:
         # Whoever was late may not jump in speed, and where time went back it still has to brake.
         return min(elapsed_ns / SECOND_NS, self._reaction_s) if elapsed_ns >= 0 else self._reaction_s, stops
 
-    def decide(self, now_ns: int, command: Velocity, stops: list[Cause], slowed: tuple[Cause, ...]) -> Decision:
+    def decide(self, command: Velocity, stops: list[Cause], slowed: tuple[Cause, ...]) -> Decision:
         """The decision of this step."""
         causes = (*stops, *slowed)
         began = tuple(cause for cause in causes if cause not in self._causes)
         self._causes = causes
-        self._stopped_ns = None if not stops else now_ns if self._stopped_ns is None else min(self._stopped_ns, now_ns)
-        limit = self._disable_after_s
-        return Decision(
-            command=command,
-            causes=causes,
-            began=began,
-            stop=bool(stops),
-            disable=limit is not None and self._stopped_ns is not None and now_ns - self._stopped_ns >= limit * SECOND_NS,
-        )
+        return Decision(command=command, causes=causes, began=began, stop=bool(stops))
 
 
 def unusable(command: Velocity | None, pose: tuple[float, ...] | None, others: Others | None, placed: bool) -> list[Cause]:

@@ -8,7 +8,7 @@ import msgspec
 from cosim.types import NonNegative, Positive, Vec3, Velocity
 from hardware.safety.braking import fastest, stops_within, swept
 from hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
-from hardware.safety.geofence import Fence
+from hardware.safety.geofence import Polygon
 from hardware.safety.limits import Limits, clamp, slowest
 from hardware.safety.rounds import Decision, Rounds, unusable
 from hardware.safety.sector import Around
@@ -23,12 +23,11 @@ class Parameters(msgspec.Struct, frozen=True, kw_only=True):
     limits: Limits
     radius_m: NonNegative  # of a circle around the robot, about the centre that its pose tells
     reaction_s: Positive  # from a command to when the next one acts: the control period, and the delays of pose and link
-    fence: Fence | None = None
+    fence: Polygon | None = None
     fence_margin_m: NonNegative = 0.0  # between body and fence: above all for the error of the pose
     separation_m: NonNegative = 0.5  # between bodies
     time_outs: TimeOuts = TimeOuts()
     latched: tuple[Cause, ...] = LATCHED
-    disable_after_s: Positive | None = 2.0  # a stop that has lasted so long asks for the motors to be switched off
 
 
 class Supervisor:
@@ -41,12 +40,8 @@ class Supervisor:
 
     def __init__(self, parameters: Parameters) -> None:
         self._p = parameters
-        self._rounds = Rounds(parameters.time_outs, parameters.latched, parameters.reaction_s, parameters.disable_after_s)
+        self._rounds = Rounds(parameters.time_outs, parameters.latched, parameters.reaction_s)
         self.last = (0.0, 0.0)  # m/s, rad/s
-
-    def reset(self) -> None:
-        """Let latched stops end (an operator's deed); one whose cause still holds is back at the next step."""
-        self._rounds.reset()
 
     def step(self, now_ns: int, command: Velocity | None, pose: Vec3 | None, others: Others | None, heard: Heard) -> Decision:
         """Decide what is sent at ``now_ns``.
@@ -67,7 +62,7 @@ class Supervisor:
             assert command is not None  # noqa: S101  else it would be among the causes
             self.last, slowed = self._safe(command, pose, others, dt)
         sent = Velocity(linear=(self.last[0], 0.0, 0.0), yaw_rate=self.last[1])
-        return self._rounds.decide(now_ns, sent, stops, slowed)
+        return self._rounds.decide(sent, stops, slowed)
 
     def _safe(
         self, command: Velocity, pose: Vec3 | None, others: Others | None, dt: float

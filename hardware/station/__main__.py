@@ -7,7 +7,6 @@ turn. Ctrl-C is the run's affair, and is not heard here; SIGTERM stops the robot
 import contextlib
 import gc
 import os
-import select
 import signal
 import socket
 import sys
@@ -28,6 +27,7 @@ from hardware.station.control import Answer, Ear
 from hardware.station.guarded import within
 from hardware.station.onboard import Onboard
 from hardware.station.wire import Mission, Order, Part, Report
+from hardware.waiting import readable
 
 if TYPE_CHECKING:
     from hardware.positioning.sources import Localisation
@@ -153,14 +153,14 @@ class Serving:
     def _wait(self, until_ns: int) -> None:
         """Listen until the next turn; once, at least, however late it is."""
         assert self._ear is not None  # noqa: S101  it is open
-        sources: list[Link | Ear] = [self._link, self._ear]
+        run, operator = self._link.fileno(), self._ear.fileno()  # the first may be any number: it was inherited
         left_s = 1.0
         while not self._ending and left_s > 0.0:
             left_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
-            ready, _, _ = select.select(sources, [], [], left_s)
-            if self._link in ready:
+            ready = readable((run, operator), left_s)
+            if run in ready:
                 self._hear_run()
-            if self._ear in ready:
+            if operator in ready:
                 self._hear_operator()
 
     def _hear_run(self) -> None:

@@ -8,7 +8,6 @@ answer is an `Answer` in JSON, to the address from which the question came.
 import contextlib
 import os
 import re
-import select
 import socket
 import stat
 import time
@@ -19,6 +18,7 @@ from typing import Literal, NamedTuple, Self
 import msgspec
 
 from hardware.driver import DriverError
+from hardware.waiting import readable
 
 Verb = Literal["stop", "alive", "who"]
 
@@ -155,7 +155,7 @@ class Caller:
         until = time.monotonic() + wait_s
         open_ = {each.path for each in asked}
         while open_ and (left_s := until - time.monotonic()) > 0.0:
-            if select.select([self._socket], [], [], min(left_s, 0.1))[0]:
+            if readable([self._socket.fileno()], min(left_s, 0.1)):
                 data, path = self._socket.recvfrom(LONGEST)
                 if path in open_:
                     with contextlib.suppress(ValueError):

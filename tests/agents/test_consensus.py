@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,9 +14,9 @@ from hypothesis import strategies as st
 from agents.formation.consensus import Consensus, Graph, neighbours_of
 from agents.formation.formation import Formation
 from agents.formation.geometry import hand_point, hand_velocity
-from cosim.agent import Observation, Radio, VehicleInfo
+from cosim.agent import Body, Radio, VehicleInfo
 from cosim.frames import arc
-from cosim.types import Follows, Message, Odometry, Velocity
+from cosim.types import Follows, Message, Velocity
 from tests.agents.loops import Floats, observe, received
 from tests.responses import growth, root
 
@@ -389,9 +390,9 @@ def test_only_as_much_of_the_own_past_is_kept_as_a_report_may_be_old() -> None:
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
-        ({"formation": Formation(members=("m0", "m9"))}, "'m9' is not a vehicle"),
-        ({"formation": Formation(members=("m1", "m2"))}, "must name m0"),
-        ({"formation": Formation(members=("m0", "m1", "m1"))}, "every member once"),
+        ({"formation": Formation(members=("m0", "m9"))}, "formation.members: unknown vehicle 'm9'"),
+        ({"formation": Formation(members=("m1", "m2"))}, "does not name m0"),
+        ({"formation": Formation(members=("m0", "m1", "m1"))}, "names m1 twice"),
         ({"neighbours": ("m7",)}, "'m7' is not another member"),
         ({"neighbours": ("m0",)}, "'m0' is not another member"),
     ],
@@ -402,9 +403,10 @@ def test_names_that_do_not_fit_are_refused(params: dict[str, Any], problem: str)
 
 
 def test_a_vehicle_on_wheels_needs_a_handle() -> None:
-    seen = observe((0.0, 0.0, 0.0), 0)
-    wheels = Observation(
-        vehicle="m0", time_ns=0, state=seen.state, readings={"odometry": Odometry(pose=(0.0, 0.0, 0.0), v=0.0, w=0.0)}, heard=()
+    on_wheels = VehicleInfo(
+        name="m0", vehicles=("m0", "m1"), period_s=0.1, latency_s=0.0, seed=0, body=Body(width_m=0.4, radius_m=0.25)
     )
-    with pytest.raises(ValueError, match="give a handle"):
-        alone().act(wheels, Radio("m0", ("m0", "m1")))
+    with pytest.raises(ValueError, match="handle is missing"):
+        Consensus().start(on_wheels)
+    Consensus(handle=0.3).start(on_wheels)
+    Consensus().start(msgspec.structs.replace(on_wheels, body=Body(width_m=0.4, radius_m=0.25, flies=True)))

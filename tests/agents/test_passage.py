@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from agents.formation.formation import Formation, Passage
 from agents.formation.listening import Listening
-from agents.formation.passage import AllClear, Lookout, Policy, policy_of
+from agents.formation.passage import Lookout
+from agents.formation.passage_policy import AllClear, Policy, policy_of
 from agents.formation.prediction import DeadReckoning
 from agents.formation.team import Team
 from cosim.agent import Body, Observation

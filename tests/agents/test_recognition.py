@@ -10,13 +10,23 @@ import numpy as np
 import pytest
 
 from agents.reconnaissance.recognition import Detection, Detector, Target, ground
-from agents.reconnaissance.recognition.ground import FOCAL_PX, Frame, frame, glyph, second_glyph, tilted
+from agents.reconnaissance.recognition.ground import FOCAL_PX, YELLOW, Frame, frame, glyph, tilted
 from cosim.errors import ScenarioError
 from cosim.frames import wrap
 from cosim.types import Array
 
 HEIGHTS = (10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
 GLYPH = Target("glyph", glyph(), 2.0)
+
+
+def second_glyph() -> Array:
+    """A target in other colours: a magenta arrow on green."""
+    magenta = (190, 40, 170)
+    picture = np.full((128, 128, 3), (30, 150, 60), np.uint8)
+    picture[52:78, 10:70] = magenta
+    cv2.fillConvexPoly(picture, np.array([(66, 24), (66, 106), (118, 65)]), magenta)
+    picture[96:118, 12:60] = YELLOW
+    return picture
 
 
 @dataclass

@@ -14,7 +14,7 @@ from cosim.cli_robot import register
 from cosim.errors import ScenarioError
 from hardware.arcos.driver import ArcosDriver
 from hardware.bench import Bench
-from hardware.onboard.serve import built, kind_of, pose_of
+from hardware.onboard.serve import built, kind_of
 from tests.cosim.command import Outcome, vcmvsp
 
 if "robot" not in [each.name for each in cli.app.registered_commands]:
@@ -96,10 +96,6 @@ def test_the_certificate_of_an_observer_drives_nothing(tmp_path: Path) -> None:
     outcome = robot("--keys", str(tmp_path / "keys" / "anna.keys"), connect="tls/127.0.0.1:7448")
     assert outcome.code == 2
     assert "is for watching only" in outcome.err
-
-
-def test_a_pose_is_three_numbers() -> None:
-    assert pose_of("1.5,0,-1.57") == (1.5, 0.0, -1.57)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -14,6 +14,7 @@ import numpy as np
 
 from cosim.types import Velocity
 from hardware.safety import AerialParameters, AerialSupervisor, Heard, Limits, Others, Parameters, Supervisor, TimeOuts
+from hardware.safety.geofence import RETURN_MPS
 from tests.hardware.flights import flown
 from tests.hardware.test_safety_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
 
@@ -42,13 +43,16 @@ ROUNDING = 1e-6  # m
 
 
 class Stretch(NamedTuple):
-    """Some periods with one command and one fault; ``where`` is a displacement, for the faults that need one."""
+    """Some periods with one command and one fault; ``where`` is a displacement, for the faults that need one.
+
+    ``anew``: another run begins before it, if the robot stands.
+    """
 
     command: tuple[float, float, float, float]
     periods: int
     fault: str = "none"
     where: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    reset: bool = False
+    anew: bool = False
 
 
 class Rehearsal:
@@ -68,30 +72,35 @@ class Rehearsal:
         self.flies, self.fence, self.keep, self.exact = flies, FENCES[fence], keep, exact
         common: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "reaction_s": 0.1, "fence": self.fence}
         common |= {"separation_m": SEPARATION, "time_outs": TIME_OUTS}
-        self.supervisor: Any
+        self.common = common
         start = STARTS[fence]
-        if flies:
-            self.supervisor = AerialSupervisor(AerialParameters(**common, climb_mps=CLIMB, floor_m=FLOOR, ceiling_m=CEILING))
-        else:
-            self.supervisor = Supervisor(Parameters(**common))
         self.truth = [float(start[0]), float(start[1]), 1.5, 0.3]  # x, y, z, yaw
         self.speeds: Any = (0.0, 0.0, 0.0, 0.0) if flies else (0.0, 0.0)
         rows = np.array(list(others), float).reshape(-1, 3) + np.array((*start, 1.5))
         gaps = self.gaps(rows)
         self.rows = rows[gaps > 0.0]
         self.now = self.real = 10 * SECOND  # by the clock of the steps, and truly
-        self.elapsed: int | None = None
         self.heard: dict[str, int | None] = dict.fromkeys(SOURCES, self.now)
-        self.latched: set[str] = set()
+        self._begin()
         self.before = np.zeros(3)
         self.trusted, self.apart, self.worst = True, True, 0.0  # worst: how far beyond the fence it was put
         self.stops = self.periods = 0
 
+    def _begin(self) -> None:
+        """The first run, or another one: nothing is latched, and no step has been."""
+        self.supervisor: Any
+        if self.flies:
+            parameters = AerialParameters(**self.common, climb_mps=CLIMB, floor_m=FLOOR, ceiling_m=CEILING)
+            self.supervisor = AerialSupervisor(parameters)
+        else:
+            self.supervisor = Supervisor(Parameters(**self.common))
+        self.elapsed: int | None = None
+        self.latched: set[str] = set()
+
     def run(self, stretches: Iterable[Stretch]) -> None:
         for stretch in stretches:
-            if stretch.reset:
-                self.supervisor.reset()
-                self.latched.clear()
+            if stretch.anew and not any(self.speeds) and not self.before.any():
+                self._begin()
             for number in range(stretch.periods):
                 self._period(stretch, number)
 
@@ -209,7 +218,7 @@ class Rehearsal:
 
     def _allowed(self) -> float:
         """Who is outside a polygon finds back at a low speed, and at a corner one of two sides is the nearest."""
-        return ROUNDING + (0.1 * getattr(self.fence, "return_mps", 0.0) if self.worst < 0.0 else 0.0)
+        return ROUNDING + (0.1 * RETURN_MPS if self.worst < 0.0 else 0.0)
 
     def inside(self) -> float:
         """What is left to fence, floor and ceiling, m; below zero: it is beyond one."""

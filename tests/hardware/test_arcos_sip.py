@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.arcos.config import Config, decode_config, encode_config
+from hardware.arcos.config import Config, decode_config, encode_config, warnings
 from hardware.arcos.packet import frame
 from hardware.arcos.robots import ROBOTS, robot_of
 from hardware.arcos.sip import Sip, decode, encode
@@ -82,14 +82,14 @@ def test_size_on_the_line(sonars: int, size: int) -> None:
     assert len(frame(encode(full))) == size
 
 
-def test_stalls_and_bumpers_are_told_apart() -> None:
-    def told(stall: int) -> tuple[bool, bool, bool]:
+def test_stalled_wheels_are_told_from_bumpers() -> None:
+    def told(stall: int) -> tuple[bool, bool]:
         sip = Sip(stall=stall)
-        return sip.left_stalled, sip.right_stalled, sip.bumped
+        return sip.left_stalled, sip.right_stalled
 
-    assert told(0x0001) == (True, False, False)
-    assert told(0x0100) == (False, True, False)
-    assert all(told(1 << bit) == (False, False, True) for bit in range(16) if bit not in (0, 8))
+    assert told(0x0001) == (True, False)
+    assert told(0x0100) == (False, True)
+    assert all(told(1 << bit) == (False, False) for bit in range(16) if bit not in (0, 8))
 
 
 @given(sips())
@@ -128,7 +128,19 @@ def test_configuration_round_trip_and_older_firmware() -> None:
     middle = struct.pack("<BBBHHBHHHB", 0, 0, 0, 0, 0, 0, 0, 0, 2000, 0) + struct.pack("<16H", *[0] * 16)
     assert data == head + middle + struct.pack("<BBBBBBhBBHH", 0, 0, 0, 0, 0, 0, -3, 0, 0, 0, 0) + b"1.7\0"
     short = decode_config(data[: data.index(b"robbi") + 9])  # ends after the three bytes behind the name
-    assert (short.top_speed, short.name, short.watchdog, short.version) == (1000, "robbi", 0, "")
+    assert (short.top_speed, short.name, short.watchdog, short.version) == (1000, "robbi", None, "")
+
+
+def test_what_a_robot_says_of_itself_is_warned_of_where_it_is_not_what_a_user_expects() -> None:
+    amigo = ROBOTS["amigo"]
+    usual = Config(watchdog=2000, top_speed=1000, top_yaw_rate=300)
+    assert warnings(usual, amigo, 1.0, math.radians(300)) == []
+    assert warnings(Config(), amigo, 9.0, 9.0) == []  # it does not say
+    assert "watchdog is off" in warnings(Config(watchdog=0), amigo, None, None)[0]
+    assert "waits for 3.5 s before it stops it, not 2 s" in warnings(Config(watchdog=3500), amigo, None, None)[0]
+    speed, turn = warnings(usual, amigo, 1.2, 6.0)
+    assert speed == "max_speed = 1.2 m/s, but it is set to drive no faster than 1 m/s"
+    assert turn == "max_yaw_rate = 6 rad/s, but it is set to turn no faster than 5.24 rad/s"
 
 
 def test_factors_of_the_robots() -> None:

@@ -70,6 +70,22 @@ def test_three_seconds_on_a_terminal_and_a_gentle_end() -> None:
     assert {number for each in samples for number, _ in each.sonar} == set(range(8))
 
 
+def test_a_robot_whose_watchdog_is_off_is_warned_of() -> None:
+    with (
+        serve_pty(Device(msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.0))) as served,
+        connected(served.url, max_speed=1.5) as driver,
+    ):
+        off, fast = [each.cause for each in driver.notices() if each.what == "warned"]
+        assert "watchdog is off" in off
+        assert "max_speed = 1.5 m/s" in fast
+
+
+@pytest.mark.usefixtures("many_files_open")
+def test_with_more_than_a_thousand_open_files() -> None:
+    with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
+        assert drive(driver, 0.6, v=0.2)[-1].odometry.v > 0.0
+
+
 def test_both_wheels_in_one_command_over_tcp_from_a_start_pose() -> None:
     with serve_tcp(Device(ROBOTS["p2dx"])) as served, connected(served.url, start=(5.0, 6.0, 1.5), mode="vel2") as driver:
         samples = drive(driver, 1.2, v=0.2, w=0.25)

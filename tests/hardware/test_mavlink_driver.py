@@ -15,7 +15,8 @@ from hardware.driver import ORIGIN, Driver, HandshakeError, LinkLost, PortError,
 from hardware.mavlink.codec import mavlink
 from hardware.mavlink.driver import MavlinkDriver
 from hardware.mavlink.serve import Served, serve_tcp, serve_udp
-from hardware.mavlink.vehicle import SITE, Vehicle
+from hardware.mavlink.telemetry import SITE
+from hardware.mavlink.vehicle import Vehicle
 from hardware.station.process import READY_S
 from tests.hardware import drivers
 from tests.hardware.drivers import eventually, fly

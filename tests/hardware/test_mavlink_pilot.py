@@ -12,8 +12,9 @@ from hardware.driver import Sample
 from hardware.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
 from hardware.mavlink.hello import Search
 from hardware.mavlink.pilot import Orders, Pilot
+from hardware.mavlink.telemetry import TICK_NS
 from hardware.mavlink.track import ATTITUDE_NS, Track
-from hardware.mavlink.vehicle import TICK_NS, Vehicle
+from hardware.mavlink.vehicle import Vehicle
 
 SECOND = 1_000_000_000
 OURS = Sender(system=245, component=190)

@@ -35,8 +35,6 @@ def test_ubisense_flags_zero_has_no_position() -> None:
     datagram[12:16] = bytes(4)
     located = ubisense.decode(bytes(datagram))
     assert located.position is None
-    with pytest.raises(ValueError, match="no position"):
-        located.fix(0, 0.1)
 
 
 @given(
@@ -73,12 +71,6 @@ def test_ubisense_other_sizes_are_refused() -> None:
     reader = ubisense.Reader()
     assert reader.feed(bytes.fromhex(GOLDEN)[:-1]) == reader.feed(bytes.fromhex(GOLDEN) + b"\0") == reader.feed(b"") == []
     assert reader.bad_datagrams == 3
-
-
-def test_fix_takes_the_sigma_that_is_told_and_else_the_default() -> None:
-    assert Located(position=(1.0, 2.0, 3.0), sigma_m=0.3).fix(7, 0.1).sigma_m == 0.3
-    fix = Located(position=(1.0, 2.0, 3.0)).fix(7, 0.1)
-    assert (fix.time_ns, fix.position, fix.sigma_m, fix.yaw) == (7, (1.0, 2.0, 3.0), 0.1, None)
 
 
 STREAM = (

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hardware.safety import Circle, Others, Polygon
+from hardware.safety import Others, Polygon
 from hardware.safety.braking import fastest, stops_within, swept
+from hardware.safety.geofence import RETURN_MPS
 from hardware.safety.sector import Around, Stadiums
 
 reals = st.floats(-3.0, 3.0)
 points = st.tuples(reals, reals)
 speeds = st.floats(0.0, 3.0)
-ROUND = Polygon([(3.0 * math.cos(i * math.tau / 720), 3.0 * math.sin(i * math.tau / 720)) for i in range(720)])
 
 
 def distance(x: np.ndarray, y: np.ndarray, a: tuple[float, float], b: tuple[float, float]) -> np.ndarray:
@@ -62,27 +62,12 @@ def test_a_sector_is_free_as_far_as_sampling_says(
         assert arc.min() <= radius + free * width / 240 + 1e-6
 
 
-@given(x=reals, y=reals, lo=st.floats(-7.0, 7.0), width=st.floats(0.0, 6.0), margin=st.floats(0.0, 0.5))
-def test_a_circle_is_free_as_far_as_a_polygon_of_many_corners(
-    x: float, y: float, lo: float, width: float, margin: float
-) -> None:
-    radius = 3.0
-    assume(math.hypot(x, y) < radius - margin - 1e-2)
-    circle = Circle((0.0, 0.0), radius).around(x, y, margin)
-    polygon = ROUND.around(x, y, margin)
-    assert circle.clearance == pytest.approx(polygon.clearance, abs=1e-4)
-    if width < math.pi:
-        # the sagitta of a side is 3e-5 m; a ray that meets the circle flatly meets the polygon a little earlier
-        assert float(polygon.free(lo, lo + width).min()) == pytest.approx(float(circle.free(lo, lo + width)[0]), abs=0.03)
-
-
 @given(lo=st.floats(-7.0, 7.0), width=st.floats(0.0, 3.0), more=st.floats(0.0, 3.0), here=points)
 def test_a_wider_cone_is_never_freer(lo: float, width: float, more: float, here: tuple[float, float]) -> None:
     others = Others(np.array([[1.0, 1.0], [-2.0, 0.5]]), np.zeros((2, 2)), np.array([0.2, 0.3]))
     arounds: list[Around] = [
         others.around(*here, 0.4),
         Polygon([(-3, -3), (3, -3), (3, 3), (0, 0.5), (-3, 3)]).around(*here, 0.3),
-        Circle((0.5, 0.5), 2.5).around(*here, 0.3),
     ]
     for around in arounds:
         assert (around.free(lo - more, lo + width + more) <= around.free(lo, lo + width) + 1e-9).all()
@@ -126,15 +111,11 @@ def test_known_braking_distances() -> None:
 
 
 def test_who_is_outside_may_only_drive_back() -> None:
-    around = Polygon([(0, 0), (4, 0), (4, 3), (0, 3)], return_mps=0.2).around(5.0, 1.0, 0.3)
-    assert around.speed == 0.2
+    around = Polygon([(0, 0), (4, 0), (4, 3), (0, 3)]).around(5.0, 1.0, 0.3)
+    assert around.speed == RETURN_MPS
     assert around.free(math.pi, math.pi + 0.3).tolist() == [math.inf]
     assert around.free(0.0, 0.0).tolist() == [0.0]
     assert around.free(math.pi - 0.5, math.pi + 1.1).tolist() == [0.0]  # 63 degrees off
-    circle = Circle((0.0, 0.0), 1.0).around(2.0, 0.0, 0.3)
-    assert circle.free(math.pi, math.pi)[0] == pytest.approx(4.0)  # through to where it is as far from the centre
-    assert circle.free(math.pi / 3, math.pi / 3)[0] == 0.0
-    assert circle.free(2.0, 4.0)[0] == pytest.approx(-4.0 * math.cos(2.0))
 
 
 @pytest.mark.parametrize(
@@ -151,12 +132,6 @@ def test_who_is_outside_may_only_drive_back() -> None:
 def test_a_fence_that_is_none_is_refused(corners: list[tuple[float, float]]) -> None:
     with pytest.raises(ValueError, match="fence"):
         Polygon(corners)
-
-
-@pytest.mark.parametrize("radius", [0.0, -1.0, math.inf, math.nan])
-def test_a_circle_needs_a_radius(radius: float) -> None:
-    with pytest.raises(ValueError, match="radius"):
-        Circle((0.0, 0.0), radius)
 
 
 @given(here=points)

@@ -25,7 +25,7 @@ stretches = st.builds(
     periods=st.integers(1, 8),
     fault=st.just("none") | st.sampled_from(FAULTS),
     where=places,
-    reset=st.booleans(),
+    anew=st.booleans(),
 )
 
 

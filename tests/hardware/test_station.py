@@ -80,6 +80,12 @@ def test_a_robot_drives_and_its_state_is_told() -> None:
     assert run.notices == [("connected", "a robot in software")]
 
 
+@pytest.mark.usefixtures("many_files_open")
+def test_a_run_with_more_than_a_thousand_open_files_drives_a_robot() -> None:
+    with driven(mission()) as run:
+        run.until(drives, v=0.4)
+
+
 def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(
         "import time\n"

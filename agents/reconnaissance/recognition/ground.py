@@ -14,12 +14,10 @@ WIDTH, HEIGHT, FOCAL_PX = 640, 480, 400.0
 FINE = 2  # drawn this much finer than the picture, then averaged
 CLEAR = 1.5  # sides between the middles of two objects: their diagonals do not touch
 
-RED, BLUE, YELLOW, GREEN, MAGENTA, WHITE = (
+RED, BLUE, YELLOW, WHITE = (
     (200, 40, 40),
     (40, 60, 190),
     (235, 200, 30),
-    (30, 150, 60),
-    (190, 40, 170),
     (240, 240, 240),
 )
 Point = tuple[float, float]
@@ -45,15 +43,6 @@ def other_glyph() -> Array:
     picture[10:118, 50:78] = BLUE
     cv2.fillConvexPoly(picture, np.array([(84, 84), (124, 84), (104, 124)]), YELLOW)
     picture[14:36, 14:28] = WHITE
-    return picture
-
-
-def second_glyph() -> Array:
-    """A target in other colours: a magenta arrow on green."""
-    picture = np.full((128, 128, 3), GREEN, np.uint8)
-    picture[52:78, 10:70] = MAGENTA
-    cv2.fillConvexPoly(picture, np.array([(66, 24), (66, 106), (118, 65)]), MAGENTA)
-    picture[96:118, 12:60] = YELLOW
     return picture
 
 

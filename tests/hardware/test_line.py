@@ -1,0 +1,49 @@
+"""A serial port, played by a pseudo-terminal, whose other side does not read, or goes away."""
+
+import os
+import pty
+import tty
+from collections.abc import Iterator
+from contextlib import suppress
+
+import pytest
+
+from hardware.driver import LinkLost
+from hardware.line import Line, open_line
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Line, int]]:
+    """A line, and the descriptor of its other side, which a test may close."""
+    other, ours = pty.openpty()
+    tty.setraw(ours)
+    line = open_line(os.ttyname(ours), 9600)
+    os.close(ours)
+    yield line, other
+    line.close()
+    with suppress(OSError):
+        os.close(other)
+
+
+def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[Line, int]) -> None:
+    line, other = ends
+    assert line.read() == b""
+    line.write(bytes(range(256)))
+    assert os.read(other, 512) == bytes(range(256))
+    os.write(other, b"\0\x03\x11\x13\r\n")
+    assert line.read() == b"\0\x03\x11\x13\r\n"
+
+
+def test_who_does_not_read_is_not_waited_for_for_ever(ends: tuple[Line, int]) -> None:
+    line, _ = ends
+    with pytest.raises(LinkLost, match="takes no more bytes"):
+        line.write(bytes(10_000_000))
+
+
+def test_a_port_that_is_unplugged_says_so(ends: tuple[Line, int]) -> None:
+    line, other = ends
+    os.close(other)
+    with pytest.raises(LinkLost, match="unplugged"):
+        line.read()
+    with pytest.raises(LinkLost, match="unplugged"):
+        line.write(b"\0")
