@@ -9,6 +9,7 @@ import hashlib
 from typing import Any
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
 U64 = NDArray[np.uint64]
@@ -17,6 +18,18 @@ _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 _ROUNDS = 10
+_FEW = 12  # numbers: for up to so many, plain Python is quicker than NumPy
+
+
+class _Key(ISeedSequence):
+    """A key as it is: ``Philox(key=...)`` first draws a seed from the operating system, only to throw it away."""
+
+    def __init__(self, words: NDArray[np.uint64]) -> None:
+        self._words = words
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
+        """The two words of 64 bits that Philox asks for."""
+        return self._words
 
 
 def key64(seed: int, name: str) -> int:
@@ -27,7 +40,8 @@ def key64(seed: int, name: str) -> int:
 def stream(seed: int, name: str) -> np.random.Generator:
     """A generator of its own for ``name``, e.g. ``stream(1, "car2/positioning")``."""
     digest = hashlib.blake2b(f"{seed}/{name}".encode(), digest_size=16).digest()
-    return np.random.Generator(np.random.Philox(key=int.from_bytes(digest, "little")))
+    key: Any = _Key(np.frombuffer(digest, "<u8"))  # NumPy takes it, its annotation does not know it
+    return np.random.Generator(np.random.Philox(key))
 
 
 def philox4x32(counter: tuple[Any, Any, Any, Any], key: tuple[Any, Any]) -> tuple[U64, U64, U64, U64]:
@@ -53,9 +67,24 @@ def link_uniform(keys: U64, frames: U64, slot: int) -> NDArray[np.float64]:
         Array of the broadcast shape + (2,).
     """
     keys, frames = np.asarray(keys, np.uint64), np.asarray(frames, np.uint64)
+    if keys.size * frames.size <= _FEW:
+        every, numbers = np.broadcast_arrays(keys, frames)
+        pairs = [_pair(key, frame, slot) for key, frame in zip(every.ravel().tolist(), numbers.ravel().tolist(), strict=True)]
+        return np.array(pairs, np.float64).reshape(*every.shape, 2)
     counter = (frames & _LOW, frames >> _SHIFT, np.uint64(slot), np.uint64(0))
     a, b, c, d = philox4x32(counter, (keys & _LOW, keys >> _SHIFT))
     high, scale = np.uint64(21), 2.0**-53
     first = ((a << high) ^ (b >> np.uint64(11))) * scale
     second = ((c << high) ^ (d >> np.uint64(11))) * scale
     return np.stack(np.broadcast_arrays(first, second), axis=-1)
+
+
+def _pair(key: int, frame: int, slot: int) -> tuple[float, float]:
+    """The same of one link and frame, in plain numbers."""
+    low, m0, m1, w0, w1 = 0xFFFFFFFF, 0xD2511F53, 0xCD9E8D57, 0x9E3779B9, 0xBB67AE85
+    x0, x1, x2, x3, k0, k1 = frame & low, frame >> 32, slot, 0, key & low, key >> 32
+    for _ in range(_ROUNDS):
+        p0, p1 = x0 * m0, x2 * m1
+        x0, x1, x2, x3 = (p1 >> 32) ^ x1 ^ k0, p1 & low, (p0 >> 32) ^ x3 ^ k1, p0 & low
+        k0, k1 = (k0 + w0) & low, (k1 + w1) & low
+    return ((x0 << 21) ^ (x1 >> 11)) * 2.0**-53, ((x2 << 21) ^ (x3 >> 11)) * 2.0**-53

@@ -7,98 +7,23 @@
 """
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.types import frozen
 from netsim.bodies import Bodies, through
+from netsim.budget_mean import Heard, Mean, Together
 from netsim.error_rate import ErrorRate
-from netsim.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy, sealed
-from netsim.medium import Codes, Fate
+from netsim.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy, distances, sealed
+from netsim.medium import Codes
 from netsim.noise import ThermalNoise
 from netsim.radios import AT_POSITION, Radio
 
 BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 """What made a signal too weak: distance alone, or that and what else was needed."""
 
-
-_SURE = 2.0**-54  # a hazard that no draw is below, but for 0
-
-
-class Mean(msgspec.Struct, dict=True):
-    """The mean budget of the links from one radio to n others, (n,) each."""
-
-    row: int  # of the radio among all
-    antennas: Floats  # of all, (n + 1, 3) m, world
-    paths: Paths
-    power_dbm: Floats  # transmitted, with both antennas
-    sensitivity_dbm: Floats
-    path_loss_db: Floats
-    walls: Ints | None  # how many are crossed; None: there are none in the chain
-    materials: tuple[str, ...] | None  # of the walls that are crossed, e.g. "2 brick, 1 wood"
-    wall_loss_db: Floats | None
-    shadowing_db: Floats | None
-    level_dbm: Floats
-    heard: dict[int, "Heard"]  # what becomes of frames of a size at this very level: filled by `Hearing`
-    parts: dict[int | None, "Told"]  # by the first of the receivers that are meant: filled by `told`
-    weakness: Codes | None = None  # what would make frames too weak: the same
-
-    @cached_property
-    def power_mw(self) -> Floats:
-        """The level at all radios, (n + 1,) mW; 0 at itself."""
-        return sealed(at_all(10.0 ** (self.level_dbm / 10.0), self.row))
-
-    def told(self, receivers: tuple[str, ...], to: slice) -> "Told":
-        """What reports of frames tell of it: of one receiver, or of all."""
-        found = self.parts.get(to.start)
-        if found is None:
-            found = self.parts[to.start] = Told(
-                receivers[to],
-                frozen(self.paths.distance_m[to]),
-                frozen(self.level_dbm[to]),
-                frozen(self.path_loss_db[to]),
-                _part(self.walls, to),
-                None if self.materials is None else self.materials[to],
-                _part(self.wall_loss_db, to),
-                _part(self.shadowing_db, to),
-            )
-        return found
-
-
-class Told(msgspec.Struct, frozen=True):
-    """The part of a mean budget that concerns those for whom a frame is meant; fields as of `Mean`."""
-
-    receivers: tuple[str, ...]
-    distance_m: Floats
-    level_dbm: Floats
-    path_loss_db: Floats
-    walls: Ints | None
-    materials: tuple[str, ...] | None
-    wall_loss_db: Floats | None
-    shadowing_db: Floats | None
-
-
-class Heard(msgspec.Struct, frozen=True, dict=True):
-    """How a frame that nobody else disturbs reaches n receivers, (n,) each."""
-
-    snr_db: Floats
-    detected: Bools
-    hazard: Floats | None  # -log(chance that it survives the noise); None: it always does
-
-    @cached_property
-    def fate(self) -> Codes:
-        """Its fate, but for the packet errors of those who are in doubt."""
-        return frozen(np.where(self.detected, np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)))
-
-    @cached_property
-    def doubtful(self) -> NDArray[np.intp]:
-        """Who detects it and may yet lose it."""
-        nobody = np.zeros(0, np.intp)
-        return nobody if self.hazard is None else np.flatnonzero(self.detected & (self.hazard > _SURE))
+AT_ONCE = 1 << 16  # links: for more, what one call of NumPy costs does not count
 
 
 class Budgets:
@@ -117,6 +42,8 @@ class Budgets:
         self._path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
         self._phy, self._radios = phy, radios
         self._blocking = any(radio.body_loss_db for radio in radios.values())
+        nothing_else = walls is None and shadowing is None and not self._blocking
+        self._by_distance: bool = nothing_else and getattr(path_loss, "by_distance", False)  # of two antennas
         self.start()
 
     def start(self) -> None:
@@ -139,10 +66,13 @@ class Budgets:
             bodies: whether vehicles stand in the way of others, as far as their radios say so.
         """
         if position is not self._position or names is not self._names:
+            before = self._means if names is self._names else {}
             if names is not self._names:
                 self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
             self._position, self._names, self._seed, self._means = position, names, links.seed, {}
             self._antennas = position + self._raised
+            if self._by_distance and links.sender in before and 1 < len(before) <= AT_ONCE / len(names):
+                self._work_out_together(before)  # who sent together will do so again
         found = self._means.get(links.sender)
         if found is None:
             row = names.index(links.sender)
@@ -150,6 +80,31 @@ class Budgets:
             paths = Paths.between(self._antennas[row], others, links.seed)
             found = self._means[links.sender] = self._work_out(links, paths, row, bodies=bodies and self._blocking)
         return found
+
+    def _work_out_together(self, before: Mapping[str, Mean]) -> None:
+        """The budgets of all these senders, where they are now: the same numbers as of each for itself."""
+        every, power_dbm, sensitivity_dbm = zip(*(self._fixed[sender] for sender in before), strict=True)
+        rows = np.array([mean.row for mean in before.values()])
+        apart = np.arange(len(self._names)) != rows[:, None]
+        shape = len(rows), len(self._names) - 1
+        tx = self._antennas[rows]
+        rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[apart].reshape(*shape, 3)
+        distance_m = sealed(distances(tx[:, None], rx))
+        path_loss: Any = self._path_loss
+        path_loss_db = sealed(path_loss.loss_db(distance_m))
+        level_dbm = sealed(np.stack(power_dbm) - path_loss_db)
+        together = Together(apart, np.stack(sensitivity_dbm), level_dbm)
+        for k, links in enumerate(every):
+            self._means[links.sender] = Mean(
+                row=int(rows[k]),
+                antennas=self._antennas,
+                paths=Paths(tx[k], rx[k], distance_m[k], self._seed),
+                power_dbm=power_dbm[k],
+                sensitivity_dbm=sensitivity_dbm[k],
+                path_loss_db=path_loss_db[k],
+                level_dbm=level_dbm[k],
+                together=(together, k),
+            )
 
     def _work_out(self, links: Links, paths: Paths, row: int, *, bodies: bool) -> Mean:
         fixed = self._fixed.get(links.sender)
@@ -176,19 +131,17 @@ class Budgets:
             loss_db = loss_db + shadowing_db
         level_dbm = power_dbm - loss_db
         return Mean(
-            row,
-            self._antennas,
-            paths,
-            power_dbm,
-            sensitivity_dbm,
-            frozen(path_loss_db),
-            None if walls is None else frozen(walls),
-            materials,
-            None if wall_loss_db is None else frozen(wall_loss_db),
-            None if shadowing_db is None else frozen(shadowing_db),
-            sealed(level_dbm),
-            {},
-            {},
+            row=row,
+            antennas=self._antennas,
+            paths=paths,
+            power_dbm=power_dbm,
+            sensitivity_dbm=sensitivity_dbm,
+            path_loss_db=frozen(path_loss_db),
+            walls=None if walls is None else frozen(walls),
+            materials=materials,
+            wall_loss_db=None if wall_loss_db is None else frozen(wall_loss_db),
+            shadowing_db=None if shadowing_db is None else frozen(shadowing_db),
+            level_dbm=sealed(level_dbm),
         )
 
     def _power_dbm(self, links: Links) -> Floats:
@@ -241,16 +194,9 @@ def _with_vehicles(materials: tuple[str, ...], others: Ints) -> tuple[str, ...]:
     return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
 
 
-def _part(values: Any, to: slice) -> Any:
-    return None if values is None else frozen(values[to])
-
-
-def at_all(values: Floats, row: int) -> Floats:
-    """Values of all but one, with a zero for that one."""
-    everywhere = np.zeros(len(values) + 1)  # np.insert and np.delete take ten times as long
-    everywhere[:row] = values[:row]
-    everywhere[row + 1 :] = values[row:]
-    return everywhere
+def _by_distance(level: Floats, least: Floats) -> Codes:
+    why: Codes = np.where(level >= least, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))
+    return why
 
 
 class Hearing:
@@ -264,15 +210,20 @@ class Hearing:
 
     def hear(self, mean: Mean, level_dbm: Floats, size_bytes: int) -> Heard:
         """How a frame arrives that has ``level_dbm`` (n,), where nobody else sends."""
-        fixed = level_dbm is mean.level_dbm
-        if fixed and size_bytes in mean.heard:
-            return mean.heard[size_bytes]
+        if level_dbm is not mean.level_dbm:
+            return self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
+        if size_bytes not in mean.heard:
+            every, which = mean.together or (mean, None)
+            if size_bytes not in every.heard:
+                every.heard[size_bytes] = self._hear(every.level_dbm, every.sensitivity_dbm, size_bytes)
+            if which is not None:
+                mean.heard[size_bytes] = every.heard[size_bytes].of(which)
+        return mean.heard[size_bytes]
+
+    def _hear(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> Heard:
         snr_db = self.over_noise(level_dbm)
-        detected = (level_dbm >= mean.sensitivity_dbm) & self.noticed(snr_db)
-        heard = Heard(snr_db, detected, None if self.errors is None else self.errors.frame_hazard(snr_db, size_bytes))
-        if fixed:
-            mean.heard[size_bytes] = heard
-        return heard
+        detected = (level_dbm >= sensitivity_dbm) & self.noticed(snr_db)
+        return Heard(snr_db, detected, None if self.errors is None else self.errors.frame_hazard(snr_db, size_bytes))
 
     def over_noise(self, level_dbm: Floats) -> Floats:
         """Signal to noise ratio at some levels, (n,) dB."""
@@ -286,13 +237,23 @@ class Hearing:
     def weakness(self, mean: Mean) -> Codes:
         """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
         if mean.weakness is None:
-            mean.weakness = self._weakness(mean)
+            mean.weakness = self._weakness(mean) if mean.together is None else self._weakness_of(*mean.together)
         return mean.weakness
 
+    def _weakness_of(self, every: Together, which: int) -> Codes:
+        if every.weakness is None:
+            every.weakness = _by_distance(every.level_dbm, self._least_dbm(every.sensitivity_dbm))
+        here: Codes = every.weakness[which]
+        return here
+
+    def _least_dbm(self, sensitivity_dbm: Floats) -> Floats:
+        """The weakest level that is noticed where nobody else sends."""
+        least_dbm: Floats = np.maximum(sensitivity_dbm, self.noise_dbm + self.preamble_db)
+        return least_dbm
+
     def _weakness(self, mean: Mean) -> Codes:
-        least = np.maximum(mean.sensitivity_dbm, self.noise_dbm + self.preamble_db)
-        level = mean.power_dbm - mean.path_loss_db
-        why = np.where(level >= least, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))
+        least, level = self._least_dbm(mean.sensitivity_dbm), mean.power_dbm - mean.path_loss_db
+        why = _by_distance(level, least)
         for loss_db, name in ((mean.wall_loss_db, WALLS), (mean.shadowing_db, SHADOWING)):
             if loss_db is not None:
                 level = level - loss_db

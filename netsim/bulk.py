@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from cosim.rng import link_uniform
-from netsim.budget import Mean
+from netsim.budget_mean import Mean
 from netsim.draws import ERROR_SLOT
 from netsim.layers import Floats, Ints, Keys, Links
 from netsim.medium import Codes, Fate

@@ -16,14 +16,15 @@ import numpy as np
 
 from cosim.errors import ScenarioError
 from cosim.types import FrameReport, Message
-from netsim.budget import Budgets, Heard, Hearing, at_all
+from netsim.budget import Budgets, Hearing
+from netsim.budget_mean import Heard, at_all
 from netsim.bulk import Bulk, BulkMedium
 from netsim.delivery import Delivery
 from netsim.draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from netsim.jammer import Jammer
 from netsim.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, sealed, unless_nothing
 from netsim.mac import Ideal, Mac, needs
-from netsim.medium import Codes, Decided, Fate, Levelled, Medium, Offered, Powered
+from netsim.medium import Codes, Decided, Fate, Hastened, Levelled, Medium, Offered, Powered
 from netsim.operated import Operated
 from netsim.outcome import OnAir, Outcomes
 from netsim.radios import Radio
@@ -80,6 +81,7 @@ class Channel:
         self._names: tuple[str, ...] = ()
         self._senders: dict[str, Sender] = {}
         self._medium: Medium | None = None
+        self._levelled: Levelled | None = None  # the medium, if it is one
         self._waiting: dict[int, Sent] = {}  # by frame: those that contend
         self._answers: dict[int, Floats] = {}  # by frame: levels of who acknowledges it, until it is offered
         self._coming: list[tuple[int, int, Offered]] = []  # heap of (time, frame): those of them on their way to the radio
@@ -98,6 +100,11 @@ class Channel:
         medium = self.mac.open(self.phy, 2, np.zeros(2, np.uint64), self.hearing.noise_mw)  # none of the run's
         if medium is not None:
             medium.expect(frames)
+
+    def foresee(self, frames: int) -> None:
+        """By the look of it so many more frames will be sent. Changes no result."""
+        if isinstance(self._medium, Hastened):
+            self._medium.foresee(frames)
 
     def send(
         self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats, *, handover_ns: int = 0
@@ -158,9 +165,9 @@ class Channel:
         decided: list[Decided] = []
         while self._coming and self._coming[0][0] <= until_ns:
             offered = heappop(self._coming)[2]
-            if offered.to >= 0 and isinstance(self._medium, Levelled):  # not before its time: others may be answering still
+            if offered.to >= 0 and self._levelled is not None:  # not before its time: others may be answering still
                 decided += self._medium.advance(offered.time_ns)
-                self._medium.levels[offered.to] = self._answers.pop(offered.number)
+                self._levelled.levels[offered.to] = self._answers.pop(offered.number)
             self._medium.offer(offered)
         decided += self._medium.advance(until_ns)
         return [self._settle(each) for each in decided]
@@ -176,7 +183,7 @@ class Channel:
     def finish(self) -> list[FrameReport]:
         """Report the frames that were handed over and are not decided yet, as under way."""
         waiting, self._waiting, self._coming, self._answers = list(self._waiting.values()), {}, [], {}
-        self._medium, self._names = None, ()
+        self._medium, self._levelled, self._names = None, None, ()
         return [self._outcomes.unfinished(sent) for sent in waiting]
 
     def levels_dbm(self, names: tuple[str, ...], position: Floats) -> Floats:
@@ -220,15 +227,18 @@ class Channel:
         self._medium = self.mac.open(self.phy, len(names), Links(self._seed, "", names).keys, self.hearing.noise_mw)
         if self._medium is not None and self._expected is not None:
             self._medium.expect(self._expected)
-        if isinstance(self._medium, Levelled):
-            self._medium.sensitivity_mw[:] = 10.0 ** (self.budgets.sensitivity_dbm(names) / 10.0)
+        self._levelled = self._medium if isinstance(self._medium, Levelled) else None
+        if self._levelled is not None:
+            self._levelled.sensitivity_mw[:] = 10.0 ** (self.budgets.sensitivity_dbm(names) / 10.0)
         if isinstance(self._medium, Powered):
             self._medium.power_mw[:] = 10.0 ** (self.budgets.tx_power_dbm(names) / 10.0)
         if self._delivery is not None:
             self._delivery.open(len(names))
 
     def _sender(self, name: str) -> Sender:
-        found = self._senders.setdefault(name, Sender())
+        found = self._senders.get(name)
+        if found is None:
+            found = self._senders[name] = Sender()
         if found.names is not self._names:
             if name not in self._names:
                 raise ValueError(f"{name} sends, but its position is unknown; known: {', '.join(self._names) or 'none'}")
@@ -287,7 +297,7 @@ class Channel:
         """The row of the radio that will acknowledge, from where it is now."""
         assert sent.message.to is not None  # noqa: S101  it is asked for unicast frames
         radio = self._sender(sent.message.to)
-        if isinstance(self._medium, Levelled):
+        if self._levelled is not None:
             self._answers[sent.frame] = self.budgets.here(radio.links).power_mw
         return radio.row
 

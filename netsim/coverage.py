@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from cosim.types import Vec3
-from netsim.budget import Mean
+from netsim.budget_mean import Mean
 from netsim.channel import Channel
 from netsim.layers import Floats, Frame, Links
 

@@ -12,10 +12,9 @@ After ns-3.44 (``PhyEntity``, ``InterferenceHelper``, ``ThresholdPreambleDetecti
 For NumPy and compilation alike; what is done for all radios is in `netsim.dcf_kernels`.
 """
 
-from netsim.dcf_energy import by_end, energy_end_at
+from netsim.dcf_energy import energy_end_at, order_by_end
 from netsim.dcf_kernels import hear_begin, judge, let_go, notice, suffer
 from netsim.dcf_state import ON_AIR, Rules, State
-from netsim.layers import Ints
 
 
 def settle(s: State, rules: Rules, now: int) -> None:
@@ -50,14 +49,14 @@ def put_on_air(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
     s.counts[ON_AIR] = count + 1
 
 
-def detect(s: State, rules: Rules, i: int) -> Ints:
-    """The frame of radio i is noticed or not; until when the medium is busy for what is known now, (n,)."""
+def detect(s: State, rules: Rules, i: int) -> None:
+    """The frame of radio i is noticed or not; in `State.busy`: until when the medium is busy for what is known now."""
     s.detected[i] = True
-    return notice(s, rules, i)
+    notice(s, rules, i)
 
 
-def take_off_air(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
-    """The frame of radio i ends; until when the medium is busy for what those who received it find then, (n,).
+def take_off_air(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
+    """The frame of radio i ends; in `State.busy`: until when the medium is busy for what those who received it find then.
 
     For those who could decode it, it is so until ``reserved_ns``.
     """
@@ -70,8 +69,8 @@ def take_off_air(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> 
         if found:
             s.air[at] = s.air[at + 1]
     s.counts[ON_AIR] = count
-    busy = let_go(s, rules, i, now, reserved_ns)
+    let_go(s, rules, i, now, reserved_ns)
     if count > 0:
         began = s.start_ns[s.air[count - 1]] > s.start_ns[i]  # something, while it was sending
-        busy[i] = energy_end_at(s, by_end(s), rules.busy_mw if began else rules.energy_mw, i)
-    return busy
+        order_by_end(s)
+        s.busy[i] = energy_end_at(s, rules.busy_mw if began else rules.energy_mw, i)

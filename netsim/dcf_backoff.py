@@ -9,14 +9,15 @@ twice, as in `netsim.dcf_kernels`.
 import numpy as np
 
 from netsim.dcf_state import NOBODY, SCARCE, Rules, State
-from netsim.layers import Bools, Ints
+from netsim.layers import Bools
 
 
-def sense(s: State, rules: Rules, busy: Ints, now: int) -> None:
-    """All radios know that the medium is busy until some time, (n,): backoffs stand still, and what is due moves.
+def sense(s: State, rules: Rules, now: int) -> None:
+    """All radios know that the medium is busy until what stands in `State.busy`: backoffs stand still, and what is due moves.
 
     For whom that is not longer than they knew, nothing moves: who overslept and gets up now sends now.
     """
+    busy = s.busy
     longer = busy > s.idle_ns
     if not np.count_nonzero(longer):
         return
@@ -27,9 +28,9 @@ def sense(s: State, rules: Rules, busy: Ints, now: int) -> None:
     np.putmask(s.due[: len(busy)], longer, np.maximum(s.over_ns, s.wake_ns))
 
 
-def sense_loop(s: State, rules: Rules, busy: Ints, now: int) -> None:
+def sense_loop(s: State, rules: Rules, now: int) -> None:
     """See `sense`."""
-    slots, idle_ns, over_ns, due = s.slots, s.idle_ns, s.over_ns, s.due
+    busy, slots, idle_ns, over_ns, due = s.busy, s.slots, s.idle_ns, s.over_ns, s.due
     for j in range(len(busy)):
         if busy[j] > idle_ns[j]:
             count_down(s, rules, j, now)

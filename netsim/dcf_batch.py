@@ -1,10 +1,11 @@
 """Frames that are decided, many in one."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from netsim.dcf_state import NEVER, State
 from netsim.layers import Floats, Ints
 from netsim.medium import Codes, Decided
 
@@ -24,6 +25,15 @@ class Batch(NamedTuple):
         columns = (column.tolist() for column in self[:4])
         for k, (number, start_ns, end_ns, attempts) in enumerate(zip(*columns, strict=True)):
             yield Decided(number, start_ns, end_ns, attempts, self.fate[k], self.least_sinr[k])
+
+    @classmethod
+    def untold(cls, s: State, number: Ints, count: int) -> "Batch":
+        """Of the first ``count`` in the output, whose frames have these numbers by their places, those not told before."""
+        which: Any = slice(count)
+        if NEVER in s.out_end[:count].tolist():
+            which = (s.out_end[:count] != NEVER).nonzero()[0]
+        columns = (s.out_start, s.out_end, s.out_attempts, s.out_fate, s.out_least)
+        return cls(number[s.out_frame[which]], *(column[which].copy() for column in columns))
 
     @classmethod
     def all_of(cls, batches: Sequence["Batch"], count: int) -> "Batch":

@@ -9,7 +9,8 @@ Written for NumPy and for compilation alike, see `netsim.compiled`: what changes
 
 from netsim.dcf_air import detect, put_on_air, settle, take_off_air
 from netsim.dcf_backoff import back_off, count_down, defer_one, doze, draw, request, sense, wait
-from netsim.dcf_queue import decide, enqueue, expire, insert, leave
+from netsim.dcf_kernels import copy, soonest
+from netsim.dcf_queue import decide, enqueue, expire, insert, leave, next_decision
 from netsim.dcf_state import (
     ACK,
     ACKNOWLEDGEMENT,
@@ -17,6 +18,7 @@ from netsim.dcf_state import (
     ARRIVED,
     BROADCAST,
     DECIDED,
+    DECISION,
     NEVER,
     NOBODY,
     OFFERED,
@@ -50,11 +52,12 @@ def run(s: State, rules: Rules, until: int) -> int:
             return OUTPUT
         what, who, now = upcoming(s, rules)
         if now > until:
-            s.counts[SOONEST] = now
+            s.counts[SOONEST], s.counts[DECISION] = now, next_decision(s, rules)
             return DONE
         if what == DETECT:
             doze(s, rules, now)
-            sense(s, rules, detect(s, rules, who), now)
+            detect(s, rules, who)
+            sense(s, rules, now)
         elif what == END:
             finish(s, rules, who, now)
         elif what == ARRIVE:
@@ -80,7 +83,7 @@ def upcoming(s: State, rules: Rules) -> tuple[int, int, int]:
             what, who, when = DETECT, i, s.start_ns[i] + rules.detect_ns
         if s.end_ns[i] < end:
             ends, end = i, s.end_ns[i]
-    first = int(s.due.argmin())
+    first = soonest(s.due)
     if s.due[first] <= when:
         what, who, when = first // len(s.lock), first % len(s.lock), s.due[first]
     if end <= when:
@@ -143,13 +146,13 @@ def start(s: State, rules: Rules, i: int, now: int) -> bool:
         release(s, rules, i, now, now)
         return True
     if s.attempts[f] == 0 and s.row[f] != NOBODY:
-        s.level[i] = s.levels[s.row[f]]
-        s.patience[i] = s.patiences[f]
+        copy(s.levels[s.row[f]], s.level[i])
+        copy(s.patiences[f], s.patience[i])
     elif s.placed[i] != f:
         s.counts[WANTED] = f
         return False
     s.placed[i] = NOBODY
-    s.heard[i] = s.level[i]
+    copy(s.level[i], s.heard[i])
     s.sending[i] = leave(s, i)
     s.attempts[f] += 1
     s.began_ns[f] = now
@@ -175,7 +178,7 @@ def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
     f = s.acked[i]
     back = s.sender[f]
     answer = s.level[back, i] * (s.power_mw[i] / s.power_mw[back])
-    s.level[i] = s.heard[i]
+    copy(s.heard[i], s.level[i])
     s.level[i, back] = answer
     s.patience[i] = s.doubt[i, draw(s, i)]
     s.kind[i] = ACK
@@ -192,7 +195,8 @@ def finish(s: State, rules: Rules, i: int, now: int) -> None:
     doze(s, rules, now)
     # Who received a unicast frame keeps silent for the acknowledgement.
     reserved_ns = now + rules.sifs_ns + rules.ack_air_ns if s.kind[i] == UNICAST else 0
-    sense(s, rules, take_off_air(s, rules, i, now, reserved_ns), now)
+    take_off_air(s, rules, i, now, reserved_ns)
+    sense(s, rules, now)
     if s.kind[i] == ACK:
         f = s.acked[i]
         s.acked[i] = NOBODY
@@ -207,8 +211,8 @@ def finish(s: State, rules: Rules, i: int, now: int) -> None:
     f = s.sending[i]
     if s.kind[i] == BROADCAST:
         decide(s, f, now, RECEIVED)
-        s.out_fate[s.counts[DECIDED] - 1] = s.fate[i]
-        s.out_least[s.counts[DECIDED] - 1] = s.least[i]
+        copy(s.fate[i], s.out_fate[s.counts[DECIDED] - 1])
+        copy(s.least[i], s.out_least[s.counts[DECIDED] - 1])
         release(s, rules, i, now, now)
         return
     to = s.to[f]

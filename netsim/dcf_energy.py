@@ -26,32 +26,32 @@ def interference_at(s: State, rules: Rules, i: int, j: int) -> float:
     return total
 
 
-def by_end(s: State) -> Ints:
-    """Who is on the air, the last to end first; of those that end together the first to start."""
-    order = s.air[: s.counts[ON_AIR]].copy()
-    for at in range(1, len(order)):
-        i, to = order[at], at
+def order_by_end(s: State) -> None:
+    """Put in `State.order` who is on the air, the last to end first; of those that end together the first to start."""
+    order = s.order
+    for at in range(s.counts[ON_AIR]):
+        i, to = s.air[at], at
         while to > 0 and s.end_ns[order[to - 1]] < s.end_ns[i]:
             order[to] = order[to - 1]
             to -= 1
         order[to] = i
-    return order
 
 
-def energy_end(s: State, order: Ints, threshold_mw: float) -> Ints:
-    """Until when the sum of the powers on the air stays at the threshold, (n,) ns; 0 where it is below."""
+def energy_end(s: State, threshold_mw: float) -> Ints:
+    """Until when the sum of the powers on the air, in `State.order`, stays at the threshold, (n,) ns; 0 where it is below."""
     until = np.zeros(len(s.lock), np.int64)
     total = np.zeros(len(s.lock))
-    for i in order:
+    for i in s.order[: s.counts[ON_AIR]]:
         total += s.level[i]
         until[(total >= threshold_mw) & (until == 0)] = s.end_ns[i]
     return until
 
 
-def energy_end_at(s: State, order: Ints, threshold_mw: float, j: int) -> int:
+def energy_end_at(s: State, threshold_mw: float, j: int) -> int:
     """The same at radio j."""
     total = 0.0
-    for i in order:
+    for at in range(s.counts[ON_AIR]):
+        i = s.order[at]
         total += s.level[i, j]
         if total >= threshold_mw:
             return int(s.end_ns[i])

@@ -4,10 +4,12 @@ In compiled code ``f_loop`` stands for ``f`` (see `netsim.compiled`). Both do th
 same order, and leave the same bits behind; but a loop leaves out what changes nothing at a radio.
 """
 
+from typing import Any
+
 import numpy as np
 
 from netsim.dcf_backoff import defer, defer_one
-from netsim.dcf_energy import by_end, energy_end, energy_end_at, interference, interference_at
+from netsim.dcf_energy import energy_end, energy_end_at, interference, interference_at, order_by_end
 from netsim.dcf_state import (
     COLLISION,
     EIFS_OVER,
@@ -26,6 +28,31 @@ from netsim.dcf_state import (
 )
 from netsim.hazard import between, look_up_one, places
 from netsim.layers import Ints
+
+
+def copy(values: Any, to: Any) -> None:
+    """Put values in the place of others, (n,)."""
+    to[:] = values
+
+
+def copy_loop(values: Any, to: Any) -> None:
+    """See `copy`."""
+    for j in range(len(to)):
+        to[j] = values[j]
+
+
+def soonest(times: Ints) -> int:
+    """Where the least of some times is, the first of equal ones."""
+    return int(times.argmin())
+
+
+def soonest_loop(times: Ints) -> int:
+    """See `soonest`."""
+    first = 0
+    for k in range(1, len(times)):
+        if times[k] < times[first]:
+            first = k
+    return first
 
 
 def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
@@ -113,9 +140,10 @@ def captures(s: State, rules: Rules, other: int, now: int) -> bool:
     return bool(rules.capture_ns > 0 and s.detected[other] and within)
 
 
-def notice(s: State, rules: Rules, i: int) -> Ints:
-    """The frame of radio i is noticed or not; until when the medium is busy for what is known now, (n,)."""
-    level, strongest, busy = s.level[i], s.pending[i].copy(), np.zeros(len(s.lock), np.int64)
+def notice(s: State, rules: Rules, i: int) -> None:
+    """The frame of radio i is noticed or not; in `State.busy`: until when the medium is busy for what is known now."""
+    level, strongest, busy = s.level[i], s.pending[i].copy(), s.busy
+    busy[:] = 0
     for at in range(s.counts[ON_AIR]):
         other = s.air[at]
         if other != i:
@@ -132,15 +160,17 @@ def notice(s: State, rules: Rules, i: int) -> Ints:
     busy[noticed] = s.end_ns[i]
     missed = strongest & ~noticed
     if np.count_nonzero(missed):
-        np.putmask(busy, missed, energy_end(s, by_end(s), rules.busy_mw))
-    return busy
+        order_by_end(s)
+        np.putmask(busy, missed, energy_end(s, rules.busy_mw))
 
 
-def notice_loop(s: State, rules: Rules, i: int) -> Ints:
+def notice_loop(s: State, rules: Rules, i: int) -> None:
     """See `notice`."""
     lock, level, pending, sensitivity_mw = s.lock, s.level[i], s.pending[i], s.sensitivity_mw
-    count, order, busy = s.counts[ON_AIR], by_end(s), np.zeros(len(s.lock), np.int64)
+    count, busy = s.counts[ON_AIR], s.busy
+    order_by_end(s)
     for j in range(len(lock)):
+        busy[j] = 0
         if not pending[j]:
             continue
         strongest, power = True, rules.noise_mw
@@ -158,12 +188,11 @@ def notice_loop(s: State, rules: Rules, i: int) -> Ints:
             for at in range(count):
                 s.pending[s.air[at], j] = False
         else:
-            busy[j] = energy_end_at(s, order, rules.busy_mw, j)
-    return busy
+            busy[j] = energy_end_at(s, rules.busy_mw, j)
 
 
-def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
-    """Who received the frame of radio i, which is off the air, is free; until when the medium is busy then, (n,).
+def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
+    """Who received the frame of radio i, which is off the air, is free; in `State.busy`: until when the medium is busy then.
 
     It is at least until ``reserved_ns`` for those who could decode it. Who waits for an acknowledgement, and began to receive
     this before his timeout, need not wait for that any more: it was not his (IEEE 802.11-2016, 10.3.2.11), unless it was.
@@ -172,7 +201,7 @@ def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
     held = s.lock == i
     heard = held & ~s.spoiled[i]
     received = s.fate[i] == RECEIVED
-    lost, busy = heard & ~received, np.zeros(len(held), np.int64)
+    lost, busy = heard & ~received, s.busy
     timeout = s.due[TIMEOUT * len(held) :]
     if timeout[timeout.argmin()] < NEVER:
         timeout[heard & (timeout < NEVER) & (timeout >= payload_ns)] = now + PAYLOAD_OVER_NS
@@ -182,19 +211,20 @@ def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
     if s.counts[EIFS_OVER] > now:
         defer(s, rules, heard)
     s.lock[held] = NOBODY
+    busy[:] = 0
     busy[received] = reserved_ns
     if s.counts[ON_AIR] > 0:
-        np.putmask(busy, held, np.maximum(busy, energy_end(s, by_end(s), rules.busy_mw)))
-    return busy
+        order_by_end(s)
+        np.putmask(busy, held, np.maximum(busy, energy_end(s, rules.busy_mw)))
 
 
-def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> Ints:
+def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
     """See `let_go`."""
-    lock, eifs_ns, fate, order, busy = s.lock, s.eifs_ns, s.fate[i], by_end(s), np.zeros(len(s.lock), np.int64)
+    lock, eifs_ns, fate, busy, others = s.lock, s.eifs_ns, s.fate[i], s.busy, s.counts[ON_AIR] > 0
+    order_by_end(s)
     timeout, payload_ns = s.due[TIMEOUT * len(s.lock) :], s.start_ns[i] + rules.header_end_ns
     for j in range(len(lock)):
-        if fate[j] == RECEIVED:
-            busy[j] = reserved_ns
+        busy[j] = reserved_ns if fate[j] == RECEIVED else 0
         if lock[j] == i:
             lock[j] = NOBODY
             if not s.spoiled[i, j]:
@@ -204,9 +234,8 @@ def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> I
                 if fate[j] != RECEIVED:
                     eifs_ns[j] = s.counts[EIFS_OVER] = now + rules.eifs_ns
                 defer_one(s, rules, j)
-            if len(order) > 0:
-                busy[j] = max(busy[j], energy_end_at(s, order, rules.busy_mw, j))
-    return busy
+            if others:
+                busy[j] = max(busy[j], energy_end_at(s, rules.busy_mw, j))
 
 
 def judge(s: State, rules: Rules, i: int, now: int) -> None:

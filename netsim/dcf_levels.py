@@ -38,12 +38,13 @@ class Levels:
 
     def leave(self, rows: Ints) -> None:
         """Frames that have been decided need these rows no more; NOBODY is none."""
-        rows = rows[rows != NOBODY]
         if len(rows) == 1:  # most often
             row = int(rows[0])
-            self._uses[row] -= 1
-            self._free += [row] if self._uses[row] == 0 else []
+            if row != NOBODY:
+                self._uses[row] -= 1
+                self._free += [row] if self._uses[row] == 0 else []
         elif len(rows):
+            rows = rows[rows != NOBODY]
             left = np.bincount(rows, minlength=len(self._uses))
             self._uses -= left
             self._free += np.flatnonzero((left > 0) & (self._uses == 0)).tolist()

@@ -11,16 +11,16 @@ import numpy as np
 
 from cosim.rng import link_uniform
 from netsim import dcf_core
-from netsim.compiled import Compiled, available, looped
+from netsim.compiled import Compiled, at_hand, available, loaded, looped
 from netsim.dcf_batch import Batch
 from netsim.dcf_core import DRAWS, LEVELS, OUTPUT
 from netsim.dcf_levels import Levels, free_numbers, take
 from netsim.dcf_state import (
     ARRIVED,
     DECIDED,
+    DECISION,
     EXPIRED,
     FEW,
-    NEVER,
     NOBODY,
     OFFERED,
     SCARCE,
@@ -29,14 +29,14 @@ from netsim.dcf_state import (
     Rules,
     State,
     new_state,
-    next_decision,
 )
 from netsim.draws import BACKOFF_SLOT
 from netsim.error_rate import ErrorRate
 from netsim.layers import Floats, Ints, Keys
 from netsim.medium import Codes, Decided, Offered, Renew
 
-COMPILE_AFTER = 5000  # frames: what they take in NumPy is what compiled code takes to be loaded
+LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
+COMPILE_AFTER = 5000  # the same, where it must be compiled first: once for each computer
 PER_FRAME = (
     *("behind", "sender", "to", "priority", "offered_ns", "air_ns", "frame_bits", "frame_curve"),
     *("attempts", "row", "began_ns", "told", "outcome", "least_there", "patiences"),
@@ -74,9 +74,7 @@ class DcfMedium:
     ) -> None:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
         self._run: Callable[[State, Rules, int], int] = looped(CORE, "run") if count <= FEW else dcf_core.run
-        self._compile_after = COMPILE_AFTER if compile_core is None and available() else None  # so many frames
-        if compile_core and count:
-            self._compile()
+        self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
         self._curves = list(curves)  # of the rows of `State.tables`
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
         self._free = free_numbers(0, len(self._state.behind))  # places of frames
@@ -90,6 +88,9 @@ class DcfMedium:
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
         self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
         self._state.drawn[:] = 1
+        seen = self._faster_at is not None and loaded(CORE, "run", self._state, self._rules)  # by an earlier run
+        if (compile_core or seen) and count:
+            self._go_faster(COMPILE_AFTER)
 
     @property
     def levels(self) -> Floats:
@@ -108,10 +109,14 @@ class DcfMedium:
 
     def expect(self, frames: int) -> None:
         """About so many frames will be offered: for many the core is compiled at once, for fewer never."""
-        if self._compile_after is not None and frames >= COMPILE_AFTER:
-            self._compile()
-            self._run(self._state, self._rules, -1)  # nothing happens, but that machine code is made or loaded
-        self._compile_after = None
+        if self._faster_at is not None:
+            self._go_faster(frames)
+        self._faster_at = None
+
+    def foresee(self, frames: int) -> None:
+        """By the look of it so many more frames will be offered: for many, compiled code that is at hand is loaded."""
+        if self._faster_at is not None and frames >= LOAD_AFTER:
+            self._go_faster(min(frames, COMPILE_AFTER - 1))
 
     # --- frames come ---
 
@@ -252,33 +257,27 @@ class DcfMedium:
         if not count:
             return
         s.counts[DECIDED] = 0
-        places = s.out_frame[:count]
-        (untold,) = np.nonzero(s.out_end[:count] != NEVER)
-        if len(untold):
-            self._decided.append(
-                Batch(
-                    self._number[places[untold]],
-                    s.out_start[untold],
-                    s.out_end[untold],
-                    s.out_attempts[untold],
-                    s.out_fate[untold],
-                    s.out_least[untold],
-                )
-            )
-            self._undecided -= len(untold)
-        done = places[s.out_done[:count]]
+        batch = Batch.untold(s, self._number, count)
+        if len(batch.number):
+            self._decided.append(batch)
+            self._undecided -= len(batch.number)
+        done = s.out_frame[:count][s.out_done[:count]]
         self._levels.leave(s.row[done])
         freed = done.tolist()
         self._free += freed
         for place in freed if self._renew else ():
             self._renew.pop(place, None)
-        if self._compile_after is not None:
-            self._compile_after -= count
-            if self._compile_after <= 0:  # the same state goes on at another speed
-                self._compile()
+        self._done += count
+        if self._faster_at is not None and self._done >= self._faster_at:
+            self._go_faster(self._done)
 
-    def _compile(self) -> None:
-        self._run, self._compile_after = Compiled(CORE, "run"), None
+    def _go_faster(self, frames: int) -> None:
+        """The same state goes on at another speed, where that pays for so many frames; else later."""
+        core = CORE, "run", self._state, self._rules
+        if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and at_hand(*core)):
+            self._run, self._faster_at = Compiled(*core), None
+        else:
+            self._faster_at = COMPILE_AFTER
 
     # --- what is to come ---
 
@@ -293,4 +292,4 @@ class DcfMedium:
             self._work_off(int(s.offered_ns[s.arrivals[s.counts[OFFERED] - 1]]))
         if self._decided:
             return int(self._decided[0].end_ns[0])
-        return next_decision(self._state, self._rules) if self._undecided else None
+        return int(s.counts[DECISION]) if self._undecided else None

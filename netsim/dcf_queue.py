@@ -1,6 +1,8 @@
 """The queues of the radios: lists that run through the arrays of the frames. For NumPy and compilation alike."""
 
-from netsim.dcf_state import DECIDED, NEVER, NOBODY, Rules, State
+import numpy as np
+
+from netsim.dcf_state import DECIDED, NEVER, NOBODY, ON_AIR, Rules, State
 
 
 def enqueue(s: State, i: int, f: int) -> None:
@@ -58,3 +60,36 @@ def decide(s: State, f: int, now: int, fate: int) -> None:
     s.out_done[k] = True
     s.out_fate[k] = fate
     s.out_least[k] = s.least_there[f]
+
+
+def next_decision(s: State, rules: Rules) -> int:
+    """When a frame may be decided next, if nothing else comes."""
+    n = len(s.lock)
+    soonest = int(s.due[n + s.due[n:].argmin()])
+    for at in range(s.counts[ON_AIR]):
+        soonest = min(soonest, int(s.end_ns[s.air[at]]))
+    wanting = (s.due[:n] < NEVER).nonzero()[0]
+    if len(wanting) == 1:  # most often
+        i = wanting[0]
+        begin, f = s.due[i], s.head[i]
+        late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
+        soonest = min(soonest, int(begin if late else begin + s.air_ns[f]))
+    elif len(wanting):
+        heads, due = s.head[wanting], s.due[wanting]
+        expired = (heads == NOBODY) | (due > s.offered_ns[heads] + rules.lifetime_ns)
+        soonest = min(soonest, int(np.where(expired, due, due + s.air_ns[heads]).min()))
+    return soonest
+
+
+def next_decision_loop(s: State, rules: Rules) -> int:
+    """See `next_decision`."""
+    n, soonest = len(s.lock), NEVER
+    for at in range(s.counts[ON_AIR]):
+        soonest = min(soonest, s.end_ns[s.air[at]])
+    for i in range(n):
+        soonest = min(soonest, s.due[n + i], s.due[2 * n + i])
+        begin, f = s.due[i], s.head[i]
+        if begin < NEVER:
+            late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
+            soonest = min(soonest, begin if late else begin + s.air_ns[f])
+    return soonest

@@ -31,6 +31,7 @@ SCARCE = 4  # 1: some radio has no draw left
 WANTED = 5  # frame whose levels are asked for
 SOONEST = 6  # when something happens next, as far as `run` has seen
 EIFS_OVER = 7  # when the last EIFS is over that any radio has begun
+DECISION = 8  # when a frame is decided next, as far as `run` has seen
 
 # Rows of `State.tables` that are always there; payloads have the others.
 HEADER, ACKNOWLEDGEMENT = 0, 1
@@ -138,6 +139,9 @@ class State(NamedTuple):
     placed: Ints  # (n,) frame whose levels have been put in the place of what this radio sends
     arrivals: Ints  # frames that are offered, by time
     counts: Ints
+    # What functions leave for those who called them, (n,)
+    busy: Ints  # until when the medium is busy, for what each radio learns now
+    order: Ints  # those who are sending, by the ends of their frames; the first counts[ON_AIR] count
     # Decided frames, (o,) and (o, n)
     out_frame: Ints
     out_start: Ints
@@ -222,7 +226,9 @@ def new_state(
         levels=floats(64, n),
         placed=ints(NOBODY),
         arrivals=ints(NOBODY, frames),
-        counts=ints(0, 8),
+        counts=ints(0, 9),
+        busy=ints(0),
+        order=ints(NOBODY),
         out_frame=ints(0, output),
         out_start=ints(0, output),
         out_end=ints(0, output),
@@ -231,21 +237,3 @@ def new_state(
         out_fate=np.zeros((output, n), np.uint8),
         out_least=floats(output, n),
     )
-
-
-def next_decision(s: State, rules: Rules) -> int:
-    """When a frame may be decided next, if nothing else comes; something waits or is on the air."""
-    n = len(s.lock)
-    soonest = [int(s.end_ns[i]) for i in s.air[: s.counts[ON_AIR]].tolist()]
-    soonest.append(int(s.due[n + s.due[n:].argmin()]))
-    if n <= FEW:
-        for begin, f in zip(s.due[:n].tolist(), s.head.tolist(), strict=True):
-            late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
-            soonest.append(begin if late else begin + int(s.air_ns[f]))
-        return min(soonest)
-    wanting = np.flatnonzero(s.due[:n] < NEVER)
-    if len(wanting):
-        heads, due = s.head[wanting], s.due[wanting]
-        expired = (heads == NOBODY) | (due > s.offered_ns[heads] + rules.lifetime_ns)
-        soonest.append(int(np.where(expired, due, due + s.air_ns[heads]).min()))
-    return min(soonest)

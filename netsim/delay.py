@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.clock import seconds_to_ns
 from cosim.types import Seconds
-from netsim.layers import Draw, Frame, Ints
+from netsim.layers import Draw, Floats, Frame, Ints
 
 
 class NoDelay:
@@ -45,7 +45,11 @@ class FixedDelay:
         """Earliest reception, counted from the sending, (n,) whole ns."""
         if not self._jitter_ns:
             return np.full(frame.rssi_dbm.shape, self._fixed_ns, np.int64)
-        jitter = (2.0 * draw()[..., 0] - 1.0) * self._jitter_ns
+        return self.delay_ns_by(draw())
+
+    def delay_ns_by(self, draws: Floats) -> Ints:
+        """The same of draws (..., n, 2), which is all it goes by."""
+        jitter = (2.0 * draws[..., 0] - 1.0) * self._jitter_ns
         delay: Ints = self._fixed_ns + np.rint(jitter).astype(np.int64)
         return delay
 

@@ -4,6 +4,9 @@ Each number is a pure function of seed, link, frame and layer (`cosim.rng.link_u
 calls however little is asked of it, so a block of frames is drawn at once; blocks change no number.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +28,9 @@ WAVE_SLOT = 16  # fading in time: the waves of a pair
 BURST_SLOT = 17  # bursts: what changes a link, and when
 BACKOFF_SLOT = 18  # of a radio: its backoffs
 
+Make = Callable[[Floats], NDArray[Any]]
+"""Of draws (..., n, 2) something that depends on them alone, (..., n)."""
+
 _BLOCK_LINKS = 4096  # links x frames in a block: 64 KiB, where the cost per number has become flat
 _BLOCK_FRAMES = 256  # at most, so that short runs do not pay for what they never use
 
@@ -36,28 +42,39 @@ class LinkDraws:
         self._links = links
         self._frames = max(1, min(_BLOCK_FRAMES, _BLOCK_LINKS // max(1, len(links.receivers))))
         self._blocks: dict[int, tuple[int, Floats]] = {}  # slot: number of the block, its draws (frames, n, 2)
-        self._patience: dict[int, tuple[int, Floats]] = {}  # the same, exponential variates (frames, n)
+        self._made: dict[int, tuple[int, Make, NDArray[Any]]] = {}  # slot: number of the block, what was made of it by whom
 
     def uniform(self, frame: int, slot: int) -> Floats:
         """Two uniforms in [0, 1) for each receiver, (n, 2), of the sender's own frame number ``frame``."""
-        block, index = divmod(frame, self._frames)
-        cached = self._blocks.get(slot)
-        if cached is None or cached[0] != block:
-            frames = np.arange(block * self._frames, (block + 1) * self._frames, dtype=np.uint64)
-            cached = self._blocks[slot] = (block, link_uniform(self._links.keys, frames[:, None], slot))
-        draws: Floats = cached[1][index]
+        number, index = divmod(frame, self._frames)
+        draws: Floats = self._block(number, slot)[index]
         return draws
 
     def patience(self, frame: int, slot: int) -> Floats:
         """Exponential variates of mean 1 for each receiver, (n,), from the first of its uniforms."""
-        block, index = divmod(frame, self._frames)
-        cached = self._patience.get(slot)
-        if cached is None or cached[0] != block:
-            self.uniform(frame, slot)
-            cached = self._patience[slot] = (block, -np.log1p(-self._blocks[slot][1][..., 0]))
-        patience: Floats = cached[1][index]
-        return patience
+        return self.made(frame, slot, _exponential)
+
+    def made(self, frame: int, slot: int, make: Make) -> NDArray[Any]:
+        """What ``make`` makes of the draws of a frame, (n,): of those of a whole block at once, (frames, n, 2)."""
+        number, index = divmod(frame, self._frames)
+        cached = self._made.get(slot)
+        if cached is None or cached[0] != number or cached[1] != make:
+            cached = self._made[slot] = (number, make, make(self._block(number, slot)))
+        made: NDArray[Any] = cached[2][index]
+        return made
+
+    def _block(self, number: int, slot: int) -> Floats:
+        cached = self._blocks.get(slot)
+        if cached is None or cached[0] != number:
+            frames = np.arange(number * self._frames, (number + 1) * self._frames, dtype=np.uint64)
+            cached = self._blocks[slot] = (number, link_uniform(self._links.keys, frames[:, None], slot))
+        return cached[1]
 
     def some(self, frame: int, slot: int, which: NDArray[np.intp]) -> Floats:
         """The same for some receivers only, by their place: (len(which), 2)."""
         return link_uniform(self._links.keys[which], np.array(frame, np.uint64), slot)
+
+
+def _exponential(draws: Floats) -> Floats:
+    variates: Floats = -np.log1p(-draws[..., 0])
+    return variates

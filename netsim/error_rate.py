@@ -55,10 +55,10 @@ class ErrorRate(ABC):
 
     def frame_hazard(self, sinr_db: Floats, size_bytes: int) -> Floats:
         """``-log`` of the chance that a frame with this payload survives, header included, at a SINR that lasts."""
-        (payload, payload_bits), (header, header_bits) = self.payload(size_bytes), self.header
+        (payload, payload_bits), (header, header_bits) = _pieces(self, size_bytes)
         step, part = places(10.0 ** (sinr_db / 10.0))
-        hazard = payload_bits * between(payload.table, step, part)
-        return hazard + header_bits * between(header.table, step, part) if header_bits else hazard
+        hazard = payload_bits * between(payload, step, part)
+        return hazard + header_bits * between(header, step, part) if header_bits else hazard
 
     def frame_success(self, sinr_db: Floats, size_bytes: int) -> Floats:
         """Chance that a frame with this payload survives, header included, at a SINR that lasts; the shape of ``sinr_db``."""
@@ -80,6 +80,13 @@ def erfc(x: Floats) -> Floats:
 @lru_cache(maxsize=64)
 def _table(errors: ErrorRate) -> Floats:
     return frozen(errors.hazard(steps()))
+
+
+@lru_cache(maxsize=256)
+def _pieces(errors: ErrorRate, size_bytes: int) -> tuple[tuple[Floats, int], tuple[Floats, int]]:
+    """Table and bits of the payload and of the header of a frame."""
+    (payload, payload_bits), (header, header_bits) = errors.payload(size_bytes), errors.header
+    return (payload.table, payload_bits), (header.table, header_bits)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from netsim.routing.router import Routing
 from netsim.traffic import Carried, received
 
 MANY = 1_000_000  # frames
+TELLING = 20  # the same: how many are to come goes by how soon the first ones came
+_ORDERS = (Outage, Changed)  # of an operator
 
 
 class RadioFederate:
@@ -67,6 +69,7 @@ class RadioFederate:
             self._channel.expect(MANY if self.programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
         self._row = {name: row for row, name in enumerate(run.vehicles)}
+        self._heard = {name: f"{name}/heard" for name in run.vehicles}  # keys of events
         self._states: States | None = None
         self._open: dict[int, tuple[Message, int | None]] = {}  # by frame, until it is decided; of a datagram its number
         self._frames = 0  # so far
@@ -84,7 +87,9 @@ class RadioFederate:
         """Report what is decided by now, and hand over what was sent, in that order."""
         reports = self._obey(inbox)
         reports += self._channel.advance(now_ns)  # what happens by itself comes before what is sent at the same time
-        self._states = next((event.value for event in reversed(inbox) if isinstance(event.value, States)), self._states)
+        for event in inbox:
+            if isinstance(event.value, States):
+                self._states = event.value
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
         for sent_ns, message, handover_ns, datagram in self._sent(inbox, now_ns):
@@ -114,6 +119,8 @@ class RadioFederate:
         if self._states is None:
             raise ValueError(f"{frame.sender} sends before any position is known (world/states)")
         self._frames += 1
+        if self._frames == TELLING and sent_ns > 0:
+            self._channel.foresee(TELLING * (self._end_ns - sent_ns) // sent_ns)
         names, position = self._states.names, self._states.position
         return self._frames - 1, self._channel.send(sent_ns, frame, names, position, handover_ns=handover_ns)
 
@@ -152,7 +159,7 @@ class RadioFederate:
         reports: list[FrameReport] = []
         for event in inbox:
             value = event.value
-            if isinstance(value, Outage | Changed):
+            if isinstance(value, _ORDERS):
                 reports += self._channel.advance(event.time_ns - 1)
             if isinstance(value, Outage):
                 self._channel.cut_off(value.vehicles, event.time_ns, value.until_ns)
@@ -193,6 +200,8 @@ class RadioFederate:
 
     def _events(self, reports: Sequence[FrameReport], now_ns: int) -> list[Event]:
         """What became of frames, and what agents hear; first of datagrams, all in one event."""
+        if not reports:
+            return []
         carried, heard, events = Carried(), list[Event](), list[Event]()
         for report in reports:
             message, datagram = self._open.pop(report.frame)
@@ -208,7 +217,7 @@ class RadioFederate:
                         continue
                 reception = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
                 if datagram is None:
-                    events.append(Event(f"{receiver}/heard", at_ns, reception))
+                    events.append(Event(self._heard[receiver], at_ns, reception))
                 else:
-                    heard.append(Event(f"{receiver}/heard", max(at_ns, now_ns + 1), reception))
+                    heard.append(Event(self._heard[receiver], max(at_ns, now_ns + 1), reception))
         return [*carried.events(now_ns), *heard, *events]

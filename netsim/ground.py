@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,8 @@ class Friis:
 
     ns-3: ``FriisPropagationLossModel`` with its ``Frequency``.
     """
+
+    by_distance: ClassVar[bool] = True
 
     frequency_hz: Positive = 2.4e9  # of the carrier
 

@@ -16,7 +16,9 @@ delay                       ``delay_ns(frame, draw)``           how long after i
 
 A layer is any object with the verb: no base class. It answers for all receivers at once, each receiver's answer depends on
 that receiver alone, and the same arguments give the same answer: a layer that needs chance takes it from ``draw``, or from
-the keys of the links. One whose attribute ``nothing`` is true, as that of a loss of probability 0, is not asked at all.
+the keys of the links. One whose attribute ``nothing`` is true, as that of a loss of probability 0, is not asked at all. A loss
+or a delay that goes by its draws alone may have a method ``lost_by(draws)`` or ``delay_ns_by(draws)`` too: it is asked that
+instead, of many frames at once, draws (..., n, 2).
 """
 
 from collections.abc import Callable
@@ -42,7 +44,7 @@ Draw = Callable[[], Floats]
 
 def sealed(fresh: NDArray[T]) -> NDArray[T]:
     """An array that nobody else has, read-only from now on: `cosim.types.frozen` without the copy."""
-    fresh.flags.writeable = False
+    fresh.setflags(write=False)
     return fresh
 
 
@@ -57,9 +59,15 @@ class Paths(msgspec.Struct, frozen=True):
     @classmethod
     def between(cls, tx: Floats, rx: Floats, seed: int = 0) -> Self:
         """Paths from the point ``tx`` (3,) to the points ``rx`` (n, 3)."""
-        squared = (rx - tx) ** 2
-        distance_m = np.sqrt(squared[:, 0] + squared[:, 2] + squared[:, 1])  # another order, other last bits
-        return cls(tx, rx, sealed(distance_m), seed)
+        return cls(tx, rx, sealed(distances(tx, rx)), seed)
+
+
+def distances(tx: Floats, rx: Floats) -> Floats:
+    """Between points (..., 3), m."""
+    squared = rx - tx
+    squared *= squared
+    distance_m: Floats = np.sqrt(squared[..., 0] + squared[..., 2] + squared[..., 1])  # another order, other last bits
+    return distance_m
 
 
 def distance_of(paths: Paths | ArrayLike) -> Floats:
@@ -128,7 +136,11 @@ def unless_nothing(layer: L | None) -> L | None:
 
 
 class PathLoss(Protocol):
-    """What distance, or whatever lies between, takes from a signal."""
+    """What distance, or whatever lies between, takes from a signal.
+
+    One whose attribute ``by_distance`` is true goes by nothing but ``paths.distance_m``, and may be given such distances,
+    of any shape, in place of the paths.
+    """
 
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each path, (n,) dB: finite, and the same in both directions."""

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from cosim.types import Probability
-from netsim.layers import Bools, Draw, Frame
+from netsim.layers import Bools, Draw, Floats, Frame
 
 
 class NoLoss:
@@ -34,5 +34,9 @@ class Bernoulli:
 
     def lost(self, frame: Frame, draw: Draw) -> Bools:
         """Which receivers lose the frame, (n,)."""
-        lost: Bools = draw()[..., 0] < self.probability
+        return self.lost_by(draw())
+
+    def lost_by(self, draws: Floats) -> Bools:
+        """The same of draws (..., n, 2), which is all it goes by."""
+        lost: Bools = draws[..., 0] < self.probability
         return lost

@@ -69,10 +69,15 @@ class _Walls(ABC):
         return not self.sightline.materials
 
     @cached_property
-    def _by_kind(self) -> tuple[list[str], Ints]:
-        """The materials there are, k of them, and which each obstacle is of, (m, k)."""
+    def _by_kind(self) -> tuple[list[str], Floats]:
+        """The materials there are, k of them, and which each obstacle is of, (m, k): 1 or 0."""
         kinds = sorted(set(self.sightline.materials))
-        return kinds, np.array([[material == kind for kind in kinds] for material in self.sightline.materials], np.int64)
+        return kinds, np.array([[material == kind for kind in kinds] for material in self.sightline.materials], np.float64)
+
+    @cached_property
+    def _words(self) -> dict[tuple[int, ...], str]:
+        """What was said so far of so many obstacles of each material."""
+        return {}
 
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each path by walls, (n,) dB."""
@@ -86,9 +91,13 @@ class _Walls(ABC):
         crossed, _ = self.sightline.crossings(paths.tx, paths.rx)
         loss = np.minimum(np.where(crossed, self._walls_db, 0.0).sum(axis=-1), self.cap_db)
         kinds, of_kind = self._by_kind
-        each = crossed.astype(np.int64) @ of_kind
-        words = [", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n) for row in each.tolist()]
-        return Through(loss, crossed.sum(axis=-1), tuple(words))
+        each = (crossed.astype(np.float64) @ of_kind).astype(np.int64)  # products of integers take many times as long
+        words = self._words
+        found = [tuple(row) for row in each.tolist()]
+        for row in found:
+            if row not in words:
+                words[row] = ", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n)
+        return Through(loss, each.sum(axis=-1), tuple(map(words.__getitem__, found)))
 
 
 @dataclass(frozen=True)

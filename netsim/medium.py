@@ -86,6 +86,14 @@ class Powered(Protocol):
         """Transmitted by each radio, (n,) mW; only their ratios count."""
 
 
+@runtime_checkable
+class Hastened(Protocol):
+    """A medium that is quicker once it has been made ready for many frames."""
+
+    def foresee(self, frames: int) -> None:
+        """So many more frames will be offered, as it looks: what pays, and is at hand, is made ready. Changes no result."""
+
+
 class Medium(Protocol):
     """The air that n radios share."""
 

@@ -8,7 +8,7 @@ import numpy as np
 from cosim.types import FrameReport, frozen
 from netsim.budget import Hearing
 from netsim.delivery import Delivery
-from netsim.draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT
+from netsim.draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT, Make
 from netsim.layers import Bools, Delay, Floats, Frame, Ints, Loss, sealed
 from netsim.medium import Codes, Fate
 from netsim.script import Script
@@ -64,8 +64,9 @@ class Outcomes:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
         losses: list[tuple[Any, int]] = [(outages, SCRIPT_SLOT)]  # first: whatever else would be lost then, is lost by that
         losses += [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
-        self._losses = [(layer, slot) for layer, slot in losses if layer is not None]
-        causes = [layer.cause for layer, _ in self._losses]
+        self._losses = [(layer, _by_draws(layer, "lost"), slot) for layer, slot in losses if layer is not None]
+        self._delay_ns_by: Make | None = _by_draws(delay, "delay_ns")
+        causes = [layer.cause for layer, _, _ in self._losses]
         causes += [] if delivery is None else [delivery.cause]
         words = [*WORDS, *causes]
         if not fades:  # what is weaker than its mean level is so by one of these
@@ -157,26 +158,31 @@ class Outcomes:
         decided = self._told(frame, "loss") if frame.start_ns >= 0 else None  # by a trace, whatever the models say
         if decided is not None:
             code = np.where(decided, np.uint8(Fate.RECEIVED), code)
-        for index, (layer, slot) in enumerate(self._losses):
-            lost = layer.lost(frame, sent.draw(slot))
+        for index, (layer, lost_by, slot) in enumerate(self._losses):
+            lost = layer.lost(frame, sent.draw(slot)) if lost_by is None else sent.sender.draws.made(sent.number, slot, lost_by)
             if decided is not None and slot == LOSS_SLOT:
                 lost = lost & ~decided
             if np.count_nonzero(lost):
-                code = np.where((code == 0) & lost, np.uint8(_JAMMED + 1 + index), code)
+                lost, code = (code == 0) & lost, code.copy()
+                code[lost] = _JAMMED + 1 + index
         return code
 
     def _arrivals(self, code: Codes, arrival: Ints | int) -> Ints:
         """The same at all for whom it is meant; -1 where it is lost."""
-        if np.count_nonzero(code):
-            return np.where(code == 0, arrival, -1)
-        return np.full(len(code), arrival) if np.ndim(arrival) == 0 else np.asarray(arrival)
+        every = arrival if isinstance(arrival, np.ndarray) else np.full(len(code), arrival)
+        np.putmask(every, code != 0, -1)
+        return every
 
     def _arrival(self, sent: Sent, frame: Frame, air: OnAir, to: slice) -> Ints | int:
         """When the frame arrives where it is not lost, ns: at each of those for whom it is meant, or the same at all."""
         if self._delay is None and self._trace is None and self._script is None:
             return air.end_ns
         draw = sent.draw(DELAY_SLOT)
-        delay_ns = 0 if self._delay is None else self._delay.delay_ns(frame, draw)
+        delay_ns: Ints | int
+        if self._delay_ns_by is not None:
+            delay_ns = sent.sender.draws.made(sent.number, DELAY_SLOT, self._delay_ns_by)
+        else:
+            delay_ns = 0 if self._delay is None else self._delay.delay_ns(frame, draw)
         told = self._told(frame, "delay_s")
         if told is not None and self._trace is not None:
             delay_ns = np.where(told, self._trace.delay_ns(frame, draw), delay_ns)
@@ -190,6 +196,13 @@ class Outcomes:
         if self._trace is None or quantity not in self._trace.columns:
             return None
         return self._trace.traced(frame)
+
+
+def _by_draws(layer: Any, verb: str) -> Make | None:
+    """What a layer answers for many frames at once; None: nothing, or a class derived from the one that does has the verb."""
+    own = vars(type(layer))
+    made: Make | None = getattr(layer, f"{verb}_by") if verb in own and f"{verb}_by" in own else None
+    return made
 
 
 def _part(values: Any, to: slice) -> Any:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,8 @@ def free_space_loss_db(distance_m: float, frequency_hz: float) -> float:
 class NoPathLoss:
     """Every receiver hears the transmitted power."""
 
+    by_distance: ClassVar[bool] = True
+
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:
         """Zeros, (n,) dB."""
         return np.zeros(distance_of(paths).shape)
@@ -37,6 +40,8 @@ class LogDistance:
 
     The default loss is that of free space over 1 m at 2.4 GHz; the default exponent is ns-3's.
     """
+
+    by_distance: ClassVar[bool] = True
 
     exponent: NonNegative = 3.0  # N: 2 in free space, about 3 among obstacles
     reference_distance_m: Positive = 1.0  # d0: nearer than that, the loss stays what it is there

@@ -125,6 +125,10 @@ class RecordedChannel:
         """As `Channel.expect`."""
         self._channel.expect(frames)
 
+    def foresee(self, frames: int) -> None:
+        """As `Channel.foresee`."""
+        self._channel.foresee(frames)
+
     def advance(self, until_ns: int) -> list[FrameReport]:
         """The frames that are drawn, as `Channel.advance`."""
         return self._channel.advance(until_ns)

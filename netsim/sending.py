@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.types import Message
-from netsim.budget import Mean
+from netsim.budget_mean import Mean
 from netsim.draws import LinkDraws
 from netsim.layers import Draw, Floats, Frame, Links
 

@@ -53,10 +53,8 @@ class Carried:
 
 def received(report: FrameReport) -> list[tuple[str, float, int]]:
     """Who received a frame, at which level, and when; who received it twice, twice."""
-    times = [report.received_ns] if report.copy_ns is None else [report.received_ns, report.copy_ns]
-    return [
-        (receiver, rssi_dbm, at_ns)
-        for arrival_ns in times
-        for receiver, rssi_dbm, at_ns in zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True)
-        if at_ns >= 0
-    ]
+    found: list[tuple[str, float, int]] = []
+    for arrival_ns in (report.received_ns,) if report.copy_ns is None else (report.received_ns, report.copy_ns):
+        each = zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True)
+        found += [arrived for arrived in each if arrived[2] >= 0]
+    return found

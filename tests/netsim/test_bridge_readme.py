@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import netsim.bridge
-from cosim import registry
+from cosim import registered
 from netsim.bridge.door import Door
 from tests.cosim.hosting import UNDRAWN
 from tests.netsim.bridge_runs import BridgeRun, running
@@ -110,7 +110,7 @@ def test_the_door_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_every_door_has_its_part() -> None:
-    for kind in registry.KINDS["door"]:
+    for kind in registered.KINDS["door"]:
         assert f"`[bridge.{kind}]`" in README
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", README):
         assert (Path(HOME) / target).exists(), target

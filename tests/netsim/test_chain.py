@@ -175,3 +175,27 @@ def test_retries_at_levels_that_do_not_change(preset: str, mac: str) -> None:
         fine += air.send(at_ns, message, NAMES, PLACES)
     fine += air.advance(10**12)
     assert encode(sorted(fine, key=lambda report: report.frame)) == encode(whole)
+
+
+@pytest.mark.parametrize("path_loss", ["log_distance", "friis", "none"])
+@pytest.mark.parametrize(("preset", "mac"), MACS)
+def test_who_moves_and_sends_together_fares_as_each_for_itself(
+    preset: str, mac: str, path_loss: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Budgets of those who send at one instant are worked out at once: the same to the last bit."""
+
+    def told() -> list[bytes]:
+        air = channel(preset, mac, path_loss={"kind": path_loss}, loss={"probability": 0.2})
+        found: list[FrameReport] = []
+        for k in range(6):
+            places = PLACES * (1.0 + 0.3 * k)
+            for name in NAMES[: 4 + k % 2]:
+                message = Message(sender=name, body={}, size_bytes=60 + 40 * (k % 2))
+                found += air.send(100 * k * MS, message, NAMES, places, handover_ns=len(found) * MS)
+            found += air.advance(100 * (k + 1) * MS - 1)
+        return [encode(report) for report in found]
+
+    together = told()
+    monkeypatch.setattr("netsim.budget.AT_ONCE", 0)
+    assert told() == together
+    assert len(together) == 27

@@ -1,16 +1,18 @@
 """One core at three speeds: vectors, loops, and loops that are compiled do the same to the last bit."""
 
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from netsim import compiled, dcf_air, dcf_backoff, dcf_core, dcf_kernels
+from netsim import compiled, dcf_air, dcf_backoff, dcf_core, dcf_kernels, dcf_queue
 from netsim.dcf import Dcf
 from netsim.dcf_state import State
 from tests.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
 
-LOOPS = {name: loop for each in (dcf_kernels, dcf_backoff) for name, loop in vars(each).items() if name.endswith("_loop")}
+TWICE = (dcf_kernels, dcf_backoff, dcf_queue)  # what is written as vectors and as loops
+LOOPS = {name: loop for each in TWICE for name, loop in vars(each).items() if name.endswith("_loop")}
 MACS = [Dcf(), Dcf(capture_margin_db=5.0), Dcf(queue_frames=4, lifetime_s=0.02), Dcf(preamble_time_us=30.0)]
 
 
@@ -18,7 +20,7 @@ MACS = [Dcf(), Dcf(capture_margin_db=5.0), Dcf(queue_frames=4, lifetime_s=0.02),
 def test_loops_leave_the_same_bits_everywhere_as_vectors(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     frames, phy, mac = mixed(seed, frames=150), PHYS[seed % 4], MACS[seed // 4]
     vectors, loops = open_air(6, phy, mac, seed=seed), open_air(6, phy, mac, seed=seed)
-    assert len(LOOPS) == 7
+    assert len(LOOPS) == 10
     for until in (10 * MS, 30 * MS, UNTIL):
         now = [each for each in frames if each.time_ns <= until]
         frames = frames[len(now) :]
@@ -34,7 +36,8 @@ def test_loops_leave_the_same_bits_everywhere_as_vectors(monkeypatch: pytest.Mon
 
 
 def bits(state: State) -> dict[str, bytes]:
-    return {name: value.tobytes() for name, value in state._asdict().items()}
+    passed_on = {"busy", "order"}  # to the caller, not to the next event
+    return {name: value.tobytes() for name, value in state._asdict().items() if name not in passed_on}
 
 
 @pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
@@ -62,3 +65,14 @@ def test_compiled_many_at_once_that_are_hidden_from_each_other() -> None:
 def test_compilation_can_be_turned_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VCMVSP_COMPILED", "0")
     assert not compiled.available()
+
+
+def test_code_is_kept_whole_or_not_at_all(tmp_path: Path) -> None:
+    path, code = tmp_path / "folder" / "it.code", bytes(range(256)) * 100
+    assert compiled._kept(path) is None
+    compiled._keep(path, code)
+    assert compiled._kept(path) == code
+    assert [each.name for each in path.parent.iterdir()] == ["it.code"]
+    path.write_bytes(path.read_bytes()[:-1])
+    assert compiled._kept(path) is None
+    compiled._keep(path / "not a folder", code)  # it goes on without

@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from cosim.clock import SECOND_NS
 from cosim.federate import Event, Federate, RunInfo, Slot, Step
 from cosim.types import FrameReport, Message, Reception, States
 from netsim import dcf_core
@@ -126,9 +127,11 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
     """It would hold up everybody for a second; with what is known beforehand, the frames fare the same."""
     compiled: list[int] = []
     monkeypatch.setattr("netsim.dcf_medium.available", lambda: True)
+    monkeypatch.setattr("netsim.dcf_medium.loaded", lambda *_: False)  # by tests before this one
     monkeypatch.setattr("netsim.dcf_medium.COMPILE_AFTER", 10)
+    monkeypatch.setattr("netsim.dcf_medium.LOAD_AFTER", 10)
 
-    def loaded(core: tuple[str, ...], entry: str) -> Callable[..., int]:
+    def loaded(*core: object) -> Callable[..., int]:
         compiled.append(1)
         return dcf_core.run
 
@@ -149,3 +152,31 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
 
     assert fates(paced=True) == fates(paced=False)
     assert compiled
+
+
+@pytest.mark.parametrize("seconds", [1, 60])
+def test_what_compiled_code_pays_for_is_seen_from_how_soon_the_first_frames_come(
+    seconds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten frames a second: in a minute it is worth loading, in a second not; the frames fare the same."""
+    loaded_at: list[int] = []
+    monkeypatch.setattr("netsim.dcf_medium.available", lambda: True)
+    monkeypatch.setattr("netsim.dcf_medium.loaded", lambda *_: False)  # by tests before this one
+    monkeypatch.setattr("netsim.dcf_medium.at_hand", lambda *_: True)
+    monkeypatch.setattr("netsim.federate.TELLING", 5)
+    fates: list[list[tuple[str, ...]]] = []
+
+    def loaded(*core: object) -> Callable[..., int]:
+        loaded_at.append(len(fates[-1]))
+        return dcf_core.run
+
+    monkeypatch.setattr("netsim.dcf_medium.Compiled", loaded)
+    for duration_s in (seconds, 1):
+        radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
+        radio.start(msgspec.structs.replace(RUN, duration_ns=duration_s * SECOND_NS))
+        radio.step(0, [states(0, 0.0, 20.0, 60.0)])
+        fates.append([])
+        for now_ns in range(100 * MS, 1000 * MS, 100 * MS):
+            fates[-1] += [report.outcome for report in frames(radio.step(now_ns, [sends(now_ns, "a")]))]
+    assert fates[0] == fates[1]
+    assert loaded_at == ([] if seconds == 1 else [3])

@@ -1,10 +1,17 @@
+from functools import partial
+
 import numpy as np
 import pytest
 
 from cosim.rng import key64, link_uniform
+from cosim.types import Message
+from netsim.channel import Channel
+from netsim.delay import FixedDelay, NoDelay
 from netsim.draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
-from netsim.layers import Links
+from netsim.layers import Bools, Draw, Frame, Links
 from netsim.loss import Bernoulli, NoLoss
+from netsim.phy import Dsss
+from netsim.propagation import NoPathLoss
 from tests.netsim.helpers import make_frame
 
 FRAMES = np.arange(100_000, dtype=np.uint64)[:, None]
@@ -70,3 +77,28 @@ def test_blocks_change_no_draw(receivers: int) -> None:
             some = np.arange(0, receivers, 3)
             assert np.array_equal(draws.some(frame, slot, some), alone[some])
             assert alone.shape == (receivers, 2)
+
+
+def test_what_goes_by_draws_alone_is_the_same_of_many_frames_at_once() -> None:
+    """As frame by frame, in any order, for whichever layer has the slot by now."""
+    draws = LinkDraws(Links(3, "leader", ("a", "b", "c")))
+    frame = make_frame(3)
+    for number in (0, 1, 255, 256, 2):
+        for loss in (Bernoulli(0.3), Bernoulli(0.9)):
+            alone = loss.lost(frame, partial(draws.uniform, number, LOSS_SLOT))
+            assert np.array_equal(draws.made(number, LOSS_SLOT, loss.lost_by), alone)
+        for delay in (FixedDelay(0.05, 0.02), FixedDelay(0.05)):
+            late_ns = delay.delay_ns(frame, partial(draws.uniform, number, DELAY_SLOT))
+            assert np.array_equal(draws.made(number, DELAY_SLOT, delay.delay_ns_by), late_ns)
+
+
+def test_a_loss_derived_from_one_that_goes_by_draws_alone_has_its_own_say() -> None:
+    class Never(Bernoulli):
+        def lost(self, frame: Frame, draw: Draw) -> Bools:
+            return np.zeros(frame.rssi_dbm.shape, np.bool_)
+
+    for loss, outcome in ((Bernoulli(1.0), "random loss"), (Never(1.0), "received")):
+        channel = Channel(path_loss=NoPathLoss(), phy=Dsss(), loss=loss, delay=NoDelay())
+        message = Message(sender="a", body=b"", size_bytes=10)
+        (report,) = channel.send(0, message, ("a", "b"), np.zeros((2, 3)))
+        assert report.outcome == (outcome,)

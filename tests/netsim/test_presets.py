@@ -1,6 +1,6 @@
 import pytest
 
-from cosim import registry
+from cosim import registered
 from cosim.errors import ScenarioError
 from netsim.presets import LAYERS, PRESETS, preset
 from tests.netsim.helpers import make_channel, send
@@ -10,7 +10,7 @@ from tests.netsim.helpers import make_channel, send
 def test_every_preset_sets_every_layer_and_delivers_to_a_neighbour(name: str) -> None:
     layers = preset(name)
     assert tuple(layers) == LAYERS
-    assert all(layers[layer]["kind"] in registry.KINDS[layer] for layer in LAYERS)
+    assert all(layers[layer]["kind"] in registered.KINDS[layer] for layer in LAYERS)
     assert send(make_channel(name), 5.0).outcome == ("received",)
 
 
