@@ -40,7 +40,7 @@ class Seat:
 
     def __init__(self, spec: AgentSpec, agent: Agent | None, kinds: Kinds) -> None:
         self.spec, self.vehicle, self.next_ns = spec, spec.vehicle, 0
-        self._started, self._command_key = False, f"{spec.vehicle}/command"
+        self._started, self._command_key, self._note_key = False, f"{spec.vehicle}/command", f"{spec.vehicle}/note"
         if agent is None:
             self.agent, params, taken = build(spec, kinds)
         else:  # what it was made with is its maker's to know; what the scenario says is as good as any
@@ -173,9 +173,11 @@ class Seat:
     def _tell(self, when: int, events: list[Event]) -> None:
         """Append what the agent has noted, shown and sent."""
         if notes := self.agent.drain_notes():
-            events.append(Event(f"{self.vehicle}/note", when, Note(values=notes)))
-        events += [Event(f"{self.vehicle}/{what}", when, value) for what, value in self.agent.drain_shown().items()]
-        events += [Event(f"{self.vehicle}/send", when, message) for message in self._radio.drain()]
+            events.append(Event(self._note_key, when, Note(values=notes)))
+        if self.agent._shown:  # noqa: SLF001  as in `_act`
+            events += [Event(f"{self.vehicle}/{what}", when, value) for what, value in self.agent.drain_shown().items()]
+        if self._radio._outbox:  # noqa: SLF001  as in `_act`
+            events += [Event(f"{self.vehicle}/send", when, message) for message in self._radio.drain()]
 
     def _die(self, now_ns: int, events: list[Event]) -> None:
         """From now on the vehicle stands still and says nothing."""

@@ -23,15 +23,19 @@ class Commands:
         self._mover, self._advance = mover, advance
         self._newest: dict[str, Command] = {}
         self._halted: set[str] = set()
+        self._advanced_ns = 0  # so far at least
 
     def take(self, vehicle: str, time_ns: int, command: Command) -> None:
         """Obey a command from its time on, ground vehicles its forward speed and yaw rate; of others it is none of ours."""
-        if vehicle not in self._mover:
+        mover = self._mover.get(vehicle)
+        if mover is None:
             return
-        _check(vehicle, command, self._mover[vehicle][2])
+        _check(vehicle, command, mover[2])
         self._newest[vehicle] = command
         if vehicle not in self._halted:
-            self._advance(time_ns)
+            if time_ns > self._advanced_ns:  # most commands come together
+                self._advance(time_ns)
+                self._advanced_ns = time_ns
             self._obey(vehicle, command)
 
     def halt(self, vehicles: Sequence[str], time_ns: int, *, halted: bool) -> None:
@@ -53,6 +57,10 @@ class Commands:
 
 def _check(vehicle: str, command: Command, flying: bool) -> None:
     """Refuse what a vehicle cannot follow."""
+    if isinstance(command, Velocity):
+        x, y, z = command.linear
+        if isfinite(x + command.yaw_rate) and (not flying or isfinite(y + z)):
+            return  # a sum is finite only if all are
     problem = ""
     if isinstance(command, Waypoint) and not flying:
         problem = f"{vehicle} was given a Waypoint but cannot fly: send Velocity, or make it a quadrotor or a point"

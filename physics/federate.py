@@ -170,13 +170,13 @@ class Physics:
     def _take(self, event: Event) -> None:
         """Advance to the time of a command, or of what the operator does, and obey it from there on."""
         match event.value:
+            case Velocity() | Waypoint():
+                self._commands.take(event.key.partition("/")[0], event.time_ns, event.value)
             case Halted(vehicles=vehicles, halted=halted):
                 self._commands.halt(vehicles, event.time_ns, halted=halted)
             case Moved(obstacle=obstacle, position=position, yaw=yaw):
                 self._advance(event.time_ns)
                 self._put(obstacle, position, yaw)
-            case Velocity() | Waypoint():
-                self._commands.take(event.key.partition("/")[0], event.time_ns, event.value)
 
     def _put(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
         try:

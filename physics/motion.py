@@ -29,10 +29,25 @@ _AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
 
 
 class MotionEngine(Bodiless):
-    """Moves n vehicles by their `Servo`. Nothing collides: there are no bodies."""
+    """Moves n vehicles by their `Servo`. Nothing collides: there are no bodies.
 
-    def __init__(self, models: Sequence[GroundVehicle], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
+    Args:
+        models: of the vehicles.
+        positions: where they start, m, world.
+        headings: and how they are turned, rad.
+        sensed: whether there are sensors, which see accelerations and wheels; else these stay 0.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[GroundVehicle],
+        positions: Sequence[Vec3],
+        headings: Sequence[float],
+        *,
+        sensed: bool = True,
+    ) -> None:
         n = len(models)
+        self._sensed = sensed
         servos = np.array([model.servo for model in models], float).reshape(n, 7).T
         tau_v, tau_w, accel, decel, yaw_accel, max_speed, max_yaw_rate = servos
         # All of these are (2, 1, n): v and w; times; vehicles.
@@ -40,6 +55,7 @@ class MotionEngine(Bodiless):
         self._rise, self._fall = np.array([[accel], [yaw_accel]]), np.array([[decel], [yaw_accel]])
         self._greatest: list[tuple[float, float]] = [*zip(max_speed.tolist(), max_yaw_rate.tolist(), strict=True)]
         self._speed, self._command = np.zeros((2, 1, n)), np.zeros((2, 1, n))
+        self._command_v, self._command_w = self._command[:, 0]  # views of it
         self._ideal = bool((self._tau == _AT_ONCE_S).all() and np.isinf([self._rise, self._fall]).all())
         at = np.array(positions, float).reshape(n, 3)
         self._pose = np.column_stack([at[:, :2], headings]).T.copy()  # (3, n): x, y, yaw
@@ -51,9 +67,9 @@ class MotionEngine(Bodiless):
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """From now on move at ``linear[0]`` m/s forward and ``yaw_rate`` rad/s."""
-        max_v, max_w = self._greatest[row]
-        self._command[0, 0, row] = max(-max_v, min(linear[0], max_v))
-        self._command[1, 0, row] = max(-max_w, min(yaw_rate, max_w))
+        v, (max_v, max_w) = linear[0], self._greatest[row]
+        self._command_v[row] = v if -max_v < v < max_v else max(-max_v, min(v, max_v))
+        self._command_w[row] = yaw_rate if -max_w < yaw_rate < max_w else max(-max_w, min(yaw_rate, max_w))
 
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
         """Nothing here flies."""
@@ -113,18 +129,19 @@ class MotionEngine(Bodiless):
         half = 0.5 * yaw
         half_cos, half_sin = np.cos(half), np.sin(half)
         cos, sin = half_cos * half_cos - half_sin * half_sin, 2.0 * half_cos * half_sin
-        gain, spin = np.zeros(n) if self._ideal else self._gain(), v * w
-        across = self._half_track * self._driven[1]
-        motion = Motion(*(np.zeros((n, width)) for width in WIDTHS))
-        motion.position[:, :2] = motion.odometry[:, :2] = self._pose[:2].T
-        motion.velocity[:, 0], motion.velocity[:, 1] = v * cos, v * sin
-        motion.attitude[:, 0], motion.attitude[:, 3] = half_cos, half_sin
-        motion.angular_velocity[:, 2] = w
-        motion.acceleration[:, 0], motion.acceleration[:, 1] = gain * cos - spin * sin, gain * sin + spin * cos
-        motion.wheels[:, 0], motion.wheels[:, 1] = self._driven[0] - across, self._driven[0] + across
-        np.divide(motion.wheels, self._radius[:, None], out=motion.wheels)
-        motion.odometry[:, 2], motion.odometry[:, 3], motion.odometry[:, 4] = wrapped(yaw), v, w
-        return motion
+        position, velocity, attitude, turning, acceleration, wheels, odometry = (np.zeros((n, width)) for width in WIDTHS)
+        position[:, :2] = odometry[:, :2] = self._pose[:2].T
+        velocity[:, 0], velocity[:, 1] = v * cos, v * sin
+        attitude[:, 0], attitude[:, 3] = half_cos, half_sin
+        turning[:, 2] = w
+        odometry[:, 2], odometry[:, 3], odometry[:, 4] = wrapped(yaw), v, w
+        if self._sensed:
+            gain, spin = np.zeros(n) if self._ideal else self._gain(), v * w
+            acceleration[:, 0], acceleration[:, 1] = gain * cos - spin * sin, gain * sin + spin * cos
+            across = self._half_track * self._driven[1]
+            wheels[:, 0], wheels[:, 1] = self._driven[0] - across, self._driven[0] + across
+            wheels /= self._radius[:, None]
+        return Motion(position, velocity, attitude, turning, acceleration, wheels, odometry)
 
     def _gain(self) -> Floats:
         """What the forward speed grows by at this moment, m/s2."""

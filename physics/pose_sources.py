@@ -29,6 +29,7 @@ class PoseSources:
 
     def __init__(self, vehicles: Sequence[VehicleSpec], numbers: Sequence[int], seed: int) -> None:
         self._vehicles = [(number, vehicles[number]) for number in numbers]
+        self._told = [(n, spec.pose_source, f"{spec.name}/estimate", f"{spec.name}/odometry") for n, spec in self._vehicles]
         self._sensors = [
             (
                 number,
@@ -71,18 +72,18 @@ class PoseSources:
 
     def estimates(self, now_ns: int, motion: Motion) -> list[Event]:
         """What each vehicle takes for its own state, and what its wheels say."""
-        truths = [*zip(*(each.tolist() for each in motion[:4]), motion.odometry.tolist(), strict=True)]
+        truths = [*zip(*(zip(*each.T.tolist(), strict=True) for each in motion[:4]), motion.odometry.tolist(), strict=True)]
         events = []
-        for number, spec in self._vehicles:
-            *truth, (x, y, yaw, v, w) = truths[number]
+        for number, source, estimate_key, odometry_key in self._told:
+            position, velocity, attitude, spin, (x, y, yaw, v, w) = truths[number]
             odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            position, velocity, attitude, spin = map(tuple, truth)
-            state = VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
-            fused = self._fusers[number].fuser.estimate(now_ns) if number in self._fusers else None
-            believed = estimate(spec.pose_source, state, odometry, self._fixes.get(number), fused)
-            events.append(Event(f"{spec.name}/estimate", now_ns, believed))
+            believed = VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
+            if source != "truth":
+                fused = self._fusers[number].fuser.estimate(now_ns) if number in self._fusers else None
+                believed = estimate(source, believed, odometry, self._fixes.get(number), fused)
+            events.append(Event(estimate_key, now_ns, believed))
             if odometry is not None:
-                events.append(Event(f"{spec.name}/odometry", now_ns, odometry))
+                events.append(Event(odometry_key, now_ns, odometry))
         return events
 
 

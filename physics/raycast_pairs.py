@@ -54,7 +54,7 @@ def pairs(
         around: (m,) m, of circles around the pieces seen from above.
     """
     if (origins == origins[:1]).all():
-        yield from _by_bearing(origins[0], directions, centre, around)
+        yield from by_bearing(origins[0], directions, centre, around)
         return
     rows = max(1, _AT_ONCE // max(1, len(centre)))
     for first in range(0, len(origins), rows):
@@ -75,8 +75,15 @@ def touching_spheres(origins: Array, directions: Array, reach_m: float, centre: 
     return beam, sphere
 
 
-def _by_bearing(origin: Array, directions: Array, centre: Array, around: Array) -> Iterator[tuple[Array, Array]]:
-    """Beams from one place: those between the bearings of a circle's two sides."""
+def by_bearing(origin: Array, directions: Array, centre: Array, around: Array) -> Iterator[tuple[Array, Array]]:
+    """Pairs of beams from one place and pieces: those between the bearings of a circle's two sides, however far away it is.
+
+    Args:
+        origin: (3,) m.
+        directions: (r, 3), of any length.
+        centre: (m, 3) m, of the circles; heights do not matter.
+        around: (m,) m, their radii.
+    """
     beams = len(directions)
     bearing = np.arctan2(directions[:, 1], directions[:, 0])
     order = np.argsort(bearing, kind="stable")

@@ -16,7 +16,8 @@ def riders(vehicles: Sequence[VehicleSpec], numbers: Sequence[int]) -> list[tupl
     air = {n: model for n in numbers if isinstance(model := vehicles[n].model, Point | Quadrotor)}
     if ground:
         at = [vehicles[n].start for n in ground], [vehicles[n].heading for n in ground]
-        found.append((MotionEngine([*ground.values()], *at), [*ground]))
+        sensed = any(spec.sensors for spec in vehicles)
+        found.append((MotionEngine([*ground.values()], *at, sensed=sensed), [*ground]))
     if air:
         at = [vehicles[n].start for n in air], [vehicles[n].heading for n in air]
         found.append((AerialEngine([*air.values()], *at), [*air]))

@@ -14,18 +14,18 @@ Floats = NDArray[np.float64]
 _W, _X, _Y, _Z = range(4)
 
 
-def _pairs(*pairs: tuple[int, int]) -> NDArray[np.intp]:
-    """Where products of two components are among all 16."""
-    return np.array([4 * a + b for a, b in pairs])
+def pairs(*products: tuple[int, int]) -> NDArray[np.intp]:
+    """Where products of two components of a quaternion are among all 16."""
+    return np.array([4 * a + b for a, b in products])
 
 
 # A rotation matrix, row by row, is the first of these doubled products plus or minus the second; and 1 less on its diagonal.
-_FIRST = _pairs((_W, _W), (_X, _Y), (_X, _Z), (_X, _Y), (_W, _W), (_Y, _Z), (_X, _Z), (_Y, _Z), (_W, _W))
-_SECOND = _pairs((_X, _X), (_W, _Z), (_W, _Y), (_W, _Z), (_Y, _Y), (_W, _X), (_W, _Y), (_W, _X), (_Z, _Z))
+_FIRST = pairs((_W, _W), (_X, _Y), (_X, _Z), (_X, _Y), (_W, _W), (_Y, _Z), (_X, _Z), (_Y, _Z), (_W, _W))
+_SECOND = pairs((_X, _X), (_W, _Z), (_W, _Y), (_W, _Z), (_Y, _Y), (_W, _X), (_W, _Y), (_W, _X), (_Z, _Z))
 _SIGN = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])[:, None]
 
 # A product of quaternions p q: each component is a sum of four products, the first three of which, but for w, are positive.
-_TERMS = _pairs(
+_TERMS = pairs(
     *((_W, _W), (_W, _X), (_W, _Y), (_W, _Z)),
     *((_X, _X), (_X, _W), (_Y, _W), (_Z, _W)),
     *((_Y, _Y), (_Y, _Z), (_Z, _X), (_X, _Y)),

@@ -12,7 +12,7 @@ from agents.formation.formation import Formation, Passage
 from agents.formation.sending import Sending
 from agents.reconnaissance.mosaic import Mosaicking
 from agents.reconnaissance.watch import Wanted, Watching
-from cosim import reference, registry, repeat, scenario, scenario_tables, table
+from cosim import reference, reference_keys, registered, registry, repeat, scenario, scenario_tables, table
 from netsim.jammer import Source
 from netsim.materials import ITU_MATERIALS
 from netsim.script import Change
@@ -61,8 +61,8 @@ HEADINGS = {
     "routing": ("`[routing]`",),
     **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
 }
-FROM_ELSEWHERE = {*reference.OFFERED}  # parameters that come from the rest of the scenario
-OF_PHYSICS, OF_ROBOTS = ({*reference.OFFERED_TO[part]} for part in ("physics", "hardware"))
+FROM_ELSEWHERE = {*reference_keys.OFFERED}  # parameters that come from the rest of the scenario
+OF_PHYSICS, OF_ROBOTS = ({*reference_keys.OFFERED_TO[part]} for part in ("physics", "hardware"))
 
 
 def by_kind(*headings: str) -> dict[str, dict[str, str]]:
@@ -121,7 +121,7 @@ def test_every_key_of_an_intervention_is_documented(target: Any) -> None:
     assert_documents(documented[target.__struct_config__.tag], target, set())
 
 
-@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registry.KINDS.items() for kind in kinds])
+@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in registered.KINDS.items() for kind in kinds])
 def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str) -> None:
     target = registry.find(group, kind)
     if group not in {"physics", "agent"}:

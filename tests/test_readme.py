@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim import registry, scenario
+from cosim import registered, scenario
 from cosim.cli import main
 from cosim.testing import check_agent
 
@@ -81,8 +81,8 @@ def test_worlds_and_vehicles_are_shown_as_the_readme_says(
     assert (tmp_path / "city.png").stat().st_size > 10_000
     printed = capsys.readouterr().out
     assert "uav1 (quadrotor), vx=2, 4 s:" in printed
-    named = [name for name in registry.KINDS["world"] if name in printed]
-    assert named == list(registry.KINDS["world"])
+    named = [name for name in registered.KINDS["world"] if name in printed]
+    assert named == list(registered.KINDS["world"])
 
 
 def test_the_vehicles_of_the_readme_are_understood() -> None:
@@ -90,7 +90,7 @@ def test_the_vehicles_of_the_readme_are_understood() -> None:
     parsed, _ = scenario.load({"name": "many", "duration_s": 1.0, **raw})
     assert len(parsed.vehicle) == 100
     assert parsed.vehicle[-1].start == ((45.0, 45.0, 10.0), 0.0)
-    assert all(each["kind"] in registry.KINDS["sensor"] for each in parsed.vehicle[0].sensors.values())
+    assert all(each["kind"] in registered.KINDS["sensor"] for each in parsed.vehicle[0].sensors.values())
 
 
 def test_every_link_leads_somewhere() -> None:

@@ -14,9 +14,8 @@ from agents.formation.law import Place, formation_law, point_of
 from agents.formation.membership import Membership
 from agents.formation.passage import scanners
 from agents.formation.prediction import Estimator, estimator_of
-from agents.formation.report import accelerations, measured_speeds
+from agents.formation.report import LeaderState, accelerations, measured_speeds
 from agents.formation.sending import Sending
-from agents.formation.shape import Slot
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.clock import seconds_to_ns
 from cosim.frames import yaw_of
@@ -141,35 +140,40 @@ class LeaderFollower(Agent):
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Follow the newest report, around what stands in the way."""
-        v, w, *places = self._wanted(obs, radio)
+        v, w, leader = self._wanted(obs, radio)
         if self._steering is not None:
             lookout, settings = self._member.lookout, self._steering.settings
             mates = self._member.listening, self.estimator
             if lookout is not None:
                 obs = lookout.without_members(obs, *mates, settings.scanner)
-            decision = self._steering.drive(obs, (v, w), *places) if places else self._steering.limit(obs, (v, w))
+            decision = (
+                self._steering.limit(obs, (v, w))
+                if leader is None
+                else self._steering.drive(obs, (v, w), point_of(leader, self.place), (leader.x, leader.y))
+            )
             v, w = decision.velocity[0], decision.yaw_rate
             if lookout is not None:
                 v = lookout.behind_members(obs, v, *mates, settings.approach)
             self.note(**self._steering.notes)
-        if places:
+        if leader is not None:
             self._v, self._w = v, w
         return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
 
-    def _wanted(self, obs: Observation, radio: Radio) -> tuple[float, float] | tuple[float, float, Slot, Slot]:
-        """Speeds as if nothing were in the way, m/s and rad/s; while it follows, also point to reach and leader, m, world."""
+    def _wanted(self, obs: Observation, radio: Radio) -> tuple[float, float, LeaderState | None]:
+        """Speeds as if nothing were in the way, m/s and rad/s; while it follows, also how its leader moves."""
         newest, team = self._member.hear(obs), self._member.team
-        self.note(**self._member.notes)
+        if self._member.notes:
+            self.note(**self._member.notes)
         lead = () if team is None else (self._member.listening.newest.get(team.members[0]),)
         self._feeding.hear(obs.time_ns, newest, *lead)
         self._tell(obs, radio)
         if newest is None or self.leader is None:
             self.note(status="waiting" if self.leader else "leading")
-            return self._fade(obs.time_ns, 0.0)
+            return *self._fade(obs.time_ns, 0.0), None
         age_s = max(0, obs.time_ns - newest.t_ns) / 1e9
         if age_s >= self.timeout_s:
             self.note(status="leader lost", age_s=age_s)
-            return self._fade(obs.time_ns, age_s - self.timeout_s)
+            return *self._fade(obs.time_ns, age_s - self.timeout_s), None
         x, y, _ = obs.state.position
         leader = self._feeding.fed(self.estimator.predict(newest, age_s), obs.time_ns)
         v, w, z1, z2 = formation_law((x, y, yaw_of(obs.state.attitude)), leader, self.place, self.k1, self.k2)
@@ -180,7 +184,7 @@ class LeaderFollower(Agent):
         w = max(-self.max_yaw_rate, min(w, self.max_yaw_rate))
         self._fading_ns = None
         self.note(status="following", age_s=age_s, z1=z1, z2=z2)
-        return v, w, point_of(leader, self.place), (leader.x, leader.y)
+        return v, w, leader
 
     def _fade(self, now_ns: int, for_s: float) -> tuple[float, float]:
         """Let the last command fade to a standstill, along its own arc; ``for_s``: for how long it should have faded by now."""
@@ -199,6 +203,9 @@ class LeaderFollower(Agent):
 
     def _tell(self, obs: Observation, radio: Radio) -> None:
         """Report where this vehicle is and how it moves, and what those behind it would not know otherwise."""
+        if not (self._member.broadcast or self._tells_a):
+            self._member.answer(radio)
+            return
         v, w = measured_speeds(obs)
         more: dict[str, Any] = {}
         if self._tells_a:

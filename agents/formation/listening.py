@@ -33,7 +33,8 @@ class Listening:
         """Go through what came in since the last tick; the reports of it, oldest first."""
         reports = []
         for heard in obs.heard:
-            sender, body = heard.message.sender, heard.message.body
+            message = heard.message
+            sender, body = message.sender, message.body
             if sender not in self._senders or isinstance(body, bytes):
                 continue
             self._there_ns[sender] = obs.time_ns

@@ -46,8 +46,9 @@ def nulls(table: pa.Table, name: str) -> Array:
 
 
 def joined(parts: Sequence[Array], empty: tuple[int, ...], dtype: Any = np.float64) -> Array:
-    """The parts one after another; of shape ``empty`` where there are none."""
-    return np.concatenate([np.empty(empty, dtype), *parts]).astype(dtype, copy=False)
+    """The parts one after another, one alone as it is; of shape ``empty`` where there are none."""
+    whole = parts[0] if len(parts) == 1 else np.concatenate([np.empty(empty, dtype), *parts])
+    return whole.astype(dtype, copy=False)
 
 
 def _numbers(chunk: Any, null: float) -> Array:

@@ -25,21 +25,21 @@ def digest(tables: list[pa.Table], rest: bytes = b"") -> str:
     return total.hexdigest()
 
 
-def _values(table: pa.Table, name: str) -> list[bytes]:
+def _values(table: pa.Table, name: str) -> list[bytes | memoryview]:
     """Name, type, names used, null mask and raw little-endian values of one column."""
     used: list[str] = []
     column_type = table.schema.field(name).type
     if pa.types.is_dictionary(column_type):
         kind, (used, raw) = "name", _canonical(*names_of(table, name))
     elif pa.types.is_floating(column_type):
-        kind, raw = "float64", numbers(table, name).astype("<f8")
+        kind, raw = "float64", numbers(table, name).astype("<f8", copy=False)
     else:
-        kind, raw = "int64", numbers(table, name).astype("<i8")
-    return [repr((name, kind, used)).encode(), np.packbits(nulls(table, name)).tobytes(), raw.tobytes()]
+        kind, raw = "int64", numbers(table, name).astype("<i8", copy=False)
+    return [repr((name, kind, used)).encode(), np.packbits(nulls(table, name)).data, raw.data]
 
 
 def _canonical(names: tuple[str, ...], codes: Array) -> tuple[list[str], Array]:
     """The names that occur, in alphabetical order, and each row as its place in that list."""
-    used = sorted(names[code] for code in np.unique(codes).tolist())
+    used = sorted(names[code] for code in np.flatnonzero(np.bincount(codes)).tolist())
     place = {name: i for i, name in enumerate(used)}
     return used, np.array([place.get(name, 0) for name in names], "<i4")[codes]

@@ -273,8 +273,11 @@ class CameraCalibration(FoxgloveMessage, frozen=True):
         return cls(Time.of(time_ns), vehicle, width, height, matrix, projection)
 
 
+_NUMPY = (np.ndarray, np.generic)  # made once, as frames have many of them
+
+
 def to_json(value: Any) -> Any:
     """NumPy arrays and numbers as JSON writes them (for ``enc_hook``)."""
-    if isinstance(value, np.ndarray | np.generic):
+    if isinstance(value, _NUMPY):
         return value.tolist()
     raise TypeError(f"cannot record a {type(value).__name__}; use numbers, strings, bytes, lists and mappings")

@@ -4,6 +4,7 @@ A report is a kilobyte or two of small objects. Packed, a receiver of a frame ta
 """
 
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from operator import attrgetter
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from cosim.record.columns import column, joined, name_column
 from cosim.types import Array, FrameReport
 
-CHUNK_ROWS = 1 << 10  # so many are packed together, within milliseconds; a frame counts as one more: it may have no receivers
+CHUNK_ROWS = 1 << 13  # so many are packed together, within milliseconds; a frame counts as one more: it may have no receivers
 PER_FRAME = ("frame", "sent_ns", "size_bytes", "air_time_ns", "queue_ns", "access_ns")
 PER_ROW = {"received_ns": np.int64, "distance_m": np.float64, "rssi_dbm": np.float64}
 BUDGET = {  # zeros where the channel has no such layer
@@ -31,28 +32,24 @@ _FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, "sender", "receivers", "outcome", "wal
 _FIELDS_OF = attrgetter(*_FIELDS)
 
 
+class _Numbered(dict[str, int]):
+    """A name that is asked for gets the next number, if it has none."""
+
+    def __missing__(self, name: str) -> int:
+        number = self[name] = len(self)
+        return number
+
+
 class Names:
     """Numbers for names: those known beforehand in their order, others as they come."""
 
     def __init__(self, known: Sequence[str]) -> None:
         self._known = len(known)
-        self._codes = {name: i for i, name in enumerate(known)}
-        self._seen: dict[tuple[str, ...], Array] = {}
+        self._codes = _Numbered((name, i) for i, name in enumerate(known))
 
-    def code(self, name: str) -> int:
-        """The number of a name."""
-        return self._codes.setdefault(name, len(self._codes))
-
-    def codes(self, names: tuple[str, ...]) -> Array:
-        """Those of a frame's receivers, say: of few different tuples, so that each is translated once."""
-        known = self._seen.get(names)
-        if known is None:
-            known = self._seen[names] = np.array([self.code(name) for name in names], np.int32)
-        return known
-
-    def forget(self) -> None:
-        """Let go of tuples that were translated: of fates of many receivers hardly two are the same."""
-        self._seen.clear()
+    def codes(self, names: Iterable[str]) -> Array:
+        """Their numbers."""
+        return np.fromiter(map(self._codes.__getitem__, names), np.int32)
 
     def column(self, codes: Array) -> Any:
         """An Arrow column of these numbers' names."""
@@ -92,24 +89,24 @@ class Frames:
         """The Arrow columns of the table, rows in the order in which frames entered the channel. Nothing is left here."""
         self._pack()
         counts, frame = self._taken("receivers"), self._taken("frame")
-        order: Any = slice(None)  # of frames, and of their rows
-        rows: Any = slice(None)
+        order: Array | None = None  # of frames, and of their rows
+        rows: Array | None = None
         if (frame[1:] < frame[:-1]).any():
             order, rows = np.argsort(frame, kind="stable"), np.argsort(np.repeat(frame, counts), kind="stable")
-        counts = counts[order]
+        counts = _in_order(counts, order)
 
         def each(name: str) -> Array:
-            return np.repeat(self._taken(name)[order], counts)
+            return np.repeat(_in_order(self._taken(name), order), counts)
 
-        receiver, sender = self._taken("receiver")[rows], self._taken("sender")[order]
+        receiver, sender = _in_order(self._taken("receiver"), rows), _in_order(self._taken("sender"), order)
         vehicles, new = self._vehicles.in_order_of(np.concatenate([receiver, sender]))
         found = {
-            "frame": column(np.repeat(frame[order], counts)),
+            "frame": column(np.repeat(_in_order(frame, order), counts)),
             "sender": vehicles.column(np.repeat(new[sender], counts)),
             "receiver": vehicles.column(new[receiver]),
         }
         del frame, receiver, sender
-        sent, received = each("sent_ns"), self._taken("received_ns")[rows]
+        sent, received = each("sent_ns"), _in_order(self._taken("received_ns"), rows)
         found["sent_ns"] = column(sent)
         found["received_ns"] = column(received, valid=received >= 0)
         found["delay_ns"] = column(received - sent, valid=received >= 0)
@@ -117,11 +114,11 @@ class Frames:
         for name in ("size_bytes", "air_time_ns", "queue_ns", "access_ns"):
             found[name] = column(each(name))
         for name, names in (("outcome", self._outcomes), ("wall_materials", self._materials)):
-            codes = self._taken(name)[rows]
+            codes = _in_order(self._taken(name), rows)
             renamed, new = names.in_order_of(codes)
             found[name] = renamed.column(new[codes])
         for name in ("distance_m", "rssi_dbm", *BUDGET):
-            values = self._taken(name)[rows]
+            values = _in_order(self._taken(name), rows)
             found[name] = column(values, valid=_known(name, values))
         return found
 
@@ -137,13 +134,11 @@ class Frames:
         counts = [len(receivers) for receivers in told["receivers"]]
         packed = {name: np.array(told[name], np.int64) for name in PER_FRAME}
         packed["receivers"] = np.array(counts, np.int64)
-        packed["receiver"] = joined([self._vehicles.codes(each) for each in told["receivers"]], (0,), np.int32)
-        packed["sender"] = np.array([self._vehicles.code(each) for each in told["sender"]], np.int32)
-        packed["outcome"] = joined([self._outcomes.codes(each) for each in told["outcome"]], (0,), np.int32)
+        packed["receiver"] = self._vehicles.codes(chain.from_iterable(told["receivers"]))
+        packed["sender"] = self._vehicles.codes(told["sender"])
+        packed["outcome"] = self._outcomes.codes(chain.from_iterable(told["outcome"]))
         crossed = (each or ("",) * n for each, n in zip(told["wall_materials"], counts, strict=True))
-        packed["wall_materials"] = joined([self._materials.codes(each) for each in crossed], (0,), np.int32)
-        for names in (self._vehicles, self._outcomes, self._materials):
-            names.forget()
+        packed["wall_materials"] = self._materials.codes(chain.from_iterable(crossed))
         for name, dtype in PER_ROW.items():
             packed[name] = joined(list(told[name]), (0,), dtype)
         for name, dtype in BUDGET.items():
@@ -155,6 +150,10 @@ class Frames:
             )
         for name, values in packed.items():
             self._chunks.setdefault(name, []).append(_slim(values))
+
+
+def _in_order(values: Array, order: Array | None) -> Array:
+    return values if order is None else values.take(order)
 
 
 def _slim(values: Array) -> Array:

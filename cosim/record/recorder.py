@@ -12,6 +12,7 @@ differences, which make the file small and a viewer useful:
 An event is handled by the type of its value; one of another type is written as it is.
 """
 
+import functools
 import hashlib
 import math
 from array import array
@@ -117,6 +118,7 @@ class Recorder:
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._now = 0
         self._latest: tuple[int, States] | None = None
+        self._told: tuple[States | None, dict[str, VehicleState]] = None, {}  # those asked for last, by vehicle
         self._rows: list[tuple[int, States]] = []
         self._frames = Frames(run.vehicles)
         self._follows: list[Placement] = []
@@ -134,6 +136,8 @@ class Recorder:
         self._tables: tuple[pa.Table, pa.Table] | None = None
         self._end_ns: int | None = None
         self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world)
+        self._write: Callable[[str, int, Any], None] = _nowhere if self._viewer is None else self._viewer.put
+        self._write_as_is: Callable[[str, Any, int], None] = _nowhere if self._viewer is None else self._viewer.write
         self._handlers: dict[type, Callable[[str, int, Any], None]] = {
             States: self._on_states,
             FrameReport: self._on_frame,
@@ -159,9 +163,10 @@ class Recorder:
 
     def on(self, event: Event) -> None:
         """Take an event at its own time; times never decrease."""
-        if event.time_ns != self._now:
-            self._advance(event.time_ns)
-        self._handlers.get(type(event.value), self._write)(event.key, event.time_ns, event.value)
+        time_ns, value = event.time_ns, event.value
+        if time_ns != self._now:
+            self._advance(time_ns)
+        self._handlers.get(type(value), self._write)(event.key, time_ns, value)
 
     def log(self, level: str, text: str, time_ns: int) -> None:
         """Write a line into the recording: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
@@ -247,7 +252,7 @@ class Recorder:
     def _record_states(self, time_ns: int, states: States) -> None:
         self._rows.append((time_ns, states))
         if self._viewer is not None:
-            self._viewer.put_states(_each(states), time_ns)
+            self._viewer.put_states(self._each(states), time_ns)
 
     def _on_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
         self._frames.extend((report,))
@@ -273,11 +278,13 @@ class Recorder:
             known = ", ".join(self._run.vehicles)
             raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
         self._follows.append(Placement(time_ns, vehicle, follows))
-        self._remember(key, time_ns, follows)
+        self._others.update(self._pack((key, time_ns, follows)))
+        self._write(key, time_ns, follows)
 
     def _on_note(self, key: str, time_ns: int, note: Note) -> None:
-        self._noted.take(_vehicle(key), time_ns, note.values)
-        self._mission.take(_vehicle(key), time_ns, note.values)
+        vehicle = _vehicle(key)
+        self._noted.take(vehicle, time_ns, note.values)
+        self._mission.take(vehicle, time_ns, note.values)
         self._remember(key, time_ns, note)
 
     def _on_command(self, key: str, time_ns: int, command: Velocity | Waypoint) -> None:
@@ -344,13 +351,9 @@ class Recorder:
         self._write(key, time_ns, value)
 
     def _remember(self, key: str, time_ns: int, value: Value) -> None:
-        """Write a value that is in no table, and let it count in the digest."""
+        """Write a value that is in no table, and that viewers have no schema for, and let it count in the digest."""
         self._others.update(self._pack((key, time_ns, value)))
-        self._write(key, time_ns, value)
-
-    def _write(self, key: str, time_ns: int, value: Any) -> None:
-        if self._viewer is not None:
-            self._viewer.put(key, value, time_ns)
+        self._write_as_is(key, value, time_ns)
 
     def _advance(self, time_ns: int) -> None:
         self._end_instant()
@@ -362,7 +365,18 @@ class Recorder:
 
     def _truth(self) -> dict[str, VehicleState]:
         """The true states of this instant, where they are known."""
-        return _each(self._latest[1]) if self._latest is not None and self._latest[0] == self._now else {}
+        return self._each(self._latest[1]) if self._latest is not None and self._latest[0] == self._now else {}
+
+    def _each(self, states: States) -> dict[str, VehicleState]:
+        """The state of each vehicle by itself; worked out once, as it is asked for twice at most instants."""
+        if states is not self._told[0]:
+            columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
+            rows = zip(states.names, *(zip(*column.T.tolist(), strict=True) for column in columns), strict=True)
+            self._told = (
+                states,
+                {name: VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w) for name, p, v, q, w in rows},
+            )
+        return self._told[1]
 
     def _places(self) -> dict[str, Follows]:
         return {placement.vehicle: placement.follows for placement in self._follows}
@@ -377,14 +391,10 @@ class Recorder:
         return self._tables
 
 
+def _nowhere(*_: Any) -> None:
+    """Without an MCAP file, an event leaves what its handler keeps."""
+
+
+@functools.cache
 def _vehicle(key: str) -> str:
     return key.partition("/")[0]
-
-
-def _each(states: States) -> dict[str, VehicleState]:
-    """The state of each vehicle by itself."""
-    columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
-    return {
-        name: VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w)
-        for name, p, v, q, w in zip(states.names, *(map(tuple, column.tolist()) for column in columns), strict=True)
-    }

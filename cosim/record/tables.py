@@ -7,6 +7,7 @@ The schema metadata of both carry who ran (`RunFacts`), so that either file can 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -91,14 +92,14 @@ class Recording:
 def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Table:
     """The table of the true states at these instants."""
     vehicles = Names(facts.vehicles)
-    codes = [vehicles.codes(states.names) for _, states in rows]
-    times = np.repeat(np.array([time for time, _ in rows], np.int64), [len(code) for code in codes])
+    names = [states.names for _, states in rows]
+    times = np.repeat(np.array([time for time, _ in rows], np.int64), [len(each) for each in names])
     blocks = [
         joined([getattr(states, name) for _, states in rows], (0, width)).T
         for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3))
     ]
     values = [column(values) for block in blocks for values in block]
-    columns = [column(times), vehicles.column(joined(codes, (0,), np.int32)), *values]
+    columns = [column(times), vehicles.column(vehicles.codes(chain.from_iterable(names))), *values]
     return _table(columns, STATES_SCHEMA, facts)
 
 

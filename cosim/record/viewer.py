@@ -12,6 +12,7 @@ from cosim.clock import SECOND_NS
 from cosim.federate import RunInfo
 from cosim.frames import quaternion_from_yaw
 from cosim.record import foxglove
+from cosim.record.foxglove import FrameTransform, Quaternion, Vector3
 from cosim.record.foxglove_shown import messages_of
 from cosim.record.mcap import McapLog
 from cosim.record.scene import moving_frames, scene, solids
@@ -33,6 +34,7 @@ class Viewer:
     def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: Any = None) -> None:
         about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
         self._log = McapLog(stream, about)
+        self.write = self._log.write  # a value as it is: topic, value and time
         self._vehicles, self._radius_m, self._world = run.vehicles, radius_m, world
         self._targets = () if world is None else world.targets
         self._calibrated: set[str] = set()  # keys of cameras
@@ -52,18 +54,18 @@ class Viewer:
         if standing is not None:
             self._log.write("world/solids", standing, 0)
 
-    def put(self, key: str, value: Any, time_ns: int) -> None:
+    def put(self, key: str, time_ns: int, value: Any) -> None:
         """An event; times never decrease."""
         self._putters.get(type(value), self._log.write)(key, value, time_ns)
 
     def put_states(self, truth: Mapping[str, VehicleState], time_ns: int) -> None:
         """Where all vehicles truly are."""
-        now, transforms = foxglove.Time.of(time_ns), []
+        now, transforms, write = foxglove.Time.of(time_ns), [], self._log.write
         for name, state in truth.items():
-            (x, y, z), (qw, qx, qy, qz) = state.position, state.attitude
-            place, turn = foxglove.Vector3(x, y, z), foxglove.Quaternion(qx, qy, qz, qw)
-            transforms.append(foxglove.FrameTransform(now, "world", name, place, turn))
-            self._log.write(f"{name}/state", state, time_ns)
+            qw, qx, qy, qz = state.attitude
+            place, turn = Vector3(*state.position), Quaternion(qx, qy, qz, qw)
+            transforms.append(FrameTransform(now, "world", name, place, turn))
+            write(f"{name}/state", state, time_ns)
         self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
         if self._world is not None and (self._world.moving or self._world.movables):
             self._log.write("world/moving", moving_frames(self._world, self._pushed, time_ns), time_ns)
@@ -103,7 +105,7 @@ class Viewer:
 
     def _put_fix(self, key: str, fix: Fix, time_ns: int) -> None:
         qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)
-        pose = foxglove.Pose(foxglove.Vector3(*fix.position), foxglove.Quaternion(qx, qy, qz, qw))
+        pose = foxglove.Pose(Vector3(*fix.position), Quaternion(qx, qy, qz, qw))
         at = foxglove.Time.of(fix.time_ns)
         self._log.write(key, foxglove.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad), time_ns)
 

@@ -164,7 +164,7 @@ class Flyers:
             self._place(self._woken)
             self._woken = []
         fleet, rows = self.fleet, self._rows
-        moved = base_motion(self._client, [self.bodies[row] for row in rows], [(0.0, 0.0, 0.0)] * len(rows))
+        moved = base_motion(self._client, [self.bodies[row] for row in rows])
         off = np.abs(moved.position - fleet.position[rows]).max(axis=1)
         off = np.maximum(off, np.abs(moved.velocity - fleet.velocity[rows]).max(axis=1))
         off = np.maximum(off, np.abs(moved.angular_velocity - fleet.rate[rows]).max(axis=1))

@@ -35,6 +35,9 @@ class _Wheels(NamedTuple):
     forces: tuple[float, float]  # N m
 
 
+_Joints = tuple[tuple[float, ...], tuple[float, ...]]  # left and right wheel: rad, rad/s, and what else Bullet says of them
+
+
 class Robots:
     """n driving robots in a row each."""
 
@@ -50,15 +53,21 @@ class Robots:
         self._client, self._step_s = client, step_s
         self._firmware = Firmware(models)
         self._wheels: list[_Wheels] = []
-        self._references: list[Vec3] = []  # from the centre of mass, which Bullet speaks of, to the reference point; body frame
+        references: list[Vec3] = []  # from the centre of mass, which Bullet speaks of, to the reference point; body frame
         for model, position, heading in zip(models, positions, headings, strict=True):
             made, reference = _made(client, model, position, heading)
             self._wheels.append(made)
-            self._references.append(reference)
+            references.append(reference)
         self.bodies = [each.body for each in self._wheels]
+        self._references = np.array(references, float).reshape(len(models), 3)
+        self._twice = np.concatenate([self._references, self._references])
+        self._signs = np.array([each.signs for each in self._wheels], float).reshape(len(models), 2)
+        self._radius = np.array([each.radius_m for each in self._wheels])
+        self._half_track = np.array([each.half_track_m for each in self._wheels])
         # What the encoders said last, rad, and the pose reckoned from it.
         self._seen = [(0.0, 0.0)] * len(models)
         self._reckoned = [(x, y, yaw) for (x, y, _), yaw in zip(positions, headings, strict=True)]
+        self._joints: list[_Joints] = []  # of the wheels since the last step, once somebody has asked
         self._before: list[BaseState] = []  # before the step whose accelerations are wanted
         for row in range(len(models)):
             self._drive(row, 0.0, 0.0)  # motors hold the wheels from the start
@@ -72,6 +81,7 @@ class Robots:
 
     def cycle(self) -> None:
         """One cycle of the firmware, before a step."""
+        self._joints = []
         for row, v, w in self._firmware.cycle(self._step_s):
             self._drive(row, v, w)
 
@@ -86,9 +96,9 @@ class Robots:
 
     def encode(self) -> None:
         """Take the encoders' readings into the odometry."""
-        states, client = p.getJointStates, self._client
-        for row, (body, joints, (sign_left, sign_right), radius, half_track, _) in enumerate(self._wheels):
-            (left, *_), (right, *_) = states(body, joints, client)
+        now = self._turned()
+        for row, (_, _, (sign_left, sign_right), radius, half_track, _) in enumerate(self._wheels):
+            (left, *_), (right, *_) = now[row]
             seen_left, seen_right = self._seen[row]
             self._seen[row] = left, right
             rolled_left, rolled_right = radius * sign_left * (left - seen_left), radius * sign_right * (right - seen_right)
@@ -100,19 +110,23 @@ class Robots:
     def read(self) -> Motion:
         """How every robot moves, and its wheels' account of it up to now; looking changes nothing."""
         n = len(self._wheels)
-        states = [p.getJointStates(each.body, each.joints, self._client) for each in self._wheels]
-        signs = np.array([each.signs for each in self._wheels]).reshape(n, 2)
-        rolled = signs * np.array([(left[0], right[0]) for left, right in states]).reshape(n, 2)
-        turning = signs * np.array([(left[1], right[1]) for left, right in states]).reshape(n, 2)
+        states = self._turned()
+        rolled = self._signs * np.array([(left[0], right[0]) for left, right in states]).reshape(n, 2)
+        turning = self._signs * np.array([(left[1], right[1]) for left, right in states]).reshape(n, 2)
         reckoned = [self._reckon(row, (left[0], right[0])) for row, (left, right) in enumerate(states)]
-        radius = np.array([each.radius_m for each in self._wheels])
-        half_track = np.array([each.half_track_m for each in self._wheels])
         odometry = np.empty((n, 5))
         odometry[:, :3] = np.array(reckoned).reshape(n, 3)
         odometry[:, 2] = wrapped(odometry[:, 2])
-        odometry[:, 3] = 0.5 * radius * (turning[:, 1] + turning[:, 0])
-        odometry[:, 4] = 0.5 * radius * (turning[:, 1] - turning[:, 0]) / half_track
+        odometry[:, 3] = 0.5 * self._radius * (turning[:, 1] + turning[:, 0])
+        odometry[:, 4] = 0.5 * self._radius * (turning[:, 1] - turning[:, 0]) / self._half_track
         return self._moved()._replace(wheels=rolled, odometry=odometry)
+
+    def _turned(self) -> list[_Joints]:
+        """How far both wheels of every robot have turned, and how fast they do, as Bullet says it."""
+        if not self._joints:
+            states, client = p.getJointStates, self._client
+            self._joints = [states(each.body, each.joints, client) for each in self._wheels]
+        return self._joints
 
     def _reckon(self, row: int, now: tuple[float, float]) -> Vec3:
         """The last pose, continued by the arc that the wheels have rolled since."""
@@ -129,7 +143,7 @@ class Robots:
         n, now = len(self.bodies), base_states(self._client, self.bodies)
         if not self._before:
             return motion_of(now, self._references)
-        both = motion_of([*now, *self._before], self._references * 2)  # at once: that is hardly more work than one
+        both = motion_of([*now, *self._before], self._twice)  # at once: that is hardly more work than one
         acceleration = (both.velocity[:n] - both.velocity[n:]) / self._step_s
         return Motion(*(each[:n] for each in both))._replace(acceleration=acceleration)
 

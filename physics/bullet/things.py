@@ -7,13 +7,24 @@ import numpy as np
 from cosim.types import Array, Vec3
 from physics.bodies import heading_of, on_time
 from physics.bullet import FLOOR, SOLID, WHEEL, p, turned
-from physics.engine import NO_BODIES, Motion, side_by_side
+from physics.engine import NO_BODIES, Motion
+from physics.rigid import into_body, pairs
 from physics.solids import Box, Cylinder
 from physics.world import World
 
 HEAVY_KG = 1e6  # an obstacle with a time-table: nothing holds it up, and unlike a body without mass it wakes what it meets
 _LEAST_FRICTION = 1e-6  # as good as none
 _FALLS_ASLEEP = 0.01  # m2/s2: a movable slower than this for 2 s is left out of the steps until something touches it
+
+_X, _Y, _Z, _W = range(4)  # Bullet's order
+_WXYZ = np.array([_W, _X, _Y, _Z])
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
+
+# Of a rotation matrix, row by row: half of each entry is the first of these products of a quaternion's components plus or minus
+# the second; on the diagonal, of 1 less the entry.
+_FIRST = pairs((_Y, _Y), (_X, _Y), (_X, _Z), (_X, _Y), (_X, _X), (_Y, _Z), (_X, _Z), (_Y, _Z), (_X, _X))
+_SECOND = pairs((_Z, _Z), (_W, _Z), (_W, _Y), (_W, _Z), (_Z, _Z), (_W, _X), (_W, _Y), (_W, _X), (_Y, _Y))
+_SIGN = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])[:, None]
 
 
 class Things:
@@ -119,7 +130,7 @@ class Things:
         """How the movables move."""
         if not self.movables:
             return NO_BODIES
-        return base_motion(self._client, self.movables, [(0.0, 0.0, 0.0)] * len(self.movables))
+        return base_motion(self._client, self.movables)
 
 
 def floor_friction(world: World) -> float:
@@ -143,29 +154,29 @@ def base_states(client: int, bodies: list[int]) -> list[BaseState]:
     return [(*poses(body, client), *speeds(body, client)) for body in bodies]
 
 
-def base_motion(client: int, bodies: list[int], references: list[Vec3]) -> Motion:
-    """How bodies move: their reference points, each at a place in the frame of the body's centre of mass, m."""
-    return motion_of(base_states(client, bodies), references)
+def base_motion(client: int, bodies: list[int]) -> Motion:
+    """How the centres of mass of bodies move."""
+    return motion_of(base_states(client, bodies), np.zeros((len(bodies), 3)))
 
 
-def motion_of(states: list[BaseState], references: list[Vec3]) -> Motion:
-    """The same of what Bullet said."""
+def motion_of(states: list[BaseState], references: Array) -> Motion:
+    """How reference points of bodies move, each at a place (n, 3) m in the frame of the body's centre of mass."""
     n = len(states)
-    centre = np.array([each[0] for each in states], float).reshape(n, 3)
-    qx, qy, qz, qw = np.array([each[1] for each in states], float).reshape(n, 4).T
-    velocity = np.array([each[2] for each in states], float).reshape(n, 3)
-    spin = np.array([each[3] for each in states], float).reshape(n, 3)
-    rx, ry, rz = np.array(references, float).reshape(n, 3).T
-    a, b, c = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)  # world_from_body, by rows
-    d, e, f = 2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)
-    g, h, i = 2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
-    x, y, z = a * rx + b * ry + c * rz, d * rx + e * ry + f * rz, g * rx + h * ry + i * rz  # to the reference point, world
-    wx, wy, wz = spin.T
+    said = np.array([(*at, *turn, *speed, *spin) for at, turn, speed, spin in states], float).reshape(n, 13).T.copy()
+    centre, turn, velocity, spin = said[:3], said[3:7], said[7:10], said[10:]  # a column each: few NumPy calls do it
+    products = (turn[:, None] * turn).reshape(16, n)
+    rotation = 2.0 * (products.take(_FIRST, axis=0) + _SIGN * products.take(_SECOND, axis=0))
+    rotation[::4] = 1.0 - rotation[::4]
+    rotation = rotation.reshape(3, 3, n)  # world_from_body
+    terms = rotation * references.T
+    to_reference = terms[:, 0] + terms[:, 1] + terms[:, 2]  # world
+    swept = spin.take(_NEXT, axis=0) * to_reference.take(_LAST, axis=0)
+    swept -= spin.take(_LAST, axis=0) * to_reference.take(_NEXT, axis=0)
     return Motion(
-        position=centre + side_by_side(x, y, z),
-        velocity=velocity + side_by_side(wy * z - wz * y, wz * x - wx * z, wx * y - wy * x),
-        attitude=side_by_side(qw, qx, qy, qz),
-        angular_velocity=side_by_side(a * wx + d * wy + g * wz, b * wx + e * wy + h * wz, c * wx + f * wy + i * wz),
+        position=(centre + to_reference).T.copy(),
+        velocity=(velocity + swept).T.copy(),
+        attitude=turn.take(_WXYZ, axis=0).T.copy(),
+        angular_velocity=into_body(rotation, spin).T.copy(),
         acceleration=np.zeros((n, 3)),
         wheels=np.full((n, 2), np.nan),
         odometry=np.full((n, 5), np.nan),

@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import cosim
+from cosim.record import mcap
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="vcmvsp-exports-")
 ALL = {"record.sensors": ["*"]}
@@ -71,7 +74,9 @@ def run_of(name: str) -> Path:
     """The folder that a run has left; nobody may change anything in it."""
     scenario, settings = RUNS[name]
     folder = Path(_FOLDER.name) / name.replace(" ", "-")
-    cosim.run(scenario, set=settings, agents="inprocess", out=folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mcap, "CHUNK_BYTES", 1 << 18)  # so that such a short one has several
+        cosim.run(scenario, set=settings, agents="inprocess", out=folder)
     return folder
 
 

@@ -1,6 +1,7 @@
 """``vcmvsp bench``: the rows of the programs in ``bench``, where there are any."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from bench import __main__ as bench
 from bench import growth
 from bench.growth import CASES, COUNTS, exponent
-from bench.measure import Row
+from bench.measure import Row, missing
 from cosim import cli_bench
 from tests.cosim.command import vcmvsp
 
@@ -35,6 +36,27 @@ def test_rows_as_json(holds: bool, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert told["schema"] == "vcmvsp.bench/1"
 
 
+def test_what_could_not_be_measured_is_no_number_and_no_failure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "PARTS", {"a": lambda: [missing("it", "<= 1x", "it is not there")]})
+    assert bench.main(["--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["rows"]
+    assert (row["ratio"], row["other"]) == (None, "not measured: it is not there")
+
+
+def test_an_interruption_loses_no_row(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    row = Row("it", "1 us", "2 us", 0.5, "<= 1x", True)
+
+    def part() -> Iterator[Row]:
+        yield row
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bench, "PARTS", {"a": part})
+    assert bench.main(["--json"]) == 1
+    assert [each["name"] for each in json.loads(capsys.readouterr().out)["rows"]] == ["it"]
+
+
 def test_the_exponent_of_a_power_is_that_power() -> None:
     assert exponent([3.0 * count**1.5 for count in COUNTS]) == pytest.approx(1.5)
 
@@ -42,7 +64,7 @@ def test_the_exponent_of_a_power_is_that_power() -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_every_part_of_a_run_is_clocked(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(growth, "DURATION_S", 0.3)
-    found = growth.costs(3, CASES[name])
+    found = growth.case_costs(3, CASES[name])
     parts = sum(found[part] for part in CASES[name].demands)
     assert all(found[part] > 0.0 for part in CASES[name].demands)
     assert parts == pytest.approx(found["whole"])

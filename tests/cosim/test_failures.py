@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
+from tests.cosim.command import vcmvsp
 from tests.cosim.hosting import UNDRAWN
 
 AGENTS = '''
@@ -57,7 +58,7 @@ kind = "kinematic"
 pose = [3.0, 0.0, 0.0]
 agent = {{ kind = "failing.py:Failing", how = "{how}" }}
 """
-COMMAND = [sys.executable, "-m", "cosim.cli", "run"]
+COMMAND = [sys.executable, *UNDRAWN, "run"]
 
 
 def write(folder: Path, how: str, duration: float = 5.0) -> Path:
@@ -100,7 +101,7 @@ def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_p
     scenario, out = write(tmp_path, how), tmp_path / "out"
     shared_before = set(Path("/dev/shm").iterdir())
     begin = time.monotonic()
-    command = [sys.executable, *UNDRAWN, "run", str(scenario), "--agents", where, "--out", str(out)]
+    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out)]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     _, errors_said = run.communicate(timeout=60)
     assert time.monotonic() - begin < 40.0  # start-up, 1 s of deadline, clean-up; the demand of 5 s is for an idle machine
@@ -151,20 +152,11 @@ def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
 
 def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None:
     scenario = write(tmp_path, "fine")
-    command = [
-        *COMMAND,
-        str(scenario),
-        "--agents",
-        "process",
-        "--set",
-        "vehicle.car2.agent.at=soon",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert done.returncode == 2
-    assert "vehicle.car2.agent.at: must be a number, not 'soon'" in done.stderr
-    assert "--set vehicle.car2.agent.at=soon" in done.stderr
+    settings = ("--agents", "process", "--set", "vehicle.car2.agent.at=soon")
+    done = vcmvsp("run", str(scenario), *settings, "--out", str(tmp_path / "out"))
+    assert done.code == 2
+    assert "vehicle.car2.agent.at: must be a number, not 'soon'" in done.err
+    assert "--set vehicle.car2.agent.at=soon" in done.err
     assert not (tmp_path / "out").exists()
 
 

@@ -21,6 +21,7 @@ import cosim
 from cosim.errors import FederateError, UsageError
 from cosim.transport import dialling, wire
 from cosim.transport.zenoh import threads
+from tests.cosim.command import vcmvsp
 from tests.cosim.hosting import Stage, ended, wait_for
 
 SCENARIO = """
@@ -192,11 +193,11 @@ def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        code, said = ended(stage.run(2.0, 30.0, "--listen", f"tcp/127.0.0.1:{taken.getsockname()[1]}"))
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        code, _, said = vcmvsp("run", str(stage.scenario()), "--out", str(stage.out), "--listen", endpoint)
         assert code == 2
         assert "cannot listen on 'tcp/127.0.0.1:" in said
-    stage.endpoint = "nonsense"
-    assert ended(stage.host())[0] == 2
+    assert vcmvsp("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2
 
 
 class Asked:

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 import cosim
-from tests.cosim.hosting import VCMVSP, Stage, Wire, ended, wait_for
+from tests.cosim.command import vcmvsp
+from tests.cosim.hosting import Stage, Wire, ended, wait_for
 
 SCENARIO = """
 name = "far"
@@ -46,16 +47,13 @@ class Place(Stage):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.say("keys", "init", "keys")
-
-    def say(self, *arguments: str) -> str:
-        done = subprocess.run([*VCMVSP, *arguments], check=False, capture_output=True, text=True, cwd=self.folder, timeout=60)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        assert vcmvsp("keys", "init", str(folder / "keys")).code == 0
 
     def keys(self, *vehicles: str, as_: str) -> str:
-        self.say("keys", "vehicle", *vehicles, "--keys", "keys", "--as", as_, "--out", f"{as_}.keys")
-        return f"{as_}.keys"
+        out = self.folder / f"{as_}.keys"
+        given = vcmvsp("keys", "vehicle", *vehicles, "--keys", str(self.folder / "keys"), "--as", as_, "--out", str(out))
+        assert given.code == 0, given.err
+        return out.name
 
     def run(self, duration: float, *more: str) -> subprocess.Popen[str]:
         (self.folder / "far.toml").write_text(SCENARIO.format(duration=duration))
@@ -148,13 +146,15 @@ def test_a_cut_that_heals_within_the_deadline_loses_nothing(
 
 def test_beyond_this_machine_certificates_are_a_must(place: Place) -> None:
     (place.folder / "far.toml").write_text(SCENARIO.format(duration=1.0))
-    code, said = ended(place.start("run", "far.toml", "--listen", f"tcp/0.0.0.0:{place.port}", "--out", "out"))
+    run = ("run", str(place.folder / "far.toml"), "--out", str(place.out))
+    code, _, said = vcmvsp(*run, "--listen", f"tcp/0.0.0.0:{place.port}")
     assert code == 2
     assert re.search(r"use tls/0\.0\.0\.0:\d+ --keys DIR .* or add --insecure", said)
-    code, said = ended(place.start("agent", "--vehicle", "car2", "--connect", "tcp/192.0.2.1:7447"))
+    code, _, said = vcmvsp("agent", "--vehicle", "car2", "--connect", "tcp/192.0.2.1:7447")
     assert code == 2
     assert "--keys FILE" in said
-    assert not (place.out).exists()
-    code, said = ended(place.run(1.0))
+    assert not place.out.exists()
+    keys = place.folder / "keys"
+    code, _, said = vcmvsp(*run, "--listen", f"tls/127.0.0.1:{place.port}", "--keys", str(keys))
     assert code == 2
-    assert "no machine has a certificate for car2, car3: vcmvsp keys vehicle car2 --keys keys" in said
+    assert f"no machine has a certificate for car2, car3: vcmvsp keys vehicle car2 --keys {keys}" in said

@@ -57,7 +57,7 @@ def test_free_air_is_numpys_alone_to_the_last_bit() -> None:
     assert not moved._flyers.near.any()
     assert np.array_equal(moved.read().position, fleet.position)
     assert np.array_equal(moved.read().attitude, fleet.attitude)
-    z = base_motion(moved._client, moved._flyers.bodies, [(0.0, 0.0, 0.0)]).position[0, 2]
+    z = base_motion(moved._client, moved._flyers.bodies).position[0, 2]
     assert z < -1000.0  # its body is parked
     moved.close()
 
@@ -90,7 +90,7 @@ def test_bodies_that_touch_nothing_move_in_bullet_as_in_numpy() -> None:
     worst = 0.0
     for _ in range(2 * HZ):
         steps(moved, 1)
-        bullet, fleet = base_motion(moved._client, moved._flyers.bodies, [(0.0, 0.0, 0.0)]), moved._flyers.fleet
+        bullet, fleet = base_motion(moved._client, moved._flyers.bodies), moved._flyers.fleet
         off = (bullet.position - fleet.position, bullet.velocity - fleet.velocity, bullet.angular_velocity - fleet.rate)
         worst = max(worst, *(float(np.abs(each).max()) for each in off))
     assert moved._flyers.near.all()

@@ -11,7 +11,7 @@ from cosim.types import Vec3, Velocity, Waypoint
 from physics.aerial import AerialEngine
 from physics.bullet.engine import BulletEngine
 from physics.engine import Engine, Motion, Touch, gathered, still
-from physics.federate import KinematicPhysics, Physics
+from physics.federate import Physics
 from physics.motion import MotionEngine
 from physics.quadrotor import Quadrotor
 from physics.vehicles import P2DX, Kinematic, Point, VehicleSpec
@@ -111,17 +111,19 @@ def test_reading_changes_nothing_and_what_was_read_stays(which: int) -> None:
 
 
 def test_wheels_turn_as_far_as_the_way_of_a_vehicle_without_a_body() -> None:
-    physics = KinematicPhysics(
-        world=World(), vehicles=[VehicleSpec(name="car", model=P2DX()), VehicleSpec(name="dot", model=Kinematic())]
+    engine, unsensed = (
+        MotionEngine([P2DX(), Kinematic()], [(0.0, 0.0, 0.0)] * 2, [0.0] * 2, sensed=each) for each in (True, False)
     )
-    ((engine, _),) = physics.engines()
-    engine.command(0, (0.3, 0.0, 0.0), 0.5)
-    engine.advance(4 * SECOND_NS)
+    for each in (engine, unsensed):
+        each.command(0, (0.3, 0.0, 0.0), 0.5)
+        each.advance(4 * SECOND_NS)
     left, right = engine.read().wheels[0].tolist()
     assert 0.5 * (left + right) * 0.0825 == pytest.approx(1.2)
     assert (right - left) * 0.0825 / 0.357 == pytest.approx(2.0)
     assert np.isnan(engine.read().wheels[1]).all()
     assert engine.read().acceleration[0] == pytest.approx((-0.15 * np.sin(2.0), 0.15 * np.cos(2.0), 0.0))  # v w, to the left
+    for name in set(Motion._fields) - {"acceleration", "wheels"}:  # which only sensors look at
+        assert getattr(engine.read(), name).tobytes() == getattr(unsensed.read(), name).tobytes()
 
 
 def test_rows_of_several_engines_make_one_fleet_that_cannot_be_written_to() -> None:

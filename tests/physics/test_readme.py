@@ -9,7 +9,7 @@ import pytest
 
 import cosim
 import physics
-from cosim import api, registry
+from cosim import api, registered
 from cosim.worlds import world_of
 from physics.solids import Cylinder
 
@@ -76,7 +76,7 @@ def test_every_file_and_kind_that_is_named_is_there() -> None:
     for path in re.findall(r"[\w/]+\.py\b|\b\w+/(?=[\s;,:])", block("", "federate.py ")):
         assert (home / path).exists(), path
     for group in ("vehicle", "sensor"):
-        for kind in registry.KINDS[group]:
+        for kind in registered.KINDS[group]:
             assert f"`{kind}`" in README, kind
     for target in re.findall(r"\]\(([^)#h][^)#]*)", README):
         assert (home / target).exists(), target

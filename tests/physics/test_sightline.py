@@ -95,6 +95,26 @@ def test_any_number_of_lines_and_boxes(lines: int, count: int) -> None:
     assert crossed.sum(axis=1).tolist() == [min(k, count) for k in range(lines)]
 
 
+def test_a_crowd_of_lines_in_a_town_meets_what_each_meets_alone() -> None:
+    """Many lines are sorted by bearing and height first; a line alone is tested with all boxes."""
+    rng = np.random.default_rng(7)
+    corner, size = rng.uniform((-60.0, -60.0, 0.0), (60.0, 60.0, 9.0), (90, 3)), rng.uniform(0.2, 12.0, (90, 3))
+    town = [
+        Box(center=(x, y, z), size=(a, b, c), yaw_rad=float(k % 5))
+        for k, ((x, y, z), (a, b, c)) in enumerate(zip(corner.tolist(), size.tolist(), strict=True))
+    ]
+    sight = Sightline(town)
+    for tx in (np.array([3.0, -4.0, 30.0]), corner[0], np.array([-70.0, 0.0, 2.0])):
+        ends = rng.uniform((-70.0, -70.0, 0.0), (70.0, 70.0, 30.0), (40, 3))
+        ends[:3] = tx + np.array([(0.0, 0.0, 0.0), (0.0, 0.0, -9.0), (1e-9, -1e-9, 5.0)])  # nowhere, straight down, nearly up
+        ends[3:40:4, 1] = tx[1]
+        crossed, inside_m = sight.crossings(tx, ends)
+        alone = np.concatenate([sight.crossings(tx, end[None])[1] for end in ends])
+        assert inside_m.tolist() == alone.tolist()
+        assert crossed.any()
+        assert not crossed[0].any()
+
+
 def test_materials_and_thickness() -> None:
     sight = Sightline([WALL, Box(center=(0.0, 0.0, 0.0), size=(3.0, 2.0, 1.5))])
     assert sight.materials == ("brick", "concrete")

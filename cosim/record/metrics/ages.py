@@ -9,7 +9,6 @@ INFOCOM 2012, for the notion).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,8 +22,7 @@ from cosim.record.tables import Placement
 from cosim.types import Array
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """What one vehicle received of another, in order of reception."""
 
     sent_ns: Array  # the newest sending time received so far
@@ -32,16 +30,20 @@ class Link:
 
     def age_ns(self, at_ns: Array) -> Array:
         """Age of the newest message at these instants, of which none lies before the first reception."""
-        newest = np.searchsorted(self.received_ns, at_ns, side="right") - 1
+        newest = self.received_ns.searchsorted(at_ns, side="right") - 1
         return np.asarray(at_ns - self.sent_ns[newest])
 
     def sawtooth(self, begin_ns: int, end_ns: int) -> "Sawtooth":
         """The age from ``begin_ns`` (not before the first reception) to ``end_ns``."""
-        first, stop = np.searchsorted(self.received_ns, [begin_ns, end_ns], side="right")
-        edges = np.concatenate([[begin_ns], self.received_ns[first:stop], [end_ns]])
-        last = np.append(edges[1:-1] > edges[:-2], True)  # of messages that arrive at once; the last tooth may be of no length
-        sent = self.sent_ns[first - 1 : stop][last]
-        low, high = (edges[:-1][last] - sent) / SECOND_NS, (edges[1:][last] - sent) / SECOND_NS
+        first, stop = (int(self.received_ns.searchsorted(at_ns, side="right")) for at_ns in (begin_ns, end_ns))
+        edges = np.empty(stop - first + 2, np.int64)
+        edges[0], edges[1:-1], edges[-1] = begin_ns, self.received_ns[first:stop], end_ns
+        begins, ends, sent = edges[:-1], edges[1:], self.sent_ns[first - 1 : stop]
+        last = ends > begins  # of messages that arrive at once
+        last[-1] = True  # the last tooth may be of no length
+        if not last.all():
+            begins, ends, sent = begins[last], ends[last], sent[last]
+        low, high = (begins - sent) / SECOND_NS, (ends - sent) / SECOND_NS
         area, falls = float((high @ high - low @ low) / 2.0), sent[1:] > sent[:-1]
         return Sawtooth(area, (end_ns - begin_ns) / SECOND_NS, high[:-1][falls])
 
@@ -100,11 +102,8 @@ def age_metrics(
     """Mean, 95th percentile and maximum of `ages_s`; mean over all time in the window; mean of the peaks."""
     counted = list(_stretches(links(got), follows, ticks))
     begin, last = window_ns(window)
-    saws = [
-        each.link.sawtooth(max(each.begin_ns, begin), min(each.end_ns, last, end_ns))
-        for each in counted
-        if max(each.begin_ns, begin) < min(each.end_ns, last, end_ns)
-    ]
+    spans = ((each.link, max(each.begin_ns, begin), min(each.end_ns, last, end_ns)) for each in counted)
+    saws = [link.sawtooth(since, until) for link, since, until in spans if since < until]
     peaks = np.concatenate([np.empty(0), *(saw.peaks for saw in saws)])
     return {
         **quantiles(_at_ticks(counted, ticks, window, end_ns), ("mean", "p95", "max")),
@@ -128,12 +127,12 @@ def _stretches(
 
 def _at_ticks(counted: Sequence[_Stretch], ticks: Mapping[str, Ticks], window: Window, end_ns: int) -> Array:
     begin, last = window_ns(window)
-    train_of = {train: _train(train, begin, min(last + 1, end_ns)) for train in ticks.values()}
+    train_of = {train: _train(train, begin, min(last + 1, end_ns)) for train in dict.fromkeys(ticks.values())}
+    own = {receiver: train_of[train] for receiver, train in ticks.items()}
     parts = [np.empty(0, np.int64)]
     for each in counted:
-        train = train_of[ticks[each.receiver]]
-        first, stop = np.searchsorted(train, [each.begin_ns, each.end_ns])
-        parts.append(each.link.age_ns(train[first:stop]))
+        train = own[each.receiver]
+        parts.append(each.link.age_ns(train[train.searchsorted(each.begin_ns) : train.searchsorted(each.end_ns)]))
     return np.concatenate(parts) / SECOND_NS
 
 

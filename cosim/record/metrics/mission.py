@@ -20,6 +20,7 @@ NEAR_M = 3.0  # nearer to a target than this is at the target, in the plane
 TRACKED_NS = 10 * SECOND_NS  # so long a vehicle stays near a target that it tracks
 KEPT = ("commander", "task", "target")  # of these every change counts
 MARKS = ("commander", "task", "found")  # who notes one of these is on a mission
+COUNTED = frozenset({*KEPT, *MARKS, "map_bytes"})
 
 
 class Target(Protocol):
@@ -65,6 +66,8 @@ class Mission:
 
     def take(self, vehicle: str, time_ns: int, values: Mapping[str, Any]) -> None:
         """What an agent noted at a time."""
+        if COUNTED.isdisjoint(values) and values.get("status") != "failed":
+            return  # most
         self._marked = self._marked or any(mark in values for mark in MARKS)
         for name in KEPT:
             if name in values:
