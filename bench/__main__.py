@@ -22,6 +22,7 @@ from bench import (
     federation,
     growth,
     hosts,
+    limits,
     messages,
     mission,
     radio,
@@ -146,7 +147,7 @@ PARTS: Mapping[str, Callable[[], Iterable[Row]]] = {
         part.__name__.rpartition(".")[2]: part.rows
         for part in (
             *(start, whole, shares, radio, messages, vehicles, sensors, drones, scanner, camera, avoidance, mission, studies),
-            *(view, hosts, federation, bridge, recording, growth),
+            *(view, hosts, federation, bridge, recording, growth, limits),
         )
     },
 }

@@ -4,17 +4,16 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from bench.growth import crowd
+from bench.growth import HANDOVER_S, crowd
 from cosim.agent import Agent, Observation, Radio, VehicleInfo
 from cosim.types import Positive, Velocity
 
 MOST = 1024  # vehicles: more are not tried
+TICK_S = 0.1  # between two instants at which all of them act
 ITERATIONS = 20  # of Bullet's solver
 RADIOS: Mapping[str, Mapping[str, Any]] = {
     "ideal radio": {"preset": "ideal"},
-    "802.11g with contention": {"preset": "wifi-g-6"},
+    "802.11g with contention": {"preset": "wifi-g-6", "handover_s": HANDOVER_S},
 }
 
 
@@ -30,7 +29,7 @@ class Teller(Agent):
 
     def start(self, info: VehicleInfo) -> None:
         """Note when to report first."""
-        self._next_s = info.stream("report").uniform(0.0, self._report_s)
+        self._next_s = info.stream("report").uniform(0.0, self._report_s) - TICK_S
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Go on."""
@@ -50,14 +49,14 @@ def team(kinds: Mapping[str, int], hz: float, radio: Mapping[str, Any], duration
         x, y, _ = vehicle.pop("pose")
         vehicle |= {"kind": kind, "position": (x, y, 10.0 if kind == "quadrotor" else 0.0), "agent": {}}
     physics = {"physics": {"kind": "bullet", "iterations": ITERATIONS}} if bodies else {}
-    agents = {"kind": "bench.crowds:Teller", "period_s": 0.1, "report_s": 1.0 / hz}
+    agents = {"kind": "bench.crowds:Teller", "period_s": TICK_S, "report_s": 1.0 / hz}
     return raw | physics | {"radio": dict(radio), "vehicles": {}, "agents": agents}
 
 
 class Reached(NamedTuple):
     """How many vehicles cost as much time as they live, from what was measured: CPU s per simulated s by their number."""
 
-    count: int
+    number: int
     measured: Mapping[int, float]
 
     @property
@@ -65,12 +64,14 @@ class Reached(NamedTuple):
         """The number, and how it was found."""
         largest = max(self.measured)
         if self.measured[largest] < 1.0:
-            if self.count > 2 * largest:
+            if self.number > 2 * largest:
                 return f"more than {largest}"
-            return f"about {self.count}, reckoned beyond {largest} ({self.measured[largest]:.2f})"
+            return f"about {self.number}, reckoned beyond {largest} ({self.measured[largest]:.2f})"
         below, above = _around(self.measured)
-        told = [f"{n}: {self.measured[n]:.2f}" for n in (below, above) if n]
-        return f"{self.count} ({', '.join(told)})"
+        if not below:
+            return f"fewer than {above} ({self.measured[above]:.2f})"
+        told = [f"{n}: {self.measured[n]:.2f}" for n in (below, above)]
+        return f"{self.number} ({', '.join(told)})"
 
 
 def reach(cost: Callable[[int], float], first: int) -> Reached:
@@ -82,8 +83,8 @@ def reach(cost: Callable[[int], float], first: int) -> Reached:
     """
     measured = {first: cost(first)}
     number = first
-    while measured[number] < 1.0 and 2 * number <= MOST:
-        number *= 2
+    while measured[number] < 1.0 and number < MOST:
+        number = min(2 * number, MOST)
         measured[number] = cost(number)
     while min(measured.values()) >= 1.0 and number > 1:
         number //= 2
@@ -113,4 +114,4 @@ def _where_one(measured: Mapping[int, float], below: int, above: int) -> int:
     slope = math.log(measured[above] / measured[below]) / math.log(above / below)
     if slope <= 0.0:
         return 2 * above + 1
-    return int(below * np.exp(-math.log(measured[below]) / slope))
+    return round(below * min(1e3, math.exp(-math.log(measured[below]) / slope)))

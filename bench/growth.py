@@ -8,7 +8,6 @@ whose CPU time is read off part by part; exponents are slopes of straight lines 
 import io
 import json
 import platform
-import resource
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ from cosim.record.recorder import Recorder
 
 COUNTS = (10, 20, 40, 80)
 DURATION_S = 4.0
+HANDOVER_S = 0.05  # over which the reports of an instant are spread: in the 2 ms of a scenario that says nothing most collide
 PARTS = {"physics": "physics", "netsim": "radio", "agents": "agents"}  # by package of the federate
 
 
@@ -55,7 +55,7 @@ def crowd(count: int, physics: str, preset: str, duration_s: float) -> dict[str,
         "name": "crowd",
         "duration_s": duration_s,
         "physics": {"kind": physics},
-        "radio": {"preset": preset},
+        "radio": {"preset": preset, "handover_s": HANDOVER_S},
         "vehicles": {"kind": "kinematic" if physics == "kinematic" else "p2dx"},
         "agents": {"period_s": 0.1},
         "vehicle": [{"name": f"car{n}", "pose": place, "agent": agent} for n, place in enumerate(places)],
@@ -65,7 +65,8 @@ def crowd(count: int, physics: str, preset: str, duration_s: float) -> dict[str,
 def costs(scenario: dict[str, Any]) -> dict[str, float]:
     """Of one run in this process: CPU s per simulated s by part; of its start, s and MiB; bytes of run.mcap per event.
 
-    The first quarter of the run does not count: it loads what is used for the first time.
+    Beside it, what share of frames arrived, receiver by receiver. The first quarter of the run is not counted: what is used for
+    the first time is loaded then.
     """
     begin = time.process_time()
     parsed, source = scenarios.load(scenario)
@@ -106,7 +107,9 @@ def costs(scenario: dict[str, Any]) -> dict[str, float]:
     span_s = 0.75 * scenario["duration_s"]
     found["kernel"] = (whole - sum(spent.values())) / span_s
     found |= {part: seconds / span_s for part, seconds in spent.items()}
-    return {**found, "whole": whole / span_s, "event_bytes": stream.tell() / events}
+    outcomes = recorder.radio["outcome"].to_pylist()
+    arrived = outcomes.count("received") / max(1, len(outcomes))
+    return {**found, "whole": whole / span_s, "event_bytes": stream.tell() / events, "arrived": arrived}
 
 
 def case_costs(count: int, case: Case) -> dict[str, float]:
@@ -131,19 +134,25 @@ def _timed(federate: Any, spent: dict[str, float]) -> Any:
 
 
 def _peak_mib() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    """Of this process alone: what `resource` tells begins with that of whoever started it."""
+    (line,) = (each for each in Path("/proc/self/status").read_text("ascii").splitlines() if each.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024.0
 
 
 def measured() -> dict[str, dict[str, list[float]]]:
-    """Of every case, each cost by `COUNTS`; told as they begin."""
-    found: dict[str, dict[str, list[float]]] = {}
-    for name in CASES:
-        for count in COUNTS:
-            print(f"measuring: growth, {name}, {count} vehicles ...", file=sys.stderr, flush=True)
-            command = [sys.executable, "-m", "bench.growth", "--one", name, str(count)]
-            answer = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
-            for part, cost in answer.items():
-                found.setdefault(name, {}).setdefault(part, []).append(cost)
+    """Of every case, each cost by `COUNTS`."""
+    return {name: measured_case(name) for name in CASES}
+
+
+def measured_case(name: str) -> dict[str, list[float]]:
+    """Each cost by `COUNTS`; told as they begin."""
+    found: dict[str, list[float]] = {}
+    for count in COUNTS:
+        print(f"measuring: growth, {name}, {count} vehicles ...", file=sys.stderr, flush=True)
+        command = [sys.executable, "-m", "bench.growth", "--one", name, str(count)]
+        answer = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+        for part, cost in answer.items():
+            found.setdefault(part, []).append(cost)
     return found
 
 
@@ -175,6 +184,8 @@ def _row(what: str, cost: Sequence[float], unit: str, ratio: float, demand: str,
 
 def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> list[Path]:
     """The costs over N, on logarithmic axes."""
+    from PIL import Image
+
     from cosim.figures import files
     from cosim.figures.kit import Curve, Figure, Panel
 
@@ -185,9 +196,12 @@ def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> li
             cost = np.array(costs_of[part])
             curves.append(Curve(np.array(COUNTS), cost, f"{part}, N^{exponent(cost.tolist()):.2f}", color, "both"))
         panels.append(Panel(name, "vehicles", "CPU s per simulated s", curves, log_x=True, log_y=True))
-    return files.write(
-        "growth", Figure("Cost by the number of vehicles, each of which broadcasts at 10 Hz", panels, ()), folder
-    )
+    figure = Figure("Cost by the number of vehicles, each of which broadcasts at 10 Hz", panels, ())
+    written = files.write("growth", figure, folder)
+    for path in written:
+        if path.suffix == ".png":  # for a page: no more colours than it needs
+            Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
+    return written
 
 
 def rows() -> list[Row]:

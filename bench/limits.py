@@ -1,0 +1,204 @@
+"""How far one core, one hub and one disk carry, and what the ways past that bring: the tables of ``cosim/SCALING.md``.
+
+``python -m bench.limits`` prints them; with ``--markdown`` they are put into the document, between the comments that bear their
+names, so that nobody types a figure. Vehicles cost CPU time of one process; hosts and studies are timed by the wall clock, and
+need the machine for themselves.
+"""
+
+import argparse
+import math
+import os
+import platform
+import re
+import statistics
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from bench import messages, recording
+from bench.asked import program
+from bench.crowds import RADIOS, Reached, reach, team
+from bench.federation import HERE
+from bench.growth import COUNTS, PARTS, costs, measured_case
+from bench.limits_files import Sizes, sizes
+from bench.limits_ways import ways
+from bench.measure import Row
+from bench.ns3.cases import Case
+from bench.radio import _ours_s
+from bench.workloads import run_cpu_s
+
+DOCUMENT = Path(__file__).resolve().parent.parent / "cosim" / "SCALING.md"
+KINDS = ("kinematic", "p2dx", "quadrotor")
+FIRST = {10.0: 96, 1.0: 160}  # how many vehicles are tried first, by broadcasts a second
+RUN_S = 1.5
+HOSTS = ((1, 1), (2, 2), (4, 4), (8, 8), (16, 16), (32, 32), (8, 1), (32, 1), (128, 1), (512, 1))  # agents, host processes
+STRETCHES = 3
+TALKING = 100  # vehicles, of the table of frames
+TICKS = 10
+
+
+class Section(NamedTuple):
+    """A table of the document."""
+
+    name: str  # of its place there
+    columns: Sequence[str]
+    lines: Sequence[Sequence[str]]
+
+    @property
+    def markdown(self) -> str:
+        """As it stands in the document."""
+        rows = [self.columns, ["---"] * len(self.columns), *self.lines]
+        return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+    @property
+    def rows(self) -> list[Row]:
+        """As lines of the table that all parts of `bench` have in common."""
+        return [self._row(line) for line in self.lines]
+
+    def _row(self, line: Sequence[str]) -> Row:
+        told = "; ".join(f"{column}: {cell}" for column, cell in zip(self.columns[1:], line[1:], strict=True))
+        return Row(f"limits, {self.name}: {line[0]}", told, "", math.nan, "none", True)
+
+
+def vehicles() -> Section:
+    """How many vehicles cost a core as much time as they live."""
+    lines = []
+    for kind in KINDS:
+        for hz, first in FIRST.items():
+            for name in RADIOS:
+                _tell(f"{kind}, {hz:g} Hz, {name}")
+                found = reach(partial(_cost, kind, hz, name), first)
+                lines.append((f"{kind}, {hz:g} Hz, {name}", found.words, *_shares(found, kind, hz, name)))
+    columns = ("vehicle, broadcasts of each, radio", "vehicles at real time (measured: CPU s per simulated s)")
+    return Section("vehicles", (*columns, "most of it goes into", "frames that arrived"), lines)
+
+
+def _cost(kind: str, hz: float, radio: str, count: int) -> float:
+    """CPU s per simulated s of so many."""
+    return run_cpu_s(team({kind: count}, hz, RADIOS[radio], RUN_S)) / RUN_S
+
+
+def _shares(found: Reached, kind: str, hz: float, radio: str) -> tuple[str, str]:
+    """The three parts that cost most at the number nearest to it that was measured; the share of frames that arrived."""
+    count = min(found.measured, key=lambda each: abs(each - found.number))
+    spent = costs(team({kind: count}, hz, RADIOS[radio], RUN_S))
+    parts = sorted((*PARTS.values(), "recording", "kernel"), key=lambda part: -spent[part])[:3]
+    return ", ".join(f"{part} {spent[part] / spent['whole']:.0%}" for part in parts), f"{spent['arrived']:.0%}"
+
+
+def hosts() -> Section:
+    """The wall-clock time of a step whose agents are elsewhere."""
+    lines = []
+    for agents, processes in HOSTS:
+        name = f"{processes} x {agents // processes}"
+        _tell(f"hosts, {name}")
+        with program("ours", HERE, agents=agents, processes=processes) as step:
+            seconds = agents * statistics.median(step() for _ in range(STRETCHES))
+        each = f"{1e6 * seconds / processes:.0f} us", f"{1e6 * seconds / agents:.1f} us"
+        lines.append((name, f"{1e3 * seconds:.2f} ms", *each))
+    return Section("hosts", ("host processes x agents in each", "a step", "of that a host", "an agent"), lines)
+
+
+def frames() -> Section:
+    """Frames and receptions a CPU second: the channel alone, and in a whole run that is recorded."""
+    lines = []
+    for name, radio in (("ideal radio", messages.IDEAL), ("802.11b levels, no contention", messages.LEVELS)):
+        _tell(f"frames, {name}")
+        send = messages.sends(TALKING, radio, TICKS)
+        send()
+        lines.append(_speeds(f"channel alone, {name}", TALKING * TICKS, statistics.median(send() for _ in range(STRETCHES))))
+    _tell("frames, contention")
+    case = Case("g-6", TALKING, 10.0)
+    seconds = statistics.median(_ours_s(case, compiled=True) for _ in range(STRETCHES))
+    lines.append(_speeds("channel alone, 802.11g with contention", int(10.0 * TALKING * 5.0), seconds))
+    for name, preset in RADIOS.items():
+        _tell(f"frames, whole run, {name}")
+        scenario = team({"kinematic": TALKING}, 10.0, preset, RUN_S)
+        seconds = statistics.median(run_cpu_s(scenario) for _ in range(STRETCHES))
+        lines.append(_speeds(f"whole run, kinematic, recorded, {name}", int(10.0 * TALKING * RUN_S), seconds))
+    return Section("frames", (f"{TALKING} vehicles, 10 Hz each", "frames / CPU s", "receptions decided / CPU s"), lines)
+
+
+def _speeds(what: str, count: int, seconds: float) -> tuple[str, str, str]:
+    return what, f"{count / seconds:,.0f}", f"{count * (TALKING - 1) / seconds / 1e6:.2f} million"
+
+
+def files() -> Section:
+    """Bytes that a run leaves, and what it holds in memory until then."""
+    _tell("files")
+    found: Sizes = sizes()
+    _tell("memory")
+    held, peak = recording._bytes_per_row()
+    begun = measured_case("PyBullet, 802.11g")["start_mib"]
+    each_kib = 1024.0 * (begun[-1] - begun[0]) / (COUNTS[-1] - COUNTS[0])
+    lines = [
+        ("`run.mcap`", f"{found.mcap_state:.0f} B", f"{found.mcap_reception:.0f} B"),
+        ("`states.parquet`", f"{found.states_state:.0f} B", ""),
+        ("`radio.parquet`", "", f"{found.radio_reception:.1f} B"),
+        ("memory while it goes on", "", f"{held:.0f} B"),
+        ("memory at most, at its end", "", f"{peak:.0f} B"),
+        (f"memory at its start, p2dx: {begun[0]:.0f} MiB for {COUNTS[0]}", f"{each_kib:.0f} KiB a vehicle", ""),
+    ]
+    return Section("files", ("", "a vehicle and simulated second, states at 10 Hz", "a frame and receiver"), lines)
+
+
+def changes() -> Section:
+    """What the ways past the limits bring."""
+    lines = [(way.what, way.ours, way.other, f"{way.ratio:.2f}") for way in ways(_tell)]
+    return Section("changes", ("", "so", "beside it", "ratio"), lines)
+
+
+SECTIONS: Sequence[Callable[[], Section]] = (vehicles, hosts, frames, files, changes)
+
+
+def rows() -> Iterator[Row]:
+    """All of them; each section is measured when it is asked for."""
+    for section in SECTIONS:
+        yield from section().rows
+
+
+def placed(text: str, sections: Sequence[Section], machine: str) -> str:
+    """The document with these tables, and with the machine, in their places.
+
+    Raises:
+        ValueError: one has no place there.
+    """
+    for name, content in (*((each.name, each.markdown) for each in sections), ("machine", machine)):
+        mark = f"(<!-- measured: {name} -->\n).*?(<!-- end -->)"
+        parts = re.split(mark, text, flags=re.DOTALL)
+        if len(parts) != 4:
+            raise ValueError(f"{len(parts) // 3} places for '{name}'")
+        text = f"{parts[0]}{parts[1]}{content}\n{parts[2]}{parts[3]}"
+    return text
+
+
+def _machine() -> str:
+    when = datetime.now(UTC).date().isoformat()
+    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, {when}."
+
+
+def _tell(what: str) -> None:
+    print(f"measuring: limits, {what} ...", file=sys.stderr, flush=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the tables, and put them into the document if that is wanted."""
+    parser = argparse.ArgumentParser(prog="python -m bench.limits", description="How far one core and one hub carry.")
+    names = {section.__name__: section for section in SECTIONS}
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(names)} [all]")
+    parser.add_argument("--markdown", action="store_true", help=f"put the tables into {DOCUMENT.name}")
+    given = parser.parse_args(arguments)
+    if unknown := [name for name in given.sections if name not in names]:
+        parser.error(f"there is no section {unknown[0]!r}; sections: {', '.join(names)}")
+    found = [names[name]() for name in given.sections or names]
+    for section in found:
+        print(f"{section.markdown}\n")
+    if given.markdown:
+        DOCUMENT.write_text(placed(DOCUMENT.read_text("utf-8"), found, _machine()), "utf-8")
+
+
+if __name__ == "__main__":
+    main()
