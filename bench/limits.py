@@ -12,7 +12,7 @@ import platform
 import re
 import statistics
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -99,7 +99,7 @@ def hosts() -> Section:
             seconds = agents * statistics.median(step() for _ in range(STRETCHES))
         each = f"{1e6 * seconds / processes:.0f} us", f"{1e6 * seconds / agents:.1f} us"
         lines.append((name, f"{1e3 * seconds:.2f} ms", *each))
-    return Section("hosts", ("host processes x agents in each", "a step", "of that a host", "an agent"), lines)
+    return Section("hosts", ("host processes x agents in each", "a step", "per host", "per agent"), lines)
 
 
 def frames() -> Section:
@@ -109,11 +109,15 @@ def frames() -> Section:
         _tell(f"frames, {name}")
         send = messages.sends(TALKING, radio, TICKS)
         send()
-        lines.append(_speeds(f"channel alone, {name}", TALKING * TICKS, statistics.median(send() for _ in range(STRETCHES))))
+        lines.append(
+            _speeds(
+                f"`Channel.send` alone, all move, {name}", TALKING * TICKS, statistics.median(send() for _ in range(STRETCHES))
+            )
+        )
     _tell("frames, contention")
     case = Case("g-6", TALKING, 10.0)
     seconds = statistics.median(_ours_s(case, compiled=True) for _ in range(STRETCHES))
-    lines.append(_speeds("channel alone, 802.11g with contention", int(10.0 * TALKING * 5.0), seconds))
+    lines.append(_speeds("`vcmvsp channel`, all stand, 802.11g with contention", int(10.0 * TALKING * 5.0), seconds))
     for name, preset in RADIOS.items():
         _tell(f"frames, whole run, {name}")
         scenario = team({"kinematic": TALKING}, 10.0, preset, RUN_S)
@@ -160,13 +164,13 @@ def rows() -> Iterator[Row]:
         yield from section().rows
 
 
-def placed(text: str, sections: Sequence[Section], machine: str) -> str:
-    """The document with these tables, and with the machine, in their places.
+def placed(text: str, contents: Mapping[str, str]) -> str:
+    """The document with this in the places of these names.
 
     Raises:
         ValueError: one has no place there.
     """
-    for name, content in (*((each.name, each.markdown) for each in sections), ("machine", machine)):
+    for name, content in contents.items():
         mark = f"(<!-- measured: {name} -->\n).*?(<!-- end -->)"
         parts = re.split(mark, text, flags=re.DOTALL)
         if len(parts) != 4:
@@ -197,7 +201,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for section in found:
         print(f"{section.markdown}\n")
     if given.markdown:
-        DOCUMENT.write_text(placed(DOCUMENT.read_text("utf-8"), found, _machine()), "utf-8")
+        contents = {section.name: section.markdown for section in found}
+        if not given.sections:
+            contents["machine"] = _machine()
+        DOCUMENT.write_text(placed(DOCUMENT.read_text("utf-8"), contents), "utf-8")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def bench_command(
     """Measure what the platform costs, beside what it is built on.
 
     The measuring programs come with the sources, not with an installation: elsewhere than in a checkout there is nothing to do.
-    All of it takes about twenty minutes, and each part tells how long it took. The exit code is 1 if a demand is missed.
+    All of it takes about twenty-five minutes, and each part tells how long it took. The exit code is 1 if a demand is missed.
 
     Example: vcmvsp bench core recording
     """

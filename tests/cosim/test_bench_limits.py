@@ -59,17 +59,20 @@ def test_what_a_run_leaves_grows_with_what_is_said(monkeypatch: pytest.MonkeyPat
 def test_tables_are_put_in_their_places_and_nowhere_else() -> None:
     table = Section("a", ("x", "y"), [("1", "2")])
     page = "before\n<!-- measured: a -->\nold\n<!-- end -->\n<!-- measured: machine -->\n<!-- end -->\nafter\n"
-    once = placed(page, [table], "mine")
+    contents = {"a": table.markdown, "machine": "mine"}
+    once = placed(page, contents)
     assert once == page.replace("old", "| x | y |\n| --- | --- |\n| 1 | 2 |").replace("machine -->\n", "machine -->\nmine\n")
-    assert placed(once, [table], "mine") == once
+    assert placed(once, contents) == once
     with pytest.raises(ValueError, match="0 places for 'b'"):
-        placed(page, [table._replace(name="b")], "mine")
+        placed(page, {"b": table.markdown})
 
 
 def test_the_page_has_a_place_for_each_table() -> None:
     page = DOCUMENT.read_text("utf-8")
-    tables = [Section(section.__name__, ("x",), [("1",)]) for section in SECTIONS]
-    assert placed(page, tables, "mine").count("<!-- measured: ") == len(tables) + 1
+    names = [*(section.__name__ for section in SECTIONS), "machine"]
+    again = placed(page, {name: f"the table {name}" for name in names})
+    assert all(f"<!-- measured: {name} -->\nthe table {name}\n" in again for name in names)
+    assert again.count("<!-- measured: ") == len(names)
 
 
 def test_a_line_of_a_table_is_a_row_of_bench() -> None:
