@@ -2,8 +2,8 @@
 
 Such a message begins with the byte 0xC1, which no MessagePack does, and the sizes of two pieces of MessagePack (bytes,
 unsigned 64-bit, little-endian). The first is the value, with a number in place of each array, from 0 on. The second says what
-follows: dtype, shape, and how many arrays there are of that kind, in the order of their numbers. A message without arrays is
-the first piece alone.
+follows: dtype, shape, and how many arrays there are of that kind, in the order of their numbers. A message of few arrays is
+MessagePack with each in its place (`cosim.codec`).
 """
 
 import math
@@ -57,17 +57,20 @@ def pack(value: Any) -> bytes:
 
 
 class Unpacker(Generic[T]):
-    """Reads what `pack` has written, of one type; anything else raises a `ValueError`."""
+    """Reads what `pack` or `codec.encode` has written, of one type; anything else raises a `ValueError`."""
 
     def __init__(self, kind: Any) -> None:
+        self._plain: codec.Decoder[T] = codec.Decoder(kind)
         self._decoder: codec.Decoder[T] = codec.Decoder(kind, self._next)
         self._arrays: Iterator[Array] = iter(())  # of the message that is being read, as many as are left
         self._lock = threading.Lock()  # there may be runs in other threads
 
     def decode(self, data: bytes | memoryview) -> T:
         """The value; each of its arrays is a read-only view of the bytes of its kind."""
+        if data[:1] != _MARK:
+            return self._plain.decode(data)
         with self._lock:
-            content, self._arrays = _apart(memoryview(data)) if data[:1] == _MARK else (data, iter(()))
+            content, self._arrays = _apart(memoryview(data))
             value = self._decoder.decode(content)
             if next(self._arrays, None) is not None:
                 raise ValueError("an array that belongs nowhere")
