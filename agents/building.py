@@ -24,12 +24,17 @@ class Kinds:
         return self._found[spec.kind, spec.folder]
 
 
+def check_acts(kind: Any, name: str, key: str, source: str = "") -> None:
+    """Refuse a class without an `act` of its own."""
+    if kind.act is Agent.act:
+        raise ScenarioError(f"'{name}' has no act(obs, radio) of its own", key=key, source=source)
+
+
 def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
     """Build the agent of a spec: (agent, all its parameters, the [agents] defaults that it takes)."""
     key, origin = f"vehicle.{spec.vehicle}.agent", table.Named(spec.source)
     kind = kinds.find(spec)
-    if kind.act is Agent.act:
-        raise ScenarioError(f"'{spec.kind}' has no act(obs, radio) of its own", key=f"{key}.kind", source=spec.source)
+    check_acts(kind, spec.kind, f"{key}.kind", spec.source)
     known = table.parameters(kind)
     taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
     params = {**{name: spec.defaults[name] for name in taken}, **spec.params}

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from agents.building import check_acts
 from cosim import registered, registry, table
 from cosim.agent import Agent
 from cosim.errors import ScenarioError
@@ -15,8 +16,7 @@ def built(described: Mapping[str, Any], key: str) -> Agent:
         allowed = ", ".join(registered.KINDS["agent"])
         raise ScenarioError(f"must be a string, one of {allowed}, module:Class or file.py:Class", key=where)
     found = registry.find("agent", kind, key=where)
-    if found.act is Agent.act:
-        raise ScenarioError(f"'{kind}' has no act(obs, radio) of its own", key=where)
+    check_acts(found, kind, where)
     params = {name: value for name, value in described.items() if name != "kind"}
     agent: Agent = table.call(found, params, key=key, also=("kind",))
     return agent

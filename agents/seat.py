@@ -194,12 +194,12 @@ class Seat:
         if not isinstance(command, COMMANDS):
             raise self._error(f"returned {table.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
-            plain, total = _plain(command)
+            said, total = _plain(command)
         except (TypeError, ValueError):
             raise self._error(f"returned {command}; every coordinate must be a number") from None
         if not math.isfinite(total):
-            raise self._error(f"returned a command that is not finite: {plain}")
-        return plain
+            raise self._error(f"returned a command that is not finite: {said}")
+        return said
 
     def _place(self, follows: Any) -> Follows:
         """The place to keep in plain floats, as it would come over a wire."""

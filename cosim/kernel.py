@@ -15,7 +15,6 @@ same bytes in one process and in many.
 import contextlib
 import gc
 import heapq
-import select
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
@@ -24,10 +23,11 @@ from typing import TypeVar
 import simpy
 from threadpoolctl import threadpool_limits
 
-from cosim.clock import SECOND_NS, Clock, SimClock, Sleep, WallClock
+from cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from cosim.errors import FederateError, VcmvspError
 from cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting
 from cosim.keys import matches
+from cosim.waiting import readable
 
 T = TypeVar("T")
 Observer = Callable[[Event], None]
@@ -127,7 +127,7 @@ class Kernel:
         doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]
         open_ = [each for each in doors if each >= 0]
         if open_ and isinstance(self._clock, WallClock):
-            self._clock.sleep = _until_readable(open_)
+            self._clock.sleep = lambda seconds: bool(readable(open_, seconds))
 
     def _wait_until(self, last: int, when: int) -> int:
         """Wait for the next instant; the answer is its time, which is earlier if somebody comes before."""
@@ -329,19 +329,6 @@ class Kernel:
     def _whose(self, expressions: Callable[[Federate], Sequence[str]], key: str) -> tuple[int, ...]:
         """The federates with an expression that matches the key."""
         return tuple(i for i, each in enumerate(self._federates) if any(matches(one, key) for one in expressions(each)))
-
-
-def _until_readable(descriptors: Sequence[int]) -> Sleep:
-    """Waits for so many seconds, or until one of these is readable."""
-    if max(descriptors) < _SELECT_MOST:
-        return lambda seconds: bool(select.select(descriptors, (), (), seconds)[0])
-    poll = select.poll()  # good to a millisecond, while select is to a few microseconds
-    for each in descriptors:
-        poll.register(each, select.POLLIN)
-    return lambda seconds: bool(poll.poll(1e3 * seconds))
-
-
-_SELECT_MOST = 1024  # descriptors from there on select() does not take
 
 
 @contextlib.contextmanager

@@ -19,11 +19,11 @@ from cosim.errors import ScenarioError, UsageError
 from cosim.real import RealVehicle
 from cosim.transport.process import BOOT
 from cosim.types import Value, Vec3
+from cosim.waiting import readable
 from hardware.emulate.options import PtyPort, RobotOptions, Tags, UdpAddress
 from hardware.emulate.positioning import Errors
 from hardware.emulate.robot import KINDS, Rig, device_of
 from hardware.positioning.ubisense import tag_of
-from hardware.waiting import readable
 
 EMULATED = "emulated"
 READY_S = 20.0

@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 import serial  # type: ignore[import-untyped]
 from serial.tools.list_ports import comports  # type: ignore[import-untyped]
 
+from cosim.waiting import readable, writable
 from hardware.driver import LinkLost, PortError
-from hardware.waiting import readable, writable
 
 READ_BYTES = 4096
 WRITE_S = 0.2  # a hundred bytes take 0.1 s at 9600 baud

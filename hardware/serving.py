@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Self
 
 from cosim.clock import SECOND_NS
-from hardware.waiting import readable
+from cosim.waiting import readable
 
 _PAUSE_NS = 100_000_000  # the longest sleep
 _CLOSE_S = 5.0  # the thread ends within one sleep

@@ -12,8 +12,8 @@ from typing import Protocol
 
 from cosim.clock import SECOND_NS, seconds_to_ns
 from cosim.types import Vec3
+from cosim.waiting import readable
 from hardware.driver import ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample, What
-from hardware.waiting import readable
 
 NOTICES = 1000  # kept for somebody who asks
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # before one attempt to connect again and the next: doubled each time

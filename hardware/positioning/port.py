@@ -6,11 +6,11 @@ import threading
 import time
 from collections.abc import Callable
 
+from cosim.waiting import readable
 from hardware.driver import LinkLost, PortError
 from hardware.line import Line
 from hardware.positioning.placing import Placing
 from hardware.positioning.source import Reads, Source, Words, as_failure
-from hardware.waiting import readable
 
 RETRY_S = 0.5
 TICK_S = 0.1  # between looks at what to say

@@ -21,13 +21,13 @@ from cosim.clock import SECOND_NS
 from cosim.codec import encode
 from cosim.errors import ScenarioError, place_of
 from cosim.transport.link import Link
+from cosim.waiting import readable
 from hardware.driver import Driver, DriverError
 from hardware.station import wire
 from hardware.station.control import Answer, Ear
 from hardware.station.guarded import within
 from hardware.station.onboard import Onboard
 from hardware.station.wire import Mission, Order, Part, Report
-from hardware.waiting import readable
 
 if TYPE_CHECKING:
     from hardware.positioning.sources import Localisation

@@ -17,8 +17,8 @@ from typing import Literal, NamedTuple, Self
 
 import msgspec
 
+from cosim.waiting import readable
 from hardware.driver import DriverError
-from hardware.waiting import readable
 
 Verb = Literal["stop", "alive", "who"]
 
