@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 U64 = NDArray[np.uint64]
 
-_M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-_W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-_LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
+_M0, _M1, _W0, _W1 = 0xD2511F53, 0xCD9E8D57, 0x9E3779B9, 0xBB67AE85
+_LOW = 0xFFFFFFFF
 _ROUNDS = 10
 _FEW = 12  # numbers: for up to so many, plain Python is quicker than NumPy
 
@@ -46,12 +45,17 @@ def stream(seed: int, name: str) -> np.random.Generator:
 
 def philox4x32(counter: tuple[Any, Any, Any, Any], key: tuple[Any, Any]) -> tuple[U64, U64, U64, U64]:
     """Philox4x32-10 over arrays: four counter words and two key words of 32 bits each (held in uint64)."""
-    x0, x1, x2, x3 = (np.asarray(word, np.uint64) for word in counter)
-    k0, k1 = (np.asarray(word, np.uint64) for word in key)
+    words = _rounds(*(np.asarray(word, np.uint64) for word in (*counter, *key)))
+    return words[0], words[1], words[2], words[3]
+
+
+def _rounds(x0: Any, x1: Any, x2: Any, x3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
+    """Of arrays in uint64, or of plain integers."""
+    low, m0, m1, w0, w1 = _LOW, _M0, _M1, _W0, _W1
     for _ in range(_ROUNDS):
-        p0, p1 = x0 * _M0, x2 * _M1
-        x0, x1, x2, x3 = (p1 >> _SHIFT) ^ x1 ^ k0, p1 & _LOW, (p0 >> _SHIFT) ^ x3 ^ k1, p0 & _LOW
-        k0, k1 = (k0 + _W0) & _LOW, (k1 + _W1) & _LOW
+        p0, p1 = x0 * m0, x2 * m1
+        x0, x1, x2, x3 = (p1 >> 32) ^ x1 ^ k0, p1 & low, (p0 >> 32) ^ x3 ^ k1, p0 & low
+        k0, k1 = (k0 + w0) & low, (k1 + w1) & low
     return x0, x1, x2, x3
 
 
@@ -71,20 +75,10 @@ def link_uniform(keys: U64, frames: U64, slot: int) -> NDArray[np.float64]:
         every, numbers = np.broadcast_arrays(keys, frames)
         pairs = [_pair(key, frame, slot) for key, frame in zip(every.ravel().tolist(), numbers.ravel().tolist(), strict=True)]
         return np.array(pairs, np.float64).reshape(*every.shape, 2)
-    counter = (frames & _LOW, frames >> _SHIFT, np.uint64(slot), np.uint64(0))
-    a, b, c, d = philox4x32(counter, (keys & _LOW, keys >> _SHIFT))
-    high, scale = np.uint64(21), 2.0**-53
-    first = ((a << high) ^ (b >> np.uint64(11))) * scale
-    second = ((c << high) ^ (d >> np.uint64(11))) * scale
-    return np.stack(np.broadcast_arrays(first, second), axis=-1)
+    return np.stack(np.broadcast_arrays(*_pair(keys, frames, slot)), axis=-1)
 
 
-def _pair(key: int, frame: int, slot: int) -> tuple[float, float]:
-    """The same of one link and frame, in plain numbers."""
-    low, m0, m1, w0, w1 = 0xFFFFFFFF, 0xD2511F53, 0xCD9E8D57, 0x9E3779B9, 0xBB67AE85
-    x0, x1, x2, x3, k0, k1 = frame & low, frame >> 32, slot, 0, key & low, key >> 32
-    for _ in range(_ROUNDS):
-        p0, p1 = x0 * m0, x2 * m1
-        x0, x1, x2, x3 = (p1 >> 32) ^ x1 ^ k0, p1 & low, (p0 >> 32) ^ x3 ^ k1, p0 & low
-        k0, k1 = (k0 + w0) & low, (k1 + w1) & low
-    return ((x0 << 21) ^ (x1 >> 11)) * 2.0**-53, ((x2 << 21) ^ (x3 >> 11)) * 2.0**-53
+def _pair(keys: Any, frames: Any, slot: int) -> tuple[Any, Any]:
+    """The two uniforms: of arrays in uint64, or of plain integers."""
+    a, b, c, d = _rounds(frames & _LOW, frames >> 32, slot, 0, keys & _LOW, keys >> 32)
+    return ((a << 21) ^ (b >> 11)) * 2.0**-53, ((c << 21) ^ (d >> 11)) * 2.0**-53
