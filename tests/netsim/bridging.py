@@ -2,6 +2,7 @@
 
 import asyncio
 import dataclasses
+import os
 import socket
 import threading
 import time
@@ -92,14 +93,31 @@ async def until(holds: Callable[[], bool], seconds: float = 10.0) -> None:
 
 
 def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> int:
-    """The first of so many ports in a row of 127.0.0.1 that nobody holds now."""
-    somewhere = time.monotonic_ns() % 97  # others look for ports, too
-    for first in (20_000 + 100 * ((somewhere + number) % 120) for number in range(120)):
-        try:
-            for port in range(first, first + count):
-                with socket.socket(socket.AF_INET, kind) as tried:
-                    tried.bind(("127.0.0.1", port))
-        except OSError:
-            continue
-        return first
+    """The first of so many ports in a row of 127.0.0.1 that nobody holds, where no other worker of the tests looks.
+
+    Each call looks behind the one before, so ports that are asked for but not yet taken are not given twice.
+    """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    stretch = 12_000 // workers  # below those that the kernel gives to who asks for any
+    begin = 20_000 + stretch * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    assert count <= stretch, f"{workers} workers leave {stretch} ports to each"
+    for _ in range(stretch // count):
+        if _next_port[0] + count > stretch:
+            _next_port[0] = 0
+        first = begin + _next_port[0]
+        _next_port[0] += count
+        if all(_is_free(port, kind) for port in range(first, first + count)):
+            return first
     raise AssertionError("no free ports")
+
+
+_next_port = [0]  # of this process's stretch
+
+
+def _is_free(port: int, kind: int) -> bool:
+    with socket.socket(socket.AF_INET, kind) as tried:
+        try:
+            tried.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
