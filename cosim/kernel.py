@@ -33,7 +33,9 @@ T = TypeVar("T")
 Observer = Callable[[Event], None]
 Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """Of a key: who reads every event, whom it wakes, who keeps only the newest."""
-_time, _key = attrgetter("time_ns"), attrgetter("key")
+Given = dict[str, list[Event]]
+"""Events of a slot by their keys, in the order of giving."""
+_time = attrgetter("time_ns")
 
 
 class Kernel:
@@ -79,8 +81,8 @@ class Kernel:
         self._inbox: list[list[Event]] = [[] for _ in self._federates]
         self._newest: list[dict[str, Event]] = [{} for _ in self._federates]
         self._future: list[tuple[int, Slot]] = []  # heap of the slots to come for which events were given
-        self._given: dict[tuple[int, Slot], list[Event]] = {}  # these events, in the order of giving
-        self._present: list[Event] = []  # those that belong to the slot that is being worked off
+        self._given: dict[tuple[int, Slot], Given] = {}  # these events
+        self._present: Given = {}  # those that belong to the slot that is being worked off
         self._routes: dict[str, Route] = {}
         self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> whose answers are awaited there
 
@@ -251,8 +253,9 @@ class Kernel:
     def _take_inbox(self, index: int) -> Sequence[Event]:
         inbox, self._inbox[index] = self._inbox[index], []
         if newest := self._newest[index]:
-            inbox = sorted([*newest.values(), *inbox], key=_time)
+            kept = sorted(newest.values(), key=_time)
             newest.clear()
+            return kept + inbox if not inbox or _time(kept[-1]) <= _time(inbox[0]) else sorted(kept + inbox, key=_time)
         return inbox
 
     # --- events -------------------------------------------------------------------------------------------------------------
@@ -264,25 +267,23 @@ class Kernel:
         for event in events:
             when, key = event.time_ns, event.key
             route = routes.get(key) or self._route(key)
-            if when == now:
-                self._present.append(event)
-                at = slot
-            elif when > now:
-                at = home
-                if when != last:  # many follow each other that are of one time: receptions of a frame
-                    last, given = when, self._those_of(when, home)
-                given.append(event)
+            if when != last:  # many follow each other that are of one time: receptions of a frame
+                if when < now:
+                    raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
+                last, given = when, self._present if when == now else self._those_of(when, home)
+            if key in given:
+                given[key].append(event)
             else:
-                raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
+                given[key] = [event]
             for woken in route[1]:
-                self._wake(woken, event, at)
+                self._wake(woken, event, slot if when == now else home)
 
-    def _those_of(self, when: int, slot: Slot) -> list[Event]:
+    def _those_of(self, when: int, slot: Slot) -> Given:
         """The events given for a slot to come."""
         place = when, slot
         given = self._given.get(place)
         if given is None:
-            given = self._given[place] = []
+            given = self._given[place] = {}
             heapq.heappush(self._future, place)
         return given
 
@@ -297,24 +298,29 @@ class Kernel:
     def _publish(self, now: int, slot: Slot) -> None:
         """Record and route all events up to this slot of this instant."""
         future, here = self._future, (now, slot)
-        due, self._present = self._present, []
-        before: list[Event] = []
+        due, self._present = self._present, {}
         while future and future[0] < here:
-            before += sorted(self._given.pop(heapq.heappop(future)), key=_key)
+            self._tell(self._given.pop(heapq.heappop(future)))
         if future and future[0] == here:
-            due = self._given.pop(heapq.heappop(future)) + due  # of one key, what was given earlier comes first
-        due.sort(key=_key)
+            present, due = due, self._given.pop(heapq.heappop(future))
+            for key, events in present.items():  # of one key, what was given earlier comes first
+                due[key] = due[key] + events if key in due else events
+        self._tell(due)
+
+    def _tell(self, given: Given) -> None:
+        """Record and route the events of one slot."""
         observe, inboxes, newest, routes = self._observe, self._inbox, self._newest, self._routes
-        for event in before + due if before else due:
-            readers, _, keepers = routes[event.key]
+        for key in sorted(given):
+            events, (readers, _, keepers) = given[key], routes[key]
             try:
-                observe(event)
+                for event in events:
+                    observe(event)
             except (Exception, SystemExit) as error:
                 raise FederateError("recording", f"{type(error).__name__}: {error}") from error
             for index in readers:
-                inboxes[index].append(event)
+                inboxes[index] += events
             for index in keepers:
-                newest[index][event.key] = event
+                newest[index][key] = events[-1]
 
     def _route(self, key: str) -> Route:
         route = self._routes.get(key)
