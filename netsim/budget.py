@@ -6,7 +6,7 @@
     SINR  = level / (noise + interference)
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ class Budgets:
         self._phy, self._radios = phy, radios
         self._blocking = any(radio.body_loss_db for radio in radios.values())
         nothing_else = walls is None and shadowing is None and not self._blocking
-        self._by_distance: bool = nothing_else and getattr(path_loss, "by_distance", False)  # of two antennas
+        self.by_distance: bool = nothing_else and getattr(path_loss, "by_distance", False)  # of two antennas
         self.start()
 
     def start(self) -> None:
@@ -51,10 +51,12 @@ class Budgets:
         self._seed = 0
         self._names: tuple[str, ...] = ()
         self._position: Floats | None = None
+        self._lie_at = b""  # the same, to see whether anybody has moved since
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
         self._fixed: dict[str, tuple[Links, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
         self._means: dict[str, Mean] = {}
+        self._every: Together | None = None  # those worked out together last, here
 
     def mean(self, links: Links, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> Mean:
         """The budget of the links from one sender.
@@ -65,14 +67,10 @@ class Budgets:
             position: where they are, (len(names), 3) m, world; the same array object means the same places.
             bodies: whether vehicles stand in the way of others, as far as their radios say so.
         """
-        if position is not self._position or names is not self._names:
-            before = self._means if names is self._names else {}
-            if names is not self._names:
-                self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
-            self._position, self._names, self._seed, self._means = position, names, links.seed, {}
-            self._antennas = position + self._raised
-            if self._by_distance and links.sender in before and 1 < len(before) <= AT_ONCE / len(names):
-                self._work_out_together(before)  # who sent together will do so again
+        before = self._move(names, position, links.seed)
+        if self.by_distance and links.sender in before and 1 < len(before) <= AT_ONCE / len(names):
+            every = self._work_out_together([self._fixed[sender][0] for sender in before])  # they will do so again
+            self._means = {each.sender: every.mean(k) for k, each in enumerate(every.senders)}
         found = self._means.get(links.sender)
         if found is None:
             row = names.index(links.sender)
@@ -81,36 +79,50 @@ class Budgets:
             found = self._means[links.sender] = self._work_out(links, paths, row, bodies=bodies and self._blocking)
         return found
 
-    def _work_out_together(self, before: Mapping[str, Mean]) -> None:
-        """The budgets of all these senders, where they are now: the same numbers as of each for itself."""
-        every, power_dbm, sensitivity_dbm = zip(*(self._fixed[sender] for sender in before), strict=True)
-        rows = np.array([mean.row for mean in before.values()])
+    def together(self, senders: list[Links], names: tuple[str, ...], position: Floats) -> Together:
+        """The budgets of the links from several radios, the same numbers as of each for itself; for a chain `by_distance`."""
+        self._move(names, position, senders[0].seed)
+        if self._every is None or self._every.senders != senders:
+            self._every = self._work_out_together(senders)
+        return self._every
+
+    def _move(self, names: tuple[str, ...], position: Floats, seed: int) -> dict[str, Mean]:
+        """Have everybody there; what was known of those who sent while they were elsewhere."""
+        if names is self._names and (position is self._position or position.tobytes() == self._lie_at):
+            return {}
+        before = self._means if names is self._names else {}
+        if names is not self._names:
+            self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
+        self._position, self._names, self._seed, self._means, self._every = position, names, seed, {}, None
+        self._lie_at = position.tobytes()
+        self._antennas = position + self._raised
+        return before
+
+    def _work_out_together(self, senders: list[Links]) -> Together:
+        power_dbm, sensitivity_dbm = (np.stack(each) for each in zip(*map(self._fixed_of, senders), strict=True))
+        rows = np.array([self._names.index(links.sender) for links in senders])
         apart = np.arange(len(self._names)) != rows[:, None]
-        shape = len(rows), len(self._names) - 1
         tx = self._antennas[rows]
-        rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[apart].reshape(*shape, 3)
+        rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[apart].reshape(len(rows), -1, 3)
         distance_m = sealed(distances(tx[:, None], rx))
         path_loss: Any = self._path_loss
         path_loss_db = sealed(path_loss.loss_db(distance_m))
-        level_dbm = sealed(np.stack(power_dbm) - path_loss_db)
-        together = Together(apart, np.stack(sensitivity_dbm), level_dbm)
-        for k, links in enumerate(every):
-            self._means[links.sender] = Mean(
-                row=int(rows[k]),
-                antennas=self._antennas,
-                paths=Paths(tx[k], rx[k], distance_m[k], self._seed),
-                power_dbm=power_dbm[k],
-                sensitivity_dbm=sensitivity_dbm[k],
-                path_loss_db=path_loss_db[k],
-                level_dbm=level_dbm[k],
-                together=(together, k),
-            )
+        return Together(
+            senders=senders,
+            rows=rows,
+            apart=apart,
+            antennas=self._antennas,
+            tx=tx,
+            rx=rx,
+            distance_m=distance_m,
+            power_dbm=power_dbm,
+            sensitivity_dbm=sensitivity_dbm,
+            path_loss_db=path_loss_db,
+            level_dbm=sealed(power_dbm - path_loss_db),
+        )
 
     def _work_out(self, links: Links, paths: Paths, row: int, *, bodies: bool) -> Mean:
-        fixed = self._fixed.get(links.sender)
-        if fixed is None or fixed[0] is not links:
-            fixed = self._fixed[links.sender] = (links, self._power_dbm(links), self.sensitivity_dbm(links.receivers))
-        _, power_dbm, sensitivity_dbm = fixed
+        power_dbm, sensitivity_dbm = self._fixed_of(links)
         path_loss_db = self._path_loss.loss_db(paths)
         walls = materials = wall_loss_db = shadowing_db = None
         loss_db = path_loss_db
@@ -143,6 +155,13 @@ class Budgets:
             shadowing_db=None if shadowing_db is None else frozen(shadowing_db),
             level_dbm=sealed(level_dbm),
         )
+
+    def _fixed_of(self, links: Links) -> tuple[Floats, Floats]:
+        """Power and sensitivity of the links of a sender, (n,) dBm each."""
+        fixed = self._fixed.get(links.sender)
+        if fixed is None or fixed[0] is not links:
+            fixed = self._fixed[links.sender] = (links, self._power_dbm(links), self.sensitivity_dbm(links.receivers))
+        return fixed[1:]
 
     def _power_dbm(self, links: Links) -> Floats:
         """Transmitted, with both antennas, (n,)."""
@@ -213,12 +232,25 @@ class Hearing:
         if level_dbm is not mean.level_dbm:
             return self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
         if size_bytes not in mean.heard:
-            every, which = mean.together or (mean, None)
-            if size_bytes not in every.heard:
-                every.heard[size_bytes] = self._hear(every.level_dbm, every.sensitivity_dbm, size_bytes)
-            if which is not None:
-                mean.heard[size_bytes] = every.heard[size_bytes].of(which)
+            if mean.together is None:
+                mean.heard[size_bytes] = self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
+            else:
+                every, which = mean.together
+                mean.heard[size_bytes] = self.hear_together(every, [size_bytes]).of(which)
         return mean.heard[size_bytes]
+
+    def hear_together(self, every: Together, sizes: Sequence[int]) -> Heard:
+        """The same of frames of several radios, (k, n), at their mean levels; of this size all, or of these sizes."""
+        some = sizes[0]
+        if self.errors is not None and any(size != some for size in sizes):
+            here = [self.hear_together(every, [size]).of(k) for k, size in enumerate(sizes)]
+            snr_db, detected, hazard = (
+                np.stack([getattr(each, name) for each in here]) for name in ("snr_db", "detected", "hazard")
+            )
+            return Heard(snr_db, detected, hazard)
+        if some not in every.heard:
+            every.heard[some] = self._hear(every.level_dbm, every.sensitivity_dbm, some)
+        return every.heard[some]
 
     def _hear(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> Heard:
         snr_db = self.over_noise(level_dbm)
@@ -237,14 +269,18 @@ class Hearing:
     def weakness(self, mean: Mean) -> Codes:
         """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
         if mean.weakness is None:
-            mean.weakness = self._weakness(mean) if mean.together is None else self._weakness_of(*mean.together)
+            if mean.together is None:
+                mean.weakness = self._weakness(mean)
+            else:
+                every, which = mean.together
+                mean.weakness = self.weakness_together(every)[which]
         return mean.weakness
 
-    def _weakness_of(self, every: Together, which: int) -> Codes:
+    def weakness_together(self, every: Together) -> Codes:
+        """The same of the signals of several radios, (k, n)."""
         if every.weakness is None:
             every.weakness = _by_distance(every.level_dbm, self._least_dbm(every.sensitivity_dbm))
-        here: Codes = every.weakness[which]
-        return here
+        return every.weakness
 
     def _least_dbm(self, sensitivity_dbm: Floats) -> Floats:
         """The weakest level that is noticed where nobody else sends."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.types import frozen
-from netsim.layers import Bools, Floats, Ints, Paths, sealed
+from netsim.layers import Bools, Floats, Ints, Links, Paths, sealed
 from netsim.medium import Codes, Fate
 
 _RECEIVED, _UNDETECTED = np.uint8(Fate.RECEIVED), np.uint8(Fate.UNDETECTED)
@@ -56,10 +56,18 @@ class Mean(msgspec.Struct, dict=True):
 
 
 class Together(msgspec.Struct, dict=True):
-    """Budgets of the links from each of k radios to all n others, worked out at once."""
+    """Budgets of the links from each of k radios to all n others, by distance alone, worked out at once; see `Mean`."""
 
+    senders: list[Links]
+    rows: NDArray[np.intp]  # (k,) of these radios among all
     apart: Bools  # (k, n + 1): a radio is another one
+    antennas: Floats
+    tx: Floats  # (k, 3) m, world
+    rx: Floats  # (k, n, 3) m, world
+    distance_m: Floats  # (k, n)
+    power_dbm: Floats  # (k, n)
     sensitivity_dbm: Floats  # (k, n)
+    path_loss_db: Floats  # (k, n)
     level_dbm: Floats  # (k, n)
     heard: dict[int, "Heard"] = msgspec.field(default_factory=dict)  # see `Mean`, (k, n)
     weakness: Codes | None = None  # the same
@@ -70,6 +78,19 @@ class Together(msgspec.Struct, dict=True):
         everywhere = np.zeros(self.apart.shape)
         everywhere[self.apart] = (10.0 ** (self.level_dbm / 10.0)).ravel()
         return sealed(everywhere)
+
+    def mean(self, which: int) -> Mean:
+        """The budget of one of them."""
+        return Mean(
+            row=int(self.rows[which]),
+            antennas=self.antennas,
+            paths=Paths(self.tx[which], self.rx[which], self.distance_m[which], self.senders[which].seed),
+            power_dbm=self.power_dbm[which],
+            sensitivity_dbm=self.sensitivity_dbm[which],
+            path_loss_db=self.path_loss_db[which],
+            level_dbm=self.level_dbm[which],
+            together=(self, which),
+        )
 
 
 class Told(msgspec.Struct, frozen=True):
@@ -100,8 +121,12 @@ class Heard(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def doubtful(self) -> NDArray[np.intp]:
         """Who detects it and may yet lose it."""
-        nobody = np.zeros(0, np.intp)
-        return nobody if self.hazard is None else (self.detected & (self.hazard > _SURE)).nonzero()[0]
+        return self.in_doubt.nonzero()[0]
+
+    @property
+    def in_doubt(self) -> Bools:
+        """Where it is detected and may yet be lost."""
+        return np.zeros_like(self.detected) if self.hazard is None else self.detected & (self.hazard > _SURE)
 
     def of(self, which: int) -> "Heard":
         """Of one radio of several, whose arrays are (k, n)."""

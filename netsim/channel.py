@@ -15,8 +15,9 @@ from heapq import heappop, heappush
 import numpy as np
 
 from cosim.errors import ScenarioError
+from cosim.rng import link_uniform
 from cosim.types import FrameReport, Message
-from netsim.budget import Budgets, Hearing
+from netsim.budget import AT_ONCE, Budgets, Hearing
 from netsim.budget_mean import Heard, at_all
 from netsim.bulk import Bulk, BulkMedium
 from netsim.delivery import Delivery
@@ -29,7 +30,7 @@ from netsim.operated import Operated
 from netsim.outcome import OnAir, Outcomes
 from netsim.radios import Radio
 from netsim.script import Script
-from netsim.sending import Sender, Sent
+from netsim.sending import Chorus, Sender, Sent
 from netsim.trace import Trace
 
 
@@ -124,9 +125,7 @@ class Channel:
         """
         self._meet_if_new(names)
         sender = self._sender(message.sender)
-        air_ns = self.phy.air_time_ns(message.size_bytes)
-        if air_ns < 1:
-            raise ValueError(f"{type(self.phy).__name__}.air_time_ns({message.size_bytes}) is {air_ns}: must be at least 1 ns")
+        air_ns = self._air_time_ns(message.size_bytes)
         mean, meant = self.budgets.mean(sender.links, names, position), sender.meant(message.to)
         sent = Sent(self._frames, sender, sender.frames, message, meant, sent_ns, air_ns, mean, mean.level_dbm)
         sender.frames += 1
@@ -139,6 +138,36 @@ class Channel:
         heard = self.hearing.hear(mean, sent.level_dbm, message.size_bytes)
         end_ns = start_ns + air_ns
         return [self._report(sent, OnAir(self._endure(sent, heard), start_ns, end_ns, heard.snr_db, heard.snr_db))]
+
+    def send_all(
+        self, sent_ns: int, messages: Sequence[Message], names: tuple[str, ...], position: Floats
+    ) -> list[FrameReport] | None:
+        """Hand over one message each of several vehicles: what `send` says of one after the other, in much less time.
+
+        Returns:
+            The reports of the frames; None if they have to be sent one by one: where radios share the air, a layer has a say
+            in single frames, or a message is for one vehicle alone.
+        """
+        self._meet_if_new(names)
+        alone = self._medium is None and not self._varies and self._jammer is None
+        if not (alone and self.budgets.by_distance and self._outcomes.by_draws):
+            return None
+        different = len({message.sender for message in messages}) == len(messages) <= AT_ONCE / len(names)
+        if not different or any(message.to is not None for message in messages):
+            return None
+        senders = [self._sender(message.sender) for message in messages]
+        air_ns = [self._air_time_ns(message.size_bytes) for message in messages]
+        every = self.budgets.together([sender.links for sender in senders], names, position)
+        heard = self.hearing.hear_together(every, [message.size_bytes for message in messages])
+        ends = [max(sent_ns, sender.free_ns) + air for sender, air in zip(senders, air_ns, strict=True)]
+        numbers = [sender.frames for sender in senders]
+        chorus = Chorus(self._frames, sent_ns, senders, list(messages), numbers, air_ns, ends, every, heard)
+        reports = self._outcomes.reports(chorus, self._endure_all(chorus))
+        self._frames += len(messages)
+        for sender, end_ns in zip(senders, ends, strict=True):
+            sender.frames += 1
+            sender.free_ns = end_ns
+        return reports
 
     def skip(self, sender: str) -> int:
         """Count a frame of which somebody else says what becomes of it, and give its number; it is never on the air here."""
@@ -245,6 +274,12 @@ class Channel:
             found.meet(Links(self._seed, name, tuple(each for each in self._names if each != name)), self._names)
         return found
 
+    def _air_time_ns(self, size_bytes: int) -> int:
+        air_ns = self.phy.air_time_ns(size_bytes)
+        if air_ns < 1:
+            raise ValueError(f"{type(self.phy).__name__}.air_time_ns({size_bytes}) is {air_ns}: must be at least 1 ns")
+        return air_ns
+
     # --- from a message to its fate -----------------------------------------------------------------------------------------
 
     def _set_level(self, sent: Sent, start_ns: int) -> None:
@@ -271,6 +306,18 @@ class Channel:
             uniform = sent.sender.draws.some(sent.number, ERROR_SLOT, doubtful)[:, 0]
             fate = fate.copy()
             fate[doubtful[-np.log1p(-uniform) <= heard.hazard[doubtful]]] = Fate.ERROR
+        return fate
+
+    def _endure_all(self, chorus: Chorus) -> Codes:
+        """The same of several frames, (k, n)."""
+        fate, hazard = chorus.heard.fate, chorus.heard.hazard
+        if hazard is None or not (where := chorus.heard.in_doubt.nonzero())[0].size:
+            return fate
+        keys = np.stack([sender.links.keys for sender in chorus.senders])[where]
+        uniform = link_uniform(keys, np.array(chorus.numbers, np.uint64)[where[0]], ERROR_SLOT)[:, 0]
+        lost = -np.log1p(-uniform) <= hazard[where]
+        fate = fate.copy()
+        fate[where[0][lost], where[1][lost]] = Fate.ERROR
         return fate
 
     def _offer(self, sent: Sent, arrival_ns: int) -> None:

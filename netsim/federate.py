@@ -17,6 +17,7 @@ from netsim.traffic import Carried, received
 
 MANY = 1_000_000  # frames
 TELLING = 20  # the same: how many are to come goes by how soon the first ones came
+Post = tuple[int, Message, int, int | None]  # see `RadioFederate._sent`
 _ORDERS = (Outage, Changed)  # of an operator
 
 
@@ -92,7 +93,10 @@ class RadioFederate:
                 self._states = event.value
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
-        for sent_ns, message, handover_ns, datagram in self._sent(inbox, now_ns):
+        sent = list(self._sent(inbox, now_ns))
+        together = self._put_all(now_ns, sent) if len(sent) > 1 else None
+        reports += together or ()
+        for sent_ns, message, handover_ns, datagram in sent if together is None else ():
             frame, decided = self._put(sent_ns, message, handover_ns)
             self._open[frame] = message, datagram
             reports += decided
@@ -113,6 +117,17 @@ class RadioFederate:
             network.finish()
         due = [each for each in (self._channel.next_ns(), network.next_ns()) if each is not None]
         return Step(network.events(now_ns), None if not due or now_ns == self._end_ns else min(*due, self._end_ns))
+
+    def _put_all(self, now_ns: int, sent: Sequence[Post]) -> list[FrameReport] | None:
+        """Hand over all messages of this instant, and hear what becomes of them; None: it has to be one by one."""
+        if self._states is None or any(post[0] != now_ns or post[2] for post in sent):
+            return None
+        names, position = self._states.names, self._states.position
+        reports = self._channel.send_all(now_ns, [post[1] for post in sent], names, position)
+        for number, (_, message, _, datagram) in enumerate(sent if reports else (), self._frames):
+            self._open[number] = message, datagram
+        self._frames += len(reports or ())
+        return reports
 
     def _put(self, sent_ns: int, frame: Message, handover_ns: int) -> tuple[int, list[FrameReport]]:
         """Hand a frame to the channel: its number, and what is decided of it."""
@@ -167,7 +182,7 @@ class RadioFederate:
                 self._channel.change(value.key, value.value)
         return reports
 
-    def _sent(self, inbox: Sequence[Event], now_ns: int) -> Iterator[tuple[int, Message, int, int | None]]:
+    def _sent(self, inbox: Sequence[Event], now_ns: int) -> Iterator[Post]:
         """What is sent: time (ns), message, how much later it reaches the queue of its radio (ns); of a datagram its number."""
         alone = len({event.value.sender for event in inbox if isinstance(event.value, Message)}) == 1
         for event in inbox:

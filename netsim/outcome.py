@@ -12,7 +12,7 @@ from netsim.draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRI
 from netsim.layers import Bools, Delay, Floats, Frame, Ints, Loss, sealed
 from netsim.medium import Codes, Fate
 from netsim.script import Script
-from netsim.sending import Sent
+from netsim.sending import Chorus, Sent
 from netsim.trace import Trace
 
 RECEIVED = "received"
@@ -77,6 +77,49 @@ class Outcomes:
     def plain(self) -> bool:
         """Whether everything arrives that a radio receives, when the frame ends."""
         return not self._losses and self._delay is None and self._trace is None and self._delivery is None
+
+    @property
+    def by_draws(self) -> bool:
+        """Whether what becomes of a frame behind the receiver goes by its draws alone."""
+        layers_do = all(lost_by is not None for _, lost_by, _ in self._losses)
+        own = self._delay is not None and self._delay_ns_by is None
+        return layers_do and not own and self._script is None and self._trace is None and self._delivery is None
+
+    def reports(self, chorus: Chorus, code: Codes) -> list[FrameReport]:
+        """What becomes of several broadcasts whose fate on the air is ``code``, (k, n); where it goes on `by_draws`."""
+        senders, every, snr_db = chorus.senders, chorus.every, sealed(chorus.heard.snr_db)
+        if np.count_nonzero(too_weak := code == _UNDETECTED):
+            code = np.where(too_weak, TOO_WEAK + self._hearing.weakness_together(every), code)
+        for index, (_, lost_by, slot) in enumerate(self._losses):
+            assert lost_by is not None  # noqa: S101  see by_draws
+            code = np.where((code == 0) & chorus.made(slot, lost_by), np.uint8(_JAMMED + 1 + index), code)
+        arrival: Any = np.array(chorus.end_ns)[:, None]
+        if self._delay_ns_by is not None:
+            arrival = np.maximum(chorus.sent_ns + chorus.made(DELAY_SLOT, self._delay_ns_by), arrival)
+        arrival = sealed(np.where(code == 0, arrival, -1))
+        words = self._words[code].tolist()
+        reports: list[FrameReport] = []
+        rows = zip(every.distance_m, every.level_dbm, arrival, words, snr_db, every.path_loss_db, strict=True)
+        for k, (distance_m, level_dbm, received_ns, outcome, over_noise_db, path_loss_db) in enumerate(rows):
+            sender, message, air_ns = senders[k], chorus.messages[k], chorus.air_ns[k]
+            report = FrameReport(
+                frame=chorus.first + k,
+                sender=message.sender,
+                sent_ns=chorus.sent_ns,
+                size_bytes=message.size_bytes,
+                receivers=sender.links.receivers,
+                distance_m=distance_m,
+                rssi_dbm=level_dbm,
+                received_ns=received_ns,
+                outcome=tuple(outcome),
+                air_time_ns=air_ns,
+                queue_ns=chorus.end_ns[k] - air_ns - chorus.sent_ns,
+                snr_db=over_noise_db,
+                sinr_db=over_noise_db,
+                path_loss_db=path_loss_db,
+            )
+            reports.append(report)
+        return reports
 
     def report(self, sent: Sent, air: OnAir, interference_mw: Floats | None = None) -> FrameReport:
         """What becomes of a frame at every receiver that it is meant for.

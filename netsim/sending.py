@@ -1,12 +1,14 @@
 """Senders, and messages on their way."""
 
+from typing import Any
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.types import Message
-from netsim.budget_mean import Mean
-from netsim.draws import LinkDraws
+from netsim.budget_mean import Heard, Mean, Together
+from netsim.draws import LinkDraws, Make
 from netsim.layers import Draw, Floats, Frame, Links
 
 
@@ -63,3 +65,22 @@ class Sent(msgspec.Struct):
     def draw(self, slot: int) -> Draw:
         """The draws of one layer."""
         return lambda: self.sender.draws.uniform(self.number, slot)
+
+
+class Chorus(msgspec.Struct):
+    """Broadcasts of k vehicles at one instant, of which none has to do with another."""
+
+    first: int  # the number of the first of them in the channel
+    sent_ns: int
+    senders: list[Sender]
+    messages: list[Message]
+    numbers: list[int]  # of these among those of their senders
+    air_ns: list[int]
+    end_ns: list[int]  # on the air
+    every: Together
+    heard: Heard  # (k, n)
+
+    def made(self, slot: int, make: Make) -> NDArray[Any]:
+        """What ``make`` makes of the draws of one layer, (k, n)."""
+        made = [sender.draws.made(number, slot, make) for sender, number in zip(self.senders, self.numbers, strict=True)]
+        return np.stack(made)

@@ -51,10 +51,9 @@ class Carried:
         self._settled: list[int] = []
 
 
-def received(report: FrameReport) -> list[tuple[str, float, int]]:
+def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:
     """Who received a frame, at which level, and when; who received it twice, twice."""
-    found: list[tuple[str, float, int]] = []
     for arrival_ns in (report.received_ns,) if report.copy_ns is None else (report.received_ns, report.copy_ns):
-        each = zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True)
-        found += [arrived for arrived in each if arrived[2] >= 0]
-    return found
+        for arrived in zip(report.receivers, report.rssi_dbm.tolist(), arrival_ns.tolist(), strict=True):
+            if arrived[2] >= 0:
+                yield arrived
