@@ -255,7 +255,10 @@ class Kernel:
         if newest := self._newest[index]:
             kept = sorted(newest.values(), key=_time)
             newest.clear()
-            return kept + inbox if not inbox or _time(kept[-1]) <= _time(inbox[0]) else sorted(kept + inbox, key=_time)
+            if inbox and inbox[-1].time_ns < kept[0].time_ns:  # as it is with what is known of this instant alone
+                inbox += kept
+            else:
+                inbox = sorted(kept + inbox, key=_time)
         return inbox
 
     # --- events -------------------------------------------------------------------------------------------------------------
