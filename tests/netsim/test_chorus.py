@@ -16,7 +16,7 @@ NAMES = tuple(f"car{number}" for number in range(7))
 TABLES: dict[str, dict[str, Any]] = {
     "ideal": {},
     "lossy": {"loss": {"probability": 0.3}, "delay": {"seconds": 0.01, "jitter_s": 0.004}},
-    "late": {"delay": {"seconds": 1e-4, "jitter_s": 1e-3}, "path_loss": {"exponent": 2.2}},
+    "late": {"delay": {"seconds": 1e-4, "jitter_s": 1e-3}},
 }
 INSTANT = st.tuples(
     st.integers(0, 3_000_000),  # ns since the one before: some frames still wait for their radio, some begin at once
