@@ -100,7 +100,8 @@ class RadioFederate:
             frame, decided = self._put(sent_ns, message, handover_ns)
             self._open[frame] = message, datagram
             reports += decided
-        reports += self._decided(now_ns)
+        if sent or now_ns == self._end_ns:
+            reports += self._decided(now_ns)
         due = self._channel.next_ns()
         return Step(self._events(reports, now_ns), None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
