@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 from bench.measure import Row, table
 from cosim import api
-from cosim.kernel import Kernel, Observer
+from cosim.exchange import Observer
+from cosim.kernel import Kernel
 
 FOLDER = Path("runs") / "shares"
 PARTS = ("Bullet", "physics", "radio", "agents", "kernel", "recording", "start", "end")

@@ -4,16 +4,17 @@ import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
-from cosim import registry, scenario_tables
+from cosim import registry, scenario_tables, table
 from cosim import scenario as scenarios
 from cosim.agent import Agent
 from cosim.assemble import Assembly
 from cosim.clock import Clock, SimClock, WallClock
 from cosim.errors import Interrupted, UsageError
+from cosim.exchange import Observer
 from cosim.files import Folder, writing
-from cosim.kernel import Kernel, Observer
+from cosim.kernel import Kernel
 from cosim.record import inputs
 from cosim.result import Result, figures_again
 from cosim.simulation import Progress, Simulation
@@ -77,8 +78,11 @@ def run(
         ScenarioError: the scenario cannot be run as it is.
         FederateError: a part or an agent failed; ``error.result`` is the `Result` up to then.
         Interrupted: Ctrl-C; ``error.result`` likewise.
+        UsageError: an argument is none of those, or there is a run in ``out`` already.
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
+    if runs is not None and runs not in get_args(Runs):
+        raise UsageError(f"agents: must be {table.describe(Runs)}, not {runs!r}")
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
         raise UsageError("mcap = False: what is written into a folder includes the MCAP file")

@@ -7,17 +7,14 @@ Each instant at which something is due holds up to five slots; a slot is one Sim
 3. all remote federates that are due are asked, the local ones are stepped, the answers awaited,
 4. what they gave is published; of one key what came from elsewhere first.
 
-Events are published in the order of (time, slot, key, order of giving); one of the future belongs to its giver's own slot of
-that instant. Nothing in this order depends on where a federate runs or on how long it takes, which is why a run gives the
-same bytes in one process and in many.
+Events are published in an order of their own (`cosim.exchange`). Nothing in either order depends on where a federate runs or
+on how long it takes, which is why a run gives the same bytes in one process and in many.
 """
 
 import contextlib
 import gc
-import heapq
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from operator import attrgetter
 from typing import TypeVar
 
 import simpy
@@ -25,17 +22,11 @@ from threadpoolctl import threadpool_limits
 
 from cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from cosim.errors import FederateError, VcmvspError
+from cosim.exchange import Exchange, Observer
 from cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting
-from cosim.keys import matches
 from cosim.waiting import readable
 
 T = TypeVar("T")
-Observer = Callable[[Event], None]
-Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
-"""Of a key: who reads every event, whom it wakes, who keeps only the newest."""
-Given = dict[str, list[Event]]
-"""Events of a slot by their keys, in the order of giving."""
-_time = attrgetter("time_ns")
 
 
 class Kernel:
@@ -71,19 +62,13 @@ class Kernel:
             (i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)
         ]
         self._clock, self._tolerance_ns, self._strict = clock or SimClock(), tolerance_ns, strict
-        self._observe: Observer = lambda _: None
+        self._events = Exchange(self._federates, self._wake)
         self._released, self._parted = False, list[VcmvspError]()  # what went wrong when federates were let go of
         self.waiting = False  # for the clock or for an answer: an interruption may strike at once
         self.stop = False  # set it to have the run end, as by Ctrl-C, before the next slot
         self._env = simpy.Environment(initial_time=0)
         self._due: dict[tuple[int, Slot], dict[int, bool]] = {}  # (time, slot) -> {federate: woken by an event?}
         self._next: list[int | None] = [None] * len(self._federates)
-        self._inbox: list[list[Event]] = [[] for _ in self._federates]
-        self._newest: list[dict[str, Event]] = [{} for _ in self._federates]
-        self._future: list[tuple[int, Slot]] = []  # heap of the slots to come for which events were given
-        self._given: dict[tuple[int, Slot], Given] = {}  # these events
-        self._present: Given = {}  # those that belong to the slot that is being worked off
-        self._routes: dict[str, Route] = {}
         self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> whose answers are awaited there
 
     def start(self) -> None:
@@ -99,7 +84,7 @@ class Kernel:
             observe: called with every event, in the order of publication (the recording).
             on_instant: called with the time before each instant (progress).
         """
-        self._observe = observe
+        self._events.observe = observe
         with threadpool_limits(1), _seldom_collected():  # of linear algebra: sums are the same on any number of cores
             self._run(on_instant)
 
@@ -122,7 +107,7 @@ class Kernel:
             if self._env.peek() <= last:  # else it was woken for nothing
                 self._env.step()
         self.now_ns = end_ns
-        self._publish(end_ns, Slot.RADIO)
+        self._events.publish(end_ns, Slot.RADIO)
 
     def _listen(self) -> None:
         """Have the clock woken by those to whom somebody may come."""
@@ -204,27 +189,31 @@ class Kernel:
             self._env.schedule(event, priority=slot, delay=when - self._env.now)  # type: ignore[arg-type]  # any integer sorts
         return entry
 
+    def _wake(self, index: int, when: int) -> None:
+        """Have a federate stepped at the instant of an event."""
+        self._slot(when, self._federates[index].wake_slot)[index] = True
+
     def _run_slot(self, now: int, slot: Slot) -> None:
         entry = self._due.pop((now, slot))
         if now == self.run_info.duration_ns and slot >= Slot.AGENT:
             return  # the end belongs to the world alone
         self._collect(now, slot)
-        self._publish(now, slot)
-        due = sorted(index for index, woken in entry.items() if woken or self._next[index] == now)
-        for index in due:
+        self._events.publish(now, slot)
+        due = sorted([index for index, woken in entry.items() if woken or self._next[index] == now])
+        for index in due if self._remote else ():
             if index in self._remote:
                 self._ask(index, now)
         given = [(index, self._step(index, now)) for index in due if index not in self._remote]
         self._collect(now, slot)  # before what was given here, as who is elsewhere in one run may be here in another
         for index, events in given:
-            self._give(index, events, now, slot)
-        self._publish(now, slot)
+            self._events.give(index, events, now, slot)
+        self._events.publish(now, slot)
 
     # --- stepping -----------------------------------------------------------------------------------------------------------
 
     def _step(self, index: int, now: int) -> Sequence[Event]:
         with self._blames[index]:
-            federate, inbox = self._federates[index], self._take_inbox(index)
+            federate, inbox = self._federates[index], self._events.inbox(index)
             step = self._await(lambda: federate.step(now, inbox)) if index in self._waiting else federate.step(now, inbox)
         self._schedule_next(index, step.next_ns, now)
         return step.events
@@ -232,7 +221,7 @@ class Kernel:
     def _ask(self, index: int, now: int) -> None:
         federate = self._remote[index]
         with self._blames[index]:
-            next_ns = federate.ask(now, self._take_inbox(index))
+            next_ns = federate.ask(now, self._events.inbox(index))
         self._open.setdefault((now + federate.lookahead_ns, federate.slot), []).append(index)
         if federate.lookahead_ns:
             self._slot(now + federate.lookahead_ns, federate.slot)
@@ -245,99 +234,10 @@ class Kernel:
 
     def _collect(self, now: int, slot: Slot) -> None:
         """Await all answers that fall due in this slot."""
-        for index in sorted(self._open.pop((now, slot), ())):
+        for index in sorted(self._open.pop((now, slot), ())) if self._open else ():
             with self._blames[index]:
                 events = self._await(self._remote[index].answer)
-            self._give(index, events, now, slot)
-
-    def _take_inbox(self, index: int) -> Sequence[Event]:
-        inbox, self._inbox[index] = self._inbox[index], []
-        if newest := self._newest[index]:
-            kept = sorted(newest.values(), key=_time)
-            newest.clear()
-            if inbox and inbox[-1].time_ns < kept[0].time_ns:  # as it is with what is known of this instant alone
-                inbox += kept
-            else:
-                inbox = sorted(kept + inbox, key=_time)
-        return inbox
-
-    # --- events -------------------------------------------------------------------------------------------------------------
-
-    def _give(self, index: int, events: Sequence[Event], now: int, slot: Slot) -> None:
-        """Take what a federate gave; an event of the future that wakes someone has its instant scheduled."""
-        home, routes = self._federates[index].slot, self._routes
-        last, given = now, self._present
-        for event in events:
-            when, key = event.time_ns, event.key
-            route = routes.get(key) or self._route(key)
-            if when != last:  # many follow each other that are of one time: receptions of a frame
-                if when < now:
-                    raise FederateError(self._federates[index].name, f"gave {key} of {when} ns at {now} ns")
-                last, given = when, self._present if when == now else self._those_of(when, home)
-            if key in given:
-                given[key].append(event)
-            else:
-                given[key] = [event]
-            for woken in route[1]:
-                self._wake(woken, event, slot if when == now else home)
-
-    def _those_of(self, when: int, slot: Slot) -> Given:
-        """The events given for a slot to come."""
-        place = when, slot
-        given = self._given.get(place)
-        if given is None:
-            given = self._given[place] = {}
-            heapq.heappush(self._future, place)
-        return given
-
-    def _wake(self, index: int, event: Event, at: Slot) -> None:
-        federate = self._federates[index]
-        if federate.wake_slot <= at:
-            raise FederateError(
-                federate.name, f"{event.key}, published in {at.name}, comes too late for {federate.wake_slot.name}"
-            )
-        self._slot(event.time_ns, federate.wake_slot)[index] = True
-
-    def _publish(self, now: int, slot: Slot) -> None:
-        """Record and route all events up to this slot of this instant."""
-        future, here = self._future, (now, slot)
-        due, self._present = self._present, {}
-        while future and future[0] < here:
-            self._tell(self._given.pop(heapq.heappop(future)))
-        if future and future[0] == here:
-            present, due = due, self._given.pop(heapq.heappop(future))
-            for key, events in present.items():  # of one key, what was given earlier comes first
-                due[key] = due[key] + events if key in due else events
-        self._tell(due)
-
-    def _tell(self, given: Given) -> None:
-        """Record and route the events of one slot."""
-        observe, inboxes, newest, routes = self._observe, self._inbox, self._newest, self._routes
-        for key in sorted(given):
-            events, (readers, _, keepers) = given[key], routes[key]
-            try:
-                for event in events:
-                    observe(event)
-            except (Exception, SystemExit) as error:
-                raise FederateError("recording", f"{type(error).__name__}: {error}") from error
-            for index in readers:
-                inboxes[index] += events
-            for index in keepers:
-                newest[index][key] = events[-1]
-
-    def _route(self, key: str) -> Route:
-        route = self._routes.get(key)
-        if route is None:
-            route = self._routes[key] = (
-                self._whose(lambda each: each.reads, key),
-                self._whose(lambda each: each.wakes, key),
-                self._whose(lambda each: each.latest, key),
-            )
-        return route
-
-    def _whose(self, expressions: Callable[[Federate], Sequence[str]], key: str) -> tuple[int, ...]:
-        """The federates with an expression that matches the key."""
-        return tuple(i for i, each in enumerate(self._federates) if any(matches(one, key) for one in expressions(each)))
+            self._events.give(index, events, now, slot)
 
 
 @contextlib.contextmanager

@@ -20,9 +20,10 @@ import tomli_w
 from cosim.assemble import Assembly
 from cosim.clock import SECOND_NS, Clock, seconds_to_ns
 from cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
+from cosim.exchange import Observer
 from cosim.federate import Event
 from cosim.files import Folder, finite
-from cosim.kernel import Kernel, Observer
+from cosim.kernel import Kernel
 from cosim.record.inputs import FILE, InputLog
 from cosim.record.recorder import Recorder
 from cosim.record.tables import write_table
