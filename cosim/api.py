@@ -81,7 +81,7 @@ def run(
         UsageError: an argument is none of those, or there is a run in ``out`` already.
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
-    if runs is not None and runs not in get_args(Runs):
+    if runs is not None and runs not in (*get_args(Runs), "encoded"):  # the last as `Assembly` has it, for who tests the wire
         raise UsageError(f"agents: must be {table.describe(Runs)}, not {runs!r}")
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
