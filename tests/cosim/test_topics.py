@@ -24,8 +24,9 @@ from cosim.certificates import Keys
 from cosim.federate import Event
 from cosim.record import foxglove
 from cosim.transport import key_names, security, wire
+from cosim.transport.hub import QUEUES, Hub
 from cosim.transport.topics import ECHO, Topics, stamp
-from cosim.transport.zenoh import QUEUES, Hub, opened
+from cosim.transport.zenoh import opened
 from cosim.types import (
     Contact,
     Fix,

@@ -1,0 +1,117 @@
+"""The values that travel between federates: frozen, SI units, ENU world, quaternions (w, x, y, z).
+
+Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays.
+"""
+
+from cosim.types.operated import Changed, Halted, Moved, Outage
+from cosim.types.quantities import (
+    Array,
+    Count,
+    Decibels,
+    Name,
+    NonNegative,
+    OnLost,
+    Period,
+    Positive,
+    Probability,
+    Rate,
+    Seconds,
+    Seed,
+    Spread,
+    Value,
+    Vec3,
+    frozen,
+)
+from cosim.types.radio import Datagrams, FrameReport, Message, Reception, Routed, Traffic
+from cosim.types.readings import Fix, Image, Imu, Later, Looks, Measured, Odometry, Reading, Readings, Scan
+from cosim.types.shown import Follows, Mosaic, Note, ProbabilityMap, Sighting, Sightings
+from cosim.types.vehicles import Contact, Incident, Presence, Pushed, RealStatus, States, VehicleState, Velocity, Waypoint
+
+__all__ = [
+    "AnyValue",
+    "Array",
+    "Changed",
+    "Contact",
+    "Count",
+    "Datagrams",
+    "Decibels",
+    "Fix",
+    "Follows",
+    "FrameReport",
+    "Halted",
+    "Image",
+    "Imu",
+    "Incident",
+    "Later",
+    "Looks",
+    "Measured",
+    "Message",
+    "Mosaic",
+    "Moved",
+    "Name",
+    "NonNegative",
+    "Note",
+    "Odometry",
+    "OnLost",
+    "Outage",
+    "Period",
+    "Positive",
+    "Presence",
+    "Probability",
+    "ProbabilityMap",
+    "Pushed",
+    "Rate",
+    "Reading",
+    "Readings",
+    "RealStatus",
+    "Reception",
+    "Routed",
+    "Scan",
+    "Seconds",
+    "Seed",
+    "Sighting",
+    "Sightings",
+    "Spread",
+    "States",
+    "Traffic",
+    "Value",
+    "Vec3",
+    "VehicleState",
+    "Velocity",
+    "Waypoint",
+    "frozen",
+]
+
+AnyValue = (
+    VehicleState
+    | States
+    | Velocity
+    | Waypoint
+    | Odometry
+    | Fix
+    | Imu
+    | Scan
+    | Image
+    | Measured
+    | Looks
+    | Message
+    | Reception
+    | Note
+    | ProbabilityMap
+    | Sightings
+    | Mosaic
+    | Follows
+    | Presence
+    | RealStatus
+    | Incident
+    | FrameReport
+    | Datagrams
+    | Traffic
+    | Routed
+    | Contact
+    | Pushed
+    | Outage
+    | Changed
+    | Moved
+    | Halted
+)
