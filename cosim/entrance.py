@@ -16,7 +16,8 @@ from cosim.text import Tell
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
-    from cosim.transport.zenoh import Hub, Knock, ZenohLink
+    from cosim.transport.asking import ZenohLink
+    from cosim.transport.hub import Hub, Knock
 
 POLL_S = 0.05
 MOST_TOLD = 100  # different reasons for which hosts were refused
@@ -51,8 +52,8 @@ class Entrance:
         insecure: bool,
         about: Mapping[str, Any],
     ) -> None:
+        from cosim.transport.hub import Hub
         from cosim.transport.topics import Topics
-        from cosim.transport.zenoh import Hub
 
         self._tell, self._keys, self._insecure = tell, keys, insecure
         self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # of Zenoh's threads, for the user

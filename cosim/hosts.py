@@ -21,7 +21,7 @@ from cosim.transport.remote import RemoteHost
 from cosim.transport.wire import Built, Machine
 
 if TYPE_CHECKING:
-    from cosim.transport.zenoh import ZenohLink
+    from cosim.transport.asking import ZenohLink
 
 HOST_PROCESS = "agents.serve"
 GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
@@ -95,8 +95,9 @@ class Hosts:
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
+        from cosim.transport.hub import Hub
         from cosim.transport.process import HostProcess
-        from cosim.transport.zenoh import UNIX, Hub
+        from cosim.transport.zenoh import UNIX
 
         # A socket in a folder that is this user's alone: whoever else is on this machine cannot ask the children anything.
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))

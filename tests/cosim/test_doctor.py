@@ -16,8 +16,8 @@ from zenoh.handlers import Callback
 from cosim import authority, certificates, signing
 from cosim.certificates import Keys
 from cosim.transport import key_names, security, wire
+from cosim.transport.hub import Hub
 from cosim.transport.topics import Topics
-from cosim.transport.zenoh import Hub
 from tests.cosim.command import vcmvsp
 
 ABOUT = {"scenario": "here", "duration_s": 60.0, "vehicles": ("car1", "car2"), "missing": lambda: ("car2",)}

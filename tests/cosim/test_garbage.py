@@ -13,7 +13,8 @@ import pytest
 import cosim
 from cosim import authority
 from cosim.transport import key_names, wire
-from cosim.transport.zenoh import Hub, opened
+from cosim.transport.hub import Hub
+from cosim.transport.zenoh import opened
 from tests.cosim.hosting import Stage, ended, wait_for
 
 SCENARIO = """
