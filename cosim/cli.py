@@ -21,7 +21,7 @@ from cosim.cli_kinds import list_command, show_command, world_command
 from cosim.cli_launch import launch_command
 from cosim.cli_net import net_app
 from cosim.cli_new import new_command
-from cosim.cli_options import AsJson
+from cosim.cli_options import AsJson, DialInsecurely, KeysOfVehicle
 from cosim.cli_radio import register
 from cosim.cli_reference import reference_command
 from cosim.cli_replay import replay_command
@@ -60,10 +60,8 @@ def agent_command(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the agent, instead of the scenario's."),
     ] = None,
-    keys: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="This machine's certificate ('vcmvsp keys vehicle NAME').")
-    ] = None,
-    insecure: Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")] = False,
+    keys: KeysOfVehicle = None,
+    insecure: DialInsecurely = False,
 ) -> None:
     """Host agents for a run that is started with --agents zenoh.
 
@@ -121,7 +119,7 @@ def doctor_command(
         str | None, typer.Option(metavar="ENDPOINT", help="Check the way to a run that listens there, instead.")
     ] = None,
     keys: Annotated[Path | None, typer.Option(metavar="FILE", help="This machine's certificate, for --connect.")] = None,
-    insecure: Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")] = False,
+    insecure: DialInsecurely = False,
     json: AsJson = False,
 ) -> None:
     """Check this installation and make two short runs, or check the way to a run on another machine.

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim import registry
-from cosim.cli_options import AsJson
+from cosim.cli_options import AsJson, pose_of
 from cosim.errors import UsageError
 from cosim.streams import stdout_to_stderr
 
@@ -109,7 +109,7 @@ def robot_command(
         duration_s=duration,
         tags=tags,
     )
-    start = None if pose is None else read.pose_of(pose)
+    start = pose_of(pose)
     name = str(context.info_name)
     if scenario is None:
         _show(lambda ready: registry.piece("emulated robot")(name, chosen, ready, start), as_json=json)
@@ -188,7 +188,7 @@ def mavlink_command(
     Example: vcmvsp emulate mavlink --port tcp://:5760 --autopilot ardupilot --kind rover
     """
     emulate = registry.piece("emulated autopilot")
-    start = None if pose is None else registry.piece("emulate options").pose_of(pose)
+    start = pose_of(pose)
     about = {
         "autopilot": autopilot,
         "kind": kind,
@@ -215,13 +215,13 @@ def ros2_command(
     Example: vcmvsp emulate ros2 --pose 1,2,0
     """
     emulate = registry.piece("emulated ros2 robot")
-    start = None if pose is None else registry.piece("emulate options").pose_of(pose)
+    start = pose_of(pose)
     _show(lambda ready: emulate(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
 
 
 def _show_tag(tags: Any, pose: str | None, circle: str | None, duration_s: float | None, *, as_json: bool) -> None:
     read = registry.piece("emulate options")
-    start = (0.0, 0.0, 0.0) if pose is None else read.pose_of(pose)
+    start = pose_of(pose) or (0.0, 0.0, 0.0)
     way = None if circle is None else read.circle_of(circle)
     emulate = registry.piece("emulated tag")
     _show(lambda ready: emulate(tags, ready, pose=start, circle=way, duration_s=read.duration_of(duration_s)), as_json=as_json)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.cli_options import AsJson
-from cosim.cli_run import Force, Insecure, KeysOfRun, Listen, Quiet, Seed, Sets, conduct
-from cosim.errors import UsageError
+from cosim.cli_run import Force, Insecure, KeysOfRun, Listen, Quiet, Seed, Sets, WhereAgents, conduct
 
 if TYPE_CHECKING:
     from cosim.api import Result
@@ -17,10 +16,7 @@ def replay_command(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")],
     seed: Seed = None,
     set_: Sets = None,
-    agents: Annotated[
-        str | None,
-        typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand)."),
-    ] = None,
+    agents: WhereAgents = None,
     twin: Annotated[bool, typer.Option("--twin", help="Simulate the vehicles that were real.")] = False,
     radio: Annotated[
         str, typer.Option(metavar="HOW", help="What becomes of frames: drawn anew, or recorded: as it was then.")
@@ -40,9 +36,6 @@ def replay_command(
     Example: vcmvsp replay runs/formation-circle-1 --set agents.estimator=hold
     """
     from cosim.replay import beside, replay
-
-    if agents not in (None, "inprocess", "process", "zenoh"):
-        raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
 
     def again(_: str, **options: Any) -> "Result":
         return replay(run_dir, **{**options, "numbered": out is None}, twin=twin, radio=radio)

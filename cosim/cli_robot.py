@@ -2,10 +2,11 @@
 
 import importlib
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from cosim.cli_options import DialInsecurely, KeysOfVehicle, pose_of
 
 SERVE = "hardware.onboard.serve"
 
@@ -30,10 +31,8 @@ def robot_command(
     pose: Annotated[
         str | None, typer.Option(metavar="X,Y,YAW", help="Where it stands, m, m, rad [as the run supposes].")
     ] = None,
-    keys: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="This machine's certificate ('vcmvsp keys vehicle NAME').")
-    ] = None,
-    insecure: Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")] = False,
+    keys: KeysOfVehicle = None,
+    insecure: DialInsecurely = False,
 ) -> None:
     """Drive a robot from its own computer for runs elsewhere, whose driver of it is of the kind zenoh.
 
@@ -53,7 +52,7 @@ def robot_command(
         params=scenarios.settings_of(set_ or []),
         keys=keys,
         insecure=insecure,
-        pose=pose,
+        pose=pose_of(pose),
         tell=lambda text: _say(f"{vehicle}: {text}"),
     )
 

@@ -23,6 +23,9 @@ Sets = Annotated[
 ]
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
 Seed = Annotated[int | None, typer.Option(help="Instead of the scenario's.")]
+WhereAgents = Annotated[
+    str | None, typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand).")
+]
 Listen = Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Where hosts of agents dial in, e.g. tls/0.0.0.0:7447.")]
 KeysOfRun = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Certificates for hosts on other machines ('vcmvsp keys init').")
@@ -44,10 +47,7 @@ def run_command(
     scenario: ScenarioName,
     seed: Seed = None,
     set_: Sets = None,
-    agents: Annotated[
-        str | None,
-        typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand)."),
-    ] = None,
+    agents: WhereAgents = None,
     listen: Listen = None,
     keys: KeysOfRun = None,
     insecure: Insecure = False,
@@ -67,8 +67,6 @@ def run_command(
     """
     from cosim import api
 
-    if agents not in (None, "inprocess", "process", "zenoh"):
-        raise UsageError(f"--agents {agents}: must be inprocess, process or zenoh")
     where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
     sets = simulated(scenario, set_ or []) if twin else set_ or []
     page = (view_host, view_port) if view else None

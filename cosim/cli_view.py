@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.cli_options import AsJson
+from cosim.errors import Interrupted
 from cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
@@ -34,14 +35,17 @@ def view_command(
     from cosim.view.player import Player
     from cosim.view.player_recording import Recording
 
-    with contextlib.suppress(KeyboardInterrupt), contextlib.closing(Recording(run_dir)) as recording:
-        for trouble in recording.troubles:
-            _say(f"{run_dir}: {trouble}")
-        _serve(Player(recording), recording, host, port, as_json=json)
+    try:
+        with contextlib.closing(Recording(run_dir)) as recording:
+            for trouble in recording.troubles:
+                _say(f"{run_dir}: {trouble}")
+            _serve(Player(recording), recording, host, port, as_json=json)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted") from None
 
 
 def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as_json: bool) -> None:
-    """Show it until Ctrl-C; it goes on as soon as somebody looks."""
+    """Show it until Ctrl-C, which is a good end only once the page is there; it goes on as soon as somebody looks."""
     from cosim.view.gate import close_server, open_server
     from cosim.view.gate_rules import caution, new_token, url_of
     from cosim.view.shown import Go
@@ -52,16 +56,17 @@ def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as
     try:
         station = Station(server, recording.scenery, player.order)
         url = url_of(host, server.get_port(), token)
-        sys.stdout.write(jsons.dumps({"url": url}) + "\n" if as_json else f"{url}\n")
-        sys.stdout.flush()
-        sys.stderr.write(caution(host))
-        station.show(player.show())
-        while not server.get_clients():
-            time.sleep(PERIOD_S)
-        player.order(Go(speed=1.0))
-        while True:
+        with contextlib.suppress(KeyboardInterrupt):
+            sys.stdout.write(jsons.dumps({"url": url}) + "\n" if as_json else f"{url}\n")
+            sys.stdout.flush()
+            sys.stderr.write(caution(host))
             station.show(player.show())
-            time.sleep(PERIOD_S)
+            while not server.get_clients():
+                time.sleep(PERIOD_S)
+            player.order(Go(speed=1.0))
+            while True:
+                station.show(player.show())
+                time.sleep(PERIOD_S)
     finally:
         close_server(server)
 

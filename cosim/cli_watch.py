@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from cosim.cli_options import AsJson
+from cosim.cli_options import AsJson, DialInsecurely
 from cosim.frames import yaw_of
 from cosim.text import plain
 
@@ -27,7 +27,7 @@ def watch_command(
     keys: Annotated[
         Path | None, typer.Option(metavar="FILE", help="This observer's certificate ('vcmvsp keys observer NAME').")
     ] = None,
-    insecure: Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")] = False,
+    insecure: DialInsecurely = False,
     topic: Annotated[
         list[str] | None, typer.Option(metavar="KEYEXPR", help="What to hear, e.g. 'car2/*'; repeat for several [**].")
     ] = None,

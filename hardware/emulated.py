@@ -24,11 +24,11 @@ from hardware.emulate.options import PtyPort, RobotOptions, Tags, UdpAddress
 from hardware.emulate.positioning import Errors
 from hardware.emulate.robot import KINDS, Rig, device_of
 from hardware.positioning.ubisense import tag_of
+from hardware.serving import LOOPBACK
 
 EMULATED = "emulated"
 READY_S = 20.0
 SURVIVES_S = 5.0  # a robot outlives the run by so much, in which its driver, or its watchdog, stops it
-LOOPBACK = "127.0.0.1"
 
 
 class Wanted(Value, frozen=True, kw_only=True):

@@ -12,6 +12,9 @@ from typing import Self
 from cosim.clock import SECOND_NS
 from cosim.waiting import readable
 
+LOOPBACK = "127.0.0.1"
+"""What is served there reaches nobody but this machine."""
+
 _PAUSE_NS = 100_000_000  # the longest sleep
 _CLOSE_S = 5.0  # the thread ends within one sleep
 _READ = 65_535  # bytes

@@ -5,10 +5,11 @@ from typing import Any, Literal
 
 from cosim.errors import UsageError
 from cosim.types import Vec3
-from hardware.emulate.options import LOOPBACK, address_of, duration_of
+from hardware.emulate.options import address_of, duration_of
 from hardware.emulate.robot import ORIGIN, Ready, alive, until_interrupted, wait
 from hardware.mavlink.serve import Served, serve_tcp, serve_udp
 from hardware.mavlink.vehicle import Vehicle
+from hardware.serving import LOOPBACK
 
 TCP_PORT = 5760  # of ArduPilot's simulator
 

@@ -8,13 +8,12 @@ from urllib.parse import urlsplit
 import msgspec
 
 from cosim.errors import UsageError
-from cosim.types import Positive, Vec3
+from cosim.types import Positive
 from hardware.arcos.serve import TCP_PORT
 from hardware.arcos.wire import Faults
 from hardware.emulate.positioning import Errors
 from hardware.positioning import ubisense
-
-LOOPBACK = "127.0.0.1"
+from hardware.serving import LOOPBACK
 
 
 class PtyPort(NamedTuple):
@@ -114,17 +113,6 @@ def duration_of(seconds: float | None) -> float | None:
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise UsageError(f"--duration {seconds}: must be a positive number of seconds")
     return seconds
-
-
-def pose_of(text: str) -> Vec3:
-    """``X,Y,YAW``: m, m, rad."""
-    try:
-        x, y, yaw = map(float, text.split(","))
-    except ValueError:
-        x = y = yaw = math.nan
-    if not all(map(math.isfinite, (x, y, yaw))):
-        raise UsageError(f"--pose {text}: write X,Y,YAW (m, m, rad), e.g. 1.5,0,1.57")
-    return x, y, yaw
 
 
 def circle_of(text: str) -> tuple[float, float]:

@@ -13,9 +13,8 @@ import time
 from typing import Any
 
 from hardware.mavlink.vehicle import Vehicle
-from hardware.serving import Serving, Tcp
+from hardware.serving import LOOPBACK, Serving, Tcp
 
-LOOPBACK = "127.0.0.1"
 _READ = 65_535  # bytes
 
 

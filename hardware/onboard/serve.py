@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from cosim import registry, table
 from cosim.errors import ScenarioError, UsageError
 from cosim.transport import endpoints, key_names
+from cosim.types import Vec3
 from hardware.driver import Driver
-from hardware.emulate.options import pose_of
 from hardware.onboard.program import Program
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def robot(
     params: dict[str, Any] | None = None,
     keys: Path | None = None,
     insecure: bool = False,
-    pose: str | None = None,
+    pose: Vec3 | None = None,
     tell: Callable[[str], None],
 ) -> None:
     """Serve runs until somebody ends it by Ctrl-C or SIGTERM.
@@ -39,7 +39,7 @@ def robot(
         params: parameters of the driver.
         keys: file with the certificate of this machine.
         insecure: do without one, although the run is on another machine.
-        pose: ``X,Y,YAW``, where the robot stands, if it is not where the run supposes it.
+        pose: where the robot stands (x m, y m, yaw rad), if it is not where the run supposes it.
         tell: takes lines for the user.
 
     Raises:
@@ -52,8 +52,7 @@ def robot(
         raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -") from None
     bundle, foreign = _bundle(keys, vehicle, tell)
     endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
-    start = None if pose is None else pose_of(pose)
-    program = Program(vehicle, built(driver, params or {}), connect, bundle, pose=start, foreign=foreign, tell=tell)
+    program = Program(vehicle, built(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
     before = {each: signal.signal(each, program.told_to_end) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         program.serve()

@@ -113,7 +113,7 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
         (["--realtime=-1"], "must be a positive number"),
         (["--realtime", "nan"], "--realtime nan: must be a positive number"),
         (["--realtime", "inf"], "--realtime inf: must be a positive number"),
-        (["--agents", "nonsense"], "--agents nonsense: must be inprocess, process or zenoh"),
+        (["--agents", "nonsense"], "agents: must be one of 'inprocess', 'process', 'zenoh', not 'nonsense'"),
         (["--seed", "-1"], "--seed -1: seed: must be a whole number >= 0 and"),
         (["--seed", "1.5"], "--seed"),
         (["--seed", "x"], "--seed"),

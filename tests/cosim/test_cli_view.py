@@ -8,6 +8,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -59,6 +60,18 @@ def test_a_port_that_is_taken_is_said_in_one_line(run_dir: Path) -> None:
         code, out, err = vcmvsp("view", str(run_dir), "--port", port)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert port in err
+
+
+@pytest.mark.parametrize("place", ["cosim.view.player_recording.Recording", "cosim.view.gate.open_server"])
+def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that whoever waits for the page learns that there is none."""
+
+    def interrupted(*_: object) -> NoReturn:
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("the signal was not heard")
+
+    monkeypatch.setattr(place, interrupted)
+    assert vcmvsp("view", str(run_dir), "--port", "0") == (130, "", "vcmvsp: interrupted\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -57,17 +57,9 @@ def test_faults() -> None:
             options.faults_of(text, 0)
 
 
-@given(NUMBERS, NUMBERS, NUMBERS)
-def test_poses_and_circles(x: float, y: float, yaw: float) -> None:
-    assert options.pose_of(f"{x},{y},{yaw}") == (x, y, yaw)
-    if x:
-        assert options.circle_of(f"{x},{y}") == (x, y)
-
-
-@pytest.mark.parametrize("text", ["1,2", "1,2,3,4", "a,b,c", "1,2,nan", "1,2,inf", ""])
-def test_what_is_no_pose(text: str) -> None:
-    with pytest.raises(UsageError, match="--pose"):
-        options.pose_of(text)
+@given(NUMBERS.filter(bool), NUMBERS)
+def test_circles(radius_m: float, speed: float) -> None:
+    assert options.circle_of(f"{radius_m},{speed}") == (radius_m, speed)
 
 
 @pytest.mark.parametrize("text", ["0,1", "1", "1,2,3", "x,1"])
