@@ -43,8 +43,8 @@ from cosim.assemble import Assembly
 from cosim.federate import Event
 from cosim.files import finite
 from cosim.kernel import Kernel
+from cosim.transport.hub import Hub
 from cosim.transport.remote import RemoteHost
-from cosim.transport.zenoh import Hub
 
 ROUNDS = 5
 Question = tuple[int, Sequence[Event]]

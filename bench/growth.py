@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.measure import Row, table
+from bench.measure import Row, peak_mib, table
+from bench.workloads import recorder_of
 from cosim import scenario as scenarios
 from cosim.assemble import Assembly
 from cosim.federate import Event
 from cosim.kernel import Kernel
-from cosim.record.recorder import Recorder
 
 COUNTS = (10, 20, 40, 80)
 DURATION_S = 4.0
@@ -75,14 +75,8 @@ def costs(scenario: dict[str, Any]) -> dict[str, float]:
         kernel = Kernel(assembly.run_info, [_timed(each, spent) for each in assembly.federates])
         kernel.start()
         stream, events = io.BytesIO(), 0
-        recorder = Recorder(
-            assembly.run_info,
-            record_ticks=assembly.record_ticks,
-            mcap=stream,
-            agents=assembly.infos,
-            radius_m=assembly.radius_m,
-        )
-        found = {"start": time.process_time() - begin, "start_mib": _peak_mib()}
+        recorder = recorder_of(assembly, stream)
+        found = {"start": time.process_time() - begin, "start_mib": peak_mib()}
         counted_from = assembly.run_info.duration_ns // 4
         counts = False
 
@@ -131,12 +125,6 @@ def _timed(federate: Any, spent: dict[str, float]) -> Any:
 
     federate.step = clocked
     return federate
-
-
-def _peak_mib() -> float:
-    """Of this process alone: what `resource` tells begins with that of whoever started it."""
-    (line,) = (each for each in Path("/proc/self/status").read_text("ascii").splitlines() if each.startswith("VmHWM"))
-    return int(line.split()[1]) / 1024.0
 
 
 def measured() -> dict[str, dict[str, list[float]]]:

@@ -5,6 +5,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 Timed = Callable[[], float]
@@ -32,6 +33,12 @@ def cpu(work: Callable[[], object]) -> float:
     begin = time.process_time()
     work()
     return time.process_time() - begin
+
+
+def peak_mib() -> float:
+    """The most memory that this process has held: what `resource` tells begins with that of whoever started it."""
+    (line,) = (each for each in Path("/proc/self/status").read_text("ascii").splitlines() if each.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024.0
 
 
 def in_turn(ours: Timed, other: Timed, rounds: int) -> tuple[float, float, float]:

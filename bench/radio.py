@@ -2,7 +2,6 @@
 
 import functools
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -19,10 +18,14 @@ ROUNDS = 3
 DURATION_S = 5.0  # of traffic
 
 _OURS = """
-import os, sys
+import os, sys, time
 os.environ["VCMVSP_COMPILED"] = sys.argv[1]
+from bench.measure import peak_mib
 from cosim.cli import main
-main(sys.argv[2:])
+try:
+    main(sys.argv[2:])
+finally:
+    print(time.process_time(), peak_mib())
 """
 
 
@@ -72,9 +75,8 @@ def _thousand() -> Row:
     print("measuring: radio, a thousand ...", file=sys.stderr, flush=True)
     case = Case("b-1", 1000, 10.0, side_m=500.0)
     settings = ["mac.kind=ideal", "shadowing.sigma_db=4"]
-    result, usage = _command(case.positions, "wifi-b-1", settings, duration_s=30.0, compiled=False)
-    peak_gib = usage.ru_maxrss / 2**20
-    took_s = usage.ru_utime + usage.ru_stime
+    result, took_s, peak_mib = _command(case.positions, "wifi-b-1", settings, duration_s=30.0, compiled=False)
+    peak_gib = peak_mib / 1024.0
     name = f"1000 nodes, 10 Hz, 30 s, mac ideal, shadowing: {result['frames']} frames; beside it the limit of 60 s"
     return Row(
         name,
@@ -88,24 +90,23 @@ def _thousand() -> Row:
 
 def _ours_s(case: Case, compiled: bool) -> float:
     settings = [f"path_loss.exponent={case.exponent}"]
-    result, _ = _command(case.positions, f"wifi-{case.phy}", settings, duration_s=DURATION_S, compiled=compiled)
+    result, *_ = _command(case.positions, f"wifi-{case.phy}", settings, duration_s=DURATION_S, compiled=compiled)
     return float(result["cpu_s"])
 
 
-def _command(positions: Floats, preset: str, settings: list[str], *, duration_s: float, compiled: bool) -> tuple[Any, Any]:
-    """Run ``vcmvsp channel``: what it prints, and what it used."""
+def _command(
+    positions: Floats, preset: str, settings: list[str], *, duration_s: float, compiled: bool
+) -> tuple[Any, float, float]:
+    """Run ``vcmvsp channel``: what it prints, its CPU seconds, and the most MiB that it held."""
     with tempfile.TemporaryDirectory() as folder:
         places = _written(positions, folder)
         words = ["channel", "--preset", preset, "--positions", str(places), "--rate", "10", "--size", "100"]
         words += ["--json", "--quiet", "--duration", str(duration_s), *(word for each in settings for word in ("--set", each))]
-        process = subprocess.Popen([sys.executable, "-c", _OURS, str(int(compiled)), *words], stdout=subprocess.PIPE)
-        assert process.stdout is not None
-        printed = process.stdout.read()
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = status
-        if status:
-            raise SystemExit(f"vcmvsp {' '.join(words)}: failed")
-        return json.loads(printed), usage
+        command = [sys.executable, "-c", _OURS, str(int(compiled)), *words]
+        printed = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    answer, _, used = printed.rstrip().rpartition("\n")
+    cpu_s, peak_mib = map(float, used.split())
+    return json.loads(answer), cpu_s, peak_mib
 
 
 def _ns3_s(case: Case) -> float:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from bench.growth import crowd
 from bench.measure import Row, cpu, in_turn, measured, table
+from bench.workloads import recorder_of
 from cosim import scenario as scenarios
 from cosim.assemble import Assembly
 from cosim.codec import encode
@@ -47,14 +48,7 @@ def run_of(scenario: dict[str, Any]) -> Run:
         kernel.start()
         kernel.run(events.append)
         kernel.close()
-        making = partial(
-            Recorder,
-            assembly.run_info,
-            record_ticks=assembly.record_ticks,
-            agents=assembly.infos,
-            radius_m=assembly.radius_m,
-        )
-        return Run(events, making, kernel.now_ns)
+        return Run(events, partial(recorder_of, assembly), kernel.now_ns)
 
 
 def recorded(run: Run, mcap: io.BytesIO | None) -> Recorder:
@@ -127,9 +121,7 @@ def _held(duration_s: float) -> tuple[int, int, int]:
     with Assembly(parsed, source) as assembly:
         kernel = Kernel(assembly.run_info, assembly.federates)
         kernel.start()
-        recorder = Recorder(
-            assembly.run_info, record_ticks=assembly.record_ticks, mcap=None, agents=assembly.infos, radius_m=assembly.radius_m
-        )
+        recorder = recorder_of(assembly)
         gc.collect()
         before, _ = tracemalloc.get_traced_memory()
         kernel.run(recorder.on)

@@ -4,7 +4,6 @@ Run with ``python -m bench.studies``. The workload is that of a formation under 
 """
 
 import random
-import resource
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from typing import Any
 
 import tomli_w
 
-from bench.measure import Row, cpu, in_turn, measured, table
+from bench.measure import Row, cpu, in_turn, measured, peak_mib, table
 from bench.workloads import star
 from cosim import api
 from cosim.studies.engine import study
@@ -127,7 +126,7 @@ def fill() -> None:
             written += len(row)
             store.add(run.key, row)
         store.finish()
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, len(values), written / 1e6)
+    print(peak_mib(), len(values), written / 1e6)
 
 
 ALL: Sequence[Callable[[], Row]] = (speed, speed_contended, overhead, efficiency, memory)

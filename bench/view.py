@@ -14,12 +14,11 @@ from collections.abc import Callable
 from typing import Any
 
 from bench.measure import Row, in_turn, measured, table
-from bench.workloads import star
+from bench.workloads import recorder_of, star
 from cosim import scenario as scenarios
 from cosim.assemble import Assembly
 from cosim.federate import Event
 from cosim.kernel import Kernel
-from cosim.record.recorder import Recorder
 from cosim.view.scenery import scenery_of
 from cosim.view.viewer import Viewer
 
@@ -91,13 +90,7 @@ def _run_s(observe: Callable[[Event], None] | None, clock: Callable[[], float]) 
     with Assembly(parsed, source) as assembly:
         kernel = Kernel(assembly.run_info, assembly.federates)
         kernel.start()
-        recorder = Recorder(
-            assembly.run_info,
-            record_ticks=assembly.record_ticks,
-            mcap=None,
-            agents=assembly.infos,
-            radius_m=assembly.radius_m,
-        )
+        recorder = recorder_of(assembly)
 
         def both(event: Event) -> None:
             recorder.on(event)

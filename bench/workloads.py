@@ -32,19 +32,24 @@ def star(vehicles: int, *, physics: str, duration_s: float) -> dict[str, Any]:
     }
 
 
+def recorder_of(assembly: Assembly, mcap: io.BytesIO | None = None) -> Recorder:
+    """What records a run of these, and writes the MCAP file there."""
+    return Recorder(
+        assembly.run_info,
+        record_ticks=assembly.record_ticks,
+        mcap=mcap,
+        agents=assembly.infos,
+        radius_m=assembly.radius_m,
+    )
+
+
 def run_cpu_s(scenario: dict[str, Any], kept: Kept = "mcap") -> float:
     """CPU seconds of one run in this process: kernel, radio, agents, physics and recording; neither set-up nor files."""
     parsed, source = scenarios.load(scenario)
     with Assembly(parsed, source) as assembly:
         kernel = Kernel(assembly.run_info, assembly.federates)
         kernel.start()
-        recorder = Recorder(
-            assembly.run_info,
-            record_ticks=assembly.record_ticks,
-            mcap=io.BytesIO() if kept == "mcap" else None,
-            agents=assembly.infos,
-            radius_m=assembly.radius_m,
-        )
+        recorder = recorder_of(assembly, io.BytesIO() if kept == "mcap" else None)
 
         def work() -> None:
             kernel.run((lambda _: None) if kept == "nothing" else recorder.on)
