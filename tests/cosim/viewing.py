@@ -12,9 +12,11 @@ import pytest
 import viser
 
 from cosim.clock import SECOND_NS
+from cosim.frames import quaternion_from_yaw
 from cosim.types import Array, Follows, Image, Scan, States
 from cosim.view.shown import Craft, Line, Link, Obstacle, Order, Pace, Scenery, Shown
 from cosim.view.station import Station
+from cosim.view.station_known import Known
 
 T = TypeVar("T")
 CHROMIUM = Path("/usr/bin/chromium")
@@ -75,6 +77,13 @@ def scenery(count: int = 3, flying: int = 0, may: tuple[str, ...] = LIVE, **more
     return Scenery(**{**content, **more})
 
 
+def states(positions: list[tuple[float, float, float]], yaws: list[float], names: tuple[str, ...]) -> States:
+    """Of vehicles that stand there, m, and are turned so, rad."""
+    zero = np.zeros((len(names), 3))
+    attitude = np.array([quaternion_from_yaw(yaw) for yaw in yaws])
+    return States(names=names, position=np.array(positions), velocity=zero, attitude=attitude, angular_velocity=zero)
+
+
 def shown(scene: Scenery, time_s: float, **more: Any) -> Shown:
     """All go around a circle, the first one leads; every frame is received but those of the last vehicle."""
     names = tuple(each.name for each in scene.vehicles)
@@ -130,6 +139,14 @@ def scan(range_m: float = 1.0) -> Scan:
     return Scan(
         ranges=np.array([range_m, range_m, np.inf, range_m], np.float32), angle_min=0.0, angle_step=math.pi / 2, range_max=8.0
     )
+
+
+def known_of(scene: Scenery, *messages: Shown) -> Known:
+    """What a station knows that was told these."""
+    known = Known(scene)
+    for message in messages:
+        known.take(message)
+    return known
 
 
 class Looking:
