@@ -39,10 +39,8 @@ class Survey:
     @classmethod
     def between(cls, a: Floats, b: Floats, *, level_dbm: Floats, lost: Bools, sensitivity_dbm: float, design: Floats) -> Self:
         """Rows between the points a and b, (n, 3) m each."""
-        cross = _apart(a, b)
-        return cls(
-            level_dbm, lost, sensitivity_dbm, design, np.diagonal(cross).copy(), _apart(a, a) + _apart(b, b), cross + cross.T
-        )
+        distance_m = np.sqrt(((a - b) ** 2).sum(axis=1))
+        return cls(level_dbm, lost, sensitivity_dbm, design, distance_m, *_moves_m(a, b))
 
     @property
     def moved_m(self) -> Floats:
@@ -109,9 +107,14 @@ def spreads(parameters: Floats) -> tuple[Floats, Floats]:
 
 def moved_m(a: Floats, b: Floats) -> Floats:
     """How far both ends together moved between two of n rows, whichever way round, (n, n)."""
-    cross = _apart(a, b)
-    moved: Floats = np.minimum(_apart(a, a) + _apart(b, b), cross + cross.T)
+    moved: Floats = np.minimum(*_moves_m(a, b))
     return moved
+
+
+def _moves_m(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    """The same each way: |a a'| + |b b'|, and with the ends of one row swapped |a b'| + |b a'|, (n, n) each."""
+    cross = _apart(a, b)
+    return _apart(a, a) + _apart(b, b), cross + cross.T
 
 
 def _apart(a: Floats, b: Floats) -> Floats:

@@ -56,7 +56,7 @@ def aic_of(numbers: int, log_likelihood: float) -> float:
 
 
 def maximise(survey: Survey, start: Floats) -> Fitted:
-    """The most likely parameters, sought from ``start``; their number says which model."""
+    """The most likely parameters, sought from ``start``, (k,); their number says which model."""
     best = climb(survey, start)
     limits = np.array(survey.limits[: len(best)])
     inside = (best > limits[:, 0] + 1e-3) & (best < limits[:, 1] - 1e-3)
@@ -97,7 +97,7 @@ def climb(survey: Survey, start: Floats) -> Floats:
 
 
 def restricted(survey: Survey, parameters: Floats) -> Point:
-    """The restricted likelihood, with beta integrated out over all values."""
+    """The restricted likelihood at parameters (k,), with beta integrated out over all values."""
     from scipy.linalg.lapack import dpotri
 
     total, derivatives = covariance(survey, parameters)
@@ -129,7 +129,7 @@ def restricted(survey: Survey, parameters: Floats) -> Point:
 
 
 def log_likelihood(survey: Survey, parameters: Floats, coefficients: Floats) -> float:
-    """The likelihood of the rows with these coefficients of the mean."""
+    """The likelihood of the rows at parameters (k,), with these coefficients of the mean, (p,)."""
     received = _Received(survey, covariance(survey, parameters)[0], coefficients)
     likelihood = received.log_density
     if survey.lost.any():

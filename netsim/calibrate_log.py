@@ -1,20 +1,16 @@
 """A measured log: from where to where, and how strong."""
 
-import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import UsageError
+from netsim.csv_file import read_cells
 from netsim.layers import Bools, Floats
-
-if TYPE_CHECKING:
-    import _csv
 
 COLUMNS = ("time", "ax", "ay", "az", "bx", "by", "bz", "rssi_dbm")
 RECEIVED = {"1": True, "true": True, "0": False, "false": False}  # the optional column ``received``
@@ -40,7 +36,7 @@ class Links(msgspec.Struct, frozen=True):
         return distance
 
     def only(self, rows: NDArray[np.intp]) -> "Links":
-        """Some of the rows."""
+        """Some of the rows, by their numbers (m,)."""
         return Links(self.time_s[rows], self.a[rows], self.b[rows], self.level_dbm[rows])
 
 
@@ -53,33 +49,27 @@ def read_links(path: Path) -> Links:
     Raises:
         UsageError: that names the file, the line and what is allowed.
     """
-    try:
-        text = path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read as a CSV file: {error}") from error
-    lines = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(lines, [])]
+    lines = read_cells(path)
+    header = lines[0][1] if lines else []
     if missing := [name for name in COLUMNS if name not in header]:
         found = ", ".join(header) or "nothing"
         raise UsageError(f"{path}: no column {', '.join(missing)}; wanted: {', '.join(COLUMNS)}[, received]; found: {found}")
     if twice := sorted({name for name in (*COLUMNS, "received") if header.count(name) > 1}):
         raise UsageError(f"{path}: column {', '.join(twice)} stands there twice")
-    rows = list(_rows(path, header, lines))
+    rows = list(_rows(path, header, lines[1:]))
     if not rows:
         raise UsageError(f"{path}: no rows under the header")
     table = np.array(rows, np.float64)
     return Links(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7])
 
 
-def _rows(path: Path, header: list[str], lines: "_csv.Reader") -> Iterator[list[float]]:
-    """Of each line that is not blank, the values of `COLUMNS`."""
-    for cells in lines:
-        where = f"{path} line {lines.line_num}"
-        if not any(cell.strip() for cell in cells):
-            continue
+def _rows(path: Path, header: list[str], lines: Iterable[tuple[int, list[str]]]) -> Iterator[list[float]]:
+    """Of each line, the values of `COLUMNS`."""
+    for number, cells in lines:
+        where = f"{path} line {number}"
         if len(cells) != len(header):
             raise UsageError(f"{where}: has {len(cells)} fields; the header has {len(header)}")
-        row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
+        row = dict(zip(header, cells, strict=True))
         values = [_number(where, row, name) for name in COLUMNS[:-1]]
         yield [*values, _number(where, row, "rssi_dbm") if _received(where, row) else math.nan]
 

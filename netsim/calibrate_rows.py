@@ -51,7 +51,16 @@ def design_of(links: Links, reference_distance_m: float, sightline: Sightline | 
 
 
 def require_told(links: Links, design: Floats, materials: Sequence[str]) -> None:
-    """Refuse rows that leave a coefficient of the mean open."""
+    """Refuse rows that leave a coefficient of the mean open.
+
+    Args:
+        links: n rows.
+        design: as of `design_of`, (n, 2 + m).
+        materials: of its last m columns.
+
+    Raises:
+        UsageError: which coefficient it is, and what to measure.
+    """
     received = design[~links.lost]
     if len(received) < design.shape[1] + 2:
         raise UsageError(f"{len(received)} rows were received; {design.shape[1]} numbers need at least {design.shape[1] + 2}")

@@ -23,11 +23,11 @@ from netsim.csma154_radio import Doing, Radio
 from netsim.error_rate import ErrorRate
 from netsim.layers import Floats, Keys, Phy
 from netsim.medium import Decided, Fate, Offered
+from netsim.phy import US
 
 if TYPE_CHECKING:  # it is what opens a network
     from netsim.csma154 import Csma154
 
-US = 1_000  # ns
 TURNAROUND_NS = 192 * US  # aTurnaroundTime, 12 symbols
 ACK_NS = 352 * US  # an acknowledgement on the air: 11 bytes
 ACK_BITS = 88

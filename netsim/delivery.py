@@ -59,13 +59,8 @@ class Delivery:
         self.open(0)
 
     def open(self, count: int) -> None:
-        """Be the links between ``count`` radios, and begin."""
-        self._count = count
-        self.start()
-
-    def start(self) -> None:
-        """Forget all frames."""
-        shape = (self._count, self._count)  # sender, receiver
+        """Be the links between ``count`` radios, over which nothing has gone yet."""
+        shape = (count, count)  # sender, receiver
         self._departed = np.zeros(shape, np.int64)  # the link is free again
         self._arrived = np.full(shape, NEVER, np.int64)  # last, copies included
 

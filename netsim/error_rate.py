@@ -41,7 +41,7 @@ class ErrorRate(ABC):
 
     @property
     def table(self) -> Floats:
-        """The hazard per bit at all steps of `netsim.hazard`, read-only; never increasing within rounding."""
+        """The hazard per bit at all steps of `netsim.hazard`, (2^16 + 1,), read-only; never increasing within rounding."""
         return _table(self)
 
     def bit_hazard(self, sinr: Floats) -> Floats:
@@ -49,12 +49,12 @@ class ErrorRate(ABC):
         return look_up(self.table, sinr)
 
     def success(self, sinr_db: Floats, bits: Floats | float) -> Floats:
-        """Chance that all of ``bits`` survive, broadcast over both arguments."""
+        """Chance that all of ``bits`` survive, of the shape to which both arguments broadcast."""
         success: Floats = np.exp(-bits * self.bit_hazard(10.0 ** (sinr_db / 10.0)))
         return success
 
     def frame_hazard(self, sinr_db: Floats, size_bytes: int) -> Floats:
-        """``-log`` of the chance that a frame with this payload survives, header included, at a SINR that lasts."""
+        """``-log`` of a frame's chance to survive, header included, at a SINR that lasts; the shape of ``sinr_db``."""
         (payload, payload_bits), (header, header_bits) = _pieces(self, size_bytes)
         step, part = places(10.0 ** (sinr_db / 10.0))
         hazard = payload_bits * between(payload, step, part)
@@ -73,7 +73,7 @@ def hazard_of(bit_error: Floats) -> Floats:
 
 
 def erfc(x: Floats) -> Floats:
-    """Complementary error function of each element; NumPy has none."""
+    """Complementary error function of each element, (n,); NumPy has none."""
     return np.array([math.erfc(value) for value in x.tolist()])
 
 
@@ -122,7 +122,7 @@ class DsssErrors(ErrorRate):
         return DsssErrors(1e6), 48
 
     def hazard(self, sinr: Floats) -> Floats:
-        """See the table of the class."""
+        """See the table of the class, (n,)."""
         if self.rate_bps == 1e6:
             return hazard_of(0.5 * np.exp(-22.0 * sinr))
         if self.rate_bps == 2e6:
@@ -172,6 +172,6 @@ class OqpskErrors(ErrorRate):
         return self, 0
 
     def hazard(self, sinr: Floats) -> Floats:
-        """The sum, whose terms nearly cancel at low SINR but keep 12 digits."""
+        """The sum, (n,), whose terms nearly cancel at low SINR but keep 12 digits."""
         terms = [(-1) ** k * math.comb(16, k) * np.exp(20.0 * sinr * (1.0 / k - 1.0)) for k in range(2, 17)]
         return hazard_of(8.0 / 15.0 / 16.0 * np.sum(terms, axis=0))

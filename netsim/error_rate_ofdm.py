@@ -87,7 +87,7 @@ class OfdmErrors(ErrorRate):
         return OfdmErrors(6e6, self.band, self.model), 24
 
     def hazard(self, sinr: Floats) -> Floats:
-        """By the model, see `yans_bit_error` and `nist_bit_error`."""
+        """By the model, (n,); see `yans_bit_error` and `nist_bit_error`."""
         if self.model == "nist":
             return hazard_of(nist_bit_error(sinr, self.rate_bps))
         if self.model == "table" and self.rate_bps in ONTO_TABLE_DB:

@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.types import NonNegative, Positive
+from cosim.types import NonNegative
 from netsim.layers import Floats, Paths, distance_of
-from netsim.propagation import SPEED_OF_LIGHT
+from netsim.propagation import SPEED_OF_LIGHT, Frequency
 
 _TOUCHING_M = 1e-3  # antennas and heights nearer than this to each other, or to the ground, are taken to be as near as this
 
@@ -23,7 +23,7 @@ class Friis:
 
     by_distance: ClassVar[bool] = True
 
-    frequency_hz: Positive = 2.4e9  # of the carrier
+    frequency_hz: Frequency = 2.4e9  # of the carrier
 
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:
         """Loss of each path, or over each distance in m, (n,) dB."""
@@ -46,7 +46,7 @@ class TwoRayGround:
     than its ``MinDistance``, 0.5 m; here it is free space down to contact.
     """
 
-    frequency_hz: Positive = 2.4e9  # of the carrier
+    frequency_hz: Frequency = 2.4e9  # of the carrier
     antenna_height_m: NonNegative = 0.5  # where only distances are known; vehicles have antennas of their own
 
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
-from cosim.types import Period, Seconds, Vec3
+from cosim.types import Decibels, Period, Seconds, Vec3
 from netsim.layers import Floats
 
 Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
@@ -36,7 +36,7 @@ class Source(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         period_s: from pulse to pulse, the first begins at ``from_s``; None: it does not pulse.
     """
 
-    power_dbm: float
+    power_dbm: Decibels
     position: Vec3 | None = None
     vehicle: str | None = None
     path: tuple[Waypoint, ...] | None = None

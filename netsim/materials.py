@@ -9,9 +9,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from cosim.errors import ScenarioError
-from cosim.types import NonNegative, Positive
+from cosim.types import NonNegative
 from netsim.layers import Bools, Floats, Ints, Paths
-from netsim.propagation import SPEED_OF_LIGHT
+from netsim.propagation import SPEED_OF_LIGHT, Frequency
 
 ITU_MATERIALS: dict[str, tuple[float, float, float, float]] = {
     "concrete": (5.24, 0.0, 0.0462, 0.7822),
@@ -105,7 +105,7 @@ class ItuWalls(_Walls):
     """Each obstacle on the way takes the loss of a slab of its material and thickness (`slab_loss_db`), whatever the angle."""
 
     sightline: Sightline
-    frequency_hz: Positive = 2.4e9  # of the carrier
+    frequency_hz: Frequency = 2.4e9  # of the carrier
     cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
 
     def __post_init__(self) -> None:

@@ -1,22 +1,21 @@
 """Path loss: how a signal weakens on its way."""
 
-import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.types import NonNegative, Positive
+from cosim.types import Decibels, Positive
 from netsim.layers import Floats, Paths, distance_of
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
+
+Exponent = Annotated[float, msgspec.Meta(ge=0, le=100)]
+Frequency = Annotated[float, msgspec.Meta(ge=1e6, le=1e12)]  # Hz: gigahertz are a slip that would pass for a number
+
 _TOUCHING_M = 1e-3
-
-
-def free_space_loss_db(distance_m: float, frequency_hz: float) -> float:
-    """Loss in free space between isotropic antennas, 20 log10(4 pi d f / c) (Friis 1946)."""
-    return 20.0 * math.log10(4.0 * math.pi * distance_m * frequency_hz / SPEED_OF_LIGHT)
 
 
 class NoPathLoss:
@@ -43,9 +42,9 @@ class LogDistance:
 
     by_distance: ClassVar[bool] = True
 
-    exponent: NonNegative = 3.0  # N: 2 in free space, about 3 among obstacles
+    exponent: Exponent = 3.0  # N: 2 in free space, about 3 among obstacles
     reference_distance_m: Positive = 1.0  # d0: nearer than that, the loss stays what it is there
-    reference_loss_db: float = 40.052  # L0: loss at d0
+    reference_loss_db: Decibels = 40.052  # L0: loss at d0
     clamp: bool = True  # false: nearer than d0 the loss goes on falling
 
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.clock import seconds_to_ns
 from cosim.keys import matches
-from cosim.types import Probability, Seconds, frozen
+from cosim.types import Decibels, Probability, Seconds, frozen
 from netsim.layers import Bools, Draw, Floats, Frame, Ints
 
 
@@ -32,7 +32,7 @@ class Change(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     to_s: Seconds | None = None
     links: tuple[str, ...] = ("**",)
     loss: Probability | None = None
-    attenuation_db: float | None = None
+    attenuation_db: Decibels | None = None
     delay_s: Seconds | None = None
 
     def __post_init__(self) -> None:

@@ -58,7 +58,7 @@ class Sent(msgspec.Struct):
     tries: list[tuple[Floats, Floats | None]] = msgspec.field(default_factory=list)  # level and fading of each, if they differ
 
     def frame_at(self, start_ns: int, end_ns: int, level_dbm: Floats) -> Frame:
-        """The frame as layers are shown it."""
+        """The frame as layers are shown it, at levels (n,) dBm."""
         size = self.message.size_bytes
         return Frame(self.sent_ns, start_ns, end_ns, size, self.mean.paths, level_dbm, self.sender.links)
 

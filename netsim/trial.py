@@ -36,7 +36,7 @@ class Air(Protocol):
         """Forget all frames."""
 
     def send(self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats) -> list[FrameReport]:
-        """Hand over one message; what is decided by that."""
+        """Hand over one message of one of the n vehicles at ``position``, (n, 3) m; what is decided by that."""
 
     def advance(self, until_ns: int) -> list[FrameReport]:
         """What is decided up to a time."""
@@ -48,7 +48,7 @@ class Air(Protocol):
         """About so many frames will be sent."""
 
     def bulk(self, names: tuple[str, ...], position: Floats) -> Bulk | None:
-        """For many frames at once; None if that is not possible."""
+        """For many frames at once of vehicles at ``position``, (n, 3) m; None if that is not possible."""
 
 
 class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,12 +1,12 @@
 """Positions from a CSV file: three columns, x, y and z in metres; a first line with these names is allowed."""
 
-import csv
 import math
 from pathlib import Path
 
 import numpy as np
 
 from cosim.errors import UsageError
+from netsim.csv_file import read_cells
 from netsim.layers import Floats
 
 COLUMNS = ("x", "y", "z")
@@ -19,25 +19,12 @@ def read_positions(path: Path) -> Floats:
     Raises:
         UsageError: naming file, line and column.
     """
-    rows = [(number, [cell.strip() for cell in cells]) for number, cells in _lines(path) if any(map(str.strip, cells))]
+    rows = read_cells(path)
     if rows and _is_header(rows[0][1], f"{path} line {rows[0][0]}"):
         rows = rows[1:]
     if not rows:
         raise UsageError(f"{path}: has no positions; write a line x,y,z (metres) for each vehicle")
     return np.array([_point(cells, f"{path} line {number}") for number, cells in rows])
-
-
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            return [(reader.line_num, cells) for cells in reader]
-    except FileNotFoundError as error:
-        raise UsageError(f"{path}: there is no such file") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path}: is not a CSV file in UTF-8 ({error})") from error
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _is_header(cells: list[str], where: str) -> bool:

@@ -72,8 +72,8 @@ class Beside:
         """
         until = time.monotonic() + READY_S
         heard: list[wire.Up] = []
-        while time.monotonic() < until:
-            self._link.wait(until - time.monotonic())
+        while (left_s := until - time.monotonic()) > 0.0:
+            self._link.wait(left_s)
             heard += self.read()
             for message in heard:
                 if isinstance(message, wire.Ready):
@@ -128,9 +128,9 @@ class Beside:
             return []
         self._closed = True
         until = time.monotonic() + self._close_s
-        while not self._link.ended and time.monotonic() < until:
+        while not self._link.ended and (left_s := until - time.monotonic()) > 0.0:
             self.leave()
-            self._link.wait(min(PAUSE_S, until - time.monotonic()) if self._unsaid else until - time.monotonic())
+            self._link.wait(min(PAUSE_S, left_s) if self._unsaid else left_s)
             self._heard += [wire.ups.decode(message) for message in self._link.receive()]
         try:
             self._process.wait(DYING_S if self._link.ended else 0.0)

@@ -5,13 +5,27 @@ run computes, the other side goes on. One asyncio loop turns all of them.
 """
 
 import asyncio
-from collections.abc import Sequence
-from typing import Protocol
+import ipaddress
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Protocol
 
+import msgspec
+
+from cosim.errors import ScenarioError
+from cosim.table import unknown
 from cosim.transport.endpoints import is_loopback
 
 BROADCAST = -1
 """In place of the row of a vehicle: all who can hear it."""
+
+LARGEST = 65_535
+"""Bytes of a payload, at most: an IP packet's total length."""
+
+HIGHEST = 65_535
+"""The last port."""
+
+Port = Annotated[int, msgspec.Meta(ge=1, le=HIGHEST)]
+Bytes = Annotated[int, msgspec.Meta(ge=1, le=LARGEST)]  # of a payload
 
 
 class DoorError(Exception):
@@ -74,8 +88,26 @@ class Door(Protocol):
         """Let go of everything; called once, also where `open` failed half-way."""
 
 
-LARGEST = 65_535
-"""Bytes of a payload, at most: an IP packet's total length."""
+def address(key: str, host: str) -> str:
+    """The numbers of an address; a `ScenarioError` names the key."""
+    try:
+        return str(ipaddress.ip_address("127.0.0.1" if host == "localhost" else host))
+    except ValueError:
+        raise ScenarioError(f"must be an IPv4 or IPv6 address, not {host!r}", key=key) from None
+
+
+def check_names(key: str, names: Iterable[str], vehicles: Sequence[str], what: str = "vehicle") -> None:
+    """Refuse names that no vehicle has which may be named, with a `ValueError`.
+
+    Args:
+        key: where they stand.
+        names: of vehicles.
+        vehicles: that may be named there.
+        what: such a vehicle is called.
+    """
+    for name in names:
+        if name not in vehicles:
+            raise ValueError(f"{key}: {unknown(what, name, vehicles)}")
 
 
 def check_listen(host: str, *, insecure: bool, instead: str) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.types import AnyValue, Array, Datagrams, Reception, States, Traffic, frozen
-from netsim.bridge import wire
+from netsim.bridge import pieces, wire
 from netsim.bridge.beside import Beside
 from netsim.bridge.door import LARGEST
 from netsim.bridge.echoes import Echoes
@@ -36,9 +36,9 @@ AGAIN_NS = 1_000_000  # until what the process has not read is said again
 BEHIND_NS = 20_000_000  # a run that is later than this catches up before it takes more from programs,
 PATIENCE_NS = 100_000_000  # unless it has taken nothing for so long
 
-MOST = 5000  # deliveries in a message
-MOST_LEVELS = 10_000  # in one, if no row alone is longer
 TOO_LONG = f"said by agents in more than {LARGEST} bytes"
+KILLED = "bridge: its process did not end by itself and was killed"
+_NETWORKS = ": 'vcmvsp net down' clears away what it leaves behind"
 
 Log = Callable[[str, int, AnyValue], None]
 """Takes what a replay needs: key, time, value."""
@@ -185,10 +185,9 @@ class Bridge:
             self._ripe = []
             for event in events:
                 self.log(event.key, event.time_ns, event.value)
-            process.say(_due(self._taken))  # what comes meanwhile may be gathered
+            process.say(pieces.taken_over(self._taken))  # what comes meanwhile may be gathered
         if self._levels_due and self._states is not None:
-            self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
-            self._say_levels(process, self._air.levels_dbm(self._states))
+            self._say_levels(process, self._states)
         return Step(events, self._next(process, now_ns))
 
     def release(self) -> None:
@@ -227,11 +226,10 @@ class Bridge:
             self._again_ns = again_ns
         return self._again_ns
 
-    def _say_levels(self, process: Beside, levels_dbm: Array) -> None:
-        """As many rows at a time as fit into a message."""
-        rows = max(1, MOST_LEVELS // len(levels_dbm))
-        for first in range(0, len(levels_dbm), rows):
-            process.say(wire.Levels(first=first, dbm=frozen(levels_dbm[first : first + rows], np.float64)))
+    def _say_levels(self, process: Beside, states: States) -> None:
+        self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
+        for each in pieces.levels(self._air.levels_dbm(states)):
+            process.say(each)
 
     def _hear(self, messages: Sequence[wire.Up]) -> None:
         for message in messages:
@@ -279,14 +277,8 @@ class Bridge:
         self._late.due(traffic, at_ns)
         if self._opening.payloads:
             self._echoes.decided(traffic)
-        *first, last = _parts(len(traffic.number))
-        for part in first:
-            process.say(_due(self._taken, traffic.number[part], traffic.receiver[part], at_ns[part]))
-        begin, *rest = _parts(len(traffic.settled))  # behind all that is due
-        settled = traffic.settled[begin]
-        process.say(_due(self._taken, traffic.number[last], traffic.receiver[last], at_ns[last], settled))
-        for part in rest:
-            process.say(_due(self._taken, settled=traffic.settled[part]))
+        for each in pieces.due(self._taken, traffic, at_ns):
+            process.say(each)
 
     def _on_heard(self, process: Beside, vehicle: str, heard: Reception) -> None:
         payload = self._echoes.by_agent(vehicle, heard)
@@ -296,17 +288,3 @@ class Bridge:
             sender, receiver = self._row[heard.message.sender], self._row[vehicle]
             at_ns = self._paced.monotonic_ns(heard.received_ns)
             process.say(wire.Spoken(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))
-
-
-KILLED = "bridge: its process did not end by itself and was killed"
-_NETWORKS = ": 'vcmvsp net down' clears away what it leaves behind"
-_NONE = np.zeros(0, np.int64)
-
-
-def _parts(count: int) -> list[slice]:
-    """So many rows in pieces that fit into a message: one, at least."""
-    return [slice(first, first + MOST) for first in range(0, max(count, 1), MOST)]
-
-
-def _due(taken: int, number: Array = _NONE, receiver: Array = _NONE, at_ns: Array = _NONE, settled: Array = _NONE) -> wire.Due:
-    return wire.Due(taken=taken, number=number, receiver=receiver, at_ns=at_ns, settled=settled)

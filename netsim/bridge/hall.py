@@ -65,7 +65,7 @@ class OpenHall:
         return float(self._levels[sender, receiver])
 
     def tell_levels(self, first: int, dbm: Array) -> None:
-        """Take rows of levels."""
+        """Take rows of levels from ``first`` on, (k, n) dBm: of the row's radio at the column's."""
         if self._levels is None:
             self._levels = np.full((len(self.vehicles), len(self.vehicles)), np.nan)
         self._levels[first : first + len(dbm)] = dbm

@@ -14,7 +14,7 @@ from typing import Annotated
 import msgspec
 
 from netsim.bridge import ip_links, ip_runs, netns
-from netsim.bridge.door import LARGEST, DoorError, Hall
+from netsim.bridge.door import LARGEST, DoorError, Hall, check_names
 from netsim.bridge.ip_packets import LEAST_MTU6, Directory, Network, address_in, is_ip, network_of
 from netsim.bridge.ip_runs import Space
 
@@ -74,11 +74,8 @@ class Ip:
 
     def check(self, vehicles: Sequence[str]) -> None:
         """Refuse names that there are not, networks that are too small, and addresses that two would have."""
-        if unknown := [each for each in self._chosen if each not in vehicles]:
-            raise ValueError(f"vehicles: there is no vehicle {unknown[0]}")
-        taking_part = self._chosen or vehicles
-        if unknown := [each for each in self._routes if each not in taking_part]:
-            raise ValueError(f"routes: there is no vehicle {unknown[0]} with an interface")
+        check_names("vehicles", self._chosen, vehicles)
+        check_names("routes", self._routes, self._chosen or vehicles, "vehicle with an interface")
         for network, key in zip(self._networks, ("network", "network6"), strict=False):
             if network.num_addresses - 2 < len(vehicles):  # its own address, and that of all
                 raise ValueError(f"{key}: {network} has no room for {len(vehicles)} vehicles")

@@ -19,27 +19,26 @@ class Columns:
 
     Args:
         names: of the columns.
-        empty: what a row holds that was only made room for.
     """
 
-    def __init__(self, *names: str, empty: int = NEVER) -> None:
-        self._columns = {name: np.full(1024, empty, np.int64) for name in names}
-        self._empty, self.rows = empty, 0
+    def __init__(self, *names: str) -> None:
+        self._columns = {name: np.full(1024, NEVER, np.int64) for name in names}
+        self.rows = 0
 
     def __getitem__(self, name: str) -> Array:
         """The rows of a column, to be read and written."""
         return self._columns[name][: self.rows]
 
     def reach(self, rows: int) -> None:
-        """Have at least so many rows."""
+        """Have at least so many rows; `NEVER` stands in those that were only made room for."""
         for name, values in self._columns.items():
             if rows > len(values):
-                more = np.full(max(rows, 2 * len(values)) - len(values), self._empty, np.int64)
+                more = np.full(max(rows, 2 * len(values)) - len(values), NEVER, np.int64)
                 self._columns[name] = np.concatenate([values, more])
         self.rows = max(self.rows, rows)
 
     def add(self, **blocks: Array) -> None:
-        """Add rows below: of each column as many."""
+        """Add n rows below, (n,) of each column; `NEVER` stands in those that are not given."""
         first = self.rows
         self.reach(first + len(next(iter(blocks.values()))))
         for name, block in blocks.items():
@@ -68,13 +67,13 @@ class Lateness:
             self._sent[name][number] = values
 
     def due(self, traffic: Traffic, at_ns: Array) -> None:
-        """What arrives, and when that is on the monotonic clock; what is settled."""
+        """What arrives, and when that is on the monotonic clock, (n,) ns; what is settled."""
         came = {"number": traffic.number, "frame": traffic.frame, "receiver": traffic.receiver}
         self._due.add(**came, received_ns=traffic.arrival_ns, wanted=at_ns)
         self._sent["settled"][traffic.settled] = 1
 
     def went(self, row: Array, at_ns: Array) -> None:
-        """When deliveries, of these places among all, left: on the monotonic clock."""
+        """When deliveries, of these places among all, left: (n,) ns on the monotonic clock."""
         self._due["late"][row] = at_ns - self._due["wanted"][row]
 
     def summary(self, counts: dict[str, dict[str, int]]) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """An asyncio loop whose timers are good to microseconds: asyncio's own rounds each wait up to a whole millisecond."""
 
 import asyncio
-import select
 import selectors
+
+from cosim.waiting import readable
 
 
 class FineSelector(selectors.EpollSelector):
@@ -11,7 +12,7 @@ class FineSelector(selectors.EpollSelector):
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Wait for readiness, at most ``timeout`` s (None: as long as it takes)."""
         if timeout is not None and timeout > 0.0:
-            select.select([self.fileno()], (), (), timeout)  # its own descriptor is readable when something is ready
+            readable([self.fileno()], timeout)  # its own descriptor is readable when something is ready
             timeout = 0.0
         return super().select(timeout)
 

@@ -11,14 +11,11 @@ import socket
 import struct
 import time
 from collections.abc import Mapping, Sequence
-from typing import Annotated
-
-import msgspec
 
 from cosim.clock import SECOND_NS
 from cosim.types import Name
-from netsim.bridge.door import BROADCAST, LARGEST, Door, DoorError, Hall, check_listen
-from netsim.bridge.udp_ports import Place, Port, PortPlan, Ports
+from netsim.bridge.door import BROADCAST, Bytes, Door, DoorError, Hall, Port, check_listen
+from netsim.bridge.udp_ports import Place, PortPlan, Ports
 
 AT_ONCE = 64  # datagrams of a socket, before others have their turn
 PAUSE_S = 0.002  # for which a socket is left alone whose vehicle has sent more than the run has dealt with
@@ -32,14 +29,13 @@ _STAMP_SPACE = socket.CMSG_SPACE(_STAMP.size)
 _MEMINFO = struct.Struct("@9I")
 _DROPS = 8  # its last: what the socket had no room for, so far
 
-Bytes = Annotated[int, msgspec.Meta(ge=1, le=LARGEST)]
-
 
 class Udp:
     """UDP sockets for the programs of each vehicle.
 
     The first vehicle of the run has the ports ``first_port`` to ``first_port + 99``, the next the hundred after them, and so
-    on; at most 98 vehicles have such blocks::
+    on; at most 98 vehicles have such blocks. By default all of these are below 32768, from where on Linux gives ports away to
+    whoever asks for any (``net.ipv4.ip_local_port_range``)::
 
         + 0      what comes here, its radio broadcasts
         + 1 + j  what comes here, it sends to vehicle j (counted from 0)
@@ -59,7 +55,7 @@ class Udp:
         self,
         listen: str = "127.0.0.1",
         insecure: bool = False,
-        first_port: Port = 47000,
+        first_port: Port = 18_000,
         vehicles: tuple[Name, ...] = (),
         ports: Mapping[Name, Ports] | None = None,
         receive_host: str = "127.0.0.1",

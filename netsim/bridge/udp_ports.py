@@ -2,21 +2,19 @@
 
 import ipaddress
 from collections.abc import Mapping, Sequence
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
+from cosim.errors import ScenarioError
 from cosim.types import Name
-from netsim.bridge.door import BROADCAST
+from netsim.bridge.door import BROADCAST, HIGHEST, Port, address, check_names
 
 BLOCK = 100
 UNICAST, RECEIVE = 1, 99
 MOST_VEHICLES = RECEIVE - UNICAST
-HIGHEST = 65535
 
 _ELSEWHERE = "give this machine's address, and insecure = true"
-
-Port = Annotated[int, msgspec.Meta(ge=1, le=HIGHEST)]
 
 
 class Ports(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,7 +36,7 @@ class PortPlan:
     """All ports of the vehicles whose programs take part; see `netsim.bridge.udp.Udp` for the arguments.
 
     Raises:
-        ValueError: an address that is none.
+        ScenarioError: an address that is none.
     """
 
     def __init__(
@@ -75,14 +73,11 @@ class PortPlan:
 
     def check(self, vehicles: Sequence[str]) -> None:
         """Refuse vehicles that there are not, and ports that would be two things, by a ``ValueError``."""
-        for key, names in (("vehicles", self._bridged), ("ports", self._ports)):
-            for name in names:
-                if name not in vehicles:
-                    raise ValueError(f"{key} names {name!r}, which is no vehicle (there are {', '.join(vehicles)})")
+        check_names("vehicles", self._bridged, vehicles)
+        check_names("ports", self._ports, vehicles)
         for vehicle, own in self._ports.items():
-            for name in own.unicast:
-                if name not in vehicles or name == vehicle:
-                    raise ValueError(f"ports.{vehicle}.unicast names {name!r}, which is no other vehicle")
+            others = [name for name in vehicles if name != vehicle]
+            check_names(f"ports.{vehicle}.unicast", own.unicast, others, "other vehicle")
         if len(vehicles) > MOST_VEHICLES:
             most = f"a run with UDP ports has {MOST_VEHICLES} at most, whoever takes part"
             raise ValueError(f"there are {len(vehicles)} vehicles; {most}: use [bridge.ip] or [bridge.zenoh]")
@@ -112,16 +107,8 @@ class PortPlan:
             raise ValueError(f"ports: {vehicle} would receive at port {place.port}, which is one to send to")
 
 
-def address(key: str, host: str) -> str:
-    """The numbers of an address; a ``ValueError`` names the key."""
-    try:
-        return str(ipaddress.ip_address("127.0.0.1" if host == "localhost" else host))
-    except ValueError:
-        raise ValueError(f"{key} must be an IPv4 or IPv6 address, not {host!r}") from None
-
-
 def _place(key: str, text: str) -> Place:
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or not port.isascii() or not 1 <= int(port) <= HIGHEST:
-        raise ValueError(f"{key} must be HOST:PORT, not {text!r}")
+        raise ScenarioError(f"must be HOST:PORT, not {text!r}", key=key)
     return Place(address(key, host.removeprefix("[").removesuffix("]")), int(port))

@@ -7,7 +7,6 @@ not below the cutoff; when it falls below, connections are closed, and new ones 
 
 import asyncio
 import contextlib
-import ipaddress
 import itertools
 import secrets
 import socket
@@ -18,7 +17,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from netsim.bridge.door import LARGEST, DoorError, Hall, check_listen
+from netsim.bridge.door import HIGHEST, LARGEST, DoorError, Hall, Port, address, check_listen
 from netsim.bridge.wss_messages import LONGEST_LINE, Message, compose, error, parse, strength
 from netsim.bridge.wss_relay import HEADER, MOST_RELAYS, Gate, Pair, Relay
 
@@ -26,8 +25,7 @@ LOOK_S = 0.1  # between two looks at the levels
 TRIED = 100  # ports, in search of a free one
 MOST_GUESTS = 64  # control connections that have not said yet whose they are; the oldest makes room
 
-Port = Annotated[int, msgspec.Meta(ge=1, le=65_535)]
-FirstPort = Annotated[int, msgspec.Meta(ge=0, le=65_535)]
+FirstPort = Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
 ChunkBytes = Annotated[int, msgspec.Meta(gt=HEADER.size, le=LARGEST)]
 
 
@@ -61,11 +59,7 @@ class Wss:
         first_port: FirstPort = 0,
         chunk_bytes: ChunkBytes = 1400,
     ) -> None:
-        try:
-            ipaddress.ip_address(listen)
-        except ValueError:
-            raise ValueError(f"listen = '{listen}': must be an IP address of this machine, such as 127.0.0.1") from None
-        self._address, self._insecure, self._port, self._cutoff_dbm = listen, insecure, port, cutoff_dbm
+        self._address, self._insecure, self._port, self._cutoff_dbm = address("listen", listen), insecure, port, cutoff_dbm
         self._first_port, self._chunk_bytes = first_port, chunk_bytes
         self._hall: Hall
         self._robots: dict[int, Robot] = {}  # by row
@@ -268,7 +262,7 @@ class Wss:
         if not self._first_port:
             return [0]
         held = {gate.port for gate in self._gates.values()}
-        return itertools.islice((port for port in range(self._first_port, 65_536) if port not in held), TRIED)
+        return itertools.islice((port for port in range(self._first_port, HIGHEST + 1) if port not in held), TRIED)
 
     def _on_call(self, pair: Pair, near: socket.socket, host: str) -> None:
         """A robot, or somebody who is none, has connected to one of the ports."""

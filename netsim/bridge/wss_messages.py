@@ -7,6 +7,8 @@ import math
 import re
 from typing import NamedTuple
 
+from netsim.bridge.door import HIGHEST
+
 LONGEST_LINE = 4096  # bytes; of whoever sends a longer one no more is read
 MOST_PORTS = 16  # on which a robot may listen
 
@@ -59,4 +61,4 @@ def strength(level_dbm: float) -> str:
 
 
 def _port(word: str) -> int | None:
-    return int(word) if _PORT.fullmatch(word) and 0 < int(word) < 65_536 else None
+    return int(word) if _PORT.fullmatch(word) and 0 < int(word) <= HIGHEST else None

@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import zenoh
@@ -24,7 +24,7 @@ from cosim.errors import UsageError
 from cosim.transport import endpoints, security
 from cosim.transport.zenoh import opened
 from cosim.types import Name
-from netsim.bridge.door import BROADCAST, LARGEST, DoorError, Hall
+from netsim.bridge.door import BROADCAST, HIGHEST, LARGEST, Bytes, DoorError, Hall, Port, check_names
 
 BACKLOG = 4096  # publications of a vehicle that wait for the loop
 OWN = "vcmvsp/"
@@ -50,9 +50,6 @@ what is for it, until it takes something again."""
 
 TOO_LONG = "longer than max_bytes"
 NO_ROOM = "dropped: more than the run deals with"
-
-Port = Annotated[int, msgspec.Meta(ge=1, le=65_535)]
-Bytes = Annotated[int, msgspec.Meta(ge=1, le=LARGEST)]
 
 _ENDPOINT = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#\s]+):(\d{1,5})")
 
@@ -148,14 +145,13 @@ class ZenohDoor:
 
     def _endpoints(self, vehicles: Sequence[str]) -> dict[int, str]:
         """By the rows of those who take part."""
-        for key, names in (("vehicles", self._vehicles), ("listen", self._listen)):
-            if unknown := [name for name in names if name not in vehicles]:
-                raise ValueError(f"{key}: there is no vehicle '{unknown[0]}'")
+        check_names("vehicles", self._vehicles, vehicles)
+        check_names("listen", self._listen, vehicles)
         found: dict[int, str] = {}
         for row, name in enumerate(vehicles):
             if not self._vehicles or name in self._vehicles:
                 port = self._first_port + row
-                if name not in self._listen and port > 65_535:
+                if name not in self._listen and port > HIGHEST:
                     raise ValueError(f"first_port = {self._first_port}: there is no port left for '{name}'")
                 found[row] = self._allowed(name, self._listen.get(name, f"tcp/127.0.0.1:{port}"))
         if doubled := [endpoint for endpoint, often in Counter(found.values()).items() if often > 1]:
@@ -164,7 +160,7 @@ class ZenohDoor:
 
     def _allowed(self, name: str, endpoint: str) -> str:
         parts = _ENDPOINT.fullmatch(endpoint)
-        if not parts or not 0 < int(parts[2]) < 65_536:
+        if not parts or not 0 < int(parts[2]) <= HIGHEST:
             raise ValueError(f"listen: '{endpoint}' of {name} must be tcp/HOST:PORT")
         if not self._insecure and not endpoints.is_loopback(parts[1].strip("[]")):
             problem = f"listen: {endpoint} of {name} lets in everybody who can reach that address"

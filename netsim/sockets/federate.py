@@ -1,12 +1,12 @@
 """Programs in the time of the run: each goes on in its turn, and the run with it; nothing depends on how long that takes."""
 
-import select
 from collections.abc import Callable, Sequence
 
 from cosim.federate import Event, RunInfo, Slot, Step
 from cosim.scenario_tables import SocketsTable
 from cosim.sockets_wire import ROOM
 from cosim.types import Message, Note, Reception, VehicleState
+from cosim.waiting import readable
 from netsim.sockets.joining import Gathering, Listener, check_endpoint
 from netsim.sockets.program import Left, Program
 
@@ -52,7 +52,6 @@ class Programs:
         self.wakes: tuple[str, ...] = self.reads
         self._listener: Listener | None = None
         self._programs: dict[str, Program] = {}  # of those that are there, in the order of their turns
-        self._poll = select.poll()
         self._stirred: set[int] = set()  # descriptors of those that do something while they should wait
 
     def start(self, run: RunInfo) -> int | None:
@@ -65,13 +64,13 @@ class Programs:
         there = Gathering(listener, names, run.scenario, self._vehicles, self._tell).wait(self._table.join_timeout_s)
         listener.close()
         for name in names:
-            program = self._programs[name] = Program(name, everybody, there[name], self._table.deadline_s)
-            self._poll.register(program.fileno(), select.POLLIN)
+            self._programs[name] = Program(name, everybody, there[name], self._table.deadline_s)
         return 0
 
     def poll(self, now_ns: int) -> bool:
         """Whether a program has ended that should wait."""
-        self._stirred = {number for number, _ in self._poll.poll(0)}
+        there = [program.fileno() for program in self._programs.values()]
+        self._stirred = set(readable(there, 0.0)) if there else set()
         return bool(self._stirred)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
@@ -131,7 +130,6 @@ class Programs:
 
     def _part(self, program: Program, why: Left, now_ns: int, events: list[Event]) -> None:
         """Go on without a program."""
-        self._poll.unregister(program.fileno())
         program.close()
         del self._programs[program.vehicle]
         self._tell(f"the program of {program.vehicle} has left at {now_ns / 1e9:.3f} s ({why}): it sends no more")

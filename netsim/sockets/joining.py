@@ -1,6 +1,7 @@
 """How programs come into a run: a socket that only this machine reaches, and the wait for one program of each vehicle."""
 
 import contextlib
+import errno
 import selectors
 import socket
 import stat
@@ -54,7 +55,8 @@ class Listener:
                 self.socket = socket.create_server((host, port), family=family, backlog=MOST_STRANGERS)
                 self.endpoint = f"{endpoint.rpartition(':')[0]}:{self.socket.getsockname()[1]}"
         except OSError as error:
-            problem = f"cannot listen on {endpoint}: {error.strerror or error}; another run may: give another endpoint"
+            taken = "another run may have it: " if error.errno == errno.EADDRINUSE else ""
+            problem = f"cannot listen on {endpoint}: {error.strerror or error}; {taken}give another endpoint"
             raise ScenarioError(problem, key="sockets.listen") from error
         self.socket.setblocking(False)
 

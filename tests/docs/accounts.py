@@ -62,7 +62,7 @@ ELSEWHERE = _in_the_gallery() | {
     "vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'": MACHINES,
     "vcmvsp doctor --connect tls/192.168.1.10:7447 --keys anna.keys": MACHINES,
     "vcmvsp run formation-circle --realtime --listen tls/0.0.0.0:7447 --keys keys": WATCHED,
-    "vcmvsp run formation-circle --set bridge.udp.first_port=47000": (
+    "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
         "tests/docs/test_doors.py::test_ports_are_where_the_first_page_has_them"
     ),
     "vcmvsp launch gap.toml --hosts hosts.toml --keys keys": STARTED,

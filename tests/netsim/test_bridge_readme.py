@@ -32,7 +32,7 @@ def block(language: str, words: str, page: str = README) -> str:
 
 def at_ports(first: int, text: str) -> str:
     """The same, but for the ports."""
-    return re.sub(r"\b47(\d{3})\b", lambda port: str(first + int(port[1])), text)
+    return re.sub(r"\b18(\d{3})\b", lambda port: str(first + int(port[1])), text)
 
 
 def test_the_worked_example(tmp_path: Path) -> None:

@@ -252,18 +252,18 @@ def test_it_says_what_ports_are() -> None:
         ),
         ({"listen": "::", "receive_host": "::1"}, "add insecure = true where you trust everybody"),
         ({"listen": "192.168.0.3", "receive_host": "192.168.0.7"}, "add insecure = true where you trust everybody"),
-        ({"listen": "nowhere"}, "listen must be an IPv4 or IPv6 address, not 'nowhere'"),
-        ({"receive_host": "a b"}, "receive_host must be an IPv4 or IPv6 address, not 'a b'"),
-        ({"vehicles": ["d"]}, "vehicles names 'd', which is no vehicle"),
-        ({"ports": {"d": {}}}, "ports names 'd', which is no vehicle"),
-        ({"ports": {"a": {"unicast": {"a": 5000}}}}, "ports.a.unicast names 'a', which is no other vehicle"),
-        ({"ports": {"a": {"unicast": {"d": 5000}}}}, "ports.a.unicast names 'd', which is no other vehicle"),
-        ({"ports": {"a": {"send": 47_101}}}, "47101 of b would be two things"),
+        ({"listen": "nowhere"}, "bridge.udp.listen: must be an IPv4 or IPv6 address, not 'nowhere'"),
+        ({"receive_host": "a b"}, "bridge.udp.receive_host: must be an IPv4 or IPv6 address, not 'a b'"),
+        ({"vehicles": ["d"]}, "vehicles: unknown vehicle 'd' (allowed: a, b, c)"),
+        ({"ports": {"d": {}}}, "ports: unknown vehicle 'd'"),
+        ({"ports": {"a": {"unicast": {"a": 5000}}}}, "ports.a.unicast: unknown other vehicle 'a' (allowed: b, c)"),
+        ({"ports": {"a": {"unicast": {"d": 5000}}}}, "ports.a.unicast: unknown other vehicle 'd'"),
+        ({"ports": {"a": {"send": 18_101}}}, "18101 of b would be two things"),
         ({"ports": {"a": {"unicast": {"b": 5000, "c": 5000}}}}, "5000 of a would be two things"),
-        ({"ports": {"a": {"receive": "127.0.0.1:47000"}}}, "a would receive at port 47000, which is one to send to"),
-        ({"ports": {"a": {"receive": "6001"}}}, "ports.a.receive must be an IPv4"),
-        ({"ports": {"a": {"receive": "127.0.0.1:0"}}}, "ports.a.receive must be HOST:PORT"),
-        ({"ports": {"a": {"receive": "127.0.0.1:٣٣"}}}, "ports.a.receive must be HOST:PORT"),
+        ({"ports": {"a": {"receive": "127.0.0.1:18000"}}}, "a would receive at port 18000, which is one to send to"),
+        ({"ports": {"a": {"receive": "6001"}}}, "bridge.udp.ports.a.receive: must be an IPv4"),
+        ({"ports": {"a": {"receive": "127.0.0.1:0"}}}, "bridge.udp.ports.a.receive: must be HOST:PORT"),
+        ({"ports": {"a": {"receive": "127.0.0.1:٣٣"}}}, "bridge.udp.ports.a.receive: must be HOST:PORT"),
         ({"ports": {"a": {"sends": 5000}}}, "unknown key 'sends'; did you mean 'send'?"),
         ({"first_port": 65_400}, "first_port: 65400 leads to port 65600; the last is 65535"),
         ({"first_port": 65_330}, "first_port: 65330 leads to port 65"),
@@ -280,6 +280,13 @@ def test_what_cannot_be_is_refused_in_words(params: dict[str, Any], problem: str
 def test_other_machines_are_let_in_if_that_is_wanted() -> None:
     Udp(listen="192.168.0.3", receive_host="192.168.0.7", insecure=True).check(NAMES)
     Udp(listen="127.0.0.2").check(NAMES)
+
+
+def test_by_default_no_port_is_one_that_linux_gives_to_whoever_asks_for_any() -> None:
+    names = [f"v{k}" for k in range(98)]
+    plan = PortPlan("127.0.0.1", table.parameters(Udp)["first_port"].default, (), {}, "127.0.0.1")
+    ports = [*plan.sending(names).values(), *(place.port for place in plan.receiving(names).values())]
+    assert 1024 <= min(ports) <= max(ports) < 32_768  # from there to 60999 (ip-sysctl of Linux)
 
 
 def test_blocks_have_room_for_98_vehicles() -> None:

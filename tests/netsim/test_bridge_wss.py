@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.errors import ScenarioError
 from netsim.bridge.door import BROADCAST, DoorError
 from netsim.bridge.wss import MOST_GUESTS, Wss
 from netsim.bridge.wss_messages import LONGEST_LINE, parse
@@ -527,7 +528,7 @@ def test_a_port_in_use_is_said() -> None:
 
 
 def test_an_address_must_be_one() -> None:
-    with pytest.raises(ValueError, match="listen = 'here'"):
+    with pytest.raises(ScenarioError, match="listen: must be an IPv4 or IPv6 address, not 'here'"):
         Wss(listen="here")
 
 

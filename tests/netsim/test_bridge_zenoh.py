@@ -288,8 +288,8 @@ class TestHallStub:
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
-        ({"vehicles": ("car9",)}, "vehicles: there is no vehicle 'car9'"),
-        ({"listen": {"car9": "tcp/127.0.0.1:1"}}, "listen: there is no vehicle 'car9'"),
+        ({"vehicles": ("car9",)}, "vehicles: unknown vehicle 'car9'"),
+        ({"listen": {"car9": "tcp/127.0.0.1:1"}}, "listen: unknown vehicle 'car9'"),
         ({"listen": {"car1": "udp/127.0.0.1:1"}}, "must be tcp/HOST:PORT"),
         ({"listen": {"car1": "tcp/127.0.0.1:0"}}, "must be tcp/HOST:PORT"),
         ({"listen": {"car1": "tcp/127.0.0.1:65536"}}, "must be tcp/HOST:PORT"),

@@ -138,11 +138,13 @@ def test_bad_logs_are_refused_by_file_and_line(lines: list[str], header: str, me
 
 
 def test_a_file_that_is_not_there_or_is_no_text(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot be read as a CSV file"):
+    with pytest.raises(UsageError, match=r"none\.csv: there is no such file"):
         read_links(tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(UsageError, match="cannot be read as a CSV file"):
-        read_links(tmp_path / "binary.csv")
+    (tmp_path / "long.csv").write_text(f"{HEADER}\n{'1' * 200_000},0,0,0,1,0,0,-50\n")
+    for name in ("binary.csv", "long.csv"):
+        with pytest.raises(UsageError, match=f"{name}: is not a CSV file in UTF-8"):
+            read_links(tmp_path / name)
 
 
 def test_the_command_writes_a_table_and_a_picture_twice_the_same(tmp_path: Path) -> None:

@@ -144,10 +144,10 @@ def test_links_do_not_know_of_each_other(sent: list[tuple[int, list[int], int]])
             assert [int(each[place]) for each in all_at_once] == [int(each[0]) for each in alone]
 
 
-def test_a_start_forgets() -> None:
+def test_opened_anew_it_has_forgotten_all_frames() -> None:
     layer = opened(rate_bps=1e6, reorder=False)
     first = one_link(layer, [5, 5, 5])
-    layer.start()
+    layer.open(2)
     assert one_link(layer, [5, 5, 5]) == first
 
 

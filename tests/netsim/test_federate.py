@@ -120,22 +120,27 @@ def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) 
         radio.step(0, [sends(0, "a")])
 
 
+def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
+    """Plain code takes the place of compiled code, of which tests before this one have loaded none; told when it is loaded."""
+
+    def load(*core: object) -> Callable[..., int]:
+        told()
+        return dcf_core.run
+
+    patch.setattr("netsim.dcf_medium.available", lambda: True)
+    patch.setattr("netsim.dcf_medium.loaded", lambda *_: False)
+    patch.setattr("netsim.dcf_medium.Compiled", load)
+
+
 @pytest.mark.parametrize("programs", [False, True])
 def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_programs_may_send(
     programs: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It would hold up everybody for a second; with what is known beforehand, the frames fare the same."""
     compiled: list[int] = []
-    monkeypatch.setattr("netsim.dcf_medium.available", lambda: True)
-    monkeypatch.setattr("netsim.dcf_medium.loaded", lambda *_: False)  # by tests before this one
+    code_is_had(monkeypatch, lambda: compiled.append(1))
     monkeypatch.setattr("netsim.dcf_medium.COMPILE_AFTER", 10)
     monkeypatch.setattr("netsim.dcf_medium.LOAD_AFTER", 10)
-
-    def loaded(*core: object) -> Callable[..., int]:
-        compiled.append(1)
-        return dcf_core.run
-
-    monkeypatch.setattr("netsim.dcf_medium.Compiled", loaded)
 
     def fates(*, paced: bool) -> list[tuple[str, ...]]:
         radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
@@ -160,17 +165,10 @@ def test_what_compiled_code_pays_for_is_seen_from_how_soon_the_first_frames_come
 ) -> None:
     """Ten frames a second: in a minute it is worth loading, in a second not; the frames fare the same."""
     loaded_at: list[int] = []
-    monkeypatch.setattr("netsim.dcf_medium.available", lambda: True)
-    monkeypatch.setattr("netsim.dcf_medium.loaded", lambda *_: False)  # by tests before this one
+    fates: list[list[tuple[str, ...]]] = []
+    code_is_had(monkeypatch, lambda: loaded_at.append(len(fates[-1])))
     monkeypatch.setattr("netsim.dcf_medium.at_hand", lambda *_: True)
     monkeypatch.setattr("netsim.federate.TELLING", 5)
-    fates: list[list[tuple[str, ...]]] = []
-
-    def loaded(*core: object) -> Callable[..., int]:
-        loaded_at.append(len(fates[-1]))
-        return dcf_core.run
-
-    monkeypatch.setattr("netsim.dcf_medium.Compiled", loaded)
     for duration_s in (seconds, 1):
         radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
         radio.start(msgspec.structs.replace(RUN, duration_ns=duration_s * SECOND_NS))

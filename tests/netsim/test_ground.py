@@ -5,10 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from cosim import table
+from cosim.errors import ScenarioError
 from cosim.testing import check_channel
 from netsim.ground import Friis, TwoRayGround
 from netsim.layers import Paths
-from netsim.propagation import SPEED_OF_LIGHT, free_space_loss_db
+from netsim.materials import ItuWalls
+from netsim.propagation import SPEED_OF_LIGHT
 
 DISTANCES = (1.0, 2.5, 10.0, 47.0, 100.0, 239.9, 500.0, 1234.5, 2000.0)
 
@@ -116,7 +119,14 @@ def line(*distances: float, tx_z: float = 0.0, rx_z: float = 0.0) -> Paths:
 def test_friis_is_that_of_ns3(frequency_hz: float) -> None:
     loss = Friis(frequency_hz).loss_db(line(*DISTANCES))
     assert loss == pytest.approx(NS3_FRIIS[frequency_hz], abs=1e-9)
-    assert loss[0] == pytest.approx(free_space_loss_db(1.0, frequency_hz), abs=1e-12)
+    assert loss[0] == pytest.approx(20.0 * math.log10(4.0 * math.pi * frequency_hz / SPEED_OF_LIGHT), abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", [Friis, TwoRayGround, ItuWalls])
+def test_a_frequency_in_gigahertz_is_refused(kind: type) -> None:
+    given = {"sightline": None} if kind is ItuWalls else {}
+    with pytest.raises(ScenarioError, match=r"frequency_hz: must be a number >= 1e\+06 and <= 1e\+12, not 2\.4"):
+        table.call(kind, {"frequency_hz": 2.4}, given=given)
 
 
 @pytest.mark.parametrize("case", NS3_TWO_RAY)

@@ -6,8 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from netsim.ground import Friis
 from netsim.layers import PathLoss, Paths
-from netsim.propagation import LogDistance, NoPathLoss, free_space_loss_db
+from netsim.presets import preset
+from netsim.propagation import LogDistance, NoPathLoss
 
 coordinate = st.floats(-2000.0, 2000.0)
 point = st.tuples(coordinate, coordinate, coordinate)
@@ -24,15 +26,25 @@ def test_distance_is_three_dimensional() -> None:
 
 def test_free_space_loss_of_a_metre() -> None:
     # the same law in MHz and km, as ITU-R P.525 has it (there rounded to 32.4 dB)
-    assert free_space_loss_db(1.0, 2.4e9) == pytest.approx(32.4478 + 20 * math.log10(2400) - 60, abs=1e-3)
-    assert LogDistance().reference_loss_db == pytest.approx(free_space_loss_db(1.0, 2.4e9), abs=1e-4)
+    (metre,) = loss_db(Friis(2.4e9), 1.0)
+    assert metre == pytest.approx(32.4478 + 20 * math.log10(2400) - 60, abs=1e-3)
+    assert LogDistance().reference_loss_db == pytest.approx(metre, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency_hz"), [("wifi-b-1", 2.4e9), ("wifi-g-54", 2.4e9), ("wifi-a-6", 5.15e9), ("zigbee", 2.4e9)]
+)
+def test_presets_begin_behind_a_metre_of_free_space(name: str, frequency_hz: float) -> None:
+    layers = preset(name)
+    assert layers["walls"]["frequency_hz"] == frequency_hz
+    assert layers["path_loss"]["reference_loss_db"] == pytest.approx(loss_db(Friis(frequency_hz), 1.0)[0], abs=1e-3)
 
 
 def test_exponent_2_is_free_space() -> None:
-    layer = LogDistance(exponent=2.0, reference_distance_m=1.0, reference_loss_db=free_space_loss_db(1.0, 2.4e9))
     distances = [1.0, 3.0, 47.0, 2000.0]
-    expected = [free_space_loss_db(d, 2.4e9) for d in distances]
-    assert loss_db(layer, *distances) == pytest.approx(expected, abs=1e-9)
+    free_space = loss_db(Friis(2.4e9), *distances)
+    layer = LogDistance(exponent=2.0, reference_distance_m=1.0, reference_loss_db=float(free_space[0]))
+    assert loss_db(layer, *distances) == pytest.approx(free_space, abs=1e-9)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 2.7, 4.0])

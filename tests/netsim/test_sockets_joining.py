@@ -169,9 +169,13 @@ def test_where_nothing_is_opened_it_is_a_federate_like_others() -> None:
 def test_an_endpoint_that_is_taken_is_said_in_one_line_and_one_that_was_left_behind_is_used(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(ScenarioError, match=f"sockets.listen: cannot listen on {listen}: .*another endpoint"):
+        with pytest.raises(
+            ScenarioError, match=f"sockets.listen: cannot listen on {listen}: .*another run may have it: give another endpoint"
+        ):
             cosim.run(scenario(tmp_path, "a", sockets={"listen": listen}), mcap=False)
     (tmp_path / "s").write_text("a file of mine")
+    with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on .*/none/s: No such file or directory; give"):
+        cosim.run(scenario(tmp_path / "none", "a"), mcap=False)
     with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on"):
         cosim.run(scenario(tmp_path, "a"), mcap=False)
     assert (tmp_path / "s").read_text() == "a file of mine"
