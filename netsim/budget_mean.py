@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.types import frozen
 from netsim.layers import Bools, Floats, Ints, Links, Paths, sealed
 from netsim.medium import Codes, Fate
 
@@ -131,10 +130,6 @@ class Heard(msgspec.Struct, frozen=True, dict=True):
     def of(self, which: int) -> "Heard":
         """Of one radio of several, whose arrays are (k, n)."""
         return Heard(self.snr_db[which], self.detected[which], None if self.hazard is None else self.hazard[which])
-
-
-def _part(values: Any, to: slice) -> Any:
-    return None if values is None else frozen(values[to])
 
 
 def at_all(values: Floats, row: int) -> Floats:

@@ -8,7 +8,7 @@ import msgspec
 
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
-from cosim.types import Count, Decibels, NonNegative, Positive
+from cosim.types import Count, Decibels, Period
 from netsim.dcf_medium import DcfMedium
 from netsim.dcf_state import Rules
 from netsim.layers import Keys, Phy
@@ -20,7 +20,7 @@ ACK_BYTES = 14 - 36  # its PSDU, as a payload that has the headers of data
 
 
 class Standard(NamedTuple):
-    """What a standard fixes (IEEE 802.11-2016, tables 15-5, 16-4, 17-21)."""
+    """What a standard fixes (IEEE 802.11-2016, tables 15-5, 16-4, 17-21, 18-5)."""
 
     slot_us: float
     sifs_us: float
@@ -38,6 +38,8 @@ A = Standard(9.0, 16.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 44)
 
 
 Attempts = Annotated[int, msgspec.Meta(ge=1, le=28)]
+Micros = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # from a nanosecond, in which all is reckoned, to a second
+Margin = Annotated[float, msgspec.Meta(ge=0.0, le=400.0)]  # dB
 
 
 @dataclass(frozen=True)
@@ -48,17 +50,17 @@ class Dcf:
     (ad hoc, no protection, long slots). None takes the standard's value. All defaults are those of ns-3.44.
     """
 
-    slot_us: Positive | None = None  # unit of backoffs; None: the standard's
-    sifs_us: Positive | None = None  # from a frame to its acknowledgement; None: the standard's
+    slot_us: Micros | None = None  # unit of backoffs; None: the standard's
+    sifs_us: Micros | None = None  # from a frame to its acknowledgement; None: the standard's
     cw_min: Count | None = None  # a backoff is 0 to this many slots; None: the standard's
     cw_max: Count = 1023  # the same at most, after failures
     cca_threshold_dbm: Decibels = -82.0  # sum of powers at which the medium is busy
     energy_threshold_dbm: Decibels = -62.0  # the same, for a radio that has not heard the frames begin
-    preamble_time_us: Positive = 4.0  # from the start of a frame until it is noticed
-    capture_margin_db: NonNegative | None = None  # a later frame so much stronger takes the receiver over; None: none does
-    capture_window_us: Positive = 16.0  # within this time from when the first was noticed
+    preamble_time_us: Micros = 4.0  # from the start of a frame until it is noticed
+    capture_margin_db: Margin | None = None  # a later frame so much stronger takes the receiver over; None: none does
+    capture_window_us: Micros = 16.0  # within this time from when the first was noticed
     queue_frames: Count = 500  # that may wait at a sender
-    lifetime_s: Positive = 0.5  # of a frame in the queue
+    lifetime_s: Period = 0.5  # of a frame in the queue
     attempts: Attempts = 7  # to send a unicast frame
 
     def __post_init__(self) -> None:
@@ -88,6 +90,9 @@ class Dcf:
     def rules(self, phy: Any, noise_mw: float) -> Rules:
         """Everything in nanoseconds, milliwatts and ratios."""
         standard = self.standard(phy)
+        cw_min = standard.cw_min if self.cw_min is None else self.cw_min
+        if cw_min > self.cw_max:
+            raise ScenarioError(f"cw_max = {self.cw_max} is less than the standard's cw_min, {cw_min}", key="mac.cw_max")
         slot_ns = round((self.slot_us or standard.slot_us) * US)
         sifs_ns = round((self.sifs_us or standard.sifs_us) * US)
         header_end_ns = (standard.preamble_us + standard.header_us) * US
@@ -102,7 +107,7 @@ class Dcf:
             preamble_ns=standard.preamble_us * US,
             header_end_ns=header_end_ns,
             header_bits_per_ns=phy.errors.header[1] / (standard.header_us * US),
-            cw_min=standard.cw_min if self.cw_min is None else self.cw_min,
+            cw_min=cw_min,
             cw_max=self.cw_max,
             queue_frames=self.queue_frames,
             lifetime_ns=round(self.lifetime_s * SECOND_NS),

@@ -66,7 +66,7 @@ class Rules(NamedTuple):
     energy_mw: float  # the same, of what a radio has not heard begin because it was sending
     faintest_mw: float  # what is weaker does not even disturb
     preamble_snr: float
-    capture: float  # ratio of powers at which a later frame takes a receiver over; infinite: never
+    capture: float  # ratio of powers at which a later frame takes a receiver over, if it may
     capture_ns: int  # how long after detection it may
     draws: int  # of each radio, in store
 

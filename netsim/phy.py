@@ -12,13 +12,14 @@ import msgspec
 
 from cosim.clock import SECOND_NS
 from cosim.errors import ScenarioError
-from cosim.types import Decibels, Seconds
+from cosim.types import Decibels
 from netsim.noise import ThermalNoise
 
 if TYPE_CHECKING:  # error rates reckon with air times, and so know this module
     from netsim.error_rate import ErrorRate
 
 BitRate = Annotated[float, msgspec.Meta(ge=1.0, le=1e15)]  # bit/s
+Overhead = Annotated[float, msgspec.Meta(ge=0.0, le=1e3)]  # s
 
 US = 1_000  # ns
 
@@ -32,7 +33,7 @@ class ConstantRate:
     """
 
     rate_bps: BitRate = 1e9  # of the payload
-    overhead_s: Seconds = 1e-6  # time on the air besides the payload
+    overhead_s: Overhead = 1e-6  # time on the air besides the payload
     tx_power_dbm: Decibels = 0.0  # transmitted power
     sensitivity_dbm: Decibels = -300.0  # weakest level at which a frame is noticed
 

@@ -6,8 +6,9 @@ side reads the end of the link.
 """
 
 import errno
-import select
 import socket
+
+from cosim.waiting import readable
 
 LONGEST = 1 << 18  # bytes of a message; the operating system takes some 200 kB
 
@@ -73,9 +74,7 @@ class Link:
 
     def wait(self, seconds: float) -> None:
         """Until something has come, at most so long."""
-        poll = select.poll()  # select() takes no descriptors above 1023
-        poll.register(self._socket, select.POLLIN)
-        poll.poll(1e3 * seconds)
+        readable([self._socket.fileno()], max(seconds, 0.0))
 
     def close(self) -> None:
         """Let the other side read the end of the link."""
