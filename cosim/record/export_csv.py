@@ -112,9 +112,9 @@ def _cells(value: Any) -> Sequence[Any]:
             return (*v, w)
         case Waypoint(position=p, yaw=yaw, speed=speed):
             return (*p, yaw, speed)
-    at, place, yaw = value.timestamp, value.pose.position, value.yaw
+    place, yaw = value.pose.position, value.yaw
     sigma_rad = None if yaw is None else value.sigma_rad
-    return (at.sec + at.nsec / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, sigma_rad)
+    return (value.timestamp.ns / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, sigma_rad)
 
 
 def _radio(reports: Sequence[FrameReport], source: Source) -> pa.Table:

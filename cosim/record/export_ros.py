@@ -107,7 +107,7 @@ def fix(said: foxglove.PoseInFrame) -> Any:
     there = pose((at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z))
     return make(
         "geometry_msgs/PoseWithCovarianceStamped",
-        header=header(_ns(said.timestamp), said.frame_id),
+        header=header(said.timestamp.ns, said.frame_id),
         pose=make("geometry_msgs/PoseWithCovariance", pose=there, covariance=covariance),
     )
 
@@ -135,7 +135,7 @@ def scan(said: foxglove.LaserScan) -> Any:
     most = said.range_max if said.range_max is not None else float(finite.max(initial=0.0))
     return make(
         "sensor_msgs/LaserScan",
-        header=header(_ns(said.timestamp), said.frame_id),
+        header=header(said.timestamp.ns, said.frame_id),
         angle_min=said.start_angle,
         angle_max=said.end_angle,
         angle_increment=(said.end_angle - said.start_angle) / max(1, len(ranges) - 1),
@@ -152,7 +152,7 @@ def image(said: foxglove.RawImage, frame: str) -> Any:
     """sensor_msgs/Image, at the time at which it was taken."""
     return make(
         "sensor_msgs/Image",
-        header=header(_ns(said.timestamp), frame),
+        header=header(said.timestamp.ns, frame),
         height=said.height,
         width=said.width,
         encoding=said.encoding,
@@ -165,7 +165,7 @@ def image(said: foxglove.RawImage, frame: str) -> Any:
 def compressed_image(said: CompressedImage, frame: str) -> Any:
     """sensor_msgs/CompressedImage, likewise."""
     data = np.frombuffer(said.data, np.uint8)
-    return make("sensor_msgs/CompressedImage", header=header(_ns(said.timestamp), frame), format=said.format, data=data)
+    return make("sensor_msgs/CompressedImage", header=header(said.timestamp.ns, frame), format=said.format, data=data)
 
 
 def camera_info(said: foxglove.CameraCalibration, picture: Any) -> Any:
@@ -219,10 +219,6 @@ def string(text: str) -> Any:
 def clock(time_ns: int) -> Any:
     """rosgraph_msgs/Clock."""
     return make("rosgraph_msgs/Clock", clock=stamp(time_ns))
-
-
-def _ns(at: foxglove.Time) -> int:
-    return at.sec * 1_000_000_000 + at.nsec
 
 
 def _odometry(time_ns: int, vehicle: str, position: Vec3, attitude: Sequence[float], linear: Vec3, angular: Vec3) -> Any:

@@ -30,7 +30,7 @@ FILE = "run.mcap"
 TOLD_EVERY = 500  # messages
 
 
-class _Noted(msgspec.Struct, tag="note"):
+class Noted(msgspec.Struct, tag="note"):
     """A note; null is a number that JSON cannot say."""
 
     values: dict[str, Any]
@@ -48,7 +48,7 @@ _READ_AS: dict[str, Any] = {
     **{f"vcmvsp.{kind.__name__}": kind for kind in (VehicleState, Odometry, Imu)},
     **{f"vcmvsp.{kind.__name__}": Command for kind in (Velocity, Waypoint)},  # one topic may have both
     f"vcmvsp.{Measured.__name__}": _Measured,
-    f"vcmvsp.{Note.__name__}": _Noted,
+    f"vcmvsp.{Note.__name__}": Noted,
     "vcmvsp.Frame": FrameReport,
     **{
         f"foxglove.{kind.__name__}": kind

@@ -11,13 +11,14 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from cosim.clock import SECOND_NS
 from cosim.frames import yaw_of
 from cosim.types import Array, Image, Scan
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}  # foxglove.LogLevel
 
 
-class FoxgloveMessage(msgspec.Struct, frozen=True):
+class FoxgloveMessage(msgspec.Struct, frozen=True, gc=False):
     """Base of the messages that Foxglove knows."""
 
 
@@ -30,7 +31,12 @@ class Time(FoxgloveMessage, frozen=True):
     @classmethod
     def of(cls, time_ns: int) -> "Time":
         """The instant ``time_ns``."""
-        return cls(*divmod(time_ns, 1_000_000_000))
+        return cls(*divmod(time_ns, SECOND_NS))
+
+    @property
+    def ns(self) -> int:
+        """The same as a number."""
+        return self.sec * SECOND_NS + self.nsec
 
 
 class Duration(FoxgloveMessage, frozen=True):

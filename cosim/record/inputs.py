@@ -21,7 +21,8 @@ import numpy as np
 from cosim.clock import SECOND_NS
 from cosim.codec import Decoder, encode
 from cosim.errors import UsageError
-from cosim.record.mcap import Form, McapLog, Schema, messages
+from cosim.record.form import Form, Schema
+from cosim.record.mcap import McapLog, messages
 from cosim.types import AnyValue, Later
 
 FILE = "hardware.mcap"
@@ -39,7 +40,13 @@ def schema_of(kind: type) -> Schema:
     return Schema(f"vcmvsp.{kind.__name__}", "x-text", text.encode())
 
 
-MSGPACK = Form("msgpack", encode, schema_of)
+def encode_into(value: AnyValue, buffer: bytearray, place: int) -> None:
+    """Have the buffer end with the value's bytes, which begin at or behind its present end."""
+    data = encode(value)
+    buffer += bytes(place - len(buffer)) + data
+
+
+MSGPACK = Form("msgpack", encode_into, schema_of)
 
 
 class InputLog:
@@ -59,7 +66,7 @@ class InputLog:
         if time_ns >= self._due_ns:
             self._log.flush()
             self._due_ns = time_ns + LOST_NS
-        self._log.write(key, value.get() if isinstance(value, Later) else value, time_ns)
+        self._log.write(key, time_ns, value.get() if isinstance(value, Later) else value)
 
     def close(self) -> None:
         """Finish the file. May be called again."""

@@ -7,11 +7,12 @@ held here is bounded, however long the run: of maps and camera pictures no more 
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 import numpy as np
 
+from cosim.record.export_source import Noted
 from cosim.record.foxglove_shown import CompressedImage, Grid, ImageAnnotations
 from cosim.record.mcap import messages
 from cosim.record.metrics import Mission
@@ -19,17 +20,10 @@ from cosim.types import Array, Mosaic, Presence, ProbabilityMap, Sightings
 
 FRAMES = 450
 
-
-class _Noted(msgspec.Struct):
-    """A note; null is a number that JSON cannot say."""
-
-    values: dict[str, Any]
-
-
 _read_grid = msgspec.json.Decoder(Grid).decode
 _read_sightings = msgspec.json.Decoder(ImageAnnotations).decode
 _read_picture = msgspec.json.Decoder(CompressedImage).decode
-_read_note = msgspec.json.Decoder(_Noted).decode
+_read_note = msgspec.json.Decoder(Noted).decode
 _read_presence = msgspec.json.Decoder(Presence).decode
 
 

@@ -14,15 +14,48 @@ from cosim.frames import quaternion_from_yaw
 from cosim.record import foxglove
 from cosim.record.foxglove import FrameTransform, Quaternion, Vector3
 from cosim.record.foxglove_shown import messages_of
+from cosim.record.kept import vehicle_of
 from cosim.record.mcap import McapLog
 from cosim.record.scene import moving_frames, scene, solids
-from cosim.types import Fix, Follows, Image, Mosaic, ProbabilityMap, Pushed, Scan, Sightings, VehicleState
+from cosim.record.tables import NOT_LOST
+from cosim.types import (
+    Datagrams,
+    Fix,
+    Follows,
+    Image,
+    Mosaic,
+    ProbabilityMap,
+    Pushed,
+    Scan,
+    Sightings,
+    States,
+    Traffic,
+    Value,
+    VehicleState,
+)
 
 CALIBRATION = "calibration"  # under the key of a camera
 
 
+class DatagramCount(Value, frozen=True, kw_only=True):
+    """How much programs outside have handed over at an instant."""
+
+    datagrams: int
+    bytes: int
+
+
+class TrafficCount(Value, frozen=True, kw_only=True):
+    """What became of such datagrams, as far as it is known at an instant."""
+
+    frames: int
+    arrivals: int
+    lost: int  # receiver by receiver
+
+
 class Viewer:
     """Writes the file of one run.
+
+    An event of a type that `putters` has goes there, any other to `write`: key, time (ns) and value; times never decrease.
 
     Args:
         stream: open and binary; it stays its owner's to close.
@@ -34,92 +67,113 @@ class Viewer:
     def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: Any = None) -> None:
         about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
         self._log = McapLog(stream, about)
-        self.write = self._log.write  # a value as it is: topic, value and time
+        self.write = self._log.write  # a value as it is
         self._vehicles, self._radius_m, self._world = run.vehicles, radius_m, world
         self._targets = () if world is None else world.targets
+        self._moves = world is not None and bool(world.moving or world.movables)
         self._calibrated: set[str] = set()  # keys of cameras
+        self._places: dict[str, Follows] = {}  # that followers mean to keep
         self._scene_is_due, self._scene_ns = True, 0
         self._pushed: Pushed | None = None
         self._estimates: list[tuple[str, VehicleState]] = []  # of the present instant
-        self._putters: dict[type, Callable[[str, Any, int], None]] = {
+        self._told: tuple[States | None, dict[str, VehicleState]] = None, {}  # those asked for last, by vehicle
+        self.putters: dict[type, Callable[[str, int, Any], None]] = {
+            VehicleState: self._put_estimate,
+            Datagrams: self._put_datagrams,
+            Traffic: self._put_traffic,
             Fix: self._put_fix,
             Follows: self._put_follows,
             Image: self._put_image,
             Scan: self._put_scan,
             Pushed: self._put_pushed,
-            VehicleState: self._put_estimate,
             **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._put_shown),
         }
         standing = None if world is None else solids(world)
         if standing is not None:
-            self._log.write("world/solids", standing, 0)
+            self.write("world/solids", 0, standing)
 
-    def put(self, key: str, time_ns: int, value: Any) -> None:
-        """An event; times never decrease."""
-        self._putters.get(type(value), self._log.write)(key, value, time_ns)
-
-    def put_states(self, truth: Mapping[str, VehicleState], time_ns: int) -> None:
-        """Where all vehicles truly are."""
-        now, transforms, write = foxglove.Time.of(time_ns), [], self._log.write
-        for name, state in truth.items():
-            qw, qx, qy, qz = state.attitude
-            place, turn = Vector3(*state.position), Quaternion(qx, qy, qz, qw)
-            transforms.append(FrameTransform(now, "world", name, place, turn))
-            write(f"{name}/state", state, time_ns)
-        self._log.write("/tf", foxglove.FrameTransforms(transforms), time_ns)
-        if self._world is not None and (self._world.moving or self._world.movables):
-            self._log.write("world/moving", moving_frames(self._world, self._pushed, time_ns), time_ns)
+    def put_states(self, time_ns: int, states: States) -> None:
+        """Where all vehicles truly are, at an instant that is recorded."""
+        now, transforms, write = foxglove.Time.of(time_ns), [], self.write
+        for name, state in self._each(states).items():
+            (x, y, z), (qw, qx, qy, qz) = state.position, state.attitude
+            transforms.append(FrameTransform(now, "world", name, Vector3(x, y, z), Quaternion(qx, qy, qz, qw)))
+            write(f"{name}/state", time_ns, state)
+        write("/tf", time_ns, foxglove.FrameTransforms(transforms))
+        if self._moves:
+            write("world/moving", time_ns, moving_frames(self._world, self._pushed, time_ns))
 
     def say(self, level: str, text: str, time_ns: int) -> None:
         """A line of the log."""
-        self._log.write("log", foxglove.Log(foxglove.Time.of(time_ns), foxglove.LEVELS[level], text), time_ns)
+        self.write("log", time_ns, foxglove.Log(foxglove.Time.of(time_ns), foxglove.LEVELS[level], text))
 
-    def end_instant(
-        self, time_ns: int, truth: Callable[[], Mapping[str, VehicleState]], places: Callable[[], Mapping[str, Follows]]
-    ) -> None:
-        """An instant is over: the true states of it, where they are known, and the places that followers mean to keep."""
+    def end_instant(self, time_ns: int, latest: tuple[int, States] | None) -> None:
+        """An instant is over: write the estimates that differ from its truth, and the scene if it is due.
+
+        ``latest``: when states were last told (ns), and these.
+        """
         if self._estimates:
-            true = truth()
+            true = self._each(latest[1]) if latest is not None and latest[0] == time_ns else {}
             for key, estimate in self._estimates:
-                if true.get(key.partition("/")[0]) != estimate:
-                    self._log.write(key, estimate, time_ns)
+                if true.get(vehicle_of(key)) != estimate:
+                    self.write(key, time_ns, estimate)
             self._estimates.clear()
         if self._scene_is_due or (self._targets and time_ns - self._scene_ns >= SECOND_NS):  # once, whoever changed it
-            drawn = scene(self._vehicles, self._radius_m, places(), time_ns, self._targets)
-            self._log.write("world/scene", drawn, time_ns)
+            drawn = scene(self._vehicles, self._radius_m, self._places, time_ns, self._targets)
+            self.write("world/scene", time_ns, drawn)
             self._scene_is_due, self._scene_ns = False, time_ns
 
     def finish(self) -> None:
         """Write the end of the file."""
         self._log.finish()
 
-    def _put_pushed(self, key: str, pushed: Pushed, time_ns: int) -> None:
-        self._pushed = pushed  # it is written with the states
+    def _each(self, states: States) -> dict[str, VehicleState]:
+        """The state of each vehicle by itself; worked out once, as it is asked for twice at most instants."""
+        if states is not self._told[0]:
+            columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
+            rows = zip(states.names, *(zip(*column.T.tolist(), strict=True) for column in columns), strict=True)
+            self._told = (
+                states,
+                {name: VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w) for name, p, v, q, w in rows},
+            )
+        return self._told[1]
 
-    def _put_estimate(self, key: str, estimate: VehicleState, time_ns: int) -> None:
+    def _put_estimate(self, key: str, time_ns: int, estimate: VehicleState) -> None:
         self._estimates.append((key, estimate))  # the truth of this instant may come later within it
 
-    def _put_follows(self, key: str, follows: Follows, time_ns: int) -> None:
-        self._scene_is_due = True
-        self._log.write(key, follows, time_ns)
+    def _put_datagrams(self, key: str, time_ns: int, datagrams: Datagrams) -> None:
+        """Only how many there were: each is in the table of frames."""
+        self.write(key, time_ns, DatagramCount(datagrams=len(datagrams.number), bytes=int(datagrams.size_bytes.sum())))
 
-    def _put_fix(self, key: str, fix: Fix, time_ns: int) -> None:
+    def _put_traffic(self, key: str, time_ns: int, traffic: Traffic) -> None:
+        lost = sum(each not in NOT_LOST for report in traffic.reports for each in report.outcome)
+        self.write(key, time_ns, TrafficCount(frames=len(traffic.reports), arrivals=len(traffic.number), lost=lost))
+
+    def _put_pushed(self, key: str, time_ns: int, pushed: Pushed) -> None:
+        self._pushed = pushed  # it is written with the states
+
+    def _put_follows(self, key: str, time_ns: int, follows: Follows) -> None:
+        self._places[vehicle_of(key)] = follows
+        self._scene_is_due = True
+        self.write(key, time_ns, follows)
+
+    def _put_fix(self, key: str, time_ns: int, fix: Fix) -> None:
         qw, qx, qy, qz = quaternion_from_yaw(fix.yaw or 0.0)
         pose = foxglove.Pose(Vector3(*fix.position), Quaternion(qx, qy, qz, qw))
         at = foxglove.Time.of(fix.time_ns)
-        self._log.write(key, foxglove.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad), time_ns)
+        self.write(key, time_ns, foxglove.PoseInFrame(at, "world", pose, fix.sigma_m, fix.sigma_rad))
 
-    def _put_scan(self, key: str, scan: Scan, time_ns: int) -> None:
-        self._log.write(key, foxglove.LaserScan.of(scan, key.partition("/")[0], scan.time_ns or time_ns), time_ns)
+    def _put_scan(self, key: str, time_ns: int, scan: Scan) -> None:
+        self.write(key, time_ns, foxglove.LaserScan.of(scan, vehicle_of(key), scan.time_ns or time_ns))
 
-    def _put_image(self, key: str, image: Image, time_ns: int) -> None:
-        vehicle = key.partition("/")[0]
+    def _put_image(self, key: str, time_ns: int, image: Image) -> None:
+        vehicle = vehicle_of(key)
         if image.focal_px > 0.0 and key not in self._calibrated:
             self._calibrated.add(key)
-            self._log.write(f"{key}/{CALIBRATION}", foxglove.CameraCalibration.of(image, vehicle, time_ns), time_ns)
-        self._log.write(key, foxglove.RawImage.of(image, vehicle, image.time_ns or time_ns), time_ns)
+            self.write(f"{key}/{CALIBRATION}", time_ns, foxglove.CameraCalibration.of(image, vehicle, time_ns))
+        self.write(key, time_ns, foxglove.RawImage.of(image, vehicle, image.time_ns or time_ns))
 
-    def _put_shown(self, key: str, shown: ProbabilityMap | Sightings | Mosaic, time_ns: int) -> None:
-        number = self._vehicles.index(key.partition("/")[0])
+    def _put_shown(self, key: str, time_ns: int, shown: ProbabilityMap | Sightings | Mosaic) -> None:
+        number = self._vehicles.index(vehicle_of(key))
         for topic, message in messages_of(key, shown, time_ns, number):
-            self._log.write(topic, message, time_ns)
+            self.write(topic, time_ns, message)

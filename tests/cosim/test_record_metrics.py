@@ -15,9 +15,34 @@ from hypothesis import strategies as st
 from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from cosim.errors import ScenarioError
 from cosim.federate import Event
+from cosim.record import kept
 from cosim.record.digest import digest
 from cosim.record.metrics import ages_s, links, min_separation_m, motion
-from cosim.types import Contact, Follows, FrameReport, Note, States, frozen
+from cosim.types import (
+    Changed,
+    Contact,
+    Fix,
+    Follows,
+    FrameReport,
+    Halted,
+    Image,
+    Imu,
+    Incident,
+    Measured,
+    Message,
+    Moved,
+    Note,
+    Odometry,
+    Outage,
+    Presence,
+    Pushed,
+    RealStatus,
+    Scan,
+    States,
+    Velocity,
+    Waypoint,
+    frozen,
+)
 from tests.cosim.recordings import TENTH, Pose, follows, frame, recorded, states
 
 L, SIDE, R, W = math.sqrt(3) / 2, 0.5, 2.0, 0.15  # the standard triangle on the standard circle
@@ -303,6 +328,41 @@ def test_digest_depends_on_key_time_and_order_and_on_nothing_else() -> None:
     swapped = [*events[:2], events[5], *events[3:5], events[2], *events[6:]]
     assert len({digest_of(run) for run in (events, other_key, later, swapped)}) == 4
     assert digest_of(some_run()) == digest_of(events)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        Velocity(linear=(1.0, 0.0, 0.0)),
+        Waypoint(position=(1.0, 2.0, 3.0)),
+        Odometry(pose=(0.0, 0.0, 0.0), v=1.0, w=0.0),
+        Imu(acceleration=(0.0, 0.0, 9.8), angular_velocity=(0.0, 0.0, 0.0)),
+        Measured(time_ns=0, values={"m": 1.0}),
+        Fix(time_ns=0, position=(0.0, 0.0, 0.0), sigma_m=0.1),
+        Scan(ranges=frozen([1.0], np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0),
+        Image(pixels=frozen(np.zeros((1, 1, 3)), np.uint8)),
+        Pushed(names=("box",), position=frozen(np.zeros((1, 3))), attitude=frozen(np.zeros((1, 4)))),
+        Message(sender="a", body=b"x", size_bytes=1),
+        Presence(state="lost", since_ns=0),
+        RealStatus(link=1, age_s=None),
+        Incident(what="stopped", cause="x", happened_ns=0),
+        Outage(vehicles=("a",), until_ns=10**8),
+        Halted(vehicles=("a",), halted=True),
+        Moved(obstacle="box", position=(0.0, 0.0), yaw=0.0),
+        Changed(key="radio.loss.probability", value=0.5),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_digest_counts_every_kind_of_event_with_its_time(value: Any) -> None:
+    *before, last = some_run()
+    runs = [[*before, last], *([*before, Event("a/x", time_ns, value), last] for time_ns in (1, 2))]
+    assert len({digest_of(run) for run in runs}) == 3
+
+
+def test_digest_ignores_how_much_is_hashed_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    together = digest_of(some_run())
+    monkeypatch.setattr(kept, "HASHED_BYTES", 0)
+    assert digest_of(some_run()) == together
 
 
 def test_digest_ignores_how_tables_are_cut_and_coded() -> None:

@@ -17,8 +17,8 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from cosim.record import foxglove, scene
 from cosim.record.foxglove_schema import FRAME, schema_of
-from cosim.record.mcap import about, contents, messages, of_topic
-from cosim.types import FrameReport
+from cosim.record.mcap import McapLog, about, contents, messages, of_topic
+from cosim.types import FrameReport, Note
 from cosim.worlds import world_of
 from tests.cosim import exporting, mcap_checks
 
@@ -50,6 +50,20 @@ def test_damage_anywhere_is_found() -> None:
         bad[place] ^= 0x10
         with pytest.raises(Exception):  # noqa: B017, PT011  whatever notices it first
             mcap_checks.examine(bytes(bad))
+
+
+def test_a_message_that_cannot_be_written_leaves_no_trace() -> None:
+    stream = io.BytesIO()
+    log = McapLog(stream, {})
+    log.write("a/note", 1, Note(values={"x": 1.0}))
+    for topic in ("a/note", "b/note"):
+        with pytest.raises(TypeError, match="cannot record"):
+            log.write(topic, 2, Note(values={"x": 2.0, "y": object()}))  # type: ignore[dict-item]
+    log.write("a/note", 3, Note(values={"x": 3.0}))
+    log.finish()
+    assert mcap_checks.examine(stream.getvalue()) == 2
+    said = [(topic, time_ns, json.loads(data)["values"]) for topic, time_ns, data in messages(io.BytesIO(stream.getvalue()))]
+    assert said == [("a/note", 1, {"x": 1.0}), ("a/note", 3, {"x": 3.0})]
 
 
 def chunk_ends(data: bytes) -> list[tuple[int, int]]:
