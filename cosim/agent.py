@@ -187,13 +187,10 @@ class Agent:
         if self._notes is None:
             self._notes = {}
         for name, value in values.items():
-            self._notes[name] = (
-                value.encode().decode()
-                if isinstance(value, str)
-                else value
-                if value is True or value is False
-                else float(value)
-            )
+            if type(value) is float or value is True or value is False:  # as nearly all are
+                self._notes[name] = value
+            else:
+                self._notes[name] = value.encode().decode() if isinstance(value, str) else float(value)
 
     def show(self, value: Shown) -> None:
         """Have a map, sightings or a mosaic of this tick recorded, under ``<vehicle>/map``, ``/sightings``, ``/mosaic``.
