@@ -54,6 +54,7 @@ class Exchange:
         """Take what a federate gave in a slot; an event of the future that wakes someone has its instant scheduled."""
         home, routes = self._federates[index].slot, self._routes
         last, given = now, self._present
+        woken: tuple[int, tuple[int, ...]] = now, ()
         for event in events:
             when, key = event.time_ns, event.key
             route = routes.get(key) or self._route(key)
@@ -65,9 +66,11 @@ class Exchange:
                 given[key].append(event)
             else:
                 given[key] = [event]
-            for woken in route[1]:
-                self._check(woken, key, slot if when == now else home)
-                self._wake(woken, when)
+            if route[1] and (when, route[1]) != woken:  # as many who send at once wake the radio
+                woken = when, route[1]
+                for each in route[1]:
+                    self._check(each, key, slot if when == now else home)
+                    self._wake(each, when)
 
     def publish(self, now: int, slot: Slot) -> None:
         """Publish all events up to this slot of this instant."""

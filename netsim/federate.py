@@ -223,17 +223,24 @@ class RadioFederate:
             message, datagram = self._open.pop(report.frame)
             if datagram is None:
                 events.append(Event("radio/frame", now_ns, report))
-            else:
-                carried.report(report, datagram)
-                carried.settle(datagram)
-            for receiver, rssi_dbm, at_ns in received(report):
-                if datagram is not None:
-                    carried.arrive(datagram, self._row[receiver], at_ns, report.frame)
-                    if not message.body:
-                        continue
-                reception = Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=report.sent_ns, received_ns=at_ns)
-                if datagram is None:
-                    events.append(Event(self._heard[receiver], at_ns, reception))
-                else:
-                    heard.append(Event(self._heard[receiver], max(at_ns, now_ns + 1), reception))
+                events += self._receptions(message, report, 0)
+                continue
+            carried.report(report, datagram)
+            carried.settle(datagram)
+            for receiver, _, at_ns in received(report):
+                carried.arrive(datagram, self._row[receiver], at_ns, report.frame)
+            if message.body:
+                heard += self._receptions(message, report, now_ns + 1)
         return [*carried.events(now_ns), *heard, *events]
+
+    def _receptions(self, message: Message, report: FrameReport, least_ns: int) -> list[Event]:
+        """What agents hear of a frame, not before ``least_ns``."""
+        keys, sent_ns = self._heard, report.sent_ns
+        return [
+            Event(
+                keys[receiver],
+                at_ns if at_ns > least_ns else least_ns,  # noqa: FURB136  a call less than max()
+                Reception(message=message, rssi_dbm=rssi_dbm, sent_ns=sent_ns, received_ns=at_ns),
+            )
+            for receiver, rssi_dbm, at_ns in received(report)
+        ]
