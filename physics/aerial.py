@@ -13,18 +13,16 @@ from collections.abc import Sequence
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.clock import SECOND_NS
 from cosim.frames import wrap
 from cosim.types import Vec3
 from physics.engine import Bodiless, Motion, still
+from physics.motion import AT_ONCE_S
 from physics.quadrotor import Quadrotor
+from physics.rigid import Floats
 from physics.vehicles import Point
 
-Floats = NDArray[np.float64]
-
-_AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
 _YAW = 3
 
 
@@ -33,7 +31,7 @@ class AerialEngine(Bodiless):
 
     def __init__(self, models: Sequence[Point | Quadrotor], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
         n = len(models)
-        self._tau = np.array([max(getattr(model, "tau_s", 0.0), _AT_ONCE_S) for model in models])
+        self._tau = np.array([max(getattr(model, "tau_s", 0.0), AT_ONCE_S) for model in models])
         self._most = [(model.max_speed, model.max_climb, model.max_yaw_rate) for model in models]
         # Rows: x, y, z, yaw.
         self._place = np.column_stack([np.array(positions, float).reshape(n, 3), headings]).T.copy()
@@ -57,7 +55,7 @@ class AerialEngine(Bodiless):
         needed_s = max(level / most, up / climb, float(np.hypot(level, up)) / (speed or inf))
         angle = wrap(yaw - rest[_YAW]) if yaw is not None else 0.0
         needed = np.array([needed_s, needed_s, needed_s, abs(angle) / turn])
-        self._rate[:, row] = np.array([*way, angle]) / np.maximum(needed, _AT_ONCE_S)
+        self._rate[:, row] = np.array([*way, angle]) / np.maximum(needed, AT_ONCE_S)
         self._left_s[:, row] = needed
 
     def advance(self, to_ns: int) -> None:
@@ -80,7 +78,7 @@ class AerialEngine(Bodiless):
 
     def read(self) -> Motion:
         """The state of every vehicle: level, without wheels."""
-        gain = np.where(self._tau > _AT_ONCE_S, (self._rate - self._speed) / self._tau, 0.0)
+        gain = np.where(self._tau > AT_ONCE_S, (self._rate - self._speed) / self._tau, 0.0)
         turning = np.zeros((self._place.shape[1], 3))
         turning[:, 2] = self._speed[_YAW]
         return still(self._place[:3].T.copy(), self._place[_YAW])._replace(

@@ -7,16 +7,20 @@ import numpy as np
 from cosim.clock import SECOND_NS
 from cosim.types import Array, Vec3
 from physics.engine import Motion, still
+from physics.polygons import overlap_m
 from physics.scene import Hull
 from physics.solids import Box, Cylinder, rectangle
 from physics.world import Movable, Moving
 
+TOUCHES_M = 1e-9  # bodies that only touch do not overlap
+
 _SIDES = 16  # of the polygon that stands for a circle where outlines are compared
+_BROWN = (120, 100, 80)  # of bodies that name no colour
 
 
-def hull_of(solid: Box | Cylinder, color: tuple[int, int, int] = (120, 100, 80)) -> Hull:
+def hull_of(solid: Box | Cylinder) -> Hull:
     """The hull of a body of this shape, about its centre."""
-    own = solid.color or color
+    own = solid.color or _BROWN
     if isinstance(solid, Cylinder):
         return Hull((2.0 * solid.radius, 2.0 * solid.radius, solid.height), kind="cylinder", color=own)
     return Hull(solid.size, color=own)
@@ -55,3 +59,8 @@ def outline(hull: Hull, position: Vec3, heading: float) -> tuple[Array, float, f
         corners = rectangle(float(x), float(y), 0.5 * length, 0.5 * width, heading)
     middle = position[2] + up
     return corners, middle - 0.5 * height, middle + 0.5 * height
+
+
+def depth_m(a: tuple[Array, float, float], b: tuple[Array, float, float]) -> float:
+    """How far, m, one of two level hulls, as `outline` gives them, must be moved to be free of the other; 0 or less: it is."""
+    return min(overlap_m(a[0], b[0]), min(a[2], b[2]) - max(a[1], b[1]))

@@ -6,13 +6,10 @@ import numpy as np
 
 from cosim.frames import yaw_of
 from cosim.table import unknown
-from cosim.types import Array, Vec3
-from physics.bodies import hull_of, outline
-from physics.polygons import overlap_m
+from cosim.types import Vec3
+from physics.bodies import TOUCHES_M, depth_m, hull_of, outline
 from physics.scene import Hull, Scene
 from physics.world import World
-
-_TOUCHES_M = 1e-9  # bodies that only touch do not overlap
 
 
 def placed(world: World, obstacle: str, position: tuple[float, float], yaw: float) -> tuple[int, Vec3]:
@@ -34,12 +31,12 @@ def placed(world: World, obstacle: str, position: tuple[float, float], yaw: floa
         raise _refused(obstacle, position, f"that is {beyond_m:.3g} m outside the world ({world.name})")
     place = (*position, 0.5 * hull.size[2])
     found = world.blocking(*outline(hull, place, yaw))
-    if found is not None and found[1] > _TOUCHES_M:
+    if found is not None and found[1] > TOUCHES_M:
         raise _refused(obstacle, position, f"it would reach {found[1]:.3g} m into {found[0].words}")
     return number, place
 
 
-def check_free(scene: Scene, names: tuple[str, ...], row: int, place: Vec3, yaw: float, within_s: float = 0.0) -> None:
+def check_free(scene: Scene, names: tuple[str, ...], row: int, place: Vec3, yaw: float, within_s: float) -> None:
     """Refuse a place that another body takes; bodies are taken to be level.
 
     Args:
@@ -61,14 +58,8 @@ def check_free(scene: Scene, names: tuple[str, ...], row: int, place: Vec3, yaw:
         if other == row:
             continue
         theirs = outline(_grown(hull, way_m[other]), at, yaw_of(attitude))
-        depth_m = _depth_m(mine, theirs)
-        if depth_m > _TOUCHES_M:
+        if depth_m(mine, theirs) > TOUCHES_M:
             raise _refused(names[row], place[:2], f"{names[other]} is there")
-
-
-def _depth_m(a: tuple[Array, float, float], b: tuple[Array, float, float]) -> float:
-    """How far one upright prism reaches into another."""
-    return min(overlap_m(a[0], b[0]), min(a[2], b[2]) - max(a[1], b[1]))
 
 
 def _grown(hull: Hull, by_m: float) -> Hull:

@@ -7,15 +7,12 @@ import numpy as np
 
 from cosim.clock import Ticks
 from cosim.errors import ScenarioError
-from cosim.federate import RunInfo
+from cosim.federate import Instants, RunInfo
 from cosim.types import Array
-from physics.bodies import heading_of, hull_of, outline
-from physics.polygons import overlap_m
+from physics.bodies import TOUCHES_M, depth_m, heading_of, hull_of, outline
 from physics.quadrotor import Quadrotor
 from physics.vehicles import VehicleSpec, flies
 from physics.world import World
-
-_TOUCHES_M = 1e-9  # bodies that only touch do not overlap
 
 
 class _Body(NamedTuple):
@@ -54,16 +51,14 @@ def check_lift(vehicles: Sequence[VehicleSpec], gravity: float) -> None:
                 raise ScenarioError(str(error), key=f"vehicle.{spec.name}") from error
 
 
-def check_instants(run: RunInfo, rate_hz: float, trains: Sequence[tuple[str, Ticks]]) -> None:
-    """Refuse instants between two steps of physics, naming both numbers; ``trains`` are those of sensors, by their keys."""
+def check_instants(run: RunInfo, rate_hz: float, fixes: Sequence[Instants]) -> None:
+    """Refuse instants between two steps of physics, naming both numbers: those of the run, and those of ``fixes``."""
     step, end_ns = Ticks.rate(rate_hz), run.duration_ns
     needed = [("duration_s", f"the duration {end_ns / 1e9:.9g} s", step.hits(end_ns))]
-    for each in run.instants:
+    for each in (*run.instants, *fixes):
         period_ok = each.ticks.is_multiple_of(step)
         needed.append((each.key, f"the period {float(each.ticks.period) / 1e9:.9g} s", period_ok))
         needed.append((each.key, f"the offset {each.offset_ns / 1e9:.9g} s", step.hits(each.offset_ns)))
-    for key, ticks in trains:
-        needed.append((key, f"the period {float(ticks.period) / 1e9:.9g} s", ticks.is_multiple_of(step)))
     for key, what, fits in needed:
         if not fits:
             problem = f"{what} is not a whole number of physics steps (1/{rate_hz:g} s); "
@@ -111,10 +106,10 @@ def check_overlaps(world: World, vehicles: Sequence[VehicleSpec]) -> None:
         first = 0 if number >= cars else movables
         for k in (first + np.flatnonzero(apart[first:] < circles[first:number, 2] + radius)).tolist():
             other = bodies[k]
-            depth = min(overlap_m(body.corners, other.corners), min(body.top, other.top) - max(body.bottom, other.bottom))
-            if depth > _TOUCHES_M:
+            depth = depth_m(body[2:], other[2:])
+            if depth > TOUCHES_M:
                 _refuse(body, other.name, depth)
-        if (found := world.blocking(body.corners, body.bottom, body.top)) is not None and found[1] > _TOUCHES_M:
+        if (found := world.blocking(body.corners, body.bottom, body.top)) is not None and found[1] > TOUCHES_M:
             _refuse(body, found[0].words, found[1])
 
 

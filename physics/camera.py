@@ -13,7 +13,7 @@ from cosim.types import Array, Image, NonNegative, Positive, Vec3, frozen
 from physics.render import render
 from physics.scene import Scene
 from physics.sensor import Sensor
-from physics.sensors.common import mounted, rotation
+from physics.sensors.common import mounted
 from physics.view import View
 
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=8192)]
@@ -70,7 +70,7 @@ class Camera(Sensor):
         """Where it is and how it looks."""
         eye = mounted(scene, row, self.mount).copy()
         eye[2] = max(eye[2], LOWEST_M)
-        turned = rotation(scene, row) @ self.body_from_camera
+        turned = scene.rotation(row) @ self.body_from_camera
         return View(eye, turned, self.width, self.height, self.focal_px, self.range_max)
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Image:

@@ -20,48 +20,61 @@ class Commands:
     """
 
     def __init__(self, mover: Mapping[str, tuple[Engine, int, bool]], advance: Callable[[int], None]) -> None:
-        self._mover, self._advance = mover, advance
+        self._advance = advance
+        self._mover = {f"{vehicle}/command": own for vehicle, own in mover.items()}
         self._newest: dict[str, Command] = {}
         self._halted: set[str] = set()
         self._advanced_ns = 0  # so far at least
 
-    def take(self, vehicle: str, time_ns: int, command: Command) -> None:
-        """Obey a command from its time on, ground vehicles its forward speed and yaw rate; of others it is none of ours."""
-        mover = self._mover.get(vehicle)
+    def take(self, key: str, time_ns: int, command: Command) -> None:
+        """Obey a command from its time on, ground vehicles its forward speed and yaw rate; of others it is none of ours.
+
+        Args:
+            key: ``<vehicle>/command``.
+            time_ns: from when on.
+            command: in the frame that its kind says.
+
+        Raises:
+            FederateError: it is not finite, or a `Waypoint` for a vehicle on the ground or of a speed that is not positive.
+        """
+        mover = self._mover.get(key)
         if mover is None:
             return
-        _check(vehicle, command, mover[2])
-        self._newest[vehicle] = command
-        if vehicle not in self._halted:
-            if time_ns > self._advanced_ns:  # most commands come together
-                self._advance(time_ns)
-                self._advanced_ns = time_ns
-            self._obey(vehicle, command)
+        engine, row, flying = mover
+        _check(key, command, flying)
+        self._newest[key] = command
+        if key in self._halted:
+            return
+        if time_ns > self._advanced_ns:  # most commands come together
+            self._advance(time_ns)
+            self._advanced_ns = time_ns
+        _obey(engine, row, command)
 
     def halt(self, vehicles: Sequence[str], time_ns: int, *, halted: bool) -> None:
-        """Have vehicles stand still from a time on, or follow their newest commands again."""
+        """Have vehicles stand still from a time on, ns, or follow their newest commands again."""
         self._advance(time_ns)
-        for vehicle in vehicles:
-            if vehicle not in self._mover or (vehicle in self._halted) == halted:
+        for key in (f"{vehicle}/command" for vehicle in vehicles):
+            if key not in self._mover or (key in self._halted) == halted:
                 continue
-            (self._halted.add if halted else self._halted.discard)(vehicle)
-            self._obey(vehicle, _STILL if halted else self._newest.get(vehicle, _STILL))
-
-    def _obey(self, vehicle: str, command: Command) -> None:
-        engine, row, _ = self._mover[vehicle]
-        if isinstance(command, Velocity):
-            engine.command(row, command.linear, command.yaw_rate)
-        else:
-            engine.go_to(row, command.position, command.yaw, command.speed)
+            (self._halted.add if halted else self._halted.discard)(key)
+            engine, row, _ = self._mover[key]
+            _obey(engine, row, _STILL if halted else self._newest.get(key, _STILL))
 
 
-def _check(vehicle: str, command: Command, flying: bool) -> None:
+def _obey(engine: Engine, row: int, command: Command) -> None:
+    if isinstance(command, Velocity):
+        engine.command(row, command.linear, command.yaw_rate)
+    else:
+        engine.go_to(row, command.position, command.yaw, command.speed)
+
+
+def _check(key: str, command: Command, flying: bool) -> None:
     """Refuse what a vehicle cannot follow."""
     if isinstance(command, Velocity):
         x, y, z = command.linear
         if isfinite(x + command.yaw_rate) and (not flying or isfinite(y + z)):
             return  # a sum is finite only if all are
-    problem = ""
+    vehicle, problem = key.partition("/")[0], ""
     if isinstance(command, Waypoint) and not flying:
         problem = f"{vehicle} was given a Waypoint but cannot fly: send Velocity, or make it a quadrotor or a point"
     elif not all(map(isfinite, _numbers(command, flying))):

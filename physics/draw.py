@@ -53,7 +53,11 @@ def draw_world(world: World, *, width: int = 1200, height: int = 800, time_s: fl
 
 
 def png(picture: Array) -> bytes:
-    """A picture as a PNG file."""
+    """A picture, (h, w, 3) uint8 red, green, blue, as a PNG file.
+
+    Raises:
+        ValueError: it cannot be written as one.
+    """
     done, data = cv2.imencode(".png", picture[:, :, ::-1])
     if not done:
         raise ValueError(f"a picture of shape {picture.shape} cannot be written as PNG")

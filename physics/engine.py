@@ -129,5 +129,5 @@ def gathered(parts: "list[tuple[Motion, Array]]", count: int) -> Motion:
             for target, source in zip(whole, motion, strict=True):
                 target[rows] = source
     for array in whole:
-        array.flags.writeable = False
+        array.setflags(write=False)
     return whole

@@ -30,14 +30,15 @@ import numpy as np
 
 from cosim.clock import Ticks
 from cosim.errors import FederateError, ScenarioError
-from cosim.federate import Event, Needed, RunInfo, Slot, Step
+from cosim.federate import Event, Instants, Needed, RunInfo, Slot, Step
 from cosim.outside import Outside
-from cosim.types import Array, Contact, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
+from cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
 from physics.bodies_put import check_free, placed
 from physics.bodies_scene import Stage
 from physics.bodies_start import check_instants, check_lift, check_names, check_overlaps, check_places, check_sensors
 from physics.commands import Commands
-from physics.engine import Engine, Motion, Touch, gathered
+from physics.contacts import Contacts
+from physics.engine import Engine, Motion, gathered
 from physics.instruments import Instruments
 from physics.outside import Reflected, check_shown
 from physics.pose_sources import PoseSources
@@ -94,7 +95,6 @@ class Physics:
         self._shown = [number for number, name in enumerate(self._names) if name in names]
         self._moved = [number for number, name in enumerate(self._names) if name not in names]
         self._reflected: Reflected | None = None
-        self._touching: frozenset[tuple[int, int | None]] = frozenset()
         self._engines: list[tuple[Engine, Array]] = []
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
@@ -102,7 +102,11 @@ class Physics:
         raise NotImplementedError
 
     def start(self, run: RunInfo) -> int:
-        """Build the engines; the first publication is at 0."""
+        """Build the engines; the first publication is at 0.
+
+        Raises:
+            ScenarioError: with the key of what cannot be: names, places, sensors, instants, kinds of vehicles.
+        """
         self._run, self._now_ns = run, 0
         self._stage = Stage(self.world, self.vehicles, self.gravity)
         shown = [self.vehicles[number] for number in self._shown]
@@ -110,7 +114,8 @@ class Physics:
         self._sources = PoseSources(self.vehicles, self._moved, run.seed)
         fitted = {spec.name: spec.sensors for spec in self.vehicles}
         self._instruments = Instruments(fitted, run.seed, wanted=frozenset(run.wanted))
-        self._needed = Needed(run)
+        own = (*self._instruments.instants, *self._sources.instants, *([Instants(PACE)] if run.paced else []))
+        self._needed, self._stops = Needed(run), Needed(msgspec.structs.replace(run, instants=(*run.instants, *own)))
         check_names(self.world, self.vehicles)
         check_places(self.world, self.vehicles)
         check_sensors(self.vehicles)
@@ -128,20 +133,22 @@ class Physics:
                 problem += "derive it from GroundVehicle, Point or Quadrotor"
                 raise ScenarioError(problem, key=f"vehicle.{spec.name}.kind")
         self._commands = Commands(mover, self._advance)
+        self._contacts = Contacts(self._engines, len(self.vehicles), self._stage.names)
         self._sources.feed(0, self._motion())
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Obey every command from its own time on, up to now; then publish."""
-        for event in inbox:
-            self._take(event)
-        if not self._is_due(now_ns):  # what is done now need not be done when it is
-            for engine, _ in self._engines:
-                if engine.stepped:
-                    engine.advance(now_ns)
-            return Step((), self._next(now_ns))
-        self._advance(now_ns)
-        return Step(self._publish(now_ns), self._next(now_ns))
+        self._take(inbox)
+        asked, sensing = self._needed.hits(now_ns), self._instruments.due(now_ns)
+        if asked or sensing or self._sources.due(now_ns):
+            self._advance(now_ns)
+            return Step(self._publish(now_ns, asked=asked, sensing=sensing), self._stops.after(now_ns))
+        self._feed(now_ns)
+        for engine, _ in self._engines:  # what is done now need not be done when something is due
+            if engine.stepped:
+                engine.advance(now_ns)
+        return Step((), self._stops.after(now_ns))
 
     def close(self) -> None:
         """Release the engines."""
@@ -167,16 +174,17 @@ class Physics:
         scene = self._stage.scene(self._now_ns, self._motion(), self._movables(), ())
         check_free(scene, self._stage.names, len(self.vehicles) + number, place, yaw, within_s)
 
-    def _take(self, event: Event) -> None:
-        """Advance to the time of a command, or of what the operator does, and obey it from there on."""
-        match event.value:
-            case Velocity() | Waypoint():
-                self._commands.take(event.key.partition("/")[0], event.time_ns, event.value)
-            case Halted(vehicles=vehicles, halted=halted):
-                self._commands.halt(vehicles, event.time_ns, halted=halted)
-            case Moved(obstacle=obstacle, position=position, yaw=yaw):
-                self._advance(event.time_ns)
-                self._put(obstacle, position, yaw)
+    def _take(self, inbox: Sequence[Event]) -> None:
+        """Advance to the time of each command, and of what the operator does, and obey it from there on."""
+        for event in inbox:
+            match event.value:
+                case Velocity() | Waypoint() as command:
+                    self._commands.take(event.key, event.time_ns, command)
+                case Halted(vehicles=vehicles, halted=halted):
+                    self._commands.halt(vehicles, event.time_ns, halted=halted)
+                case Moved(obstacle=obstacle, position=position, yaw=yaw):
+                    self._advance(event.time_ns)
+                    self._put(obstacle, position, yaw)
 
     def _put(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
         try:
@@ -190,10 +198,14 @@ class Physics:
 
     def _advance(self, to_ns: int) -> None:
         """Move on, and feed the estimators on the way."""
+        self._feed(to_ns)
+        self._move(to_ns)
+
+    def _feed(self, to_ns: int) -> None:
+        """Move on to the last instant up to ``to_ns`` at which estimators are fed, and feed them at each."""
         while (fed_ns := self._sources.next_fed_ns(self._now_ns)) is not None and fed_ns <= to_ns:
             self._move(fed_ns)
             self._sources.feed(fed_ns, self._motion())
-        self._move(to_ns)
 
     def _move(self, to_ns: int) -> None:
         if to_ns > self._now_ns:
@@ -205,29 +217,8 @@ class Physics:
         """How all vehicles move now."""
         return gathered([(engine.read(), rows) for engine, rows in self._engines], len(self.vehicles))
 
-    def _next(self, now_ns: int) -> int | None:
-        """The first instant after now at which anything is to be published; the end of the run is one."""
-        needed_ns = self._needed.after(now_ns)
-        if needed_ns is None:
-            return None
-        due = [needed_ns]
-        due += [PACE.after(now_ns)] if self._run.paced else []
-        due += [ticks.after(now_ns) for _, ticks in self._sources.trains]
-        if (reading_ns := self._instruments.next_ns(now_ns)) is not None:
-            due.append(reading_ns)
-        return min(due)
-
-    def _is_sensing(self, now_ns: int) -> bool:
-        return self._instruments.next_ns(now_ns - 1) == now_ns
-
-    def _is_due(self, now_ns: int) -> bool:
-        """Whether anything is to be published."""
-        fixing = any(ticks.hits(now_ns) for _, ticks in self._sources.trains)
-        return fixing or self._needed.hits(now_ns) or self._is_sensing(now_ns)
-
-    def _publish(self, now_ns: int) -> list[Event]:
-        """Everything of this instant, vehicles in the scenario's order."""
-        asked = self._needed.hits(now_ns)
+    def _publish(self, now_ns: int, *, asked: bool, sensing: bool) -> list[Event]:
+        """Everything of this instant, vehicles in the scenario's order: states if ``asked`` for, readings if ``sensing``."""
         if self._reflected:
             self._reflected.ask(now_ns)
         motion = self._motion()
@@ -242,11 +233,11 @@ class Physics:
             )
             events.append(Event("world/states", now_ns, states))
         events += self._sources.measure(now_ns, motion)
-        if self._is_sensing(now_ns):
-            scene = self._stage.scene(now_ns, motion, self._movables(), self._touches(passing=False))
+        if sensing:
+            scene = self._stage.scene(now_ns, motion, self._movables(), self._contacts.now(passing=False))
             events += self._instruments.read(scene)
         if asked:
-            events += self._sources.estimates(now_ns, motion) + self._contacts(now_ns, self._touches(passing=True))
+            events += self._sources.estimates(now_ns, motion) + self._contacts.begun(now_ns)
             events += self._pushes(now_ns) if self.world.movables else []
         return events
 
@@ -259,23 +250,6 @@ class Physics:
         """How movables move now; None: nothing can push them."""
         found = [each for engine, _ in self._engines for each in (engine.movables(),) if len(each.position)]
         return found[0] if found else None
-
-    def _touches(self, *, passing: bool) -> list[Touch]:
-        """What touches, in the federate's rows: vehicles in the scenario's order, then the other bodies of the world."""
-        touches = []
-        for engine, rows in self._engines:
-            own = [*rows.tolist(), *range(len(self.vehicles), len(self._stage.names))]
-            found = [(each, None if each.other is None else own[each.other]) for each in engine.touching(passing=passing)]
-            touches += [each._replace(row=own[each.row], other=other) for each, other in found]
-        return touches
-
-    def _contacts(self, now_ns: int, touches: Sequence[Touch]) -> list[Event]:
-        """Contacts that began since the last publication."""
-        pairs = dict.fromkeys((each.row, each.other) for each in touches)
-        begun = [pair for pair in pairs if pair not in self._touching]
-        self._touching = frozenset(pairs)
-        named = [Contact(vehicle=self._names[a], other=None if b is None else self._stage.names[b]) for a, b in begun]
-        return [Event("world/contact", now_ns, each) for each in named]
 
 
 class KinematicPhysics(Physics):
@@ -294,7 +268,7 @@ class BulletPhysics(Physics):
         """Bullet for those with a body, the others as without it."""
         from physics.bullet.engine import BulletEngine  # loads PyBullet: 0.4 s that a kinematic run need not wait
 
-        check_instants(self._run, self.rate_hz, self._sources.trains)
+        check_instants(self._run, self.rate_hz, self._sources.instants)
         self._instruments.check(Ticks.rate(self.rate_hz))
         solid = DifferentialDrive | UrdfDrive | Quadrotor
         bodies = [n for n, spec in enumerate(self.vehicles) if n in self._shown or isinstance(spec.model, solid)]

@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.clock import Ticks, seconds_to_ns
 from cosim.errors import FederateError, ScenarioError, VcmvspError, place_of
-from cosim.federate import Event
+from cosim.federate import Event, Instants
 from cosim.rng import stream
 from cosim.types import Later, Reading
 from physics.scene import Scene
@@ -78,9 +78,14 @@ class Instruments:
                 problem = f"{each.sensor.phase_s:g} s is not a whole number of physics steps (1/{hz:g} s)"
                 raise ScenarioError(f"{problem}; use a multiple, or set physics.rate_hz", key=f"{key}.phase_s")
 
-    def next_ns(self, now_ns: int) -> int | None:
-        """The first instant after now at which a sensor is to be read; None: there are no sensors."""
-        return min((ticks.after(now_ns - phase_ns) + phase_ns for ticks, phase_ns in self._trains), default=None)
+    @property
+    def instants(self) -> tuple[Instants, ...]:
+        """When sensors are to be read."""
+        return tuple(Instants(ticks, phase_ns) for ticks, phase_ns in self._trains)
+
+    def due(self, now_ns: int) -> bool:
+        """Whether a sensor is to be read now."""
+        return any(ticks.hits(now_ns - phase_ns) for ticks, phase_ns in self._trains)
 
     def read(self, scene: Scene) -> list[Event]:
         """The readings of all sensors that are due at the instant of the scene, as events at the times of their delivery."""

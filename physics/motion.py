@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from cosim.clock import SECOND_NS
 from cosim.types import Vec3
-from physics.engine import WIDTHS, Bodiless, Motion
+from physics.engine import Bodiless, Motion, side_by_side
+from physics.rigid import Floats
 from physics.vehicles import GroundVehicle
 
-Floats = NDArray[np.float64]
-
 _ARC_NS = 20_000_000  # longest arc while speeds change
-_AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
+AT_ONCE_S = 1e-300  # in place of a lag of 0, which would divide 0 by 0
 
 
 class MotionEngine(Bodiless):
@@ -51,14 +50,16 @@ class MotionEngine(Bodiless):
         servos = np.array([model.servo for model in models], float).reshape(n, 7).T
         tau_v, tau_w, accel, decel, yaw_accel, max_speed, max_yaw_rate = servos
         # All of these are (2, 1, n): v and w; times; vehicles.
-        self._tau = np.maximum([[tau_v], [tau_w]], _AT_ONCE_S)
+        self._tau = np.maximum([[tau_v], [tau_w]], AT_ONCE_S)
         self._rise, self._fall = np.array([[accel], [yaw_accel]]), np.array([[decel], [yaw_accel]])
         self._greatest: list[tuple[float, float]] = [*zip(max_speed.tolist(), max_yaw_rate.tolist(), strict=True)]
         self._speed, self._command = np.zeros((2, 1, n)), np.zeros((2, 1, n))
         self._command_v, self._command_w = self._command[:, 0]  # views of it
-        self._ideal = bool((self._tau == _AT_ONCE_S).all() and np.isinf([self._rise, self._fall]).all())
+        self._unsensed = np.zeros((n, 3)), np.zeros((n, 2))  # accelerations and wheels that nobody sees
+        self._ideal = bool((self._tau == AT_ONCE_S).all() and np.isinf([self._rise, self._fall]).all())
         at = np.array(positions, float).reshape(n, 3)
-        self._pose = np.column_stack([at[:, :2], headings]).T.copy()  # (3, n): x, y, yaw
+        # From 0.0 on, never -0.0: then sums of one arc and of many have the same bits.
+        self._x, self._y, self._yaw = at[:, 0] + 0.0, at[:, 1] + 0.0, np.array(headings, float)
         self._driven = np.zeros((2, n))  # since the start, m and rad
         # Wheels as they would turn: half the track and the radius, where there are any.
         self._half_track = 0.5 * np.array([getattr(model, "track_m", np.nan) for model in models])
@@ -84,12 +85,12 @@ class MotionEngine(Bodiless):
         span_s = span_ns / SECOND_NS
         if self._ideal:
             np.copyto(self._speed, self._command)
-            self._follow(self._speed * span_s)
+            self._follow(self._speed[:, 0] * span_s)
         else:
             arcs = -(-span_ns // _ARC_NS)
             ways = self._drive(np.arange(1, arcs + 1)[:, None] * (span_s / arcs))
             ways[:, 1:] -= ways[:, :-1].copy()
-            self._follow(ways)
+            self._follow(ways) if arcs > 1 else self._follow(ways[:, 0])
 
     def _drive(self, t: NDArray[Any]) -> Floats:
         """Drive to the last of the times t (arcs, 1), s from now; the ways (2, arcs, n) driven by each, m and rad."""
@@ -109,47 +110,56 @@ class MotionEngine(Bodiless):
         return ways
 
     def _follow(self, ways: Floats) -> None:
-        """Append arcs to every pose: ways (2, arcs, n), m and rad."""
+        """Append arcs to every pose: ways (2, arcs, n), or (2, n) of one each, m and rad."""
         way, turn = ways
-        one = len(turn) == 1  # most often: sums cost more than they add up
-        self._driven += ways[:, 0] if one else ways.sum(axis=1)
+        one = ways.ndim == 2  # most often: sums cost more than they add up
+        if self._sensed:
+            self._driven += ways if one else ways.sum(axis=1)
+        yaw = self._yaw + (turn if one else turn.cumsum(axis=0))
         half = 0.5 * turn
-        yaw = self._pose[2] + (turn if one else turn.cumsum(axis=0))
-        divisor = half.copy()
-        divisor[np.abs(half) < 1e-8] = 1e-8  # sin(h) / h is 1 there to the last bit
-        chord, direction = way * np.sin(divisor) / divisor, yaw - half
+        size = np.maximum(np.abs(half), 1e-8)  # sin(h) / h is even, and 1 there to the last bit
+        chord, direction = way * np.sin(size) / size, yaw - half
         east, north = chord * np.cos(direction), chord * np.sin(direction)
-        self._pose[0] += east[0] + 0.0 if one else east.sum(axis=0)  # of -0.0 and 0.0 makes the latter, as a sum does
-        self._pose[1] += north[0] + 0.0 if one else north.sum(axis=0)
-        self._pose[2] = yaw[-1]
+        self._x += east if one else east.sum(axis=0)
+        self._y += north if one else north.sum(axis=0)
+        self._yaw = yaw if one else yaw[-1]
 
     def read(self) -> Motion:
         """The state of every vehicle; its wheels are never wrong."""
-        yaw, (v, w), n = self._pose[2], self._speed[:, 0], len(self._radius)
+        yaw, (v, w), n = self._yaw, self._speed[:, 0], len(self._yaw)
         half = 0.5 * yaw
         half_cos, half_sin = np.cos(half), np.sin(half)
-        cos, sin = half_cos * half_cos - half_sin * half_sin, 2.0 * half_cos * half_sin
-        position, velocity, attitude, turning, acceleration, wheels, odometry = (np.zeros((n, width)) for width in WIDTHS)
-        position[:, :2] = odometry[:, :2] = self._pose[:2].T
-        velocity[:, 0], velocity[:, 1] = v * cos, v * sin
+        cos, sin = half_cos * half_cos - half_sin * half_sin, (half_cos + half_cos) * half_sin
+        position, velocity, attitude, turning = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 4)), np.zeros((n, 3))
+        position[:, 0], position[:, 1] = self._x, self._y
+        np.multiply(v, cos, velocity[:, 0])
+        np.multiply(v, sin, velocity[:, 1])
         attitude[:, 0], attitude[:, 3] = half_cos, half_sin
         turning[:, 2] = w
-        odometry[:, 2], odometry[:, 3], odometry[:, 4] = wrapped(yaw), v, w
-        if self._sensed:
-            gain, spin = np.zeros(n) if self._ideal else self._gain(), v * w
-            acceleration[:, 0], acceleration[:, 1] = gain * cos - spin * sin, gain * sin + spin * cos
-            across = self._half_track * self._driven[1]
-            wheels[:, 0], wheels[:, 1] = self._driven[0] - across, self._driven[0] + across
-            wheels /= self._radius[:, None]
+        odometry = np.array((self._x, self._y, wrapped(yaw), v, w)).T
+        acceleration, wheels = self._felt(v, w, cos, sin) if self._sensed else self._unsensed
         return Motion(position, velocity, attitude, turning, acceleration, wheels, odometry)
 
+    def _felt(self, v: Floats, w: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats]:
+        """What sensors see besides: accelerations (n, 3) m/s2, world, and turns of the wheels (n, 2) rad.
+
+        From speeds v m/s and w rad/s, and cosine and sine of the heading, all (n,).
+        """
+        gain, spin = np.zeros_like(v) if self._ideal else self._gain(), v * w
+        across = self._half_track * self._driven[1]
+        acceleration = side_by_side(gain * cos - spin * sin, gain * sin + spin * cos, np.zeros_like(v))
+        wheels = side_by_side(self._driven[0] - across, self._driven[0] + across) / self._radius[:, None]
+        return acceleration, wheels
+
     def _gain(self) -> Floats:
-        """What the forward speed grows by at this moment, m/s2."""
-        wanted = (self._command[0, 0] - self._speed[0, 0]) / self._tau[0, 0]
-        return np.where(self._tau[0, 0] > _AT_ONCE_S, np.clip(wanted, -self._fall[0, 0], self._rise[0, 0]), 0.0)
+        """What the forward speed grows by at this moment, m/s2; 0 where it jumps, with neither lag nor limit."""
+        (tau,), (rise,), (fall,) = self._tau[0], self._rise[0], self._fall[0]
+        wanted = (self._command[0, 0] - self._speed[0, 0]) / tau
+        jumps = (tau == AT_ONCE_S) & np.isinf(np.where(wanted > 0.0, rise, fall))
+        return np.where(jumps, 0.0, np.clip(wanted, -fall, rise))
 
 
 def wrapped(angle: Floats) -> Floats:
     """The same angles in [-pi, pi), as `cosim.frames.wrap`."""
-    turned: Floats = (angle + np.pi) % (2.0 * np.pi) - np.pi
-    return np.where(turned < np.pi, turned, -np.pi)
+    turned: Floats = (angle + np.pi) % (2.0 * np.pi) % (2.0 * np.pi)  # of a tiny negative angle the first is 2 pi, rounded
+    return turned - np.pi

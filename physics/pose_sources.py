@@ -10,9 +10,11 @@ import copy
 from collections.abc import Sequence
 from math import isnan
 
+import numpy as np
+
 from cosim.clock import Ticks
 from cosim.errors import ScenarioError
-from cosim.federate import Event
+from cosim.federate import Event, Instants
 from cosim.frames import travelled
 from cosim.rng import stream
 from cosim.types import Fix, Odometry, Vec3, VehicleState
@@ -28,8 +30,9 @@ class PoseSources:
     """Those of the vehicles with these ``numbers``, which are their rows."""
 
     def __init__(self, vehicles: Sequence[VehicleSpec], numbers: Sequence[int], seed: int) -> None:
-        self._vehicles = [(number, vehicles[number]) for number in numbers]
-        self._told = [(n, spec.pose_source, f"{spec.name}/estimate", f"{spec.name}/odometry") for n, spec in self._vehicles]
+        specs = [(number, vehicles[number]) for number in numbers]
+        self._numbers = [*numbers]
+        self._told = [(n, spec.pose_source, f"{spec.name}/estimate", f"{spec.name}/odometry") for n, spec in specs]
         self._sensors = [
             (
                 number,
@@ -38,16 +41,20 @@ class PoseSources:
                 Ticks.rate(spec.positioning.rate_hz),
                 stream(seed, f"{spec.name}/positioning"),
             )
-            for number, spec in self._vehicles
+            for number, spec in specs
             if spec.positioning is not None
         ]
         self._fixes: dict[int, Fix] = {}
-        self._fusers = {number: _Fed(_fuser(spec)) for number, spec in self._vehicles if spec.pose_source == "fusion"}
+        self._fusers = {number: _Fed(_fuser(spec)) for number, spec in specs if spec.pose_source == "fusion"}
 
     @property
-    def trains(self) -> list[tuple[str, Ticks]]:
-        """When fixes are measured, each under its key in the scenario."""
-        return [(f"vehicle.{name}.positioning.rate_hz", ticks) for _, name, _, ticks, _ in self._sensors]
+    def instants(self) -> tuple[Instants, ...]:
+        """When fixes are measured, with the keys that say so."""
+        return tuple(Instants(ticks, key=f"vehicle.{name}.positioning.rate_hz") for _, name, _, ticks, _ in self._sensors)
+
+    def due(self, now_ns: int) -> bool:
+        """Whether a fix is to be measured now."""
+        return any(ticks.hits(now_ns) for *_, ticks, _ in self._sensors)
 
     def next_fed_ns(self, now_ns: int) -> int | None:
         """The first instant after now at which estimators are fed; None: there are none."""
@@ -72,12 +79,16 @@ class PoseSources:
 
     def estimates(self, now_ns: int, motion: Motion) -> list[Event]:
         """What each vehicle takes for its own state, and what its wheels say."""
-        truths = [*zip(*(zip(*each.T.tolist(), strict=True) for each in motion[:4]), motion.odometry.tolist(), strict=True)]
+        numbers = np.concatenate((*motion[:4], motion.odometry), axis=1)
+        if len(self._told) < len(numbers):
+            numbers = numbers[self._numbers]
         events = []
-        for number, source, estimate_key, odometry_key in self._told:
-            position, velocity, attitude, spin, (x, y, yaw, v, w) = truths[number]
+        for (number, source, estimate_key, odometry_key), row in zip(self._told, numbers.tolist(), strict=True):
+            px, py, pz, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz, x, y, yaw, v, w = row
             odometry = None if isnan(x) else Odometry(pose=(x, y, yaw), v=v, w=w)
-            believed = VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
+            believed = VehicleState(
+                position=(px, py, pz), velocity=(vx, vy, vz), attitude=(qw, qx, qy, qz), angular_velocity=(wx, wy, wz)
+            )
             if source != "truth":
                 fused = self._fusers[number].fuser.estimate(now_ns) if number in self._fusers else None
                 believed = estimate(source, believed, odometry, self._fixes.get(number), fused)

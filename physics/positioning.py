@@ -1,12 +1,12 @@
 """A positioning system (indoor UWB, GNSS): now and then it tells a vehicle its pose, with noise and sometimes far off."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.frames import wrap
 from cosim.types import Fix, NonNegative, Probability, Rate, VehicleState
+from physics.noise import jump
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,16 +34,11 @@ class Positioning:
     def measure(self, now_ns: int, truth: VehicleState, rng: np.random.Generator) -> Fix:
         """One fix. It takes three normal and two uniform draws, whatever the parameters: they never move each other's."""
         dx, dy, turn = rng.standard_normal(3).tolist()
-        chance, direction = rng.random(2).tolist()
-        far = self.outlier_m if chance < self.outlier_probability else 0.0
+        far_x, far_y = jump(self.outlier_probability, self.outlier_m, rng)
         x, y, z = truth.position
         return Fix(
             time_ns=now_ns,
-            position=(
-                x + self.sigma_m * dx + far * math.cos(math.tau * direction),
-                y + self.sigma_m * dy + far * math.sin(math.tau * direction),
-                z,
-            ),
+            position=(x + self.sigma_m * dx + far_x, y + self.sigma_m * dy + far_y, z),
             yaw=wrap(truth.yaw + self.sigma_rad * turn) if self.heading else None,
             sigma_m=self.sigma_m,
             sigma_rad=self.sigma_rad if self.heading else 0.0,

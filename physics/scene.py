@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -57,9 +58,13 @@ class Scene:
     cache: dict[str, Any] = field(default_factory=dict)
 
     def rotation(self, row: int) -> Array:
-        """world_from_body of a body, (3, 3)."""
-        matrix: Array = rotations(self.attitude[row : row + 1])[0]
+        """world_from_body of a body, (3, 3); those of all are worked out together, when the first is asked for."""
+        matrix: Array = self._rotations[row]
         return matrix
+
+    @cached_property
+    def _rotations(self) -> Array:
+        return rotations(self.attitude)
 
 
 def rotations(attitude: Array) -> Array:

@@ -58,7 +58,11 @@ class UrdfDrive(GroundVehicle):
 
     @cached_property
     def plan(self) -> _Plan:
-        """What the file says of the wheels."""
+        """What the file says of the wheels.
+
+        Raises:
+            ScenarioError: with the key of the parameter that does not fit the file.
+        """
         tree = _Tree(self.file)
         left, right = (
             tree.wheel(name, key) for name, key in ((self.left_wheel, "left_wheel"), (self.right_wheel, "right_wheel"))

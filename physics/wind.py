@@ -26,13 +26,19 @@ _BLOCK = 256  # values drawn at once, of which a run uses the same whatever this
 
 
 class Gusts:
-    """The wind at n vehicles from time 0 on, each with gusts that depend on nothing but the seed and its name."""
+    """The wind at n vehicles from time 0 on, each with gusts that depend on nothing but the seed and its name.
 
-    def __init__(self, wind: Wind, n: int, seed: int, names: Sequence[str] | None = None) -> None:
-        """``names`` of the streams of random numbers; None: the rows' numbers."""
+    Args:
+        wind: mean, and how gusty.
+        names: of the vehicles, a row each.
+        seed: of the run.
+    """
+
+    def __init__(self, wind: Wind, names: Sequence[str], seed: int) -> None:
+        n = len(names)
         self._mean = frozen(np.broadcast_to(np.asarray(wind.velocity, float), (n, 3)))
         self._steady = wind.gust == 0.0 or n == 0
-        self._streams = [stream(seed, f"wind/{name}") for name in (names if names is not None else range(n))]
+        self._streams = [stream(seed, f"wind/{name}") for name in names]
         self._keep = math.exp(-1.0 / (GUST_HZ * wind.gust_time_s))
         self._sigma = wind.gust * np.array([1.0, 1.0, 0.5])
         self._fresh = self._sigma * math.sqrt(-math.expm1(-2.0 / (GUST_HZ * wind.gust_time_s)))

@@ -92,7 +92,7 @@ class BulletEngine:
                 *start(self._flying),
                 gravity=gravity,
                 step_s=self._step_s,
-                gusts=Gusts(world.wind, len(self._flying), seed, [names[row] for row in self._flying]),
+                gusts=Gusts(world.wind, [names[row] for row in self._flying], seed),
                 shapes=world.shapes,
             )
             hulls = [models[row].hull for row in self._showing]

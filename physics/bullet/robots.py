@@ -97,13 +97,9 @@ class Robots:
     def encode(self) -> None:
         """Take the encoders' readings into the odometry."""
         now = self._turned()
-        for row, (_, _, (sign_left, sign_right), radius, half_track, _) in enumerate(self._wheels):
-            (left, *_), (right, *_) = now[row]
-            seen_left, seen_right = self._seen[row]
-            self._seen[row] = left, right
-            rolled_left, rolled_right = radius * sign_left * (left - seen_left), radius * sign_right * (right - seen_right)
-            turn = 0.5 * (rolled_right - rolled_left) / half_track
-            self._reckoned[row] = arc(self._reckoned[row], 0.5 * (rolled_left + rolled_right), turn, 1.0)
+        for row, (left, right) in enumerate(now):
+            turned_to = left[0], right[0]
+            self._reckoned[row], self._seen[row] = self._reckon(row, turned_to), turned_to
         if self._zones:
             self._zones.scale()
 
@@ -130,8 +126,9 @@ class Robots:
 
     def _reckon(self, row: int, now: tuple[float, float]) -> Vec3:
         """The last pose, continued by the arc that the wheels have rolled since."""
-        _, _, signs, radius, half_track, _ = self._wheels[row]
-        left, right = (radius * sign * (new - old) for sign, new, old in zip(signs, now, self._seen[row], strict=True))
+        _, _, (sign_left, sign_right), radius, half_track, _ = self._wheels[row]
+        (now_left, now_right), (seen_left, seen_right) = now, self._seen[row]
+        left, right = radius * sign_left * (now_left - seen_left), radius * sign_right * (now_right - seen_right)
         return arc(self._reckoned[row], 0.5 * (left + right), 0.5 * (right - left) / half_track, 1.0)
 
     def note(self) -> None:

@@ -41,7 +41,11 @@ class MeshFile(Surroundings):
         return self.complete(Path(self.path).stem, solids=[mesh])
 
     def mesh(self) -> Mesh:
-        """The mesh, where it stands in the world."""
+        """The mesh, where it stands in the world.
+
+        Raises:
+            ScenarioError: with the file, and what is wrong with it.
+        """
         trimesh = library("trimesh", self.path, "trimesh")
         try:
             corners = np.array(trimesh.load_mesh(self.path, process=False).triangles, np.float64)

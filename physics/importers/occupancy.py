@@ -107,7 +107,11 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def occupied_cells(about: dict[str, Any], path: Path) -> Array:
-    """Which cells are walls, (rows, columns) bool; row 0 is at the top of the picture."""
+    """Which cells are walls, (rows, columns) bool; row 0 is at the top of the picture.
+
+    Raises:
+        ScenarioError: the picture cannot be read.
+    """
     try:
         grey = read_picture(str(about["image"])).mean(axis=2)
     except ValueError as error:

@@ -14,7 +14,11 @@ def require_file(path: str) -> None:
 
 
 def text_of(path: Path) -> str:
-    """The text of a file."""
+    """The text of a file.
+
+    Raises:
+        ScenarioError: it cannot be read, or is no UTF-8.
+    """
     try:
         return path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -28,6 +32,9 @@ def library(name: str, path: str, install: str) -> Any:
         name: of the module.
         path: of the file, for the message.
         install: the arguments of ``pip install``.
+
+    Raises:
+        ScenarioError: it is not installed.
     """
     try:
         return importlib.import_module(name)

@@ -10,7 +10,6 @@ import numpy as np
 from cosim.types import Measured, Vec3
 from physics.scene import Scene
 from physics.sensor import Sensor
-from physics.sensors.common import rotation
 
 _FLOOR_M = 0.01  # what touches the world below this height touches the floor
 
@@ -39,5 +38,5 @@ class Bumper(Sensor):
     def _bearing(self, scene: Scene, row: int, place: Vec3) -> float:
         """Of a place, from the middle of the hull and in proportion to it, rad counter-clockwise from ahead."""
         hull = scene.hulls[row]
-        x, y, _ = ((np.array(place) - scene.position[row]) @ rotation(scene, row) - hull.offset).tolist()
+        x, y, _ = ((np.array(place) - scene.position[row]) @ scene.rotation(row) - hull.offset).tolist()
         return math.atan2(y / hull.size[1], x / hull.size[0])

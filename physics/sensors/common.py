@@ -3,23 +3,15 @@
 import numpy as np
 
 from cosim.types import Array, Vec3
-from physics.scene import Scene, rotations
+from physics.scene import Scene
 from physics.sightline import Sightline
 from physics.world import World, made_once
-
-
-def rotation(scene: Scene, row: int) -> Array:
-    """world_from_body of a body, (3, 3); those of all are worked out together, once an instant."""
-    if "rotations" not in scene.cache:
-        scene.cache["rotations"] = rotations(scene.attitude)
-    matrix: Array = scene.cache["rotations"][row]
-    return matrix
 
 
 def mounted(scene: Scene, row: int, mount: Vec3) -> Array:
     """Where a point of a body is, (3,) m, world; ``mount`` in the body frame, from its reference point."""
     place: Array = scene.position[row]
-    return place + rotation(scene, row) @ np.array(mount) if any(mount) else place
+    return place + scene.rotation(row) @ np.array(mount) if any(mount) else place
 
 
 def sightline(world: World) -> Sightline:

@@ -10,7 +10,6 @@ from cosim.types import Imu, NonNegative, Positive, Rate
 from physics.noise import Errors, Noise
 from physics.scene import Scene
 from physics.sensor import Sensor
-from physics.sensors.common import rotation
 
 _FORCE = Noise(bias_sd=0.05, drift_sd=0.01, drift_time_s=300.0, quantum=9.81 / 4096)  # m/s2; quantum: MPU-6000 at 8 g
 _TURN = Noise(bias_sd=0.005, drift_sd=0.001, drift_time_s=300.0, quantum=math.radians(1 / 32.8))  # rad/s; ... at 1000 deg/s
@@ -48,7 +47,7 @@ class InertialUnit(Sensor):
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Imu:
         """What the six of them say."""
         x, y, z = scene.acceleration[row].tolist()
-        force = (x, y, z + scene.gravity) @ rotation(scene, row)
+        force = (x, y, z + scene.gravity) @ scene.rotation(row)
         read = self._errors.read(np.concatenate([force, scene.angular_velocity[row]]), scene.now_ns, rng)
         a, b, c, p, q, r = np.minimum(np.maximum(read, -self._limits), self._limits).tolist()
         return Imu(acceleration=(a, b, c), angular_velocity=(p, q, r), time_ns=scene.now_ns)

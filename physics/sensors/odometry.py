@@ -50,7 +50,11 @@ class WheelOdometry(Sensor):
         return "" if hasattr(model, "wheel_radius_m") and hasattr(model, "track_m") else _NO_WHEELS
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Odometry:
-        """The pose, and mean speeds since the last reading. Two normal draws."""
+        """The pose, and mean speeds since the last reading. Two normal draws.
+
+        Raises:
+            ScenarioError: the vehicle has no wheels whose turns could be counted.
+        """
         if self.wheel_radius_m is None or self.track_m is None or math.isnan(scene.wheels[row, 0]):
             name = scene.vehicles[row]
             raise ScenarioError(f"{name} {_NO_WHEELS}", key=f"vehicle.{name}.sensors")

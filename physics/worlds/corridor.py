@@ -46,7 +46,11 @@ class Corridor(Surroundings):
         return np.cumsum(np.concatenate([[[self.start, 0.0]], steps]), axis=0)
 
     def build(self) -> World:
-        """The world itself."""
+        """The world itself.
+
+        Raises:
+            ScenarioError: the corridor would run into itself.
+        """
         inner, outer = 0.5 * self.width, 0.5 * self.width + self.thickness
         walls = [*self._wall(inner, outer), *self._wall(-outer, -inner)]
         if self.closed:

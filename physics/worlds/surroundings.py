@@ -42,7 +42,11 @@ class Surroundings:
                     raise ScenarioError(f"{what} are called {name!r}: give each a name of its own")
 
     def sited(self) -> tuple[Target, ...]:
-        """The targets, all with a place or a way."""
+        """The targets, all with a place or a way.
+
+        Raises:
+            ScenarioError: one has neither.
+        """
         for number, target in enumerate(self.targets):
             if target.place is None and not target.way:
                 problem = "needs a place or a way: only a town has streets to choose a place on"
@@ -52,7 +56,11 @@ class Surroundings:
     def complete(
         self, name: str, *, solids: Sequence[AnySolid] = (), ground: Ground = BARE, bounds: Bounds | None = None
     ) -> World:
-        """The world of these solids, with all that was listed besides."""
+        """The world of these solids, with all that was listed besides.
+
+        Raises:
+            ScenarioError: the bounds are the wrong way round, a picture cannot be read, or a target has no place.
+        """
         if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise ScenarioError(f"west, south, east, north: the first two must be less, not {bounds}", key="bounds")
         _check_pictures(ground, self.targets)

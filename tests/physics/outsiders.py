@@ -44,10 +44,12 @@ def run(
     seconds: float = 2.0,
     instants: Sequence[Instants] = TENTH,
     seed: int = 1,
+    *,
+    paced: bool = False,
 ) -> list[Event]:
     """All that is published; commands are (from when, s; vehicle; v, m/s; w, rad/s)."""
-    names = tuple(each.name for each in physics.vehicles)
-    info = RunInfo(scenario="test", seed=seed, duration_ns=seconds_to_ns(seconds), vehicles=names, instants=tuple(instants))
+    names, end_ns = tuple(each.name for each in physics.vehicles), seconds_to_ns(seconds)
+    info = RunInfo(scenario="test", seed=seed, duration_ns=end_ns, vehicles=names, instants=tuple(instants), paced=paced)
     told = [
         Event(f"{name}/command", seconds_to_ns(at_s), Velocity(linear=(v, 0.0, 0.0), yaw_rate=w))
         for at_s, name, v, w in commands

@@ -141,6 +141,18 @@ def test_it_is_fed_at_instants_of_its_own_however_often_states_are_needed(kind: 
 
 
 @BOTH
+def test_it_is_fed_the_same_where_physics_moves_on_ahead_of_the_wall_clock(kind: type[Physics]) -> None:
+    def told(*, paced: bool) -> list[tuple[Any, ...]]:
+        noted = Noted()
+        vehicles = [fused(noted, rate_hz=1.0), spec("lag", y=3.0, model=Lag())]
+        quarters = (Instants(Ticks.every(0.25)),)  # steps ahead of need pass instants at which it is fed
+        run(kind(world=World(), vehicles=vehicles), TURNS, 2.0, quarters, paced=paced)
+        return noted.told
+
+    assert told(paced=True) == told(paced=False)
+
+
+@BOTH
 def test_more_instants_change_no_estimate_at_the_old_ones(kind: type[Physics]) -> None:
     def believed(*instants: Instants) -> dict[int, Any]:
         vehicles = [fused(Fusion()), fused(Fusion(), "lag", y=3.0, model=Lag())]

@@ -57,11 +57,19 @@ def run(
 ) -> list[Event]:
     """All events of a run; readings on demand as they are."""
     instruments = Instruments(fitted, seed, wanted=wanted)
-    places, events, now = [(3.0 * n, 0.0, 1.0) for n in range(vehicles)], [], instruments.next_ns(-1)
-    while now is not None and now < seconds * SECOND_NS:
+    places, events = [(3.0 * n, 0.0, 1.0) for n in range(vehicles)], []
+    for now in times(instruments, seconds):
+        assert instruments.due(now)
         events += instruments.read(scene_of(*places, t=now / SECOND_NS))
-        now = instruments.next_ns(now)
     return events
+
+
+def times(instruments: Instruments, seconds: float) -> list[int]:
+    """When sensors are to be read before so many seconds have gone, ns."""
+    found = set()
+    for ticks, offset_ns in ((each.ticks, each.offset_ns) for each in instruments.instants):
+        found |= {now for k in range(10_000) if (now := ticks.at(k) + offset_ns) < seconds * SECOND_NS}
+    return sorted(found)
 
 
 def said(events: Sequence[Event], key: str) -> list[Any]:
@@ -82,7 +90,15 @@ def test_each_sensor_is_read_at_its_rate_from_its_phase_on_and_delivered_late() 
 
 
 def test_without_sensors_there_is_nothing_to_do() -> None:
-    assert Instruments({"car0": {}}, 1).next_ns(-1) is None
+    instruments = Instruments({"car0": {}}, 1)
+    assert instruments.instants == ()
+    assert not instruments.due(0)
+
+
+def test_sensors_are_due_at_their_own_instants_alone() -> None:
+    instruments = Instruments({"car0": {"a": Draw(rate_hz=10.0, phase_s=0.05), "b": Draw(rate_hz=4.0)}}, 1)
+    due = [now for now in range(-(10**8), 10**9, 25 * 10**6) if instruments.due(now)]
+    assert due == times(instruments, 1.0)
 
 
 def test_ticks_that_are_no_whole_nanoseconds_are_all_met() -> None:

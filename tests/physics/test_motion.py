@@ -130,6 +130,28 @@ def test_agrees_with_a_plain_integration(model: Lag, sequence: list[tuple[float,
     assert got[3:] == pytest.approx((v, w), abs=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("model", "in_between"),
+    [
+        (Lag(), (0.6, -0.4)),
+        (Inertial(), (0.3, -0.75)),
+        (Inertial(tau_v_s=0.0, tau_w_s=0.0), (0.3, -0.75)),
+        (Kinematic(), (0.0, 0.0)),
+    ],
+    ids=["lag", "inertial", "ramps only", "kinematic"],
+)
+def test_accelerations_are_what_speeds_grow_by(model: GroundVehicle, in_between: tuple[float, float]) -> None:
+    moved = engine(model)
+    for wanted, at_ns, least_or_most in ((0.6, 0, in_between[0]), (0.1, SECOND_NS, in_between[1])):
+        moved.command(0, (wanted, 0.0, 0.0), 0.0)
+        moved.advance(at_ns + SECOND_NS // 2)
+        seen, before = float(moved.read().acceleration[0, 0]), row(moved)[3]
+        moved.advance(at_ns + SECOND_NS // 2 + 1000)
+        assert seen == pytest.approx((row(moved)[3] - before) / 1e-6, abs=1e-3)
+        assert abs(seen) <= abs(least_or_most) + 1e-9
+        moved.advance(at_ns + SECOND_NS)
+
+
 def test_a_fleet_moves_as_each_of_it_alone() -> None:
     models = [Kinematic(), Lag(), Inertial(), P2DX(), Lag(tau_v_s=1.0, tau_w_s=0.0)]
     fleet, alone = engine(*models), [engine(model) for model in models]

@@ -41,7 +41,7 @@ def test_it_is_read_as_any_other(altimeter: Any) -> None:
     (event,) = instruments.read(scene_of((1.0, 2.0, 3.0)))
     assert (event.key, event.time_ns) == ("car0/alt", 50_000_000)
     assert event.value == Measured(time_ns=0, values={"height_m": 3.0})
-    assert instruments.next_ns(0) == 50_000_000
+    assert [instruments.due(now) for now in (0, 25_000_000, 50_000_000)] == [True, False, True]
 
 
 def test_it_errs_by_itself(altimeter: Any) -> None:
