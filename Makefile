@@ -7,6 +7,9 @@ WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) +
 BIN = $(VENV)/bin
 UV = .uv/bin/uv
 
+# Whatever the environment says of bytecode: each worker and each program that a test starts imports what is compiled once.
+export PYTHONDONTWRITEBYTECODE =
+
 .PHONY: setup demo test check docs bench clean
 
 setup: $(VENV)/.ready
@@ -26,7 +29,7 @@ demo: setup
 check: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy --num-workers auto
 	$(BIN)/lint-imports
 	$(BIN)/python -m cosim.reference
 
@@ -34,10 +37,9 @@ docs: setup
 	$(BIN)/python -m cosim.reference --write
 	$(BIN)/python -m cosim.reference_index --write
 
-# Each worker and each program that a test starts imports what is compiled once, whatever the environment says of bytecode. Files
-# go to workers in their order, so that none that takes long comes last.
+# Files go to workers in their order, so that none that takes long comes last.
 test: check
-	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 bench: setup .ns3/.ready .drones/.ready .peers/.ready
 	$(BIN)/python -m bench

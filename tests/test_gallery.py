@@ -20,7 +20,7 @@ def test_a_built_in_scenario_prints_what_its_gallery_says(name: str) -> None:
 def test_a_formation_with_another_estimator_keeps_the_error_that_its_gallery_says(name: str) -> None:
     (other,) = re.findall(r"`--set agents.estimator=(\w+)`", section(name))
     (rms,) = re.findall(r"(0\.\d{4}) m\s+RMS", section(name).rpartition("With `--set")[2])
-    changed = cosim.run(name, set={"agents.estimator": other}, mcap=False)
+    changed = cosim.run(name, set={"agents.estimator": other}, agents="inprocess", mcap=False)
     assert changed.metrics["formation"]["rms_m"] == pytest.approx(float(rms), abs=5e-5)
 
 

@@ -21,6 +21,7 @@ WAYS: Mapping[str, Mapping[str, Any]] = {
     "none": {"estimator": "hold", "feed": "none"},
     "acceleration": {"estimator": "hold", "feed_forward_s": LAG_S},
 }
+LED: Mapping[str, Any] = {"estimator": "dr", "feed": "leader"}
 LABELS = {
     "hold": "hold",
     "dr": "dr",
@@ -39,8 +40,8 @@ def chain(runner: Runner) -> Figure:
     """Gain of a hop for a leader that surges, at T = 10 ms; and the links of a column of seven on a random path at 0.1 s."""
     peaks = {d: _peak("dr", d) for d in DELAYS_S}
     swings = [(w, DELAY_S) for w in OMEGAS] + [(peaks[d][0], d) for d in DELAYS_S]
-    columns = {**WAYS, "leader": {"estimator": "dr", "feed": "leader"}}
-    seen = runner([*(_surge(*each) for each in swings), *(_column(each) for each in columns.values())])
+    columns = {**WAYS, "leader": LED}
+    seen = runner([*(_surge(*each) for each in swings), *(column(each) for each in columns.values())])
     gains, links = np.array(seen[: len(swings)]), dict(zip(columns, seen[len(swings) :], strict=True))
     rows = _gain_rows(gains, peaks) + _column_rows(links)
     omega = np.geomspace(0.2, 5.0, 200)
@@ -138,7 +139,7 @@ def sways(result: Result, scenario: Mapping[str, Any], omega: float) -> Array:
     return np.asarray(size[1:] / size[0])
 
 
-def _column(way: Mapping[str, Any]) -> Job:
+def column(way: Mapping[str, Any]) -> Job:
     """A column of seven whose leader obeys at once, that gives the root mean square error of each link."""
     law = {"distance": SPACING_M, "handle": HANDLE_M, "broadcast": True, **way}
     followers = [{**law, "leader": f"car{number}"} for number in range(1, LINKS + 1)]

@@ -19,6 +19,7 @@ from cosim.types import Array
 
 PROBABILITIES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9)
 FOLLOWERS = 40  # of each estimator, half of them on either side; they share the leader and lose messages on their own
+MANY = 500  # followers behind each point of the lines in the picture
 RARE = 0.7  # from this loss on, the closed form takes twice as many: errors last longer and scatter more
 TITLES = {"slalom": "Leader on a slalom", "random": "Leader on a random path"}
 
@@ -49,7 +50,7 @@ def loss(
         curves = []
         for color, estimator in enumerate(lossy.ESTIMATORS, 1):
             got = np.array([measured[path, each, estimator] for each in probabilities])
-            many = lossy.rms(path, estimator, p, np.ones(len(p), int), count=500)
+            many = lossy.rms(path, estimator, p, np.ones(len(p), int), count=MANY)
             curves += [Curve(p, got, estimator, color, "markers"), Curve(p, many, "", color)]
         rows += [
             relative(f"{path}, {case[2]}, p = {case[1]:g}: RMS |z|, m", integrated(path, each)[case[2]], measured[case], 0.001)

@@ -11,6 +11,7 @@ import pytest
 from cosim import progress
 from cosim import scenario as scenarios
 from tests.cosim.command import contents, two_cars, vcmvsp
+from tests.cosim.hosting import UNDRAWN
 
 FILES = ["about.json", "metrics.json", "radio.parquet", "report.html", "run.mcap", "scenario.toml", "states.parquet"]
 
@@ -171,7 +172,7 @@ def test_every_command_has_help(command: str) -> None:
 def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path, where: str) -> None:
     (folder / "chatty.py").write_text(CHATTY)
     (folder / "s.toml").write_text(two_cars(agent="kind='chatty.py:Chatty'"))
-    command = [sys.executable, "-m", "cosim.cli", "run", "s.toml", "--json", "--out", "out", "--agents", where]
+    command = [sys.executable, *UNDRAWN, "run", "s.toml", "--json", "--out", "out", "--agents", where]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == (folder / "out" / "metrics.json").read_text()
     assert json.loads(done.stdout)["scenario"] == "two-cars"
@@ -182,18 +183,8 @@ def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path,
 
 def test_json_is_clean_with_the_physics_engine_too() -> None:
     """PyBullet greets from C++, past Python's own stdout."""
-    command = [
-        sys.executable,
-        "-m",
-        "cosim.cli",
-        "run",
-        "formation-circle",
-        "--set",
-        "duration_s=0.5",
-        "--json",
-        "--out",
-        "out",
-    ]
+    settings = ["--set", "duration_s=0.5", "--agents", "inprocess"]
+    command = [sys.executable, *UNDRAWN, "run", "formation-circle", *settings, "--json", "--out", "out"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert json.loads(done.stdout) == json.loads(Path("out/metrics.json").read_text())
 

@@ -1,5 +1,6 @@
 """``vcmvsp reference``: every key that a scenario can have, as the code has it."""
 
+import functools
 import itertools
 import json
 import re
@@ -26,8 +27,13 @@ from cosim.reference_tree import Key, Reference, Section
 from netsim.federate import RadioFederate
 from tests.cosim.command import vcmvsp
 
-WHOLE = reference_tree.whole()
 KEY = Key(name="size", type="> 0", unit="", schema={}, required=False, default=2.5, without="", meaning="of it, " * 20 + "all")
+
+
+@functools.cache
+def whole() -> Reference:
+    """All of it, worked out by the first test that looks at it: each worker collects this file, and one runs it."""
+    return reference_tree.whole()
 
 
 def keys(section: str) -> dict[str, list[Key]]:
@@ -43,7 +49,7 @@ def names(section: str) -> dict[str, list[str]]:
 
 
 def test_every_key_of_every_table_is_there() -> None:
-    found = {(each.path, each.kind): {key.name for key in each.keys} for each in WHOLE.sections}
+    found = {(each.path, each.kind): {key.name for key in each.keys} for each in whole().sections}
     assert found["", ""] == {*table.parameters(scenario_tables.Scenario)}
     assert found["agents", ""] == {*table.parameters(scenario_tables.AgentsTable)} - {"defaults"}
     assert found["vehicle.NAME", ""] == {*table.parameters(scenario_tables.VehicleTable), *repeat.KEYS} - {"params"}
@@ -56,7 +62,7 @@ def test_every_key_of_every_table_is_there() -> None:
 
 @pytest.mark.parametrize("place", [place for place in reference_tree.places() if place.kinds], ids=lambda place: place.path)
 def test_every_kind_is_there_with_all_that_it_takes(place: reference_tree.Place) -> None:
-    sections = [each for each in WHOLE.sections if each.path == place.path]
+    sections = [each for each in whole().sections if each.path == place.path]
     assert [each.kind for each in sections if each.kind] == [*registered.KINDS[place.group]]
     shared = {key.name for each in sections if not each.kind for key in each.keys}
     for each in sections:
@@ -67,7 +73,7 @@ def test_every_kind_is_there_with_all_that_it_takes(place: reference_tree.Place)
 
 
 def test_every_key_says_what_it_means_and_what_holds_without_it() -> None:
-    said = [(each.path, each.kind, key) for each in WHOLE.sections for key in each.keys]
+    said = [(each.path, each.kind, key) for each in whole().sections for key in each.keys]
     assert [(path, kind, key.name) for path, kind, key in said if not key.meaning] == []
     assert [
         (path, kind, key.name) for path, kind, key in said if key.required and (key.default is not None or key.without)
@@ -115,7 +121,7 @@ def test_a_section_is_a_table_or_a_kind_with_what_is_in_it(section: str, found: 
 
 
 def test_a_table_is_shown_with_all_within_it() -> None:
-    inside = [f"{each.path} {each.kind}".strip() for each in WHOLE.sections if f"{each.path}.".startswith("radio.")]
+    inside = [f"{each.path} {each.kind}".strip() for each in whole().sections if f"{each.path}.".startswith("radio.")]
     assert [*names("radio")] == inside
 
 
@@ -172,7 +178,7 @@ def test_it_is_plain_where_nobody_looks() -> None:
 
 @pytest.mark.parametrize("width", [40, 80, 200])
 def test_on_a_terminal_it_fits_and_nothing_is_lost(width: int) -> None:
-    for section in WHOLE.sections:
+    for section in whole().sections:
         wide, fitted = (" ".join(reference_text.lines(section, each)).split() for each in (None, width))
         assert wide == fitted
     section = Section(path="a.b", kind="c", listed=False, about="What it is.", keys=(KEY,))
@@ -192,7 +198,7 @@ def test_meanings_stand_in_one_column() -> None:
 
 def test_json_is_what_its_types_say() -> None:
     out = vcmvsp("reference", "--json").out
-    assert msgspec.json.decode(out, type=Reference, strict=True) == WHOLE
+    assert msgspec.json.decode(out, type=Reference, strict=True) == whole()
     assert json.loads(out)["schema"] == "vcmvsp.reference/1"
     (section,) = json.loads(vcmvsp("reference", "clock.late", "--json").out)["sections"]
     (key,) = section.pop("keys")
@@ -202,7 +208,7 @@ def test_json_is_what_its_types_say() -> None:
 
 def test_schemas_allow_the_defaults() -> None:
     kinds: dict[str, Any] = {"number": (int, float), "integer": int, "boolean": bool, "string": str, "object": dict}
-    for key in (key for each in WHOLE.sections for key in each.keys if key.default is not None):
+    for key in (key for each in whole().sections for key in each.keys if key.default is not None):
         if (kind := key.schema.get("type")) in kinds:
             assert isinstance(key.default, kinds[kind]), key
         if choice := key.schema.get("enum"):

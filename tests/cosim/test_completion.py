@@ -1,5 +1,6 @@
 """Completion, asked as shells ask for it: by environment variables."""
 
+import inspect
 import os
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import typer.main
 
 from cosim import cli_complete, registry
 from cosim import scenario as scenarios
@@ -20,6 +22,8 @@ HEAVY = ("numpy", "rich", "matplotlib", "pybullet", "zenoh")
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "rich", sys.modules.get("rich"))  # which completion hides
+    # Commands are made anew, of what completion adds to their parameters.
+    monkeypatch.setattr(typer.main, "get_command", inspect.unwrap(typer.main.get_command))
     return tmp_path
 
 

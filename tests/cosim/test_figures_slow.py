@@ -1,21 +1,16 @@
 """The slow figures whole, at fewer points and with fewer followers: every row comes out, and everything is drawn and written.
 
-What their rows are compared with, and the runs behind them, is the matter of ``tests/validation``.
+What their rows are compared with, and the runs behind them, is the matter of ``tests/validation``, where the figure of chains
+is, too: it shows the runs that are looked at there.
 """
 
-import csv
-import json
-import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from cosim import figures
-from cosim.figures import chain, consensus, delay, fields, gauge, lossy, passages
-from cosim.figures.files import write
-from cosim.figures.kit import Figure, Runner
+from cosim.figures import consensus, delay, fields, gauge, loss, lossy, passages
+from tests.cosim.figuring import made
 
 DELAYS_S = (0.5,)
 
@@ -28,45 +23,9 @@ def one_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(delay, "REFERENCE", few)
 
 
-class Once(Runner):
-    """Makes a run once, however many figures show it."""
-
-    def __init__(self) -> None:
-        super().__init__(1)
-        self._made: dict[bytes, Any] = {}
-
-    def __call__(self, jobs: Sequence[Callable[[], Any]]) -> list[Any]:
-        keys = [pickle.dumps(job) for job in jobs]
-        for key, job in zip(keys, jobs, strict=True):
-            if key not in self._made:
-                self._made[key] = job()
-        return [self._made[key] for key in keys]
-
-
-RUNNER = Once()
-
-
-def made(name: str, folder: Path, panels: int, words: Sequence[str], **settings: Any) -> Figure:
-    """A figure by its name, with all that holds for each of them."""
-    figure = figures.find(name)(RUNNER, **settings)
-    assert [row for row in figure.rows if not row.ok] == []
-    cases = [row.case for row in figure.rows]
-    assert len(set(cases)) == len(cases)
-    assert [word for word in words if not any(word in case for case in cases)] == []
-    titles = [panel.title for panel in figure.panels]
-    assert len(set(titles)) == len(titles) == panels
-    assert all(panel.heat is not None or panel.curves for panel in figure.panels)
-    written = write(name, figure, folder)
-    assert [path.name for path in written] == [f"{name}{end}" for end in (".csv", "-expected.csv", ".json", ".png", ".svg")]
-    assert all(path.stat().st_size > 100 for path in written)
-    with written[0].open() as file:
-        assert {point["panel"] for point in csv.DictReader(file)} == {*titles}
-    assert [row["case"] for row in json.loads(written[2].read_text())["rows"]] == cases
-    return figure
-
-
 def test_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lossy, "PATHS", ("random",))
+    monkeypatch.setattr(loss, "MANY", 20)
     figure = made("loss", tmp_path, 2, [*lossy.ESTIMATORS, "straight"], followers=4, probabilities=(0.3,), straight=4)
     assert len(figure.rows) == 4 + 1 + 1  # each estimator, dr over hold, the closed form
 
@@ -92,21 +51,12 @@ def test_loss_and_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert all(panel.heat is not None and panel.heat.values.shape == (1, 2) for panel in figure.panels)
 
 
-def test_chain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chain, "OMEGAS", (0.8, 0.963))
-    monkeypatch.setattr(chain, "DELAYS_S", ())
-    monkeypatch.setattr(chain, "WARM_S", 8.0)
-    figure = made("chain", tmp_path, 2, ["largest gain", "column"])
-    assert len(figure.rows) == 4 + 1 + 4 + 4 + 2 + 3
-
-
 def test_consensus_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few: Mapping[str, int] = {"path": 5}
     monkeypatch.setattr(consensus, "GRAPHS", few)
     monkeypatch.setattr(consensus, "AGES", range(2, 5))
-    monkeypatch.setattr(consensus, "SHARES", (1.02,))
-    monkeypatch.setattr(consensus, "GROWTH", {graph: consensus.GROWTH[graph][2:3] for graph in few})
-    figure = made("consensus-delay", tmp_path, 4, ["last stable", "first unstable", "1 kHz", "no delay", "own point fresh"])
+    words = ["last stable", "first unstable", "1 kHz", "no delay", "own point fresh"]
+    figure = made("consensus-delay", tmp_path, 4, words, shares=(1.02,))
     assert len(figure.rows) == 4 + 1 + 1 + 1
 
 

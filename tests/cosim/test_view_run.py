@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ import pytest
 
 import cosim
 from cosim.record.tables import load
-from tests.cosim.hosting import VCMVSP
+from tests.cosim.hosting import UNDRAWN
 from tests.cosim.viewing import browser, positions
 
 WAIT_MS = 60_000
@@ -61,7 +62,8 @@ def is_trouble(message: Any) -> bool:
 def looked_at(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
     """The command, and where its page is."""
     (folder / "looked-at.toml").write_text(SCENARIO)
-    command = [*VCMVSP, "run", str(folder / "looked-at.toml"), "--view", "--view-port", "0", "--out", str(folder / "out")]
+    options = ["--view", "--view-port", "0", "--out", str(folder / "out")]
+    command = [sys.executable, *UNDRAWN, "run", str(folder / "looked-at.toml"), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:

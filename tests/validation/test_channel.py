@@ -8,7 +8,7 @@ import pytest
 import cosim
 from tests.validation.fleet import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, errors, fleet, lossy
 
-FOLLOWERS = 40
+FOLLOWERS = 30
 FROM_S = 20.0
 
 

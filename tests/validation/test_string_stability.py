@@ -4,14 +4,16 @@ Of a follower with servo lag tau on a straight line, gain k, delay d: ``|G| = |N
 N = s + k (``hold``), (1 + k d) s + k (``dr``), k (speed not fed forward), tau s^2 + s + k (acceleration fed forward, too).
 """
 
-import functools
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import cosim
+from cosim.figures import chain
+from tests.cosim.figuring import RUNNER, made
 from tests.validation.fleet import K1, lossy
 from tests.validation.teams import COLUMN, rms_of_links, swing, team
 
@@ -22,7 +24,7 @@ SURGING = {"path": "stopgo", "yaw_rate": 0.0, "surge_s": math.tau / OMEGA}
 def surge(delay_s: float = DELAY_S, count: int = 4, **agents: Any) -> cosim.Result:
     """A column on a straight line, with servos of 0.5 s, whose leader swings its speed; agents at 100 Hz."""
     settings = {"period_s": STEP_S, "max_reverse": 1e9, **agents}
-    scenario = team(count, 30.0, COLUMN, leader=SURGING, kind="lag", agents=settings, radio=lossy(0.0, delay_s))
+    scenario = team(count, 20.0, COLUMN, leader=SURGING, kind="lag", agents=settings, radio=lossy(0.0, delay_s))
     return cosim.run({**scenario, "record": {"period_s": 0.1}}, mcap=False)
 
 
@@ -65,12 +67,10 @@ def test_without_the_speed_the_error_stands() -> None:
     assert rms_of_links(cosim.run(scenario, mcap=False)) == pytest.approx([0.3 / K1] * 3, rel=1e-3)
 
 
-@functools.cache
-def column(**agents: Any) -> list[float]:
-    """RMS of each link of a column of 7 with servos behind a random leader, delay 0.3 s, 10 Hz."""
-    leader: dict[str, Any] = {"path": "random", "tell": ["a"]}
-    scenario = team(7, 120.0, COLUMN, leader=leader, kind="lag", agents={"handle": 0.5, **agents}, radio=lossy(0.0, DELAY_S))
-    return rms_of_links(cosim.run({**scenario, "metrics": {"from_s": 20.0}}, mcap=False))
+def column(**way: Any) -> list[float]:
+    """RMS of each link of a column of 7 with servos behind a random leader, delay 0.3 s, 10 Hz: a run of the figure."""
+    (links,) = RUNNER([chain.column(way)])
+    return [float(each) for each in links]
 
 
 def test_dead_reckoning_is_better_near_the_leader_and_worse_far_from_it() -> None:
@@ -83,7 +83,15 @@ def test_dead_reckoning_is_better_near_the_leader_and_worse_far_from_it() -> Non
 
 def test_cures_of_the_whole_column() -> None:
     """The leader's speed, or the parent's acceleration: the end of the chain is far better off than without."""
-    plain, led, pushed = column(estimator="dr"), column(feed="leader"), column(feed_forward_s=TAU)
+    plain, led, pushed = (column(**way) for way in (chain.WAYS["dr"], chain.LED, chain.WAYS["acceleration"]))
     assert led[-1] < 0.25 * plain[-1]
     assert max(led) < 1.1 * led[0]
     assert pushed[-1] < 0.5 * plain[-1]
+
+
+def test_the_figure_shows_these_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chain, "OMEGAS", (0.8, 0.963))
+    monkeypatch.setattr(chain, "DELAYS_S", ())
+    monkeypatch.setattr(chain, "WARM_S", 8.0)
+    figure = made("chain", tmp_path, 2, ["largest gain", "column"])
+    assert len(figure.rows) == 4 + 1 + 4 + 4 + 2 + 3
