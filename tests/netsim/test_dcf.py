@@ -9,6 +9,7 @@ from netsim.medium import Fate
 from netsim.phy import Dsss, Ieee802154
 from netsim.phy_ofdm import Ofdm
 from tests.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, frame, open_air, run
+from tests.netsim.helpers import make_channel
 
 AIR = 1280 * US
 SLOT, DIFS = 20 * US, 50 * US
@@ -174,3 +175,17 @@ def test_levels_are_asked_for_when_a_frame_begins() -> None:
 def test_only_the_phys_of_802_11_have_a_dcf() -> None:
     with pytest.raises(ScenarioError, match=r"dcf is IEEE 802.11: it goes with the phys dsss and ofdm, not with Ieee802154"):
         Dcf().open(Ieee802154(), 2, np.zeros(2, np.uint64), 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("sifs_us", 1e30), ("slot_us", 1e-9), ("preamble_time_us", 1e30), ("lifetime_s", 1e300), ("capture_margin_db", 1e308)],
+)
+def test_numbers_that_no_radio_has_are_refused(key: str, value: float) -> None:
+    with pytest.raises(ScenarioError, match=rf"radio.mac.{key}: must be a number >= "):
+        make_channel("wifi-b-1", mac={"kind": "dcf", key: value})
+
+
+def test_a_window_below_the_standards_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"cw_max = 3 is less than the standard's cw_min, 31"):
+        make_channel("wifi-b-1", mac={"kind": "dcf", "cw_max": 3})
