@@ -51,7 +51,7 @@ class Budgets:
         self._seed = 0
         self._names: tuple[str, ...] = ()
         self._position: Floats | None = None
-        self._lie_at = b""  # the same, to see whether anybody has moved since
+        self._stand_at = b""  # the same, to see whether anybody has moved since
         self._antennas = np.zeros((0, 3))
         self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
         self._fixed: dict[str, tuple[Links, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
@@ -88,13 +88,17 @@ class Budgets:
 
     def _move(self, names: tuple[str, ...], position: Floats, seed: int) -> dict[str, Mean]:
         """Have everybody there; what was known of those who sent while they were elsewhere."""
-        if names is self._names and (position is self._position or position.tobytes() == self._lie_at):
+        same = names is self._names
+        if same and position is self._position:
             return {}
-        before = self._means if names is self._names else {}
-        if names is not self._names:
+        stood_at, self._stand_at = self._stand_at, position.tobytes()
+        if same and self._stand_at == stood_at:
+            self._position = position
+            return {}
+        before = self._means if same else {}
+        if not same:
             self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
         self._position, self._names, self._seed, self._means, self._every = position, names, seed, {}, None
-        self._lie_at = position.tobytes()
         self._antennas = position + self._raised
         return before
 
