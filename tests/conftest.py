@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import contextlib
 import functools
 import os
 from collections.abc import Iterator
@@ -32,6 +33,13 @@ def _one_command_line() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
         yield
+
+
+@pytest.fixture
+def stack() -> Iterator[contextlib.ExitStack]:
+    """Closes what is entered into it when the test ends."""
+    with contextlib.ExitStack() as closing:
+        yield closing
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ import datetime as dt
 import json
 import socket
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +31,6 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
         authority.issue(folder, name)
     authority.revoke(folder, "gone")
     return certificates.load(folder)
-
-
-@pytest.fixture
-def stack() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as closing:
-        yield closing
 
 
 def opened_hub(stack: contextlib.ExitStack, keys: Keys | None = None) -> Hub:

@@ -38,12 +38,6 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Keys:
 
 
 @pytest.fixture
-def stack() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as closing:
-        yield closing
-
-
-@pytest.fixture
 def hub(keys: Keys, stack: contextlib.ExitStack) -> Hub:
     return stack.enter_context(Hub(security.hub_security(keys)))
 

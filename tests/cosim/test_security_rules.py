@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -34,12 +34,6 @@ ALL = frozenset({"greeted", "answered", "alive", "hub seen", "told", "topics", "
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
     return issued(tmp_path_factory.mktemp("network"))
-
-
-@pytest.fixture
-def stack() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as closing:
-        yield closing
 
 
 @pytest.fixture

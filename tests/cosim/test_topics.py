@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -109,12 +109,6 @@ def until(condition: Callable[[], object]) -> None:
 def settle() -> None:
     """Time for what should not arrive to arrive."""
     time.sleep(0.2)
-
-
-@pytest.fixture
-def stack() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as closing:
-        yield closing
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import contextlib
 import json
 import queue
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -35,12 +34,6 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> certificates.Keys:
     authority.issue(folder, "anna")
     authority.revoke(folder, "gone")
     return certificates.load(folder)
-
-
-@pytest.fixture
-def stack() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as closing:
-        yield closing
 
 
 class Stage:
