@@ -46,7 +46,7 @@ def host(
         kind: the agent's class; None: what the scenario says.
         folder: where a relative file of ``kind`` is.
         params: parameters that win over the scenario's.
-        token: proves that this host was started by the run itself.
+        token: proves that this host was started by the run itself, which knows it by its first vehicle.
         keys: file with the certificate of this machine.
         insecure: do without one, although the run is on another machine.
         on_state: told what is being waited for.
@@ -71,7 +71,8 @@ def host(
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=folder, params=params or {}, token=token)
 
     with threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
-        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, on_state=on_state)
+        login = (vehicles[0], token) if token else None
+        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, login=login, on_state=on_state)
 
 
 def _end_with_parent(pipe: io.FileIO) -> None:

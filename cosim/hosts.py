@@ -2,7 +2,6 @@
 
 import contextlib
 import secrets
-import tempfile
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -97,14 +96,13 @@ class Hosts:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
         from cosim.transport.hub import Hub
         from cosim.transport.process import HostProcess
-        from cosim.transport.zenoh import UNIX
 
-        # A socket in a folder that is this user's alone: whoever else is on this machine cannot ask the children anything.
-        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))
-        hub = Hub(f"{UNIX}{folder}/hub", patience_s=patience_s(self._agents, specs))
-        self._stack.callback(hub.close)
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
+        # With passwords: whoever else is on this machine can neither ask the children anything nor answer in their place.
+        passwords = {group[0].vehicle: token for token, group in groups.items()}
+        hub = Hub(children=passwords, patience_s=patience_s(self._agents, specs))
+        self._stack.callback(hub.close)
         children: dict[str, HostProcess] = {}
         for token, group in groups.items():
             children[token] = HostProcess(HOST_PROCESS, hub.endpoint, [spec.vehicle for spec in group], token)

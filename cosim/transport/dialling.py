@@ -11,12 +11,12 @@ from zenoh.handlers import Callback
 from cosim.errors import FederateError, UsageError
 from cosim.transport import diagnosis, key_names, security, wire
 from cosim.transport.desk import Desk
-from cosim.transport.zenoh import UNIX, common_names, opened, threads
+from cosim.transport.zenoh import common_names, opened, threads
 
 if TYPE_CHECKING:
     from cosim.certificates import Bundle
 
-JOIN_S = 1.0  # a run that has just begun to listen may not have opened its door yet
+JOIN_S = 3.0  # a run that has just begun to listen may not have opened its door yet, where its machine is busy
 _NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
 _DIAL_S = 0.1
 _LOOK_S = 1.0
@@ -33,6 +33,7 @@ def serve(
     endpoint: str,
     *,
     bundle: "Bundle | None" = None,
+    login: tuple[str, str] | None = None,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
@@ -42,6 +43,7 @@ def serve(
         desk: answers the questions.
         endpoint: of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet.
         bundle: certificate of this host; None: plain TCP.
+        login: name and password of a host that the run itself has started.
         on_state: told what is being waited for.
 
     Raises:
@@ -50,7 +52,7 @@ def serve(
     """
     name = key_names.OPEN if bundle is None else bundle.name
     with threads(_READS):
-        session = dial(endpoint, bundle, on_state)
+        session = dial(endpoint, bundle, on_state, login)
     with session:
         host = str(session.zid())
         questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
@@ -132,11 +134,15 @@ def hub_of(session: zenoh.Session) -> str:
     return "".join(str(each) for each in session.info.routers_zid()[:1])
 
 
-def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]) -> zenoh.Session:
+def dial(
+    endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None], login: tuple[str, str] | None = None
+) -> zenoh.Session:
     """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     secure = {} if bundle is None else security.machine_security(bundle)
+    if login is not None:
+        secure = security.child_security(*login)
     told = ""
     while True:
         try:
@@ -145,7 +151,7 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
         except UsageError as error:
             if "Unable to connect" not in str(error):
                 raise
-        refusal = None if endpoint.startswith(UNIX) else diagnosis.diagnose(endpoint, bundle)
+        refusal = diagnosis.diagnose(endpoint, bundle)
         if refusal is not None and refusal.final:
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
         waits = f"waiting for a run at {endpoint}" + (f": {refusal.why}" if refusal else "")

@@ -3,8 +3,10 @@
 import contextlib
 import json
 import queue
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import zenoh
@@ -14,7 +16,7 @@ from cosim.errors import UsageError
 from cosim.transport import checking, key_names, security, wire
 from cosim.transport.asking import ZenohLink
 from cosim.transport.wire import Machine
-from cosim.transport.zenoh import UNIX, opened, threads
+from cosim.transport.zenoh import opened, threads
 
 if TYPE_CHECKING:
     from cosim.certificates import Keys
@@ -48,20 +50,30 @@ class Hub:
     Args:
         endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one.
         keys: the certificates of those who may come; None: anybody may.
+        children: names and passwords of those who may come, where they are this process's own; None: others may.
         patience_s: wall-clock seconds for which hosts are to wait for a run that they are cut off from.
 
     Raises:
         UsageError: nothing can listen there.
     """
 
-    def __init__(self, endpoint: str = LOOPBACK, keys: "Keys | None" = None, *, patience_s: float = 2.0) -> None:
+    def __init__(
+        self,
+        endpoint: str = LOOPBACK,
+        keys: "Keys | None" = None,
+        *,
+        children: Mapping[str, str] | None = None,
+        patience_s: float = 2.0,
+    ) -> None:
         config = {"mode": "router", "listen": {"endpoints": [endpoint]}, **QUEUES}
         config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
         if keys is not None:
             zenoh.init_log_from_env_or(security.LOG)
         secure = security.LIMITS if keys is None else security.hub_security(keys)
-        self._strangers = not endpoint.startswith(UNIX)
-        with threads("()" if self._strangers else _READS):
+        self._strangers = children is None
+        with threads("()" if children is None else _READS), tempfile.TemporaryDirectory(prefix="vcmvsp-") as folder:
+            if children is not None:
+                secure = security.merge(secure, security.children_security(children, Path(folder)))
             self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
         self._keys, self._patience_s = keys, patience_s

@@ -7,6 +7,7 @@ without a reply, and a put goes nowhere.
 
 import base64
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import UsageError
@@ -74,6 +75,28 @@ def driver_security(keys: "Keys", vehicle: str) -> Config:
         if entry.role == "host":
             _robot_policy(rules.of(entry.name), entry.name, vehicle if vehicle in entry.vehicles else None)
     return config | {"access_control": rules.config()}
+
+
+def children_security(passwords: Mapping[str, str], folder: Path) -> Config:
+    """What the configuration of a hub needs that only the run's own children may reach, though all on this machine find it.
+
+    Args:
+        passwords: of each, by its name.
+        folder: of this user alone, until the session is open; no password passes over the link.
+    """
+    known = folder / "passwords"
+    known.write_text("".join(f"{name}:{password}\n" for name, password in passwords.items()))
+    (name, password), *_ = passwords.items()
+    return _login(name, password, dictionary_file=str(known))
+
+
+def child_security(name: str, password: str) -> Config:
+    """What such a child's configuration needs."""
+    return _login(name, password)
+
+
+def _login(name: str, password: str, **more: str) -> Config:
+    return {"transport": {"auth": {"usrpwd": {"user": name, "password": password, **more}}}}
 
 
 def machine_security(bundle: "Bundle") -> Config:

@@ -16,9 +16,6 @@ import zenoh
 from cosim.errors import UsageError
 from cosim.transport import security
 
-UNIX = "unixsock-stream/"
-"""How the children of a run reach it: the endpoint's beginning, before the path of a socket."""
-
 COMMON: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "transport": {"shared_memory": {"enabled": False}, "link": {"tx": {"lease": security.LEASE_MS}}},
