@@ -9,7 +9,12 @@ from cosim.types import Array, Velocity
 from hardware.station.process import Station
 from hardware.station.wire import Mission, Order, Part, Report, Safety
 
-BENCH = Part(group="driver", kind="bench", params={"latency_s": 0.01, "rate_hz": 50.0, "accel": 2.0, "decel": 2.0})
+BENCH = Part(
+    group="driver",
+    kind="bench",
+    params={"latency_s": 0.01, "rate_hz": 50.0, "accel": 2.0, "decel": 2.0, "command_timeout_s": 2.0},
+)
+HELD_UP = ("stopped", "the station was held up, or its clock jumped")
 
 
 def safety(**changed: Any) -> Safety:
@@ -60,7 +65,7 @@ class Run:
             Order(number=self._number, sent_ns=now_ns, command=command, command_ns=now_ns, stop=stop, others=others)
         )
 
-    def until(self, what: Callable[[Report], object], v: float | None = None, seconds: float = 15.0) -> Report:
+    def until(self, what: Callable[[Report], object], v: float | None = None, seconds: float = 30.0) -> Report:
         """Drive like this (None: say nothing) until a report shows it."""
         end = time.monotonic() + seconds
         while True:
@@ -76,7 +81,10 @@ class Run:
 
     @property
     def notices(self) -> list[tuple[str, str]]:
-        return [(each.what, each.cause) for report in self.said for each in report.notices]
+        """But for the one that a station gives which this machine held up."""
+        told = [(each.what, each.cause) for report in self.said for each in report.notices]
+        late = max(each.late_s for each in self.said) > 0.4
+        return [each for each in told if each != HELD_UP or not late]
 
 
 @contextmanager

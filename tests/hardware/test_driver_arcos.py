@@ -2,7 +2,6 @@
 
 import os
 import pty
-import socket
 import subprocess
 import sys
 import threading
@@ -23,10 +22,12 @@ from hardware.arcos.packet import command
 from hardware.arcos.robots import ROBOTS
 from hardware.arcos.serve import Served, serve_pty, serve_tcp
 from hardware.arcos.wire import Faults
-from hardware.driver import ORIGIN, Driver, DriverError, HandshakeError, LinkLost, PortError
+from hardware.driver import ORIGIN, Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
+from tests.cosim.hosting import reserved
 from tests.hardware import drivers
-from tests.hardware.drivers import drive, eventually
+from tests.hardware.drivers import drive, eventually, rest
 
+pytestmark = pytest.mark.usefixtures("steady")
 IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # more than what the driver waits for commands
 
 
@@ -104,19 +105,18 @@ def test_over_a_slow_and_bad_line() -> None:
         serve_pty(Device(ROBOTS["amigo"]), faults=faults, paced=True) as served,
         connected(served.url, connect_s=30.0) as driver,
     ):
-        samples = drive(driver, 1.0, v=0.2)
-        assert len(samples) >= 4
+        samples: list[Sample] = []
+        eventually(lambda: samples.extend(drive(driver, 0.2, v=0.2)) or len(samples) >= 4)  # type: ignore[func-returns-value]
         eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "no command for 0.5 s")
 
 
 def test_nobody_commands() -> None:
     with serve_pty(Device(IMPATIENT)) as served, connected(served.url) as driver:
-        drive(driver, 0.4, v=0.2)
-        assert not stands(served)
-        eventually(lambda: stands(served), 1.5)
+        eventually(lambda: drive(driver, 0.4, v=0.2) and not stands(served))
+        eventually(lambda: stands(served))
         with served.lock:
             assert not served.device.watchdog_stopped
-        time.sleep(0.9)  # longer than the robot's watchdog waits: the driver goes on talking to it
+        rest(0.9)  # longer than the robot's watchdog waits: the driver goes on talking to it
         with served.lock:
             assert not served.device.watchdog_stopped
         assert stands(served)
@@ -129,15 +129,15 @@ def test_a_stop_is_sent_at_once_and_told_and_so_is_the_stop_button() -> None:
     with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
         drive(driver, 0.5, v=0.2)
         driver.stop("left the field")
-        eventually(lambda: stands(served), 1.0)
+        eventually(lambda: stands(served))
         eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "left the field")
         assert [(each.what, each.cause) for each in driver.notices()][1:] == [("stopped", "left the field")]
         with served.lock:
             served.device.estop_pressed = True
         eventually(lambda: (sample := driver.read()) is not None and sample.emergency_stop and not sample.motors)
-        assert [each.cause for each in driver.notices()] == [
-            "the robot has switched its motors off: its stop button is pressed"
-        ]
+        told: list[list[Notice]] = []
+        eventually(lambda: (new := driver.notices()) and not told.append(new))  # type: ignore[func-returns-value]
+        assert [each.cause for each in told[0]] == ["the robot has switched its motors off: its stop button is pressed"]
 
 
 def test_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
@@ -238,10 +238,9 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
     assert "socket://localhost:8101" in refused("socket://robot").advice
     assert "socket://localhost:8101" in refused("socket://robot:x").advice
     assert "not known" in refused("udp://robot:1").happened
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        free = server.getsockname()[1]
-    for scheme in ("socket", "tcp"):
-        assert f"nothing listens on port {free} of 127.0.0.1" in refused(f"{scheme}://127.0.0.1:{free}").happened
+    with reserved() as nobody:
+        for scheme in ("socket", "tcp"):
+            assert f"nothing listens on port {nobody} of 127.0.0.1" in refused(f"{scheme}://127.0.0.1:{nobody}").happened
 
 
 def test_a_port_that_belongs_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -338,4 +337,4 @@ def test_a_process_that_forgets_to_close_ends_and_its_robot_stops() -> None:
     code = "import sys; from hardware.arcos.driver import ArcosDriver; ArcosDriver(sys.argv[1]).open()"
     with serve_pty(Device(IMPATIENT)) as served:
         subprocess.run([sys.executable, "-c", code, served.url], check=True, timeout=30, cwd=Path(__file__).parents[2])
-        eventually(lambda: served.device.watchdog_stopped, 5.0)
+        eventually(lambda: served.device.watchdog_stopped)

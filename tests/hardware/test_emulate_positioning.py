@@ -1,11 +1,8 @@
 """An emulated positioning system: laws of its errors, and what real readers make of what it says."""
 
 import math
-import os
 import socket
-import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +14,7 @@ from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from hardware.emulate.positioning import Errors, Source, Tag, circling, dwm1001_outlet, standing, ubisense_outlet
 from hardware.positioning import Located, dwm1001, ubisense
+from tests.hardware.drivers import PATIENCE_S, eventually, held
 
 TRUE = (3.0, -2.0, 0.5)
 
@@ -83,22 +81,11 @@ def test_a_circle_has_its_middle_at_the_left_or_at_the_right(radius: float) -> N
         assert yaw == pytest.approx(math.pi / 2 + 0.25 * math.copysign(now / SECOND_NS, radius))
 
 
-def left() -> tuple[int, list[str]]:
-    return len(os.listdir("/proc/self/fd")), sorted(each.name for each in threading.enumerate())  # noqa: PTH208
-
-
-def until(what: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
-
-
 def test_datagrams_say_where_the_tag_is_and_when() -> None:
-    before = left()
+    before = held()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         ear.bind(("127.0.0.1", 0))
-        ear.settimeout(10.0)
+        ear.settimeout(PATIENCE_S)
         outlet = ubisense_outlet(*ear.getsockname())
         with Source(Tag("0000000000ABCDEF", Errors(fix_hz=50.0, sigma_m=0.01), 1), standing((1.0, 2.0, 0.0)), outlet) as source:
             located = [ubisense.decode(ear.recv(100)) for _ in range(5)]
@@ -112,26 +99,25 @@ def test_datagrams_say_where_the_tag_is_and_when() -> None:
     for each in located:
         assert each.position == pytest.approx((1.0, 2.0, 0.0), abs=0.06)
         assert each.sigma_m == pytest.approx(0.01, rel=1e-6)
-    assert left() == before
+    eventually(lambda: held() <= before)
 
 
 def test_a_tag_at_a_serial_port_speaks_once_its_shell_is_asked(tmp_path: Path) -> None:
-    before = left()
+    before = held()
     outlet = dwm1001_outlet(tmp_path / "tag")
     with Source(Tag("1", Errors(fix_hz=50.0, sigma_m=0.0), 1), standing((1.0, 2.0, 0.0)), outlet) as source:
         with serial.Serial(source.url, dwm1001.BAUD, timeout=0.02) as port:
             reader, found = dwm1001.Reader(), list[Located]()
             assert port.read(100) == b""
             port.write(dwm1001.WAKE)
-            until(lambda: dwm1001.PROMPT.encode() in port.read(200))
+            said = bytearray()
+            eventually(lambda: said.extend(port.read(200)) or dwm1001.PROMPT.encode() in said)  # type: ignore[func-returns-value]
             port.write(dwm1001.POSITIONS)
-            end = time.monotonic() + 10.0
-            while len(found) < 3 and time.monotonic() < end:
-                found += reader.feed(port.read(200))
+            eventually(lambda: found.extend(reader.feed(port.read(200))) or len(found) >= 3)  # type: ignore[func-returns-value]
         assert {each.position for each in found} == {(1.0, 2.0, 0.0)}
         assert reader.bad_lines == 0
     assert not (tmp_path / "tag").is_symlink()
-    assert left() == before
+    eventually(lambda: held() <= before)
 
 
 def test_what_ends_a_source_can_be_seen() -> None:
@@ -139,7 +125,7 @@ def test_what_ends_a_source_can_be_seen() -> None:
         raise RuntimeError("lost")
 
     source = Source(Tag("1", Errors(), 1), truth, ubisense_outlet("127.0.0.1", 9))
-    until(lambda: source.error)
+    eventually(lambda: source.error)
     with pytest.raises(RuntimeError, match="lost"):
         source.close()
     source.close()

@@ -1,12 +1,18 @@
 """The example of the part's page works as it stands."""
 
 import re
+import time
 from pathlib import Path
 
+import pytest
+
 import hardware
+from tests.hardware.drivers import rest
 
 
-def test_the_example_drives_a_robot() -> None:
+@pytest.mark.usefixtures("steady")
+def test_the_example_drives_a_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "sleep", rest)
     page = (Path(hardware.__file__).parent / "README.md").read_text()
     (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     names: dict[str, object] = {}

@@ -1,6 +1,5 @@
 """The driver against the robot in software, over real Zenoh sessions on this machine."""
 
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -15,29 +14,31 @@ from cosim.errors import ScenarioError
 from cosim.types import Vec3, Velocity
 from hardware.driver import Driver, DriverError, HandshakeError, LinkLost, PortError, Sample
 from hardware.pace import NOT_YET
+from hardware.ros2 import session
 from hardware.ros2.driver import WAITING, Ros2Driver
 from hardware.ros2.keys import Endpoint, RmwZenoh
 from hardware.ros2.messages import TWIST, Twist, encode_odometry, encode_twist
 from hardware.ros2.robot import Ros2Robot
 from hardware.ros2.session import Heard, Node
+from tests.cosim.hosting import reserved
 from tests.hardware import drivers
-from tests.hardware.drivers import drive, eventually
+from tests.hardware.drivers import drive, eventually, rest
 
+pytestmark = pytest.mark.usefixtures("steady")
 START = (1.0, 2.0, 0.5)
 
 
 @pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+def endpoint() -> Iterator[str]:
+    with reserved() as port:
+        yield f"tcp/127.0.0.1:{port}"
 
 
 @pytest.fixture(autouse=True)
 def nothing_stays() -> Iterator[None]:
     before = set(threading.enumerate())
     yield
-    assert set(threading.enumerate()) <= before
+    eventually(lambda: set(threading.enumerate()) <= before)
 
 
 def connected(endpoint: str, start: Vec3 = START, **options: Any) -> AbstractContextManager[Ros2Driver]:
@@ -81,7 +82,7 @@ def test_it_drives_from_the_start_pose(endpoint: str, mapping: Any, stamped: boo
         with connected(endpoint, silence_s=10.0, command_timeout_s=2.0, **options) as driver:
             assert isinstance(driver, Driver)
             samples = drive(driver, 0.2, v=0.4)
-            while way(samples[-1]) <= 0.1:
+            while way(samples[-1]) <= 0.1 or samples[-1].odometry.v < 0.39 or samples[-1].stopped:
                 samples += drive(driver, 0.1, v=0.4)
         eventually(lambda: robot.heard[-1][1].linear == (0.0, 0.0, 0.0))
         assert robot.heard[0][1].linear == (0.0, 0.0, 0.0)
@@ -103,7 +104,7 @@ def test_it_drives_from_the_start_pose(endpoint: str, mapping: Any, stamped: boo
 
 
 def test_it_is_the_router_if_that_is_wanted(endpoint: str) -> None:
-    driver = Ros2Driver(endpoint=endpoint, mode="listen", reconnect_s=60.0)
+    driver = Ros2Driver(endpoint=endpoint, mode="listen", reconnect_s=60.0, connect_s=30.0)
     failure: list[DriverError] = []
 
     def open_it() -> None:
@@ -114,7 +115,7 @@ def test_it_is_the_router_if_that_is_wanted(endpoint: str) -> None:
 
     opening = threading.Thread(target=open_it)
     opening.start()
-    deadline = time.monotonic() + 8.0
+    deadline = time.monotonic() + 20.0
     while True:
         try:
             robot = Ros2Robot(endpoint=endpoint, mode="connect").__enter__()
@@ -122,7 +123,7 @@ def test_it_is_the_router_if_that_is_wanted(endpoint: str) -> None:
         except PortError:
             assert time.monotonic() < deadline
     try:
-        opening.join(20.0)
+        opening.join(40.0)
         assert not failure
         eventually(lambda: drive(driver, 0.05, v=0.2) is not None and moving(robot))
     finally:
@@ -151,8 +152,7 @@ def test_a_stop_is_a_stop_until_the_next_command(endpoint: str) -> None:
         eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "geofence")
         assert ("stopped", "geofence") in told(driver)
         count = len(robot.heard)
-        drive(driver, 0.1, v=0.3)
-        eventually(lambda: any(twist.linear[0] == 0.3 for _, twist in robot.heard[count:]))
+        eventually(lambda: drive(driver, 0.1, v=0.3) and any(twist.linear[0] == 0.3 for _, twist in robot.heard[count:]))
         for bad in nan, float("inf"):
             with pytest.raises(ValueError, match="finite"):
                 driver.write(Velocity(linear=(bad, 0.0, 0.0)))
@@ -186,7 +186,7 @@ def test_a_robot_may_be_waited_for(endpoint: str) -> None:
         eventually(lambda: ("lost", "no odometry on odom for 0.2 s") in told(driver))
         driver.write(Velocity(linear=(0.5, 0.0, 0.0)))
         driver.read()
-        time.sleep(0.2)
+        rest(0.2)
         assert all(twist.linear[0] == 0.0 for _, twist in robot.heard)
 
 
@@ -202,8 +202,7 @@ def test_a_robot_that_restarts_is_told_zero_first(endpoint: str) -> None:
             with Ros2Robot(endpoint=endpoint, name="two") as robot:
                 driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
                 eventually(lambda: (sample := driver.read()) is not None and sample.link >= 2)
-                drive(driver, 0.3, v=0.2)
-                eventually(lambda: any(twist.linear[0] == 0.2 for _, twist in robot.heard))
+                eventually(lambda: drive(driver, 0.05, v=0.2) and any(twist.linear[0] == 0.2 for _, twist in robot.heard))
                 assert robot.heard[0][1].linear[0] == 0.0
         finally:
             driver.close()
@@ -262,12 +261,12 @@ def test_another_node_is_followed_only_when_the_loss_of_the_one_was_told(endpoin
         Ros2Robot(endpoint=endpoint, name="two", mode="connect", pose=(15.0, 0.0, 0.0)) as two,
     ):
         two.silent = True
-        time.sleep(0.2)
+        rest(0.2)
         with connected(endpoint, silence_s=0.5, reconnect_s=60.0) as driver:
             eventually(driver.read)
             with driver._lock:
                 one.silent = True
-                time.sleep(0.8)
+                rest(0.8)
                 while not driver._news.empty():
                     driver._news.get()
                 two.silent = False
@@ -310,7 +309,8 @@ def test_nobody_there(endpoint: str) -> None:
         Ros2Driver(endpoint="nonsense").open()
 
 
-def test_the_wrong_robot_and_what_to_do(endpoint: str) -> None:
+def test_the_wrong_robot_and_what_to_do(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "GRAPH_S", 5.0)  # the answer comes at once, but where the machine is held up
     with Ros2Robot(endpoint=endpoint, stamped=True, domain=3) as robot:
         with pytest.raises(PortError, match="end the other router"):
             Ros2Driver(endpoint=endpoint, mode="listen").open()

@@ -31,6 +31,7 @@ from hardware.positioning.fusion import Fusion
 from hardware.positioning.placing import Placing, Posed
 from hardware.positioning.pose_topic import ExternalPose
 from hardware.positioning.sources import Dwm1001, Localisation, Nmea, Ubisense
+from tests.cosim.hosting import reserved
 
 DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
@@ -330,10 +331,9 @@ def test_a_reader_that_fails_is_no_silence(terminal: Terminal, monkeypatch: pyte
 
 
 @pytest.fixture
-def port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
+def port() -> Iterator[int]:
+    with reserved() as port:
+        yield port
 
 
 @contextlib.contextmanager
@@ -403,6 +403,7 @@ def test_a_bridge_that_goes_and_comes_back_is_heard_again(port: int) -> None:
         with bridge("router", endpoint) as say:
             source = stack.enter_context(listening(ExternalPose(key="a", endpoint=endpoint)))
             wait(lambda: say("a", {"x": 0.0, "y": 0.0}) or fixes(source))
+            source.notices()  # nothing may have come for a while before that
         assert wait(causes(source, "does a bridge publish"))
         with bridge("router", endpoint) as say:
             wait(lambda: say("a", {"x": 0.0, "y": 0.0}) or fixes(source))

@@ -20,6 +20,7 @@ from cosim import authority
 from cosim.types import Velocity
 from hardware.driver import DriverError, HandshakeError, LinkLost, PortError, Sample
 from hardware.onboard.driver import ZenohDriver
+from tests.cosim.hosting import reserved
 
 PATIENCE_S = 30.0  # whatever the machine does beside
 PROGRAM = """
@@ -67,7 +68,7 @@ RUN = """
 import sys, time
 from cosim.types import Velocity
 from hardware.onboard.driver import ZenohDriver
-driver = ZenohDriver(listen=sys.argv[1], vehicle="car3")
+driver = ZenohDriver(listen=sys.argv[1], vehicle="car3", open_deadline_s=30.0, silence_s=30.0, reconnect_s=30.0)
 driver.open()
 print("open", flush=True)
 while True:
@@ -75,12 +76,6 @@ while True:
     driver.read()
     time.sleep(0.02)
 """
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Program:
@@ -185,8 +180,9 @@ def writes(told: list[list[Any]]) -> list[int]:
 
 
 @pytest.fixture
-def port() -> int:
-    return free_port()
+def port() -> Iterator[int]:
+    with reserved() as port:
+        yield port
 
 
 def test_it_is_driven_stopped_and_let_go_run_after_run(tmp_path: Path, port: int) -> None:
@@ -261,14 +257,22 @@ def test_a_run_that_dies_or_hangs_leaves_a_robot_that_stands(tmp_path: Path, por
     with program(tmp_path, port) as robot:
         run = subprocess.Popen([sys.executable, "-c", RUN, f"tcp/127.0.0.1:{port}"], stdout=subprocess.PIPE)
         try:
-            robot.when(lambda told: len(writes(told)) > 20)
-            run.send_signal(number)
-            gone_ns = time.monotonic_ns()
-            told = robot.when(lambda told: told[-1][1] == "stop")
-            assert told[-1][2].startswith(cause)
+            last = time.monotonic() + PATIENCE_S
+            while True:
+                driven = len(writes(robot.told())) if robot.log.exists() else 0
+                robot.when(lambda told, driven=driven: len(writes(told)) > driven + 20)  # type: ignore[misc]
+                run.send_signal(number)
+                gone_ns = time.monotonic_ns()
+                told = robot.when(
+                    lambda told: told[-1][1] == "stop" and (number == signal.SIGSTOP or told[-1][2].startswith(cause))
+                )
+                if told[-1][2].startswith(cause):
+                    break
+                assert time.monotonic() < last, f"it stands, as {told[-1][2]}"
+                run.send_signal(signal.SIGCONT)  # it was late just before by itself, as on a machine that is held up
             assert told[-1][0] - gone_ns < 5e9  # half a second, on a machine that is loaded tenfold
             if number == signal.SIGSTOP:
-                assert told[-1][0] - writes(told)[-1] >= 0.5e9
+                assert told[-1][0] - writes(told)[-1] > 0.4e9  # half a second, less what there is between clock and log
         finally:
             run.kill()
             run.communicate(timeout=PATIENCE_S)
@@ -335,10 +339,10 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
     with contextlib.closing(Proxy(port)) as proxy, program(tmp_path, proxy.port) as robot:
         with driver(port, silence_s=1.0, reconnect_s=PATIENCE_S) as made:
             drive(made, lambda each: each.odometry.v > 0.1)
+            made.notices()
             proxy.freeze()
-            robot.when(lambda told: told[-1][1] == "stop")
-            frozen = len(robot.told())
             until(lambda: "lost" in [each.what for each in made.notices()])
+            frozen = len(robot.when(lambda told: told[-1][1] == "stop"))
             made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # it is dropped: nobody is there to follow it
             made.read()
             proxy.thaw()
@@ -361,7 +365,10 @@ def test_its_clock_may_say_anything(tmp_path: Path, port: int) -> None:
             samples.append(drive(made, lambda _: True))
             assert samples[-1].measured_ns <= samples[-1].arrived_ns <= time.monotonic_ns()
             assert samples[-1].measured_ns > before_ns - PATIENCE_S * 10**9
-        assert [each.measured_ns for each in samples] == sorted({each.measured_ns for each in samples})
+        assert [each.number for each in samples] == sorted({each.number for each in samples})
+        measured = [each.measured_ns for each in samples]
+        assert measured == sorted(measured)  # some may be the same, where the offset of the clocks came to be known better
+        drive(made, lambda each: each.measured_ns > measured[0])
         for notice in made.notices():
             assert abs(notice.time_ns - time.monotonic_ns()) < PATIENCE_S * 10**9
 
@@ -382,10 +389,8 @@ def test_a_robot_that_its_own_driver_has_lost_may_come_back_or_ends_the_run(tmp_
             drive(made, lambda each: each.link >= 2)
             assert [each[1] for each in robot.told()].count("open") >= 2
             assert "bench aboard car3: the link is lost" in " ".join(each.cause for each in made.notices())
-        with driver(port) as made:
-            error = lost(made)
-            assert isinstance(error, LinkLost)
-            assert "bench aboard car3: the link is lost" in str(error)
+        with pytest.raises(LinkLost, match="bench aboard car3: the link is lost"), driver(port) as made:
+            drive(made, lambda _: False)
         assert robot.end() == 0
 
 
