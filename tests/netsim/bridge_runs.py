@@ -4,7 +4,7 @@ import contextlib
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from cosim.types import Array, Datagrams, FrameReport, States, Traffic
 from netsim.bridge.federate import Bridge
 from netsim.bridge.wire import DoorSpec
 from netsim.federate import RadioFederate
-from tests.netsim.bridging import free_ports
+from tests.netsim.bridging import PATIENCE_S, free_ports
 from tests.netsim.helpers import make_channel
 
 BROADCAST, RECEIVE = 0, 99  # of a vehicle's block of ports
@@ -56,7 +56,10 @@ class Air(RadioFederate):
 
 
 class BridgeRun:
-    """A run; its own thread goes through it (`go`, `stop`), and what it published is in `sent` and `reports` then."""
+    """A run; its own thread goes through it (`go`, `stop`), and what it published is in `sent` and `reports` then.
+
+    While it goes on, `left` counts its deliveries: what the bridge itself tells of them is for when the run is over.
+    """
 
     def __init__(
         self,
@@ -81,6 +84,7 @@ class BridgeRun:
         self.reports: list[FrameReport] = []
         self.carries: list[int] = []
         self.events: list[Event] = []
+        self.left = 0  # deliveries that are known to have left
         self.error: BaseException | None = None
         air = Air(make_channel(preset, vehicles=vehicles, **channel))
         self.bridge = Bridge(
@@ -88,14 +92,17 @@ class BridgeRun:
         )
         clock = clock or WallClock()
         self.bridge.clock = clock  # type: ignore[assignment]  # one that has these times
+        self._went = self.bridge._late.went
+        self.bridge._late.went = self._on_went  # type: ignore[method-assign]
         self.bridge.log = lambda key, time_ns, value: self.logged.append((key, time_ns, value))
         info = RunInfo(scenario="test", seed=1, duration_ns=round(seconds * SECOND_NS), vehicles=vehicles, paced=True)
         self.kernel = Kernel(info, [Standing(), air, self.bridge, *agents], clock=clock)
 
-    def go(self) -> None:
-        """Open all doors and begin."""
+    def go(self, before: Callable[[], object] = lambda: None) -> None:
+        """Open all doors, do what is to be done ``before`` time 0, and begin."""
         try:
             self.kernel.start()
+            before()
         except BaseException:
             self.kernel.close()
             raise
@@ -130,6 +137,10 @@ class BridgeRun:
         else:
             self.events.append(event)
 
+    def _on_went(self, row: Array, at_ns: Array) -> None:
+        self._went(row, at_ns)
+        self.left += len(row)
+
     def port(self, vehicle: int, offset: int) -> tuple[str, int]:
         """Of a vehicle's block: 0 broadcast, 1 + j to vehicle j, 99 where it hears."""
         return "127.0.0.1", self.first_port + 100 * vehicle + offset
@@ -139,7 +150,7 @@ class BridgeRun:
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 * 2**20)
         opened.bind(self.port(vehicle, RECEIVE))
-        opened.settimeout(10.0)
+        opened.settimeout(PATIENCE_S)
         return opened
 
 
@@ -160,6 +171,15 @@ def all_of(heard: socket.socket, count: int) -> list[bytes]:
     return [heard.recv(65536) for _ in range(count)]
 
 
+def until_each_of(heard: socket.socket, wanted: Iterable[bytes]) -> list[bytes]:
+    """Datagrams, until each that is wanted is among them."""
+    missing, found = set(wanted), list[bytes]()
+    while missing:
+        found.append(heard.recv(65536))
+        missing.discard(found[-1])
+    return found
+
+
 def what_is_there(heard: socket.socket) -> list[bytes]:
     """All that has come."""
     heard.setblocking(False)
@@ -170,7 +190,7 @@ def what_is_there(heard: socket.socket) -> list[bytes]:
     return found
 
 
-def wait_for(holds: Callable[[], bool], seconds: float = 10.0) -> None:
+def wait_for(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
     """Until something holds; fails if it does not in time."""
     end = time.monotonic() + seconds
     while not holds():

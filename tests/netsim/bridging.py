@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 
 from netsim.bridge.door import BROADCAST, LARGEST, Door
 
+PATIENCE_S = 60.0  # for what must happen, on a machine that may be held up
+
 
 @dataclasses.dataclass(frozen=True)
 class Offered:
@@ -84,7 +86,7 @@ class TestHall:
         assert threading.get_ident() == self._thread, "for the loop's own thread"
 
 
-async def until(holds: Callable[[], bool], seconds: float = 10.0) -> None:
+async def until(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
     """Let the loop turn until something holds; fails if it does not in time."""
     end = time.monotonic() + seconds
     while not holds():
@@ -111,7 +113,7 @@ def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> int:
     raise AssertionError("no free ports")
 
 
-_next_port = [0]  # of this process's stretch
+_next_port = [os.getpid() * 100 % 4_000]  # of this process's stretch; other runs of the tests begin elsewhere
 
 
 def _is_free(port: int, kind: int) -> bool:

@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -60,15 +61,17 @@ def played(content: Mapping[str, Any], plays: Mapping[str, Play], **options: Any
 @contextlib.contextmanager
 def dialled(path: Path) -> Iterator[socket.socket]:
     """A bare connection to a run, made as soon as it listens."""
-    end = socket.socket(socket.AF_UNIX)
-    end.settimeout(PATIENCE_S)
-    with end:
-        pause = threading.Event()
-        for _ in range(1000):
-            with contextlib.suppress(OSError):
+    until = time.monotonic() + PATIENCE_S
+    with socket.socket(socket.AF_UNIX) as end:
+        end.settimeout(PATIENCE_S)
+        while True:
+            try:
                 end.connect(f"{path}/s")
                 break
-            pause.wait(0.01)
+            except OSError:
+                if time.monotonic() > until:
+                    raise
+            time.sleep(0.01)
         yield end
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from netsim.bridge import ip_runs, netns
 from netsim.bridge.ip import Ip
-from tests.netsim.bridging import TestHall
+from tests.netsim.bridging import PATIENCE_S, TestHall
 
 RUN = f"test{os.getpid()}"
 
@@ -47,7 +47,7 @@ def udp(vehicle: str, address: str, port: int = 0, run: str = RUN) -> socket.soc
     return made
 
 
-async def heard(listener: socket.socket, seconds: float = 5.0) -> tuple[bytes, str]:
+async def heard(listener: socket.socket, seconds: float = PATIENCE_S) -> tuple[bytes, str]:
     """The next datagram, and the address that it came from."""
     loop = asyncio.get_running_loop()
     data, sender = await asyncio.wait_for(loop.sock_recvfrom(listener, 65536), seconds)
@@ -58,7 +58,7 @@ async def called(vehicle: str, *command: str, run: str = RUN) -> tuple[int, str]
     """Exit code and output of a command on a vehicle's machine."""
     inside = ("ip", "netns", "exec", space(vehicle, run), *command)
     process = await asyncio.create_subprocess_exec(*inside, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT)
-    out, _ = await asyncio.wait_for(process.communicate(), 30)
+    out, _ = await asyncio.wait_for(process.communicate(), PATIENCE_S)
     assert process.returncode is not None
     return process.returncode, out.decode()
 

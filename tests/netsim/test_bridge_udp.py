@@ -13,7 +13,7 @@ from cosim.errors import ScenarioError
 from netsim.bridge.door import BROADCAST, DoorError
 from netsim.bridge.udp import Udp
 from netsim.bridge.udp_ports import PortPlan, Ports
-from tests.netsim.bridging import TestHall, free_ports, until
+from tests.netsim.bridging import PATIENCE_S, TestHall, free_ports, until
 
 NAMES = ("a", "b", "c")
 
@@ -38,7 +38,7 @@ async def opened(door: Udp, hall: TestHall) -> AsyncIterator[TestHall]:
 
 
 async def heard(by: socket.socket) -> tuple[bytes, Any]:
-    return await asyncio.wait_for(asyncio.get_running_loop().sock_recvfrom(by, 65_536), 10.0)
+    return await asyncio.wait_for(asyncio.get_running_loop().sock_recvfrom(by, 65_536), PATIENCE_S)
 
 
 def test_what_is_broadcast_is_heard_by_all_others() -> None:

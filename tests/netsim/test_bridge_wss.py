@@ -18,7 +18,7 @@ from netsim.bridge.door import BROADCAST, DoorError
 from netsim.bridge.wss import MOST_GUESTS, Wss
 from netsim.bridge.wss_messages import LONGEST_LINE, parse
 from netsim.bridge.wss_stream import WINDOW, Stream, Window
-from tests.netsim.bridging import TestHall, free_ports, until
+from tests.netsim.bridging import PATIENCE_S, TestHall, free_ports, until
 
 CARS = "car1", "car2", "car3"
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
@@ -41,7 +41,7 @@ class Robot:
         return await self.hear()
 
     async def hear(self) -> str:
-        line = await asyncio.wait_for(self.reader.readline(), 10)
+        line = await asyncio.wait_for(self.reader.readline(), PATIENCE_S)
         assert not line or line.endswith(b"\r\n")
         return line.decode().removesuffix("\r\n")
 
@@ -107,7 +107,7 @@ async def served(
 ) -> AsyncIterator[World]:
     """A door that serves, all in range of all."""
     hall = TestHall(CARS, delay_s=delay_s, hears=hears)
-    door = Wss(port=free_ports(1), first_port=first_port)
+    door = Wss(port=free_ports(1, socket.SOCK_STREAM), first_port=first_port)
     world = World(hall, door, door._port)
     world.levels(-50.0)
     trouble: list[object] = []
@@ -227,7 +227,7 @@ def test_every_line_has_one_answer(lines: list[bytes]) -> None:
             robot = await world.robot()
             robot.writer.write(b"".join(line + b"\n" for line in lines))
             robot.writer.write_eof()
-            heard = (await asyncio.wait_for(robot.reader.read(), 10)).split(b"\r\n")
+            heard = (await asyncio.wait_for(robot.reader.read(), PATIENCE_S)).split(b"\r\n")
             assert heard.pop() == b""
             return [each.decode(errors="replace") for each in heard]
 
@@ -256,7 +256,7 @@ def test_a_megabyte_each_way_is_whole_after_a_lossy_link() -> None:
             reader, writer = await world.connect(await car1.port_to("car2"))
             writer.write(sent)
             writer.write_eof()
-            heard = await asyncio.wait_for(reader.read(), 60)
+            heard = await asyncio.wait_for(reader.read(), PATIENCE_S)
             await until(lambda: not world.door._relays)
             return heard, world.hall
 
@@ -340,7 +340,7 @@ def test_who_is_called_can_ask_by_whom() -> None:
         async with served() as world:
             car1, car2, car3 = await world.robot("car1"), await world.listening("car2", ask), await world.robot("car3")
             reader, _ = await world.connect(await car1.port_to("car2"))
-            assert await asyncio.wait_for(reader.read(), 10) == b""
+            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
             return answers
 
     assert asyncio.run(asked()) == [
@@ -356,10 +356,10 @@ def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it_is_ba
             port = await car1.port_to("car2")
             reader, writer = await world.connect(port)
             writer.write(b"hello")
-            assert await asyncio.wait_for(reader.readexactly(5), 10) == b"hello"
+            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
             world.hall.levels[1, 0] = -93.001  # one direction is enough
             with contextlib.suppress(ConnectionResetError):
-                assert await asyncio.wait_for(reader.read(), 10) == b""
+                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
             assert await refused(port)
             assert await car1.port_to("car2") == port  # is told all the same
             assert await refused(port)
@@ -367,11 +367,11 @@ def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it_is_ba
             assert await car1.port_to("car2") == port
             reader, writer = await world.connect(port)
             writer.write(b"again")
-            assert await asyncio.wait_for(reader.readexactly(5), 10) == b"again"
+            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"again"
             assert world.hall.counts["car1"]["connections closed, out of range"] == 1
             world.levels(float("nan"))
             with contextlib.suppress(ConnectionResetError):
-                assert await asyncio.wait_for(reader.read(), 10) == b""
+                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
 
     asyncio.run(tried())
 
@@ -386,9 +386,14 @@ def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> None:
             await until(lambda: 1 not in world.door._robots)
             assert await refused(port)
             writer.write(b"still here")  # what is connected goes on
-            assert await asyncio.wait_for(reader.readexactly(10), 10) == b"still here"
-            await world.listening("car2", echo)
-            assert await car1.port_to("car2") != port  # it listens elsewhere now
+            assert await asyncio.wait_for(reader.readexactly(10), PATIENCE_S) == b"still here"
+            await world.listening("car2", elsewhere)
+            reader, _ = await world.connect(await car1.port_to("car2"))
+            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b"moved"
+
+    async def elsewhere(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"moved")
+        writer.close()
 
     asyncio.run(tried())
 
@@ -400,7 +405,7 @@ def test_a_robot_that_does_not_listen_is_not_reached() -> None:
                 car1, _ = await world.robot("car1"), await world.robot("car2", str(held.getsockname()[1]))
                 reader, _ = await world.connect(await car1.port_to("car2"))
                 with contextlib.suppress(ConnectionResetError):
-                    assert await asyncio.wait_for(reader.read(), 10) == b""
+                    assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
 
     asyncio.run(tried())
 
@@ -427,7 +432,7 @@ def test_a_slow_reader_holds_the_sender_back() -> None:
             stream = relay._streams[0]
             assert len(stream._under_way) + stream._in_order.qsize() <= WINDOW
             reads.set()
-            assert len(await asyncio.wait_for(reader.read(), 60)) == 12_000_000
+            assert len(await asyncio.wait_for(reader.read(), PATIENCE_S)) == 12_000_000
 
     asyncio.run(tried())
 
@@ -441,7 +446,7 @@ def test_chunks_wait_while_the_bridge_has_no_room() -> None:
             writer.write(b"patience")
             await asyncio.sleep(0.05)
             world.hall.room = True
-            assert await asyncio.wait_for(reader.readexactly(8), 10) == b"patience"
+            assert await asyncio.wait_for(reader.readexactly(8), PATIENCE_S) == b"patience"
 
     asyncio.run(tried())
 
@@ -457,7 +462,7 @@ def test_what_is_no_chunk_harms_nobody() -> None:
                 world.door.deliver(0, 1, payload)
                 world.door.deliver(2, 1, payload)
             writer.write(b"hello")
-            assert await asyncio.wait_for(reader.readexactly(5), 10) == b"hello"
+            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
 
     asyncio.run(tried())
 
@@ -505,7 +510,7 @@ def test_who_does_not_read_its_answers_is_not_read() -> None:
 
 
 def test_ports_in_a_row_and_all_of_them_free_afterwards() -> None:
-    first = free_ports(4)
+    first = free_ports(4, socket.SOCK_STREAM)
 
     async def tried() -> list[int]:
         async with served(first_port=first) as world:
@@ -545,7 +550,7 @@ def test_nothing_is_broadcast() -> None:
             car1, _, _ = await world.robot("car1"), await world.listening("car2", echo), await world.robot("car3")
             reader, writer = await world.connect(await car1.port_to("car2"))
             writer.write(b"hello")
-            await asyncio.wait_for(reader.readexactly(5), 10)
+            await asyncio.wait_for(reader.readexactly(5), PATIENCE_S)
             return world.hall
 
     assert all(each.to != BROADCAST for each in asyncio.run(tried()).offered)

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,11 +24,14 @@ from cosim.sockets_wire import VERSION, Hello, framed
 from cosim.testing import check_federate
 from cosim.types import Message, Reception
 from netsim.sockets.federate import Programs
-from tests.netsim.socketing import by_hand, chat, dialled, idle, played, scenario
+from tests.netsim.socketing import PATIENCE_S, by_hand, chat, dialled, idle, played, scenario
 
 
-def test_without_all_programs_the_run_does_not_begin(tmp_path: Path) -> None:
-    content, told = scenario(tmp_path, "a", "b", "c", sockets={"join_timeout_s": 1.5}), list[str]()
+def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content, told = scenario(tmp_path, "a", "b", "c"), list[str]()
+    came = threading.Event()
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + came.is_set() * PATIENCE_S)
+    monkeypatch.setattr("netsim.sockets.joining.time", clock)  # it has waited for long enough as soon as one is there
 
     def come() -> None:
         with pytest.raises(ConnectionError, match="the connection to the run is lost"):
@@ -36,12 +40,14 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path) -> None:
 
     def tell(text: str) -> None:
         told.append(text)
+        if text.startswith("the program of a has come"):
+            came.set()
 
     thread = threading.Thread(target=come)
     thread.start()
-    with pytest.raises(FederateError, match=r"no program has come for b, c within 1.5 s \(sockets.join_timeout_s\).*connect\("):
+    with pytest.raises(FederateError, match=r"no program has come for b, c within 60 s \(sockets.join_timeout_s\).*connect\("):
         cosim.run(content, mcap=False, tell=tell)
-    thread.join(10.0)
+    thread.join(PATIENCE_S)
     assert told[1:] == ["the program of a has come; still waiting for: b, c", "let down"]
     assert not (tmp_path / "s").exists()
 
@@ -73,7 +79,7 @@ def test_who_is_not_wanted_is_told_why(tmp_path: Path) -> None:
     threads[0].start()
     cosim.run(content, mcap=False, tell=tell)
     for thread in threads:
-        thread.join(10.0)
+        thread.join(PATIENCE_S)
     assert "there is no vehicle 'xxx" in words[0] or "unknown vehicle 'xxx" in words[0]
     assert "a has a program already" in words[1]
     assert "install the same vcmvsp for both" in words[2]
@@ -120,10 +126,15 @@ def test_three_hundred_strangers_disturb_nobody(tmp_path: Path) -> None:
             except OSError:
                 pass
 
+    floods = list[threading.Thread]()
+
     def flooded(text: str) -> None:
-        threading.Thread(target=tell, args=[text], daemon=True).start()
+        floods.append(threading.Thread(target=tell, args=[text], daemon=True))
+        floods[-1].start()
 
     result = played(content, {"a": chat, "b": chat}, mcap=False, tell=flooded)
+    for thread in floods:
+        thread.join(PATIENCE_S)
     for end in open_:
         end.close()
     assert result.metrics == undisturbed
@@ -201,7 +212,7 @@ def test_over_tcp_on_any_port(tmp_path: Path) -> None:
 
     cosim.run(scenario(tmp_path, "a", "b", sockets={"listen": "tcp/127.0.0.1:0"}), mcap=False, tell=tell)
     for thread in ends:
-        thread.join(10.0)
+        thread.join(PATIENCE_S)
     assert heard == 10 * [(b"here", "a")]
 
 

@@ -16,7 +16,7 @@ from cosim.errors import FederateError
 from cosim.sockets import Socket
 from cosim.sockets_wire import MOST_UP, VERSION, Hello, Send, Wait, framed
 from cosim.types import Note
-from tests.netsim.socketing import by_hand, chat, idle, played, scenario
+from tests.netsim.socketing import PATIENCE_S, by_hand, chat, idle, played, scenario
 
 
 def notes_of(events: list[Any]) -> list[tuple[str, int, dict[str, Any]]]:
@@ -110,7 +110,7 @@ def test_what_makes_no_sense_is_taken_as_leaving(tmp_path: Path, nonsense: bytes
     thread = threading.Thread(target=liar, daemon=True)
     thread.start()
     result = played(scenario(tmp_path, "a", "b"), {"a": heard.extend}, mcap=False, tell=told.append)
-    thread.join(10.0)
+    thread.join(PATIENCE_S)
     assert result.about["simulated_s"] == 1.0
     assert [data for data, _ in heard] in ([b"sense"], [])  # what it said before may come after the words that part it
     assert told[-1].startswith("the program of b has left at 0.000 s (it s")
@@ -142,7 +142,7 @@ def test_a_program_that_speaks_while_it_should_wait_leaves(tmp_path: Path) -> No
     def eager() -> None:
         with by_hand(tmp_path, "b") as end:
             end.sendall(framed(Wait(None, hears=False, held=0)))
-            ask.wait(10.0)
+            ask.wait(PATIENCE_S)
             end.sendall(framed(Send(None, b"!")))
             asked.set()
             while end.recv(1 << 16):
@@ -151,7 +151,7 @@ def test_a_program_that_speaks_while_it_should_wait_leaves(tmp_path: Path) -> No
     def play(end: Socket) -> None:
         end.sleep(0.5)
         ask.set()
-        asked.wait(10.0)
+        asked.wait(PATIENCE_S)
         end.sleep(0.01)
         chat(end)
 
@@ -227,9 +227,9 @@ def test_a_program_that_hangs_ends_the_run_with_its_name(tmp_path: Path) -> None
             while end.recv(1 << 16):
                 pass
 
-    content = scenario(tmp_path, "a", "b", sockets={"deadline_s": 1.0})
+    content = scenario(tmp_path, "a", "b", sockets={"deadline_s": 2.0})
     threading.Thread(target=hang, daemon=True).start()
-    with pytest.raises(FederateError, match=r"the program of b: has not gone on within 1 s \(sockets.deadline_s\)") as caught:
+    with pytest.raises(FederateError, match=r"the program of b: has not gone on within 2 s \(sockets.deadline_s\)") as caught:
         played(content, {"a": chat}, mcap=False)
     assert caught.value.result.about["simulated_s"] == 0.3
     assert caught.value.result.metrics["radio"]["frames"] == 3  # at 0, 0.1 and 0.2 s

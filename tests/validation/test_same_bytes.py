@@ -16,6 +16,7 @@ import pytest
 import cosim
 from agents.formation import LeaderFollower, Trajectory
 from cosim.result import Result
+from tests.netsim.bridging import free_ports
 from tests.validation.fleet import files
 
 pytestmark = pytest.mark.usefixtures("figures")
@@ -126,7 +127,7 @@ def test_agents_as_objects(reference: dict[str, bytes], tmp_path: Path) -> None:
 
 def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> None:
     """Two hosts elsewhere, one started before the run and one after it; the first serves two vehicles."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = f"tcp/127.0.0.1:{free_ports(1, socket.SOCK_STREAM)}"
     logs = [(tmp_path / name).open("w+") for name in ("early.txt", "late.txt")]
 
     def host(log: Any, *vehicles: str) -> subprocess.Popen[str]:
@@ -144,7 +145,7 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
     try:
         wait_for(lambda: (tmp_path / "early.txt").stat().st_size > 0)
         cosim.run("formation-circle", set=SHORT, agents="zenoh", listen=endpoint, tell=tell, out=tmp_path / "out")
-        assert [process.wait(timeout=20) for process in started] == [0, 0]
+        assert [process.wait(timeout=60) for process in started] == [0, 0]
     finally:
         for process in started:
             process.kill()
@@ -155,13 +156,7 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
     assert set(json.loads((tmp_path / "out" / "about.json").read_text())["agents"].values()) == {"zenoh"}
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
     last = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < last
