@@ -67,6 +67,7 @@ def png(picture: Array) -> bytes:
 def extent(world: World) -> tuple[Array, Array]:
     """The lowest and highest x, y, z, m, of what is worth drawing."""
     corners = [each for solid in world.solids for each in _outer(solid)]
+    corners += [each for moving in world.moving for time_s in moving.times_s for each in _outer(_placed(moving, time_s))]
     for target in world.targets:
         way = np.array(target.way)
         corners += [np.column_stack([way + side * target.size_m, np.zeros(len(way))]) for side in (-1.0, 1.0)]

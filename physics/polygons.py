@@ -145,8 +145,7 @@ def convex_parts(outline: Sequence[Point], holes: Sequence[Sequence[Point]] = ()
     put together again along edges where it stays convex (S. Hertel, K. Mehlhorn, Fast triangulation of simple polygons, 1983).
     """
     ring = _turned(outline, counter_clockwise=True)
-    count = len(ring)
-    turns = [_turn(ring[k - 1], ring[k], ring[(k + 1) % count]) for k in range(count)]
+    turns = _turns(ring)
     if not holes and min(turns) >= 0.0:
         return [np.array([corner for corner, turn in zip(ring, turns, strict=True) if turn > 0.0])]
     ring = _bridged(ring, [_turned(hole, counter_clockwise=False) for hole in holes])
@@ -165,6 +164,16 @@ def convex_parts(outline: Sequence[Point], holes: Sequence[Sequence[Point]] = ()
             i += 1
     points = np.array(corners)
     return [points[part] for part in parts]
+
+
+def is_convex(outline: Sequence[Point]) -> bool:
+    """Whether a polygon that does not cross itself, either way round, is convex; corners in a line may be."""
+    return min(_turns(_turned(outline, counter_clockwise=True))) >= 0.0
+
+
+def _turns(ring: Sequence[Point]) -> list[float]:
+    """Of each corner, between the edges beside it: positive to the left."""
+    return [_turn(ring[k - 1], ring[k], ring[(k + 1) % len(ring)]) for k in range(len(ring))]
 
 
 def _turned(ring: Sequence[Point], *, counter_clockwise: bool) -> list[Point]:

@@ -83,9 +83,9 @@ def _walls(shapes: Shapes, count: int) -> tuple[Array, Array]:
         m, k, _ = group.corners.shape
         if k == 4:
             normal = outward(group.corners)
-            last = min(first + m, count)  # there are fewer pieces where the last lie under the floor
-            walls[first:last] = np.dstack([normal, (normal * group.corners).sum(axis=2)])[: last - first]
-            block[first:last] = group.bottom[: last - first] <= 0.0
+            some = max(0, min(m, count - first))  # there are fewer pieces where the last lie under the floor
+            walls[first : first + some] = np.dstack([normal, (normal * group.corners).sum(axis=2)])[:some]
+            block[first : first + some] = group.bottom[:some] <= 0.0
         first += m
     return block, walls
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.types import Array
-from physics.polygons import area_m2, convex_parts, outward, width_m
+from physics.polygons import area_m2, is_convex, outward, width_m
 from physics.solids import Prism, Solid
 
 Floats = NDArray[np.float64]
@@ -136,7 +136,7 @@ def _pieces(solid: Solid) -> list[tuple[list[Array], float, float]]:
 
 
 def _thickness(rings: Sequence[Array]) -> float:
-    if len(rings) == 1 and len(convex_parts([(x, y) for x, y in rings[0].tolist()])) == 1:
+    if len(rings) == 1 and is_convex(rings[0].tolist()):
         return width_m(rings[0])
     around = sum(float(np.hypot(*(ring - np.roll(ring, 1, axis=0)).T).sum()) for ring in rings)
     return 2.0 * sum(area_m2(ring) for ring in rings) / around

@@ -108,8 +108,10 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
     height: Positive
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(value) for value in (*self.center, self.radius, self.height)):
-            raise ValueError(f"a cylinder needs finite numbers, not center {self.center}")
+        numbers = (*self.center, self.radius, self.height)
+        if not all(math.isfinite(value) for value in numbers) or min(self.radius, self.height) <= 0.0:
+            sizes = f"radius {self.radius}, height {self.height}"
+            raise ValueError(f"a cylinder needs finite numbers, and positive sizes, not center {self.center}, {sizes}")
 
     @property
     def words(self) -> str:
@@ -143,6 +145,8 @@ class Prism(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if problem := problem_of(self.outline, self.holes):
             raise ValueError(f"the outline of a prism {problem}")
+        if not math.isfinite(self.bottom) or not math.isfinite(self.height) or self.height <= 0.0:
+            raise ValueError(f"a prism needs a finite bottom and a positive height, not {self.bottom} and {self.height}")
 
     @property
     def words(self) -> str:

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,9 @@ class GeoJson(Surroundings):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_file(self.path)
+        if self.origin is not None and not self.metric and not (abs(self.origin[0]) <= 180.0 and abs(self.origin[1]) < 90.0):
+            problem = f"must be longitude and latitude in degrees, not {self.origin}; for metres say metric = true"
+            raise ScenarioError(problem, key="origin")
 
     def build(self) -> World:
         """The world itself.
@@ -104,8 +108,8 @@ def metres(value: Any) -> float | None:
     """A property as a length: a number, or words such as "12.5", "12 m"; None: it says none."""
     if isinstance(value, str):
         match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(?:m|metres?|meters?)?\s*", value)
-        return float(match[1]) if match else None
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        value = float(match[1]) if match else None
+    good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
     return float(value) if good else None
 
 
@@ -131,6 +135,9 @@ def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, An
     for number, feature in enumerate(features):
         geometry = feature.get("geometry") if "geometry" in feature else feature
         properties = feature.get("properties") or {}
+        if not isinstance(properties, dict):
+            problem = f"its properties must be an object of names and values, not {properties!r}"
+            raise ScenarioError(problem, key=f"features.{number}", source=str(path))
         name = properties.get("name") or feature.get("id")
         words = f"features.{number}" + (f" ({name})" if name else "")
         if isinstance(geometry, dict) and geometry.get("type") in ("Polygon", "MultiPolygon"):
@@ -138,8 +145,9 @@ def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, An
             polygons: Any = [coordinates] if geometry["type"] == "Polygon" else coordinates
             try:
                 for polygon in polygons:
-                    yield words, properties, [_ring(ring) for ring in polygon]
-            except (TypeError, ValueError, IndexError) as error:
+                    if polygon != []:  # a place that nobody has drawn (RFC 7946, 3.1)
+                        yield words, properties, [_ring(ring) for ring in polygon]
+            except (TypeError, ValueError, IndexError, OverflowError) as error:
                 problem = f"its coordinates are no rings of [x, y]: {error}"
                 raise ScenarioError(problem, key=words, source=str(path)) from error
         elif isinstance(geometry, dict) and geometry.get("type") == "GeometryCollection":
@@ -147,9 +155,9 @@ def _footprints(content: Any, path: Path) -> Iterator[tuple[str, Mapping[str, An
 
 
 def _ring(coordinates: Any) -> Array:
-    """A ring without what says nothing: heights, repeated points, the closing one."""
+    """A ring without what says nothing: heights, repeated points, the closing one; at least one point of it."""
     points = np.array([(float(x), float(y)) for x, y, *_ in coordinates])
     if not len(points) or not np.isfinite(points).all():
         raise ValueError("a ring is empty or not finite")
     ring: Array = points[(points != np.roll(points, -1, axis=0)).any(axis=1)]
-    return ring
+    return ring if len(ring) else points[:1]

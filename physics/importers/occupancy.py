@@ -1,6 +1,5 @@
 """Occupancy grids of ROS (`map_server`): a picture of a floor plan and a YAML file beside it, raised to walls."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,8 @@ from physics.importers.reading import library, require_file, text_of
 from physics.solids import Box, Color
 from physics.world import World
 from physics.worlds.surroundings import Bounds, Surroundings
+
+_MOST_M = 1e9  # no map is further away, nor a cell of it larger
 
 Block = tuple[int, int, int, int]  # first row, end row, first column, end column
 
@@ -75,7 +76,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     yaml = library("yaml", str(path), "pyyaml")
     try:
         content = yaml.safe_load(text_of(path))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # the latter for a date that there is none of
         raise ScenarioError(f"is not YAML: {error}", source=str(path)) from error
     if not isinstance(content, dict):
         raise ScenarioError("is no map: it needs image, resolution and origin", source=str(path))
@@ -90,7 +91,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
     origin = content.get("origin")
     numbers = isinstance(origin, list) and len(origin) == 3 and all(isinstance(each, int | float) for each in origin)
-    if not numbers or not all(map(math.isfinite, origin or ())):
+    if not numbers or not all(abs(each) < _MOST_M for each in origin or ()):
         problem = f"must be [x m, y m, yaw rad] of the lower left corner, not {origin!r}"
         raise ScenarioError(problem, key="origin", source=str(path))
     if not isinstance(content.get("image"), str):
@@ -99,7 +100,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         raise ScenarioError(f"must be trinary or scale, not {content['mode']!r}", key="mode", source=str(path))
     return {
         "image": path.parent / content["image"],
-        "resolution": number("resolution", None, 0.0, math.inf),
+        "resolution": number("resolution", None, 0.0, _MOST_M),
         "origin": tuple(map(float, origin or ())),
         "negate": number("negate", 0, -1.0, 2.0) != 0.0,
         "occupied_thresh": number("occupied_thresh", 0.65, -1e-9, 1.0 + 1e-9),

@@ -1,13 +1,17 @@
 """A simulated detector of targets, for studies of searches in which no picture needs to be taken."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from cosim.errors import ScenarioError
 from cosim.types import Array, Looks, Positive, Probability, Rate, frozen
 from physics.scene import Scene
 from physics.sensor import Sensor
 from physics.world import World
+
+MOST_ACROSS = 2_000  # cells of one look: it takes half a second
 
 
 @dataclass(kw_only=True)
@@ -37,14 +41,18 @@ class TargetSensor(Sensor):
 
     def _cells(self, world: World, x: float, y: float) -> Array:
         """Those within reach, (n, 2): column and row."""
-        column, row = (
-            np.arange(np.floor((at - self.reach_m) / self.cell_m), np.floor((at + self.reach_m) / self.cell_m) + 1.0)
-            for at in (x, y)
-        )
+        west, south, east, north = world.bounds or (-math.inf, -math.inf, math.inf, math.inf)
+        column, row = self._between(x, west, east), self._between(y, south, north)
         across, up = (column + 0.5) * self.cell_m, (row[:, None] + 0.5) * self.cell_m
         near = (across - x) ** 2 + (up - y) ** 2 <= self.reach_m**2
-        if world.bounds is not None:
-            west, south, east, north = world.bounds
-            near &= (across > west) & (across < east) & (up > south) & (up < north)
+        near &= (across > west) & (across < east) & (up > south) & (up < north)
         rows, columns = np.nonzero(near)
         return np.column_stack([column[columns], row[rows]])
+
+    def _between(self, at: float, low: float, high: float) -> Array:
+        """Columns, or rows, that reach from here, within the bounds of the world."""
+        first, last = np.floor(np.array([max(at - self.reach_m, low), min(at + self.reach_m, high)]) / self.cell_m)
+        if last - first > MOST_ACROSS:
+            problem = f"{last - first:.3g} cells of {self.cell_m:g} m across are more than {MOST_ACROSS}: make them larger"
+            raise ScenarioError(problem, key="target_sensor.cell_m")
+        return np.arange(first, last + 1.0)

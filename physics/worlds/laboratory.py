@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from cosim.errors import ScenarioError
 from cosim.types import Positive
 from physics.ground import Ground, Mark
 from physics.solids import Box, Color, Point2
@@ -26,6 +27,7 @@ _CHAIRS = (-0.4, 0.4)  # x of the chairs from the table's middle, m
 _WOOD: Color = (188, 150, 104)
 _CHAIR: Color = (64, 92, 140)
 _WALL = 0.2  # m
+_LEAST_TILE_M = 0.05
 _DOOR_WIDTH, _DOOR_HEIGHT, _DOOR_X = 1.4, 2.1, -4.5  # m; in the south wall
 
 
@@ -37,6 +39,11 @@ class Laboratory(Surroundings):
     """
 
     tile: Positive = 0.6  # edge of a tile of the floor, m
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.tile < _LEAST_TILE_M:
+            raise ScenarioError(f"must be at least {_LEAST_TILE_M:g} m, not {self.tile:g}: joints are 1 cm wide", key="tile")
 
     def build(self) -> World:
         """The world itself."""

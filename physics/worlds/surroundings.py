@@ -7,7 +7,7 @@ import msgspec
 
 from cosim.errors import ScenarioError
 from cosim.types import NonNegative
-from physics.ground import Ground, Mark, around, problem_of_picture
+from physics.ground import Ground, Mark, around, read_picture
 from physics.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
 from physics.targets import Target, names, placed
 from physics.world import Light, Movable, Moving, Wind, World, Zone
@@ -99,9 +99,11 @@ def _with(ground: Ground, zones: Sequence[Zone]) -> Ground:
 def _check_pictures(ground: Ground, targets: Sequence[Target]) -> None:
     """Refuse picture files now that nobody could paint later."""
     pictures = [ground.picture, *(mark.picture for mark in ground.marks), *(target.picture for target in targets)]
-    for picture in dict.fromkeys(pictures):
-        if picture and (problem := problem_of_picture(picture)):
-            raise ScenarioError(problem)
+    for picture in filter(None, dict.fromkeys(pictures)):
+        try:
+            read_picture(picture)
+        except ValueError as error:
+            raise ScenarioError(str(error)) from error
 
 
 def rectangle_points(center: Point2, size: Point2, yaw_rad: float = 0.0) -> tuple[Point2, ...]:

@@ -40,6 +40,7 @@ _ROOFS: tuple[Color, ...] = (
 _ROOF_M = 0.5  # thickness of a roof
 _STEPPED = 0.35  # of the higher buildings have a narrower upper part
 MOST_LOTS = 20_000  # they take some seconds to build
+MOST_M = 100_000.0  # along an edge: the lines of its streets are marks of 3 m each
 _TRIES = 1000  # to find a free place for a target
 
 
@@ -62,6 +63,8 @@ class Urban(Surroundings):
         super().__post_init__()
         if self.height_max < self.height_min:
             raise ScenarioError(f"must be at least height_min = {self.height_min:g}", key="height_max")
+        if max(self.size) > MOST_M:
+            raise ScenarioError(f"a town of {max(self.size):g} m is too large: at most {MOST_M:g} m", key="size")
         if min(self.size) < self.block + 2.0 * self.street:
             raise ScenarioError(f"one block of {self.block:g} m and streets of {self.street:g} m do not fit", key="size")
         across = [math.floor(each / (self.block + self.street)) for each in self.size]
@@ -123,7 +126,7 @@ class Urban(Surroundings):
         eaves = height - min(_ROOF_M, 0.2 * height)
         bottom = 0.0
         if step < _STEPPED and tall > 0.4:
-            bottom = min(self._storeys(eaves * (0.4 + step)), eaves - 0.1)
+            bottom = min(self._storeys(eaves * (0.4 + step)), max(eaves - 0.1, 0.5 * eaves))
             yield _box(center, size, 0.0, bottom, material, color)
             size = (0.65 * size[0], 0.65 * size[1])
         yield _box(center, size, bottom, eaves, material, color)

@@ -14,7 +14,7 @@ from cosim.types import Array, Image
 from physics.camera import LOWEST_M, Camera, NadirCamera
 from physics.render_ground import SKY
 from physics.scene import Hull, Scene
-from physics.solids import Box
+from physics.solids import Box, Prism
 from physics.world import Light, World
 from tests.physics.sensor_scenes import scene_of
 
@@ -50,6 +50,15 @@ def test_an_empty_world_is_floor_and_sky_and_the_horizon_lies_in_the_middle_of_a
     assert not image.pixels.flags.writeable
     assert (image.pixels[:60] == SKY).all()
     assert (image.pixels[60:] == World().ground.color).all()
+
+
+def test_what_lies_under_the_floor_is_not_seen_however_much_it_is() -> None:
+    cellar = tuple(Box(center=(3.0, 0.0, -5.0), size=(1.0, 1.0, 1.0)) for _ in range(5))
+    wedges = tuple(Prism(outline=((5, -1), (6, 0), (5, 1)), height=1.0, bottom=z) for z in (0.0, -4.0, -4.0))
+    camera, above = Camera(mount=(0, 0, 1), pitch=0.2), scene_of(world=World(solids=wedges[:1]))
+    image = picture(camera, scene_of(world=World(solids=(*wedges, *cellar))))
+    assert (image.pixels == picture(camera, above).pixels).all()
+    assert (image.pixels != picture(camera, scene_of()).pixels).any()
 
 
 @pytest.mark.parametrize("pitch", [-0.3, -0.1, 0.2, 0.35])

@@ -83,6 +83,15 @@ def test_extent_is_that_of_solids_bounds_and_ground() -> None:
     assert high.tolist() == [2.0, 20.0, 7.0]
 
 
+def test_the_whole_way_of_what_moves_is_on_the_map() -> None:
+    cart = Moving(
+        name="cart", solid=Box(center=(0, 0, 0), size=(2, 1, 1)), times_s=(0, 9), way=((0, 0, 0.5, 0), (30, 0, 0.5, 0))
+    )
+    low, high = extent(World(moving=(cart,)))
+    assert low.tolist() == [-3.0, -3.0, 0.0]
+    assert high.tolist() == [31.0, 3.0, 1.0]
+
+
 def test_png_keeps_every_pixel() -> None:
     picture = np.random.default_rng(1).integers(0, 256, (20, 30, 3), np.uint8)
     decoded = cv2.imdecode(np.frombuffer(png(picture), np.uint8), cv2.IMREAD_COLOR)

@@ -104,6 +104,8 @@ def test_a_degree_at_the_equator_and_at_45_north() -> None:
         (True, None),
         ("40'", None),
         (math.nan, None),
+        (10**400, None),
+        ("9" * 400, None),
     ],
 )
 def test_heights_as_people_write_them(value: Any, length: float | None) -> None:
@@ -121,6 +123,11 @@ def test_heights_as_people_write_them(value: Any, length: float | None) -> None:
         ([feature([[["a", 2]]])], ("features.0", "no rings")),
         ([feature([[]])], ("features.0", "no rings")),
         ([5], ("is not GeoJSON",)),
+        ([feature([[[10**400, 0], [1, 1], [0, 1]]])], ("features.0", "no rings")),
+        ([feature([[[3, 3]] * 5])], ("features.0", "three corners", "skip_invalid")),
+        ([{**feature([SQUARE]), "properties": ["height"]}], ("features.0", "properties must be an object")),
+        ([feature([])], ("no Polygon",)),
+        ([feature([[]], "MultiPolygon")], ("no Polygon",)),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_footprints_is_said(tmp_path: Path, features: list[Any], words: tuple[str, ...]) -> None:
@@ -132,9 +139,23 @@ def test_what_is_wrong_with_footprints_is_said(tmp_path: Path, features: list[An
 def test_invalid_footprints_may_be_left_out_and_metres_are_noticed(tmp_path: Path) -> None:
     path = write(tmp_path, feature([BOW]), feature([SQUARE]))
     assert len(GeoJson(path=path, metric=True, skip_invalid=True).build().solids) == 1
+    point = write(tmp_path, feature([[[3, 3]] * 5]), feature([SQUARE]), feature([]))
+    assert len(GeoJson(path=point, metric=True, skip_invalid=True).build().solids) == 1
     far = write(tmp_path, feature([[[x + 500, y] for x, y in SQUARE]]))
     with pytest.raises(ScenarioError, match="metric = true"):
         GeoJson(path=far).build()
     (tmp_path / "town.geojson").write_text("{")
     with pytest.raises(ScenarioError, match=r"town\.geojson: is not JSON"):
         GeoJson(path=far).build()
+
+
+@pytest.mark.parametrize("origin", [(11.5, 120.0), (11.5, 90.0), (-181.0, 48.0), (math.nan, 48.0)])
+def test_an_origin_that_is_no_place_on_earth_is_refused_unless_all_is_metric(
+    tmp_path: Path, origin: tuple[float, float]
+) -> None:
+    path = write(tmp_path, feature([SQUARE]))
+    with pytest.raises(ScenarioError, match="longitude and latitude in degrees") as caught:
+        GeoJson(path=path, origin=origin)
+    assert caught.value.key == "origin"
+    GeoJson(path=path, origin=(180.0, -89.9))
+    GeoJson(path=path, origin=origin, metric=True)

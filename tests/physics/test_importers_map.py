@@ -87,9 +87,12 @@ def test_threshold_negation_and_yaw(tmp_path: Path) -> None:
     ("keys", "words"),
     [
         ({"resolution": 0}, ("resolution", "above 0")),
+        ({"resolution": "1" + "0" * 400}, ("resolution", "below 1e+09")),
         ({"resolution": "fine"}, ("resolution", "'fine'")),
         ({"origin": "[1, 2]"}, ("origin", "lower left corner")),
         ({"origin": "[1, 2, .nan]"}, ("origin", "lower left corner")),
+        ({"origin": f"[1, {10**400}, 0]"}, ("origin", "lower left corner")),
+        ({"saved": "2020-13-45"}, ("is not YAML", "month")),
         ({"image": "other.pgm"}, ("image", "there is no picture file", "other.pgm")),
         ({"image": "map.yaml"}, ("image", "is no picture")),
         ({"occupied_thresh": 65}, ("occupied_thresh", "below 1")),

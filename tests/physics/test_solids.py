@@ -114,7 +114,12 @@ def test_a_cylinder_is_a_polygon_just_inside_the_circle(radius: float) -> None:
     ("make", "words"),
     [
         (lambda: Cylinder(center=(0, 0, math.inf), radius=1.0, height=1.0), "finite"),
+        (lambda: Cylinder(center=(0, 0, 0), radius=-1.0, height=1.0), "positive"),
+        (lambda: Cylinder(center=(0, 0, 0), radius=1.0, height=0.0), "positive"),
         (lambda: Prism(outline=((0, 0), (1, 1)), height=1.0), "at least three corners"),
+        (lambda: Prism(outline=((0, 0), (1, 0), (1, 1)), height=0.0), "positive height"),
+        (lambda: Prism(outline=((0, 0), (1, 0), (1, 1)), height=math.inf), "positive height"),
+        (lambda: Prism(outline=((0, 0), (1, 0), (1, 1)), height=1.0, bottom=math.nan), "finite bottom"),
         (lambda: Mesh(triangles=np.zeros((3, 3))), "shape"),
         (lambda: Mesh(triangles=np.array([[(0, 0, 0)] * 3, [(0, 0, math.nan)] * 3])), "triangle 1 of a mesh"),
         (Mark, "one of"),

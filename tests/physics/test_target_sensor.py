@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.errors import ScenarioError
 from cosim.rng import stream
 from cosim.types import Array, Looks
 from physics.sensors.targets import TargetSensor
@@ -51,6 +52,15 @@ def test_no_cell_lies_beyond_the_bounds() -> None:
     columns, rows = looks.cells.T.tolist()
     assert (max(columns), min(rows)) == (24, -25)  # the last cells of 2 m
     assert [each for each in expected_cells(49.0, -48.0, 8.0, 2.0) if each[0] <= 24 and each[1] >= -25] == looks.cells.tolist()
+
+
+def test_more_cells_than_a_look_can_hold_are_refused_but_none_are_made_beyond_the_bounds() -> None:
+    sensor = TargetSensor(reach_m=1e5, cell_m=0.1)
+    with pytest.raises(ScenarioError, match="make them larger") as caught:
+        look(sensor, World(), 0.0, 0.0, 20.0)
+    assert caught.value.key == "target_sensor.cell_m"
+    assert len(look(sensor, world_of(bounds=(-5.0, -5.0, 5.0, 5.0)), 0.0, 0.0, 20.0).cells) == 100 * 100
+    assert len(look(sensor, world_of(bounds=(-5.0, -5.0, 5.0, 5.0)), -3e5, 0.0, 20.0).cells) == 0
 
 
 def test_without_errors_it_says_where_the_targets_are_now() -> None:

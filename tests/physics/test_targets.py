@@ -16,7 +16,7 @@ from cosim import table
 from cosim.errors import ScenarioError
 from cosim.registry import SHIPPED
 from cosim.types import Array
-from physics.draw import draw_world, extent
+from physics.draw import draw_world, extent, png
 from physics.importers import File
 from physics.render import render
 from physics.scene import Hull
@@ -99,6 +99,15 @@ def test_nowhere_is_it_faster_than_its_speed(way: Any, speed: float, loop: bool,
 def test_what_makes_no_sense_is_refused(keys: dict[str, Any], words: str) -> None:
     with pytest.raises(ScenarioError, match=words):
         table.call(Empty, {"targets": [keys]}).build()
+
+
+def test_a_broken_picture_is_refused_before_a_run_begins(tmp_path: Path) -> None:
+    whole = png(np.random.default_rng(1).integers(0, 256, (40, 40, 3), np.uint8))
+    (tmp_path / "cut.png").write_bytes(whole[:200])
+    picture = str(tmp_path / "cut.png")
+    for keys in ({"targets": [{"place": [0, 0], "picture": picture}]}, {"ground": {"picture": picture}}):
+        with pytest.raises(ScenarioError, match="is a picture, but broken"):
+            table.call(Empty, keys).build()
 
 
 def test_a_picture_that_is_not_finite_anywhere_is_refused() -> None:

@@ -232,6 +232,7 @@ def test_targets_lie_on_streets_clear_of_each_other_and_can_be_found() -> None:
     [
         ({"height_max": 3.0}, "height_max", "at least height_min"),
         ({"size": (40.0, 40.0)}, "size", "do not fit"),
+        ({"size": (1e9, 1e9), "block": 1e8}, "size", "at most 100000 m"),
         ({"lots": 12}, "gap", "leave less than 1 m"),
     ],
 )
@@ -239,6 +240,17 @@ def test_impossible_towns_are_refused(parameters: dict[str, Any], key: str, word
     with pytest.raises(ScenarioError, match=words) as caught:
         Urban(**parameters)
     assert caught.value.key == key
+
+
+def test_the_lowest_buildings_are_buildings() -> None:
+    world = Urban(height_min=0.05, height_max=0.15).build()
+    assert min(solid.size[2] for solid in world.solids if isinstance(solid, Box)) > 0.0
+    assert list(overlaps(world)) == []
+
+
+def test_tiles_too_small_to_be_drawn_are_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"at least 0\.05 m"):
+        table.call(Laboratory, {"tile": 1e-6})
 
 
 def test_two_thousand_buildings_fit_into_a_town() -> None:
