@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
+import pytest
 import zenoh
 from zenoh.handlers import Callback
 
@@ -17,18 +18,28 @@ from cosim import authority, certificates
 from cosim.certificates import Bundle, Keys
 from cosim.transport import key_names, security
 from cosim.transport.security import merge
+from cosim.transport.zenoh import COMMON
 
 QUIET: dict[str, Any] = {
     "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "transport": {"shared_memory": {"enabled": False}},
 }
+LEASE_MS = 20_000
+LASTING = {"transport": {"link": {"tx": {"lease": LEASE_MS}}}}
+"""A machine may be held up for longer than the lease of the real ones: both ends of a link are in one process here."""
 TOPIC = "vcmvsp/topic/car2/state"
 PATIENCE_S = 20.0
 EXCHANGED = (b"question", b"answer")  # what a run and its hosts say to one another
 
 
 def start(config: dict[str, Any]) -> zenoh.Session:
-    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(merge(config, LASTING))))
+
+
+def lasting_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same for sessions that the product opens in this process."""
+    monkeypatch.setattr(security, "LEASE_MS", LEASE_MS)
+    monkeypatch.setitem(COMMON["transport"]["link"]["tx"], "lease", LEASE_MS)
 
 
 def direct(function: Callable[[Any], object]) -> Any:
@@ -91,7 +102,7 @@ class Hub:
         hears = self.session.declare_subscriber(
             key_names.answer_key(key), direct(lambda sample: box.put(sample.payload.to_bytes()))
         )
-        self.session.put(key, question)
+        self.session.put(key, question, congestion_control=zenoh.CongestionControl.BLOCK)
         try:
             return [box.get(timeout=within_s)]
         except queue.Empty:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -14,14 +14,25 @@ VCMVSP = [sys.executable, "-m", "cosim.cli"]
 UNDRAWN = ["-P", str(Path(__file__).with_name("undrawn.py"))]
 
 
+@contextlib.contextmanager
+def reserved() -> Iterator[int]:
+    """A TCP port of 127.0.0.1 where nobody listens, and which Linux gives to nobody else who asks for any.
+
+    Who knows it may listen there, if he lets others use the address again (``SO_REUSEADDR``), as all servers do.
+    """
+    with socket.socket() as held:
+        held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        held.bind(("127.0.0.1", 0))
+        yield held.getsockname()[1]
+
+
 class Stage:
-    """A folder, a free port, and the processes that are started there; leave it, and they are gone."""
+    """A folder, a port that is its own, and the processes that are started there; leave it, and they are gone."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.out = folder, folder / "out"
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port: int = free.getsockname()[1]
+        self._held = contextlib.ExitStack()
+        self.port = self.another_port()
         self.processes: list[subprocess.Popen[str]] = []
 
     def __enter__(self) -> Self:
@@ -31,6 +42,10 @@ class Stage:
         for process in self.processes:
             process.kill()
             process.communicate()
+        self._held.close()
+
+    def another_port(self) -> int:
+        return self._held.enter_context(reserved())
 
     def start(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
         """Start ``vcmvsp`` with these arguments; ``before`` is a command that starts commands, such as ``ip netns exec``.

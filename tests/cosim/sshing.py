@@ -67,8 +67,8 @@ def played(folder: Path) -> Machine:
     return Machine("anna@far", (), {"PATH": f"{programs}:{os.environ['PATH']}", "FAR": str(folder)}, None)
 
 
-def served(kind: str, folder: Path) -> Machine:
-    """This machine, behind ``sshd`` of OpenSSH or ``asyncssh`` of PyPI, for whoever has the key in ``folder``."""
+def served(kind: str, folder: Path, port: int) -> Machine:
+    """This machine, behind ``sshd`` of OpenSSH or ``asyncssh`` of PyPI, at a port, for whoever has the key in ``folder``."""
     if not shutil.which("ssh") or not shutil.which("ssh-keygen"):
         pytest.skip("this machine has no ssh")
     sshd = shutil.which("sshd") or "/usr/sbin/sshd"
@@ -79,9 +79,6 @@ def served(kind: str, folder: Path) -> Machine:
     folder.mkdir()
     for name in ("host", "user"):
         subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(folder / name)], check=True, timeout=30)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port: int = free.getsockname()[1]
     (folder / "config").write_text(SSHD.format(port=port, folder=folder))
     (folder / "known").write_text(f"[127.0.0.1]:{port} {(folder / 'host.pub').read_text()}")
     command = [sshd, "-D", "-e", "-f", str(folder / "config")]

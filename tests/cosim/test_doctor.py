@@ -3,7 +3,6 @@
 import contextlib
 import datetime as dt
 import json
-import socket
 import time
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,15 @@ from cosim.transport import key_names, security, wire
 from cosim.transport.hub import Hub
 from cosim.transport.topics import Topics
 from tests.cosim.command import vcmvsp
+from tests.cosim.guarded import lasting_links
+from tests.cosim.hosting import reserved
 
 ABOUT = {"scenario": "here", "duration_s": 60.0, "vehicles": ("car1", "car2"), "missing": lambda: ("car2",)}
+
+
+@pytest.fixture(autouse=True)
+def _links_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    lasting_links(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -110,9 +116,7 @@ def test_what_is_wrong_is_named_and_ends_the_examination(
     with monkeypatch.context() as patch:
         patch.setattr(signing, "now", lambda: dt.datetime.now(dt.UTC) - dt.timedelta(days=2))
         authority.issue(foreign, "old", days=1)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        nobody = f"tls/127.0.0.1:{free.getsockname()[1]}"
+    nobody = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
     for where, file, name, words in (
         (nobody, keys.folder / "anna.keys", "endpoint", "nobody listens there (Connection refused)"),
         (endpoint, foreign / "anna.keys", "endpoint", "is of another authority than"),

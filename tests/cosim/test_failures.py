@@ -30,7 +30,7 @@ class Failing(Agent):
         radio.send(x=obs.state.position[0])
         if obs.time_s >= self.at:
             {"raise": self.crash, "exit": self.leave, "kill": self.killed, "hang": self.sleep, "stop": self.stopped,
-             "nan": lambda: None, "junk": lambda: None, "fine": lambda: None}[self.how]()
+             "nan": lambda: None, "junk": lambda: None, "fine": self.tell}[self.how]()
         if obs.time_s >= self.at and self.how == "junk":
             return "forward"
         return Velocity(linear=(float("nan") if self.how == "nan" and obs.time_s >= self.at else 0.3, 0.0, 0.0))
@@ -40,6 +40,7 @@ class Failing(Agent):
     def killed(self): os.kill(os.getpid(), signal.SIGKILL)
     def stopped(self): os.kill(os.getpid(), signal.SIGSTOP)
     def sleep(self): time.sleep(600)
+    def tell(self): open(os.path.join(os.path.dirname(__file__), "got there"), "w").close()
 '''
 SCENARIO = """
 name = "failing"
@@ -47,7 +48,7 @@ duration_s = {duration}
 [physics]
 kind = "kinematic"
 [agents]
-deadline_s = 1.0
+deadline_s = {deadline}
 [[vehicle]]
 name = "car1"
 kind = "kinematic"
@@ -64,7 +65,8 @@ COMMAND = [sys.executable, *UNDRAWN, "run"]
 def write(folder: Path, how: str, duration: float = 5.0) -> Path:
     (folder / "failing.py").write_text(AGENTS)
     scenario = folder / "failing.toml"
-    scenario.write_text(SCENARIO.format(how=how, duration=duration))
+    deadline = 2.0 if how in ("hang", "stop") else 30.0
+    scenario.write_text(SCENARIO.format(how=how, duration=duration, deadline=deadline))
     return scenario
 
 
@@ -88,8 +90,8 @@ CAUSES = {
     "junk": "returned 'forward' from act(); it must return a Velocity",
     "exit": "ended with exit code 7",
     "kill": "was killed by SIGKILL",
-    "hang": "did not answer within the deadline of 1 s",
-    "stop": "did not answer within the deadline of 1 s",
+    "hang": "did not answer within the deadline of 2 s",
+    "stop": "did not answer within the deadline of 2 s",
 }
 
 
@@ -104,7 +106,7 @@ def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_p
     command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out)]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     _, errors_said = run.communicate(timeout=60)
-    assert time.monotonic() - begin < 40.0  # start-up, 1 s of deadline, clean-up; the demand of 5 s is for an idle machine
+    assert time.monotonic() - begin < 40.0  # start-up, 2 s of deadline, clean-up; the demand of 5 s is for an idle machine
     assert run.returncode == 3, errors_said
     errors = [line for line in errors_said.splitlines() if line.startswith("vcmvsp: ")]
     assert "vehicle car2" in errors[0]
@@ -113,8 +115,8 @@ def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_p
     assert "Traceback" not in errors_said
     about = assert_readable(out, 1.0)
     assert CAUSES[how] in str(about["error"])
-    assert not [pid for pid in psutil.pids() if session_of(pid) == run.pid]
-    assert set(Path("/dev/shm").iterdir()) == shared_before
+    wait_for(lambda: not [pid for pid in psutil.pids() if session_of(pid) == run.pid])
+    wait_for(lambda: set(Path("/dev/shm").iterdir()) <= shared_before)  # other programs have theirs there, for a moment
 
 
 @pytest.mark.parametrize("where", ["inprocess", "process"])
@@ -122,17 +124,15 @@ def test_ctrl_c_keeps_the_recording_and_leaves_no_process(where: str, tmp_path: 
     scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
     command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out), "--realtime"]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0)
-    wait_for((out / "run.mcap").exists)
-    time.sleep(1.0)
+    wait_for((tmp_path / "got there").exists)
     children = psutil.Process(run.pid).children(recursive=True)
     assert len(children) == (2 if where == "process" else 0)
     os.killpg(run.pid, signal.SIGINT)
-    _, errors = run.communicate(timeout=30)
+    _, errors = run.communicate(timeout=60)
     assert run.returncode == 130
     assert "interrupted at" in errors
     assert "Traceback" not in errors
-    psutil.wait_procs(children, timeout=5)
-    assert not [child for child in children if child.is_running()]
+    assert not psutil.wait_procs(children, timeout=30)[1]
     about = json.loads((out / "about.json").read_text())
     assert_readable(out, about["simulated_s"], 0.1)
     assert about["lateness"]["instants"] > 0
@@ -147,7 +147,7 @@ def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
     assert len(children) == 2
     run.kill()
     run.wait()
-    assert not psutil.wait_procs(children, timeout=10)[1]
+    assert not psutil.wait_procs(children, timeout=30)[1]
 
 
 def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def session_of(pid: int) -> int:
         return -1
 
 
-def wait_for(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
     last = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < last

@@ -24,17 +24,28 @@ duration_s = {duration}
 kind = "kinematic"
 [agents]
 runs = "zenoh"
-deadline_s = 20.0
+deadline_s = 60.0
 join_timeout_s = 60.0
 [vehicles]
 kind = "kinematic"
 [[vehicle]]
 name = "car1"
-agent = {{ kind = "trajectory" }}
+agent = {{ kind = "waits.py:Waits" }}
 [[vehicle]]
 name = "car2"
 pose = [-1.0, 0.0, 0.0]
 agent = {{ kind = "leader_follower", leader = "car1" }}
+"""
+WAITS = """
+import pathlib, time
+from agents.formation.trajectory import Trajectory
+
+class Waits(Trajectory):
+    '''Comes to an end when all that there was to throw has been thrown.'''
+    def act(self, obs, radio):
+        while obs.time_s >= {until} and not pathlib.Path(__file__).with_name("thrown").exists():
+            time.sleep(0.02)
+        return super().act(obs, radio)
 """
 CONNECTIONS = 300
 
@@ -63,6 +74,7 @@ def garbage(draw: random.Random, number: int, endpoint: tuple[str, int]) -> sock
 def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_path: Path) -> None:
     with Stage(tmp_path) as stage:
         (tmp_path / "garbage.toml").write_text(SCENARIO.format(duration=6.0))
+        (tmp_path / "waits.py").write_text(WAITS.format(until=5.5))
         endpoint, with_keys, host_keys = f"{protocol}/127.0.0.1:{stage.port}", [], []
         if protocol == "tls":
             authority.init(tmp_path / "keys")
@@ -79,6 +91,7 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
                 connections.pop(draw.randrange(len(connections))).close()
             time.sleep(0.005)
         assert run.poll() is None  # all of it came while they played
+        (tmp_path / "thrown").touch()
         code, said = ended(run)
         for connection in connections:
             connection.close()

@@ -33,7 +33,7 @@ kind = "kinematic"
 runs = "zenoh"
 listen = "{endpoint}"
 join_timeout_s = {patience}
-deadline_s = 2.0
+deadline_s = {deadline}
 [vehicles]
 kind = "kinematic"
 [[vehicle]]
@@ -63,13 +63,14 @@ class ByHand(Stage):
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
         (folder / "still.py").write_text(STILL)
 
-    def scenario(self, duration: float = 2.0, patience: float = 30.0) -> Path:
+    def scenario(self, duration: float = 2.0, patience: float = 60.0, deadline: float = 30.0) -> Path:
         path = self.folder / "byhand.toml"
-        path.write_text(SCENARIO.format(duration=duration, endpoint=self.endpoint, patience=patience))
+        values = {"duration": duration, "patience": patience, "deadline": deadline}
+        path.write_text(SCENARIO.format(endpoint=self.endpoint, **values))
         return path
 
-    def run(self, duration: float = 2.0, patience: float = 30.0, *more: str) -> subprocess.Popen[str]:
-        return self.start("run", str(self.scenario(duration, patience)), "--out", str(self.out), *more)
+    def run(self, *more: str, **values: float) -> subprocess.Popen[str]:
+        return self.start("run", str(self.scenario(**values)), "--out", str(self.out), *more)
 
     def host(self, *arguments: str, vehicle: str = "car2") -> subprocess.Popen[str]:
         return self.start("agent", *arguments, "--vehicle", vehicle, "--connect", self.endpoint)
@@ -122,7 +123,7 @@ def test_who_does_not_belong_is_refused(stage: ByHand) -> None:
 
 
 def test_a_vehicle_has_one_host(stage: ByHand) -> None:
-    run = stage.run(3600.0, 30.0, "--realtime")
+    run = stage.run("--realtime", duration=3600.0)
     first = stage.host()
     wait_for(stage.out / "run.mcap")
     code, said = ended(stage.host())
@@ -147,7 +148,7 @@ def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand)
 
 
 def test_a_run_that_nobody_joins_ends(stage: ByHand) -> None:
-    code, said = ended(stage.run(2.0, 0.5))
+    code, said = ended(stage.run(patience=0.5))
     assert code == 3
     assert f"vcmvsp agent leader_follower --vehicle car2 --connect {stage.endpoint}" in said
     assert "agent host of vehicle car2: did not join within 0.5 s (agents.join_timeout_s)" in said
@@ -155,7 +156,7 @@ def test_a_run_that_nobody_joins_ends(stage: ByHand) -> None:
 
 
 def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
-    run, host = stage.run(3600.0, 30.0, "--realtime"), stage.host()
+    run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
     wait_for(stage.out / "run.mcap")
     time.sleep(0.5)
     host.kill()
@@ -168,7 +169,7 @@ def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
 
 
 def test_a_run_that_is_killed_ends_the_host(stage: ByHand) -> None:
-    run, host = stage.run(3600.0, 30.0, "--realtime"), stage.host()
+    run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
     wait_for(stage.out / "run.mcap")
     run.kill()
     code, said = ended(host)
@@ -198,6 +199,23 @@ def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
         assert code == 2
         assert "cannot listen on 'tcp/127.0.0.1:" in said
     assert vcmvsp("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2
+
+
+def test_a_run_that_listens_but_has_not_opened_its_door_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its machine may be held up for a second or two just then."""
+    now_s = [0.0]
+
+    def sleep(seconds: float) -> None:
+        now_s[0] += seconds
+
+    def get(*_: object, **__: object) -> list[Any]:
+        payload = Bytes(wire.encode(wire.Welcome(refused=None, patience_s=7.0)))
+        return [types.SimpleNamespace(ok=types.SimpleNamespace(payload=payload))] if now_s[0] > 2.0 else []
+
+    monkeypatch.setattr(dialling, "time", types.SimpleNamespace(monotonic=lambda: now_s[0], sleep=sleep))
+    hello = wire.Hello("1" * 32, wire.PROTOCOL, ("car2",))
+    session: Any = types.SimpleNamespace(get=get)
+    assert dialling._join(session, "anyone", hello).patience_s == 7.0
 
 
 class Asked:

@@ -125,7 +125,7 @@ from cosim import certificates; from cosim.transport import key_names, security
 from cosim.transport.zenoh import COMMON
 heard = Path(sys.argv[3])
 bundle = certificates.load_bundle(Path(sys.argv[2]))
-own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [sys.argv[1]], "timeout_ms": 20000}}
+own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [sys.argv[1]], "timeout_ms": 60000}}
 config = security.merge(COMMON, own, security.machine_security(bundle))
 listens, asks = (zenoh.open(zenoh.Config.from_json5(json.dumps(config))) for _ in range(2))
 def note(what):
@@ -172,8 +172,12 @@ def test_intruders_from_other_machines_are_refused_and_hear_nothing(tmp_path: Pa
         assert code == 0, said
         assert f"refused a host with the certificate of machine0: {refusal}" in said
         assert [ended(host)[0] for host in hosts] == [0, 0]
+        last = time.monotonic() + 20.0  # that the run is there, and leaves: the spy may be slow to note it
+        while len(heard := (tmp_path / "heard").read_text().split()) < 2 and time.monotonic() < last:
+            time.sleep(0.05)
         assert spy.poll() is None
-        assert (tmp_path / "heard").read_text().split() == ["vcmvsp/hub/alive"] * 2  # that the run is there, and leaves
+        assert len(heard) > 1  # and comes and leaves once more, where a machine was held up for so long that a link broke
+        assert set(heard) == {"vcmvsp/hub/alive"}
         assert contents(far.out) == far.reference()
 
 

@@ -110,7 +110,7 @@ def stage(tmp_path: Path) -> Iterator[Launching]:
 @pytest.fixture(params=["played", "sshd", "asyncssh"])
 def machine(request: pytest.FixtureRequest, stage: Launching) -> Iterator[Machine]:
     folder = stage.folder / "far"
-    made = played(folder) if request.param == "played" else served(request.param, folder)
+    made = played(folder) if request.param == "played" else served(request.param, folder, stage.another_port())
     stage.environment = made.environment
     yield made
     if made.server:
@@ -192,7 +192,7 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
 @pytest.mark.parametrize("machine", ["sshd"], indirect=True)
 def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Launching, machine: Machine) -> None:
     """The far end of the tunnel is another port here, where otherwise nobody listens."""
-    far, near = f"127.0.0.1:{Stage(stage.folder).port}", f"127.0.0.1:{stage.port}"
+    far, near = f"127.0.0.1:{stage.another_port()}", f"127.0.0.1:{stage.port}"
     tunnel = (*machine.options, "-R", f"{far}:{near}", "-o", "ExitOnForwardFailure=yes")
     machine = machine._replace(options=tunnel)
     stage.hosts(table(machine, vehicles=["car2", "car3"], command=tuple(VCMVSP), connect=f"tcp/{far}"))
@@ -226,8 +226,8 @@ def test_no_host_outlives_its_run(stage: Launching, machine: Machine, end: signa
     if end != signal.SIGKILL:
         assert "joined" in stage.log("far")
     if not machine.server:
-        last = time.monotonic() + 10.0
-        while [*(stage.folder / "far").rglob("*.keys")]:
+        last = time.monotonic() + 30.0
+        while [name for _, _, names in os.walk(stage.folder / "far") for name in names if name.endswith(".keys")]:
             assert time.monotonic() < last
             time.sleep(0.05)
 

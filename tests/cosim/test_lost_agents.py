@@ -41,6 +41,8 @@ class Failing(Agent):
             if self.how == "kill": os.kill(os.getpid(), signal.SIGKILL)
             if self.how == "stop": os.kill(os.getpid(), signal.SIGSTOP)
             if self.how == "nan": return Velocity(linear=(float("nan"), 0.0, 0.0))
+        if self.once and self.acted > 13:
+            open(self.once + " and on", "w").close()
         radio.send(acted=self.acted)
         return Velocity(linear=(0.5, 0.0, 0.0))
 '''
@@ -49,7 +51,7 @@ SCENARIO: dict[str, Any] = {
     "duration_s": 5.0,
     "physics": {"kind": "kinematic"},
     "radio": {"preset": "ideal"},
-    "agents": {"kind": "failing.py:Failing", "period_s": 0.1, "deadline_s": 1.0},
+    "agents": {"kind": "failing.py:Failing", "period_s": 0.1, "deadline_s": 30.0},
     "vehicles": {"kind": "kinematic"},
     "vehicle": [
         {"name": "car1", "agent": {}},
@@ -167,7 +169,8 @@ class ByHand(Stage):
         self.endpoint, self._scenario = f"tcp/127.0.0.1:{self.port}", scenario
 
     def run(self, *settings: str, seconds: float = 3600.0) -> subprocess.Popen[str]:
-        more = [f"duration_s={seconds}", "vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", *settings]
+        elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=2.0"]
+        more = [f"duration_s={seconds}", *elsewhere, *settings]
         sets = [word for setting in more for word in ("--set", setting)]
         return self.start("run", str(self._scenario), "--out", "out", "--listen", self.endpoint, "--realtime", *sets)
 
@@ -195,10 +198,10 @@ def stage(scenario: Path, tmp_path: Path) -> Iterator[ByHand]:
         yield made
 
 
-def heard(run: subprocess.Popen[str], text: str) -> None:
-    """Read what a run says until this."""
-    assert run.stderr is not None
-    for line in run.stderr:
+def heard(process: subprocess.Popen[str], text: str) -> None:
+    """Read what a run or a host says until this."""
+    assert process.stderr is not None
+    for line in process.stderr:
         if text in line:
             return
     raise AssertionError(text)
@@ -211,7 +214,6 @@ def test_another_host_may_take_the_place_of_one_that_was_killed(stage: ByHand) -
     heard(run, "car2 has lost its agent")
     second = stage.host()
     heard(run, "car2 has its agent again")
-    time.sleep(0.5)
     _, metrics, said = stage.finish(run)
     assert ended(second)[0] == 0
     assert metrics["reconnects"] == 1
@@ -225,10 +227,10 @@ def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
     """It is the same agent: it counts on. The answer that came too late does not count."""
     run = stage.run("vehicle.car2.agent.how=stop", f"vehicle.car2.agent.once={stage.folder / 'stopped'}")
     host = stage.host()
-    heard(run, "car2 has lost its agent: did not answer within the deadline of 1 s")
+    heard(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
     host.send_signal(signal.SIGCONT)
     heard(run, "car2 has its agent again")
-    time.sleep(0.5)
+    wait_for(stage.folder / "stopped and on")
     _, metrics, said = stage.finish(run)
     assert ended(host)[0] == 0
     assert (metrics["late"], metrics["reconnects"]) == (1, 1)
@@ -252,7 +254,6 @@ def test_a_host_may_come_late(stage: ByHand) -> None:
     assert (code, "takes no other parameters: leave out --set" in said) == (2, True)
     late = stage.host()
     heard(run, "car2 has its agent again")
-    time.sleep(0.5)
     _, metrics, _ = stage.finish(run)
     assert ended(late)[0] == 0
     assert metrics["reconnects"] == 1
@@ -346,9 +347,10 @@ def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand)
 def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> None:
     run, host = stage.run("agents.join_timeout_s=3.0"), stage.host()
     wait_for(stage.out / "run.mcap")
+    heard(host, "joined")  # maybe later than that
     host.send_signal(signal.SIGSTOP)
     stage.finish(run)
-    time.sleep(2.0)
+    time.sleep(1.0)
     host.send_signal(signal.SIGCONT)
     code, said = ended(host)
     # It may first read the farewell that was sent to it meanwhile, or first find that its link has gone.
@@ -357,15 +359,16 @@ def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> 
 
 def test_an_agent_that_failed_is_not_back_when_its_host_is(stage: ByHand) -> None:
     """It failed; later its host hung for a while, and came back: the agent has not."""
-    run = stage.run("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", seconds=5.0)
+    more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", "agents.deadline_s=1.5")
+    run = stage.run(*more, seconds=4.0)
     host = stage.host()
     heard(run, "car2 has lost its agent: raised RuntimeError: lost my way")
     host.send_signal(signal.SIGSTOP)
-    time.sleep(2.0)
+    time.sleep(2.5)
     host.send_signal(signal.SIGCONT)
     assert [ended(each)[0] for each in (run, host)] == [0, 0]
     metrics = json.loads((stage.out / "metrics.json").read_text())["agents"]["car2"]
     assert [each[2]["state"] for each in presences(stage.out)] == ["lost"]
     assert metrics["reconnects"] == 0
     assert metrics["missed"] - round(metrics["lost_s"] / 0.1) in (0, 1)  # the run may end at a tick
-    assert metrics["missed"] > 40
+    assert metrics["missed"] > 30

@@ -39,10 +39,10 @@ def digest_of(folder: Path) -> Any:
 
 
 def test_a_router_between_a_run_and_its_hosts_changes_no_bit(stage: Stage) -> None:
-    beyond = Stage(stage.folder)  # for its port
-    with zenoh.open(zenoh.Config.from_json5(configuration(stage.port, beyond.port))) as router:
+    beyond = stage.another_port()
+    with zenoh.open(zenoh.Config.from_json5(configuration(stage.port, beyond))) as router:
         run = stage.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{stage.port}", "--out", "out")
-        dialled = f"tcp/127.0.0.1:{beyond.port}"
+        dialled = f"tcp/127.0.0.1:{beyond}"
         hosts = [stage.start("agent", "--vehicle", name, "--connect", dialled) for name in HOSTED]
         code, said = ended(run)
         assert code == 0, said
@@ -59,14 +59,12 @@ def test_with_certificates_a_router_is_no_way_in(stage: Stage) -> None:
     assert vcmvsp("keys", "vehicle", *HOSTED, "--keys", str(keys), "--as", "both").code == 0
     bundle = certificates.load_bundle(keys / "both.keys")
     run = stage.start("run", "far.toml", "--listen", f"tls/127.0.0.1:{stage.port}", "--keys", "keys", "--out", "out")
-    beyond = Stage(stage.folder)
-    config = zenoh.Config.from_json5(configuration(stage.port, beyond.port).replace("tcp/", "tls/"))
+    beyond = stage.another_port()
+    config = zenoh.Config.from_json5(configuration(stage.port, beyond).replace("tcp/", "tls/"))
     secure = security.merge(security._listening(certificates.load(keys)), security.machine_security(bundle))
     config.insert_json5("transport/link/tls", json.dumps(secure["transport"]["link"]["tls"]))
     with zenoh.open(config):
-        host = stage.start(
-            "agent", "--vehicle", "car2", "--connect", f"tls/127.0.0.1:{beyond.port}", "--keys", "keys/both.keys"
-        )
+        host = stage.start("agent", "--vehicle", "car2", "--connect", f"tls/127.0.0.1:{beyond}", "--keys", "keys/both.keys")
         code, said = ended(host)
         assert run.poll() is None
     assert code == 2

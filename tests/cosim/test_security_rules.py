@@ -194,13 +194,18 @@ def test_without_the_rules_all_that_would_get_through(keys: Keys, stack: context
     del rules["access_control"]
     stage = Stage(keys, rules, stack)
     session = stack.enter_context(dial(stage.hub.endpoint, bundle(keys, "car3")))
-    got = attack(stage, session, "car3")
-    assert min(got["hears question"], got["hears answer"], got["hears truth"]) > 0
-    assert stage.seen["car2 asked evil"] > 0
-    assert stage.seen["anna hears evil"] > 0
-    assert stage.hub.seen["sample evil"] > 0
-    assert stage.hub.seen["greeting vcmvsp/join/car2 evil"] > 0
-    assert stage.hub.seen[f"token {key_names.HUB_ALIVE}"] > 0
+    gets_through = (
+        *((stage.seen, what) for what in ("car2 asked evil", "anna hears evil")),
+        *((stage.hub.seen, what) for what in ("sample evil", "greeting vcmvsp/join/car2 evil", f"token {key_names.HUB_ALIVE}")),
+    )
+
+    def succeeds() -> bool:
+        """What is late, or was dropped, is tried again."""
+        got = attack(stage, session, "car3")
+        heard = all(got[f"hears {what}"] for what in ("question", "answer", "truth"))
+        return heard and all(seen[what] for seen, what in gets_through)
+
+    until(succeeds)
 
 
 def test_a_revoked_machine_is_answered_by_silence_that_has_words(hub: Hub, keys: Keys) -> None:
