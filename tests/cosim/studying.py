@@ -30,22 +30,25 @@ def two(**more: Any) -> dict[str, Any]:
 
 
 AGENT = """
+import os
 import time
 from cosim import Agent, Velocity
 
 
 class Mine(Agent):
-    def __init__(self, bad_seed: int = -1, nap_s: float = 0.0, mark: str = "") -> None:
-        self.bad_seed, self.nap_s, self.mark = bad_seed, nap_s, mark
+    def __init__(self, bad_seed: int = -1, nap_s: float = 0.0, mark: str = "", held_by: str = "", held_from: int = 0) -> None:
+        self.bad_seed, self.nap_s, self.mark, self.held_by, self.held_from = bad_seed, nap_s, mark, held_by, held_from
 
     def start(self, info):
         self.seed = info.seed
 
     def act(self, obs, radio):
-        if self.nap_s and obs.time_ns == 0:
+        if obs.time_ns == 0:
             if self.mark:
                 open(self.mark, "a").write(".")
             time.sleep(self.nap_s)
+            while self.seed >= self.held_from and os.path.exists(self.held_by):
+                time.sleep(0.01)
         if self.seed == self.bad_seed and obs.time_ns:
             raise RuntimeError("not with\\nthis seed")
         return Velocity(linear=(0.1, 0.0, 0.0))
@@ -68,7 +71,7 @@ agent = { kind = "mine.py:Mine" }
 
 
 def mine(folder: Path) -> Path:
-    """A scenario file with an agent of its own beside it, which can fail, and take its time."""
+    """A scenario file with an agent of its own beside it, which can fail, and take its time: as long as there is a file."""
     (folder / "mine.py").write_text(AGENT)
     (folder / "mine.toml").write_text(MINE)
     return folder / "mine.toml"

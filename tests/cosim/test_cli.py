@@ -171,7 +171,7 @@ def test_every_command_has_help(command: str) -> None:
 @pytest.mark.parametrize("where", ["inprocess", "process"])
 def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path, where: str) -> None:
     (folder / "chatty.py").write_text(CHATTY)
-    (folder / "s.toml").write_text(two_cars(agent="kind='chatty.py:Chatty'"))
+    (folder / "s.toml").write_text(two_cars(agents="deadline_s = 20", agent="kind='chatty.py:Chatty'"))
     command = [sys.executable, *UNDRAWN, "run", "s.toml", "--json", "--out", "out", "--agents", where]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == (folder / "out" / "metrics.json").read_text()

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -112,7 +113,7 @@ def test_signals_go_to_the_program(network: str) -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == "here\n"
         process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == -signal.SIGTERM
+        assert process.wait(READY_S) == -signal.SIGTERM
 
 
 def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
@@ -124,8 +125,8 @@ def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("car9",), "car9: run {run} has no machine for such a vehicle; there are car1, car2"),
-        (("car1", "--run", "elsewhere"), "--run elsewhere: there is no such run; there are {run}"),
+        (("car9",), "car9: run {run} has no machine for such a vehicle; there are car1, car2\n"),
+        (("car1", "--run", "elsewhere"), r"--run elsewhere: there is no such run; there are (\w+, )*{run}(, \w+)*\n"),
     ],
 )
 def test_where_there_is_no_such_machine_the_message_says_which_there_are(
@@ -133,7 +134,7 @@ def test_where_there_is_no_such_machine_the_message_says_which_there_are(
 ) -> None:
     outcome = vcmvsp("net", "exec", *arguments, *(() if "--run" in arguments else ("--run", network)), "--", "true")
     assert (outcome.code, outcome.out) == (2, "")
-    assert problem.format(run=network) in outcome.err
+    assert re.fullmatch(f"vcmvsp: {problem.format(run=network)}", outcome.err)
 
 
 def test_a_program_that_there_is_not_is_said_in_one_line(network: str) -> None:
@@ -197,16 +198,18 @@ def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monke
 def test_ping_fares_as_the_radio_recorded(tmp_path: Path) -> None:
     name = f"{NAME}ping"
     with up(tmp_path, "--set", "radio.loss.probability=0.25", name=name):
-        said = on("car1", "ping", "-n", "-c", "80", "-i", "0.01", "-W", "0.5", "car2", run=name).stdout
+        # Some one by one, which find the way free; then 80 at once: after these, ping waits for as long as -W says, and not
+        # for two of its round trips.
+        pings = "ping -n -c 20 -i 0.03 -W 1 car2; ping -n -c 80 -l 80 -W 2 car2"
+        said = on("car1", "sh", "-c", pings, run=name).stdout
     rows = pq.read_table(tmp_path / name / "radio.parquet").to_pylist()
     there = [each["outcome"] == "received" for each in rows if each["sender"] == "car1"]
     back = [each["outcome"] == "received" for each in rows if each["sender"] == "car2"]
-    assert len(there) == 80
-    assert len(back) == sum(there) < 80  # what car2 has heard it answers
-    assert f"80 packets transmitted, {sum(back)} received" in said
-    quickest_ms = re.search(r"min/avg/max/mdev = ([\d.]+)", said)
-    assert quickest_ms is not None
-    assert 40.0 <= float(quickest_ms[1]) < 80.0  # 20 ms each way
+    assert len(there) == 20 + 80
+    assert len(back) == sum(there) < len(there)  # what car2 has heard it answers
+    assert f"80 packets transmitted, {sum(back[sum(there[:20]) :])} received" in said
+    quickest_ms = [float(each) for each in re.findall(r"min/avg/max/mdev = ([\d.]+)", said)]
+    assert 40.0 <= min(quickest_ms) < 80.0  # 20 ms each way
 
 
 @needs("iperf3")
@@ -214,16 +217,18 @@ def test_iperf_measures_the_rate_of_the_link(tmp_path: Path) -> None:
     name, rate_bps, size = f"{NAME}rate", 4e6, 1400
     limits = ("--set", f"radio.delivery.rate_bps={rate_bps:g}", "--set", "radio.delivery.queue_s=0.1")
     with up(tmp_path, *limits, name=name):
-        command = net("exec", "car2", "--run", name, "--", "iperf3", "-s", "-1", "-J", "--forceflush")
+        command = net("exec", "car2", "--run", name, "--", "iperf3", "-s", "-1", "-J", "-i", "0.25", "--forceflush")
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
             end = time.monotonic() + READY_S
             while ":1451 " not in on("car2", "cat", "/proc/net/tcp6", "/proc/net/tcp", run=name).stdout:  # its port, 5201
                 assert time.monotonic() < end
-            on("car1", "iperf3", "-c", "10.77.0.2", "-u", "-b", "8M", "-l", str(size), "-t", "4", run=name)
+            on("car1", "iperf3", "-c", "10.77.0.2", "-u", "-b", "5M", "-l", str(size), "-t", "4", run=name)
             heard, _ = server.communicate(timeout=READY_S)
-    inner = [each["sum"]["bits_per_second"] for each in json.loads(heard)["intervals"]][1:4]
+    sums = [each["sum"] for each in json.loads(heard)["intervals"]][2:]
+    rates = [each["bits_per_second"] for each in sums if each["seconds"] > 0.2]  # others end it, or a time of standing still
+    assert len(rates) > 4
     share = size / (size + 28)  # without headers of UDP and IP
-    assert sum(inner) / len(inner) == pytest.approx(rate_bps * share, rel=0.03)
+    assert statistics.median(rates) == pytest.approx(rate_bps * share, rel=0.03)  # whatever holds the machine up now and then
 
 
 def test_a_network_lasts_as_long_as_is_said_and_leaves_nothing(tmp_path: Path) -> None:
@@ -251,8 +256,8 @@ def test_what_a_killed_run_has_left_is_shown_and_cleared_away(tmp_path: Path) ->
         bridge = next(each.pid for each in networks.networks() if each.run == name)
         for each in (process.pid, bridge):
             os.kill(each, signal.SIGKILL)
-        process.wait(10)
-        end = time.monotonic() + 10
+        process.wait(READY_S)
+        end = time.monotonic() + READY_S
         while any(each.alive for each in networks.networks() if each.run == name):
             assert time.monotonic() < end
         assert f"{name}: killed; clear it away with 'vcmvsp net down'" in vcmvsp("net", "status").out

@@ -1,10 +1,10 @@
 """``vcmvsp robot`` as its users start it: what it makes of its options, and how it waits."""
 
 import signal
-import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ from hardware.arcos.driver import ArcosDriver
 from hardware.bench import Bench
 from hardware.onboard.serve import built, kind_of
 from tests.cosim.command import Outcome, vcmvsp
+from tests.cosim.hosting import reserved
 
 if "robot" not in [each.name for each in cli.app.registered_commands]:
     register(cli.app)
@@ -99,10 +100,8 @@ def test_the_certificate_of_an_observer_drives_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_waits_for_a_run_until_it_is_ended(number: int) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+def test_it_waits_for_a_run_until_it_is_ended(number: int, stack: ExitStack) -> None:
+    endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserved())}"
     code = "from cosim import cli; from cosim.cli_robot import register; register(cli.app); cli.main()"
     words = ["robot", "--vehicle", "car3", "--driver", "bench", "--connect", endpoint]
     process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)

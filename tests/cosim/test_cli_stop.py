@@ -24,6 +24,7 @@ from hardware.station.wire import OPERATOR_STOP, Part
 from tests.hardware.stationed import Run, driven, mission
 
 FOLDERS = control.folders
+PATIENCE_S = 30.0
 COMMANDS = """
 import os, typer
 from pathlib import Path
@@ -31,6 +32,7 @@ from cosim.cli_stop import register
 from hardware.driver import DriverError
 from hardware.station import control
 control.folders = lambda: [Path(os.environ["XDG_RUNTIME_DIR"]) / "vcmvsp"]
+control.Caller.answers.__defaults__ = (float(os.environ["ANSWER_S"]),)
 app = typer.Typer()
 register(app)
 app()
@@ -46,8 +48,11 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(folder) / "vcmvsp"
 
 
-def vcmvsp(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", COMMANDS, *arguments], capture_output=True, text=True, timeout=60, check=False)
+def vcmvsp(*arguments: str, answer_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
+    """The command; it waits longer than usual for a station that does not answer."""
+    command = [sys.executable, "-c", COMMANDS, *arguments]
+    environment = {**os.environ, "ANSWER_S": str(answer_s)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env=environment)
 
 
 def drive(run: Run) -> None:
@@ -79,7 +84,7 @@ def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
         assert [(each["vehicle"], each["state"], each["pid"]) for each in answers] == [("car2", "stopped", second.station.pid)]
         drive(first)
         with Caller() as caller:
-            states = {each.vehicle: each.state for each in caller.answers(caller.say("who"))}
+            states = {each.vehicle: each.state for each in caller.answers(caller.say("who"), PATIENCE_S)}
         assert states == {"car1": "driving", "car2": "stopped"}
 
 
@@ -102,7 +107,7 @@ def test_what_a_killed_station_left_behind_is_removed(alone: Path) -> None:
 def test_a_station_that_hangs_is_said_not_to_answer() -> None:
     with driven(mission()) as run:
         os.kill(run.station.pid, signal.SIGSTOP)
-        done = vcmvsp("stop")
+        done = vcmvsp("stop", answer_s=control.ANSWER_S)
         os.kill(run.station.pid, signal.SIGCONT)
         assert done.returncode == 1
         assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in done.stdout
@@ -110,24 +115,25 @@ def test_a_station_that_hangs_is_said_not_to_answer() -> None:
 
 
 def test_robots_drive_while_there_is_an_operator() -> None:
+    environment = {**os.environ, "ANSWER_S": str(PATIENCE_S)}
     with ExitStack() as stack:
-        run = stack.enter_context(driven(mission(operator_s=1.0)))
+        run = stack.enter_context(driven(mission(operator_s=2.0)))
         report = run.until(lambda each: each.order > 3, v=0.4)
         assert report.causes == ("operator",)
         operator = stack.enter_context(
-            subprocess.Popen([sys.executable, "-c", COMMANDS, "operator"], stdout=subprocess.PIPE, text=True)
+            subprocess.Popen([sys.executable, "-c", COMMANDS, "operator"], stdout=subprocess.PIPE, text=True, env=environment)
         )
         stack.callback(operator.kill)
         drive(run)
         operator.send_signal(signal.SIGSTOP)  # as Ctrl-Z does
         report = run.until(lambda each: "operator" in each.causes, v=0.4)
-        assert ("stopped", "nothing was heard of the operator for 1 s") in run.notices
+        assert ("stopped", "nothing was heard of the operator for 2 s") in run.notices
         operator.send_signal(signal.SIGCONT)
         end = time.monotonic() + 0.4
         report = run.until(lambda _: time.monotonic() > end, v=0.4)
         assert report.causes == ("operator",)  # it stays so
         operator.send_signal(signal.SIGINT)
-        said, _ = operator.communicate(timeout=20)
+        said, _ = operator.communicate(timeout=2 * PATIENCE_S)
         assert operator.returncode == 0
         assert said.splitlines() == ["robots drive while this runs; Ctrl-C stops them", "car1", "car1: stopped (run test)"]
         run.until(lambda each: OPERATOR_STOP in each.causes, v=0.4)
@@ -147,7 +153,7 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
     told = msgspec.structs.replace(mission(Part(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path))
     station = Station.start(told)
     try:
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + 60.0
         with Caller() as caller:
             while not caller.say("who"):
                 assert time.monotonic() < end
@@ -175,15 +181,15 @@ def test_it_works_while_the_run_is_frozen(alone: Path) -> None:
     run = subprocess.Popen([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
     try:
         assert run.stdout is not None
-        assert select.select([run.stdout], [], [], 30.0)[0]
+        assert select.select([run.stdout], [], [], 60.0)[0]
         assert run.stdout.readline() == "drives\n"
         run.send_signal(signal.SIGSTOP)
         done = vcmvsp("stop")
         assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
     finally:
         run.kill()
-        run.communicate(timeout=10)
-    end = time.monotonic() + 10.0
+        run.communicate(timeout=PATIENCE_S)
+    end = time.monotonic() + PATIENCE_S
     while list(alone.iterdir()):  # its station ends with it
         assert time.monotonic() < end
         time.sleep(0.02)

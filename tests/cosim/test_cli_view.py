@@ -3,6 +3,7 @@
 import json
 import signal
 import subprocess
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -20,6 +21,9 @@ from tests.cosim.command import two_cars, vcmvsp
 from tests.cosim.hosting import VCMVSP
 from tests.cosim.playing import chunk_ends
 from tests.cosim.viewing import browser, positions
+
+PATIENCE_S = 45.0
+ROBOTS = "/vehicles/ground"
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +82,12 @@ def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: 
 def test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly(run_dir: Path, number: int) -> None:
     with viewing(run_dir) as (process, url):
         assert url.startswith("http://127.0.0.1:")
-        with urllib.request.build_opener(urllib.request.HTTPCookieProcessor()).open(url, timeout=20) as page:
+        with urllib.request.build_opener(urllib.request.HTTPCookieProcessor()).open(url, timeout=PATIENCE_S) as page:
             assert b"<html" in page.read().lower()
         with pytest.raises(urllib.error.HTTPError, match="403"):
-            urllib.request.urlopen(url.partition("?")[0], timeout=20)
+            urllib.request.urlopen(url.partition("?")[0], timeout=PATIENCE_S)
         process.send_signal(number)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, out, err) == (0, "", "")
 
 
@@ -91,7 +95,7 @@ def test_json_is_one_object_and_nothing_else(run_dir: Path) -> None:
     with viewing(run_dir, "--json") as (process, line):
         assert json.loads(line)["url"].startswith("http://127.0.0.1:")
         process.send_signal(signal.SIGINT)
-        assert process.communicate(timeout=20) == ("", "")
+        assert process.communicate(timeout=PATIENCE_S) == ("", "")
 
 
 def test_a_recording_that_was_cut_is_shown_and_said_to_be(run_dir: Path, tmp_path: Path) -> None:
@@ -100,7 +104,7 @@ def test_a_recording_that_was_cut_is_shown_and_said_to_be(run_dir: Path, tmp_pat
     with viewing(tmp_path) as (process, url):
         assert url.startswith("http://")
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=20)
+        _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert [line.partition(": ")[0] for line in err.splitlines()] == [str(tmp_path)] * 2
     assert "it ends too soon" in err
@@ -115,6 +119,10 @@ def test_a_browser_shows_the_vehicles_where_they_were(run_dir: Path) -> None:
         problems: list[str] = []
         page.on("pageerror", lambda problem: problems.append(str(problem)))
         page.goto(url)
-        page.get_by_text("over: the run is complete").wait_for(timeout=30_000)
+        page.get_by_text("over: the run is complete").wait_for(timeout=1e3 * PATIENCE_S)
+        page.wait_for_function(f"window.__viserSceneTree?.getState()['{ROBOTS}'] !== undefined", timeout=1e3 * PATIENCE_S)
+        end_s = time.monotonic() + PATIENCE_S
+        while not np.allclose(shown := positions(page, ROBOTS)[:, :2], truth[:, :2], atol=0.06):  # of middles of bodies
+            assert time.monotonic() < end_s, shown
+            page.wait_for_timeout(50)
         assert problems == []
-        np.testing.assert_allclose(positions(page, "/vehicles/ground")[:, :2], truth[:, :2], atol=0.06)  # of middles of bodies

@@ -97,7 +97,7 @@ def test_what_it_was_given_and_has_not_taken_is_said_to_the_run(server: socket.s
             end.recvfrom(1e-9)
     with pytest.raises(ValueError, match="closed"):
         end.sendto(b"")
-    thread.join(10.0)
+    thread.join(60.0)
     assert said[1:] == [Wait(10**9, hears=False, held=517), Wait(1, hears=True, held=0)]
 
 

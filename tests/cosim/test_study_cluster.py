@@ -2,6 +2,7 @@
 
 import functools
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -83,12 +84,20 @@ def test_a_cluster_that_says_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -
             study(two(), vary={LOSS: [0.0]}, seeds=1, cluster=address)
 
 
-def test_workers_that_say_nothing_are_named(dask: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clusters, "TIMEOUT_S", 1)
-    monkeypatch.setattr(clusters, "version", functools.partial(time.sleep, 3.0))
+def test_workers_that_say_nothing_are_named(dask: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check = clusters.Cluster._check_versions
+
+    def hurried(cluster: clusters.Cluster) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(clusters, "TIMEOUT_S", 1)
+            check(cluster)
+
+    waits = ["sh", "-c", f"until [ -e '{tmp_path}/go' ]; do sleep 0.1; done"]
+    monkeypatch.setattr(clusters.Cluster, "_check_versions", hurried)
+    monkeypatch.setattr(clusters, "version", functools.partial(subprocess.run, waits, check=True))
     with pytest.raises(UsageError, match=r"a worker cannot run vcmvsp \(TimeoutError: it says nothing\)"):
         study(two(), vary={LOSS: [0.0]}, seeds=1, cluster=dask.scheduler_address)
-    time.sleep(3.0)
+    (tmp_path / "go").touch()
 
 
 def test_without_dask_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -128,17 +128,17 @@ def wait_for(condition: Any, seconds: float = 30.0) -> None:
         time.sleep(0.01)
 
 
-def pool_and_job(folder: Path, nap_s: float) -> tuple[Pool, Job]:
-    """A pool of one worker, and a run that leaves a mark and then naps."""
+def pool_and_job(folder: Path) -> tuple[Pool, Job]:
+    """A pool of one worker, and a run that leaves a mark and then waits for as long as there is a file, ``held``."""
     work = Work(mine(folder).read_text(), str(folder), version())
-    return Pool(functools.partial(run_one, work), 1, died=DIED), Job(
-        0, {"agents.nap_s": nap_s, "vehicle.car1.agent.mark": str(folder / "mark")}
-    )
+    (folder / "held").touch()
+    held = {"vehicle.car1.agent.mark": str(folder / "mark"), "vehicle.car1.agent.held_by": str(folder / "held")}
+    return Pool(functools.partial(run_one, work), 1, died=DIED), Job(0, held)
 
 
 @pytest.mark.parametrize("deaths", [1, 2])
 def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: Path, deaths: int) -> None:
-    pool, slow = pool_and_job(tmp_path, 1.0)
+    pool, slow = pool_and_job(tmp_path)
     quick = Job(0, {})
     mark = tmp_path / "mark"
 
@@ -147,6 +147,7 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
             wait_for(lambda n=number: mark.exists() and len(mark.read_text()) > n)
             (worker,) = pool._workers
             os.kill(worker._process.pid, signal.SIGKILL)
+        (tmp_path / "held").unlink()
 
     killer = threading.Thread(target=kill)
     killer.start()
@@ -159,7 +160,7 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
 
 
 def test_leaving_a_pool_ends_its_workers_in_the_middle_of_a_run(tmp_path: Path) -> None:
-    pool, slow = pool_and_job(tmp_path, 60.0)
+    pool, slow = pool_and_job(tmp_path)
     with pool:
         answers = pool.answers([(None, slow)], 1)
         threading.Thread(target=lambda: next(answers, None), daemon=True).start()

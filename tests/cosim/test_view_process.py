@@ -10,6 +10,7 @@ import threading
 import time
 import urllib.parse
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from cosim.view.process import pump
 from cosim.view.shown import Halt, Line, Pace, Shown
 from cosim.view.viewer import Viewer
 from tests.cosim import viewing
+from tests.cosim.hosting import reserved
 
 PATIENCE_S = 30.0
 SCENERY = viewing.scenery()
@@ -74,6 +76,7 @@ def dialled(url: str) -> Connection:
         additional_headers={"Cookie": f"vcmvsp-view-{parts.port}={token}"},
         compression=None,
         max_size=None,
+        open_timeout=PATIENCE_S,
     )
 
 
@@ -124,14 +127,15 @@ def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewer)
 
 
 def test_it_ends_when_it_is_closed() -> None:
-    viewer = Viewer.open(SCENERY, port=0)
-    port = urllib.parse.urlsplit(viewer.url).port
-    assert port is not None
-    viewer.feed.close("the run is complete")
-    viewer.close()
-    viewer.close()
-    with pytest.raises(ConnectionRefusedError):
-        http.client.HTTPConnection("127.0.0.1", port).request("GET", "/")
+    with reserved() as port:
+        viewer = Viewer.open(SCENERY, port=port)
+        with closing(http.client.HTTPConnection("127.0.0.1", port)) as before:
+            before.connect()
+        viewer.feed.close("the run is complete")
+        viewer.close()
+        viewer.close()
+        with pytest.raises(ConnectionRefusedError):
+            http.client.HTTPConnection("127.0.0.1", port).connect()
 
 
 def test_a_run_outlives_it() -> None:

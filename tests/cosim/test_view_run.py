@@ -1,15 +1,15 @@
 """A run that is looked at while it goes on, from the command to the browser and back."""
 
 import json
+import re
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 import cosim
 from cosim.record.tables import load
@@ -87,7 +87,8 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
         page.get_by_text("Radio outage").click()
         page.get_by_role("button", name="Inject outage").click()
         page.get_by_text("no radio for car1, car2").wait_for(timeout=WAIT_MS)
-        page.wait_for_timeout(1000)
+        begin_s = _time_s(page)
+        _until(page, lambda: _time_s(page) > begin_s + 0.5)  # five frames of each of both
         page.get_by_role("button", name="End the run").click()
         page.get_by_role("button", name="Yes, end it now").click()
         assert process.wait(WAIT_MS / 1e3) == 130
@@ -104,13 +105,29 @@ def _lost(frames: Any) -> list[Any]:
     return [each for each in frames.to_pylist() if each["outcome"] == "outage"]
 
 
+def _time_s(page: Any) -> float:
+    """How far the run is, as the page says it."""
+    said = re.search(r"([\d.]+) s of 3000 s", page.inner_text("body"))
+    assert said is not None
+    return float(said[1])
+
+
+def _until(page: Any, holds: Callable[[], bool]) -> None:
+    """Wait until it does."""
+    end_s = time.monotonic() + WAIT_MS / 1e3
+    while not holds():
+        assert time.monotonic() < end_s
+        page.wait_for_timeout(100)
+
+
 def _until_it_changes(page: Any, look: Callable[[], Any]) -> None:
     """Wait until there is something to be seen, and then something else."""
-    first = None
-    for _ in range(WAIT_MS // 100):
+    first: list[Any] = []
+
+    def changed() -> bool:
         seen = look()
-        if first and seen and seen != first:
-            return
-        first = first or seen
-        page.wait_for_timeout(100)
-    pytest.fail(f"it stays {str(first)[:100]}")
+        if seen and not first:
+            first.append(seen)
+        return bool(seen) and seen != first[0]
+
+    _until(page, changed)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from tests.docs.pages import block
 
-BRIEF, HERE = "--set duration_s=1", "--agents inprocess"
+BRIEF, HERE = "--set duration_s=1 --set agents.deadline_s=20", "--agents inprocess"  # agents of a busy machine may be late
 NO_ROBOT = "there is no robot at this port, so the scenario is checked instead, which connects to nothing"
 ONE_EACH = f"{BRIEF} --seeds 1 --jobs 1"
 
