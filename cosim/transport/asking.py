@@ -40,6 +40,7 @@ class ZenohLink:
     """
 
     leaving = False
+    _closed = False
 
     def __init__(self, session: zenoh.Session, key: str, *, stranger: bool = True) -> None:
         self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
@@ -118,8 +119,9 @@ class ZenohLink:
 
     def close(self) -> None:
         """Let go of whatever runs the host."""
-        self.leaving = True
+        self.leaving = self._closed = True
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
+            self._farewell()
             self._hears.undeclare()  # type: ignore[no-untyped-call]
         self.released(not self._failed)
 
@@ -152,8 +154,14 @@ class ZenohLink:
 
     def repeat(self) -> None:
         """Ask once more all that is open; a host that was let go while it was out of reach is told so when it is back."""
-        for each in self._open:
+        for each in list(self._open):
             self._send(each)
+        if self._closed:
+            self._farewell()
+
+    def _farewell(self) -> None:
+        """Say that no answer is waited for any more: it may leave, and need not give its last one again."""
+        self._ask.put(wire.numbers.pack(wire.FAREWELL, self._number + 1))
 
     def _ask_again(self) -> None:
         self._asked_at = time.monotonic()

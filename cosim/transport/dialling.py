@@ -89,36 +89,57 @@ def _answer(
 ) -> None:
     """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again.
 
-    A question that was cut off may come after the one that followed it. That one then gets no answer, and the run asks both
-    again, in order.
+    Its last answer may be cut off, too: it stays until the run waits for none any more, or does not come back.
     """
-    answers: dict[int, bytes] = {}  # to questions that the run may ask again
-    last = 0
+    answers = _Answers(desk)
     hub = hub_of(session)
     there = True
-    while desk.ended is None:
-        question = _next(questions, _LOOK_S if there else patience_s)
+    while not answers.known:
+        question = _next(questions, _LOOK_S if there and desk.ended is None else patience_s)
+        if question is None and desk.ended is not None:
+            return
         if question is None and not there:
             raise FederateError("the run", "is gone: its process ended or the connection broke")
         if question is None or isinstance(question, bool):
             # Whether the hub is there; a host that was stopped for a while may have missed that.
             was, there = there, hub_of(session) != "" if question is None else question
-            if was and not there:
+            if was and not there and desk.ended is None:
                 on_state(f"the run is out of reach; waiting for at most {patience_s:g} s")
             if there and hub_of(session) not in (hub, ""):
                 raise FederateError("the run", "is gone: another one listens there now; start this host again")
-            continue
-        content = question.payload.to_bytes()
+        elif answer := answers.to(question.payload.to_bytes()):
+            says.put(answer)
+
+
+class _Answers:
+    """The answers of a desk: to questions in order, and again where they are asked again.
+
+    A question that was cut off may come after the one that followed it. That one then gets no answer, and the run asks both
+    again, in order.
+
+    Attributes:
+        known: the run has the last of them, or does not want it.
+    """
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._kept: dict[int, bytes] = {}  # those that the run may ask for again
+        self._last = 0
+        self.known = False
+
+    def to(self, content: bytes) -> bytes | None:
+        """The answer; None: there is none to be given."""
         if len(content) < wire.numbers.size:
-            continue  # nothing that a run asks
+            return None  # nothing that a run asks
         number, oldest = wire.numbers.unpack_from(content)
-        while answers and next(iter(answers)) < oldest:
-            del answers[next(iter(answers))]
-        if number == last + 1:
-            answers[number] = wire.number.pack(number) + desk.handle(memoryview(content)[wire.numbers.size :])
-            last = number
-        if number in answers:
-            says.put(answers[number])
+        while self._kept and next(iter(self._kept)) < oldest:
+            del self._kept[next(iter(self._kept))]
+        if self._desk.ended is not None:
+            self.known = oldest > self._last
+        elif number == self._last + 1:
+            self._kept[number] = wire.number.pack(number) + self._desk.handle(memoryview(content)[wire.numbers.size :])
+            self._last = number
+        return self._kept.get(number)
 
 
 def _next(questions: "queue.SimpleQueue[zenoh.Sample | bool]", seconds: float) -> "zenoh.Sample | bool | None":

@@ -22,7 +22,7 @@ from cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from cosim.federate import Event, RunInfo
 from cosim.transport.packing import Unpacker, pack
 
-PROTOCOL = 7
+PROTOCOL = 8
 """Version of this table; a host of another version is refused."""
 
 
@@ -127,6 +127,9 @@ Answer = Built | Stepped | Ended | Failed
 numbers = struct.Struct("<QQ")
 """Before each question: its number, from 1 on, and that of the oldest one which has not been answered."""
 
+FAREWELL = 0
+"""The number of what is no question: no answer is waited for any more."""
+
 number = struct.Struct("<Q")
 """Before each answer: the number of its question."""
 
@@ -145,6 +148,7 @@ hellos: codec.Decoder[Hello] = codec.Decoder(Hello)
 welcomes: codec.Decoder[Welcome] = codec.Decoder(Welcome)
 
 __all__ = [
+    "FAREWELL",
     "PROTOCOL",
     "Act",
     "Answer",
