@@ -84,7 +84,7 @@ def _explained(folder: Path, link: str | None, frame: str | None) -> tuple[dict[
     log = explain.Log(folder)
     head = {"schema": explain.SCHEMA, "scenario": log.facts.scenario, "seed": log.facts.seed}
     pairs = log.pairs(link or "*/*")
-    single = link is not None and "*" not in link
+    single = link is not None and not set("*?[") & set(link)
     if frame is not None:
         from cosim.explain_frame import frame_report
 

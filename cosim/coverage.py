@@ -12,7 +12,7 @@ from cosim import component, radio, registry, scenario, table
 from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from cosim.record.metrics import motion
-from cosim.record.tables import load
+from cosim.record.tables import load_tables
 from cosim.scenario_tables import Scenario
 from cosim.source import Source
 from cosim.types import Array, Vec3
@@ -88,8 +88,10 @@ def coverage(
 
     Raises:
         ScenarioError: the scenario has no such radio.
-        UsageError: no such vehicle, time or resolution.
+        UsageError: no such vehicle, time or resolution; or the states of the run cannot be read.
     """
+    if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0.0):
+        raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
     folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
     parsed, source = scenario.load(_scenario_in(folder) if folder else what, settings=set, seed=seed)
     site = site_of(parsed, source)
@@ -143,10 +145,11 @@ def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float |
         low, high, margin = np.minimum(low, centre - range_m), np.maximum(high, centre + range_m), 0.1 * range_m
     low, high = low - margin, high + margin
     step = resolution_m or _round_step(float((high - low).max()) / _STEPS)
-    count = np.ceil((high - low) / step).astype(int) + 1
-    if count.prod() > MOST_PLACES:
-        raise UsageError(f"a place every {step:g} m makes {count[0]} x {count[1]} of them; at most {MOST_PLACES} can be drawn")
     first = np.floor(low / step)
+    count = np.ceil(high / step) - first + 1.0
+    if not count.prod() <= MOST_PLACES:
+        columns, rows = (f"{each:.0f}" for each in count)
+        raise UsageError(f"a place every {step:g} m makes {columns} x {rows} of them; at most {MOST_PLACES} can be drawn")
     x, y = (step * (first[axis] + np.arange(count[axis])) for axis in (0, 1))
     return x, y
 
@@ -166,9 +169,12 @@ def _scenario_in(folder: Path) -> Path:
 
 def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:
     """Where the vehicles of a run were, at the last recorded instant up to a time."""
-    moved = motion(load(folder).states)
+    try:
+        moved = motion(load_tables(folder).states)
+    except (OSError, ValueError) as error:  # a damaged table
+        raise UsageError(f"{folder} cannot be read: {error}") from error
     instant = int(np.searchsorted(moved.time_ns, at_s * SECOND_NS, side="right")) - 1
-    if instant < 0 or at_s * SECOND_NS > moved.time_ns[-1]:
+    if instant < 0 or not at_s * SECOND_NS <= moved.time_ns[-1]:
         raise UsageError(f"{at_s:g} s: the run in {folder} lasted from 0 to {moved.time_ns[-1] / SECOND_NS:g} s")
     return {name: tuple(moved.position[:, instant, moved.column(name)].tolist()) for name in moved.names}
 

@@ -46,7 +46,7 @@ class Log:
             raise UsageError(f"{folder}: is no directory of a run; for a scenario, ask for --coverage VEHICLE")
         try:
             recording = load_tables(folder)
-        except ValueError as error:  # a damaged table
+        except (OSError, ValueError) as error:  # a damaged table
             raise UsageError(f"{folder} cannot be read: {error}") from error
         missing = [name for name in (*_NAMES, *NUMBERS) if name not in recording.radio.column_names]
         if missing:
@@ -67,7 +67,7 @@ class Log:
         """The links (sender, receiver) that an expression like ``car1/car2`` or ``car1/*`` means, in the order of the run.
 
         Raises:
-            UsageError: it is no such expression, or there is no such vehicle.
+            UsageError: it is no such expression, or there is no such vehicle or link.
         """
         sender, slash, receiver = link.partition("/")
         if not slash or not sender or not receiver or "/" in receiver:
@@ -82,7 +82,8 @@ class Log:
             if a != b and fnmatchcase(a, sender) and fnmatchcase(b, receiver)
         ]
         if not meant:
-            raise UsageError(f"--link {link}: a vehicle has no link to itself")
+            alone = f"{self.folder}: {self.vehicles[0]} was the only vehicle, and there is no link"
+            raise UsageError(alone if len(self.vehicles) == 1 else f"--link {link}: a vehicle has no link to itself")
         return meant
 
     def frames(self, pair: Pair) -> "Frames":

@@ -68,8 +68,10 @@ def _find(log: Log, frames: Frames, pair: Pair, which: str) -> int:
     if not len(frames):
         raise UsageError(f"--frame {which}: {pair[0]} sent no frame that was meant for {pair[1]}")
     if which == "worst":
-        on_air = np.where(frames["air_time_ns"] > 0, frames["sinr_db"], np.inf)
-        return int(np.argmin(np.where(np.isnan(on_air), np.inf, on_air)))
+        on_air = np.where(frames["air_time_ns"] > 0, frames["sinr_db"], np.nan)
+        if np.isnan(on_air).all():
+            raise UsageError(f"--frame worst: no frame on {link} has a SINR: name one by its number, or ask for the first lost")
+        return int(np.nanargmin(on_air))
     if which == "lost":
         lost = np.flatnonzero(~frames["under_way"] & (frames["received_ns"] < 0))
         if not lost.size:

@@ -141,7 +141,7 @@ def figures_again(run_dir: Path) -> "dict[str, Figure]":
     try:
         recording = load(run_dir)
         window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
-    except ValueError as error:  # a damaged table or scenario
+    except (OSError, ValueError) as error:  # a damaged table or scenario
         raise UsageError(f"{run_dir} cannot be read: {error}") from error
     world: Any = None
     with contextlib.suppress(VcmvspError):  # a world that is not to be had any more is not drawn

@@ -98,10 +98,11 @@ def _scene(axes: Axes, found: "Map") -> None:
 
 def _titles(figure: Figure, axes: Axes, found: "Map") -> None:
     share = 100.0 * float((found.level_dbm >= found.floor_dbm).mean())
+    gap = "\n" if figure.get_figwidth() < 10.0 else " "
     figure.suptitle(
         f"{found.scenario}: coverage of {found.vehicle} ({found.preset}, seed {found.seed}, "
         f"receivers {found.height_m:g} m high)\n"
-        f"{share:.0f} % of the area hears it at {found.floor_dbm:.1f} dBm or more; "
+        f"{share:.0f} % of the area hears it at {found.floor_dbm:.1f} dBm or more;{gap}"
         f"{100.0 * found.success.mean():.0f} % of the frames arrive, all places taken together"
     )
     materials = sorted({solid.material for solid in found.solids})

@@ -10,6 +10,7 @@ import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ RADIO = "radio"
 
 def write_csv(source: Source, folder: Path) -> None:
     """Write the files into ``folder``, which is there and empty."""
-    headers = _headers(source)
+    headers, count = _headers(source)
     reports: list[FrameReport] = []
     with ExitStack() as stack:
         writers = {}
@@ -51,7 +52,7 @@ def write_csv(source: Source, folder: Path) -> None:
             stream = stack.enter_context((folder / f"{name}.csv").open("w", encoding="utf-8", newline=""))
             writers[name] = csv.writer(stream)
             writers[name].writerow(("time_s", "vehicle", *header))
-        for said, value in _read(source):
+        for said, value in islice(_read(source), count):  # of a run that goes on there may be more by now
             if isinstance(value, FrameReport):
                 reports.append(value)
             elif (row := _row(value)) is not None:
@@ -67,13 +68,15 @@ def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
         yield said, values.of(said)
 
 
-def _headers(source: Source) -> dict[str, list[str]]:
-    """The columns of each file: those of all values that are to stand in it."""
+def _headers(source: Source) -> tuple[dict[str, list[str]], int]:
+    """The columns of each file, those of all values that are to stand in it; and how many messages there are."""
     found: dict[str, dict[str, None]] = {}
+    count = 0
     for said, value in _read(source):
+        count += 1
         if (row := _row(value)) is not None:
             found.setdefault(_place(said.topic)[1], {}).update(dict.fromkeys(row))
-    return {name: list(columns) for name, columns in found.items()}
+    return {name: list(columns) for name, columns in found.items()}, count
 
 
 def _place(topic: str) -> tuple[str, str]:
@@ -118,11 +121,15 @@ def _cells(value: Any) -> Sequence[Any]:
 
 
 def _radio(reports: Sequence[FrameReport], source: Source) -> pa.Table:
-    """The run's own table; of a run that was killed before it could write that, what the recording has of it."""
+    """The run's own table; of a run that was killed before it had written that, what the recording has of it."""
     path = source.folder / f"{RADIO}.parquet"
-    if path.is_file():
+    try:
         return read_table(path)
-    source.tell(f"{source.folder}: no {path.name} here: {RADIO}.csv is without frames of programs, and without routes")
+    except FileNotFoundError:
+        why = f"no {path.name} here"
+    except (OSError, ValueError):  # the run was killed while it wrote
+        why = f"{path.name} cannot be read"
+    source.tell(f"{source.folder}: {why}: {RADIO}.csv is without frames of programs, and without routes")
     facts = RunFacts(scenario=source.scenario, seed=int(source.seed), end_ns=0, vehicles=source.vehicles)
     return radio_table(reports, facts)
 

@@ -88,7 +88,7 @@ def path(places: Sequence[tuple[int, VehicleState]]) -> Any:
 
 
 def velocity(said: Velocity, vehicle: str, time_ns: int) -> Any:
-    """geometry_msgs/TwistStamped: a command, in the frame of the vehicle or, for what flies, of the world."""
+    """geometry_msgs/TwistStamped: a command; along whose axes, `cosim.record.export_rosbag` says."""
     twist = make("geometry_msgs/Twist", linear=vector(*said.linear), angular=vector(0.0, 0.0, said.yaw_rate))
     return make("geometry_msgs/TwistStamped", header=header(time_ns, vehicle), twist=twist)
 

@@ -20,8 +20,9 @@ all others, ``radio/frame``    the same                          std_msgs/String
 =============================  ================================  ====================================================
 
 Names of topics are those of the recording with ``_`` for what ROS does not allow. The recording does not say how a camera is
-mounted: frames of pictures, ``<vehicle>/<sensor>``, are not in ``/tf``. Messages are stamped with when they were measured, and
-stand in the bag at when they arrived.
+mounted: frames of pictures, ``<vehicle>/<sensor>``, are not in ``/tf``. Nor does it say what flies: the header of a commanded
+velocity names the vehicle's frame, though of one that flies its axes are those of the world. Messages are stamped with when
+they were measured, and stand in the bag at when they arrived.
 """
 
 import re

@@ -33,9 +33,11 @@ def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Ta
     film: Any = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (MAP_PX + SIDE_PX, MAP_PX))
     if not film.isOpened():
         return False
-    for frame in frames(log, moved, targets, outlines):
-        film.write(frame)
-    film.release()
+    try:
+        for frame in frames(log, moved, targets, outlines):
+            film.write(frame)
+    finally:
+        film.release()
     return True
 
 
@@ -139,14 +141,13 @@ class _Above:
 
 
 class _Beside:
-    """The newest picture of each vehicle."""
+    """The newest picture of each vehicle; where there is not room for all, those without pictures give way."""
 
     def __init__(self, log: MissionLog) -> None:
         self._log = log
-        self._shown = {
-            name: [(time_ns, seen) for time_ns, seen in log.sightings.get(name, ()) if seen.jpeg]
-            for name in log.vehicles[:MOST_PICTURES]
-        }
+        taken = {name: [each for each in log.sightings.get(name, ()) if each[1].jpeg] for name in log.vehicles}
+        chosen = sorted(taken, key=lambda name: not taken[name])[:MOST_PICTURES]
+        self._shown = {name: shown for name, shown in taken.items() if name in chosen}
         count = len(self._shown)
         self._columns = 1 if count <= 2 else 2
         self._height, self._width = MAP_PX // -(-max(count, 1) // self._columns), SIDE_PX // self._columns

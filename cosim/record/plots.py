@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 
 from cosim.clock import SECOND_NS
 from cosim.record.columns import names_of, numbers
-from cosim.record.metrics import SETTLED_M, Motion, Window, formation_errors, links, motion, unreached_s
+from cosim.record.metrics import ROUNDING_M, SETTLED_M, Motion, Window, formation_errors, links, motion, unreached_s
 from cosim.record.palette import color_of
 from cosim.record.style import ABOVE, GREY, LEVEL, SVG, line_of, style, styled
 from cosim.record.tables import NOT_LOST, Placement
@@ -162,9 +162,9 @@ def _choose_scale(axes: Axes, errors: list[Array]) -> None:
     """A logarithmic scale where errors span decades, so that what remains after settling is seen."""
     values = np.concatenate([np.empty(0), *errors])
     values = values[np.isfinite(values) & (values > 0)]
-    if values.size and np.percentile(values, 95) > 20 * np.percentile(values, 20):
+    if values.max(initial=0.0) > ROUNDING_M and np.percentile(values, 95) > 20 * np.percentile(values, 20):
         axes.set_yscale("log")
-        axes.set_ylim(max(1e-6, 0.5 * np.percentile(values, 5)), 2.0 * values.max())
+        axes.set_ylim(max(ROUNDING_M, 0.5 * np.percentile(values, 5)), 2.0 * values.max())
     else:
         axes.set_ylim(0.0, 1.05 * max(values.max(initial=0.0), 1.2 * SETTLED_M))
 

@@ -3,6 +3,7 @@
 They are drawn from the summary (`cosim.studies.summary`) alone, in the style of a run's figures.
 """
 
+import contextlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cosim.record.labels import label_of
@@ -24,6 +26,8 @@ from cosim.types import Array
 
 MAP_COLORS = "cividis"  # keeps its order in grey and under every common form of colour blindness
 ANNOTATED_CELLS = 60  # a map of more cells has no numbers in them
+MOST_WORDS = 48  # along a side of a map, which then grows no more
+NAME_INCHES = 0.175  # of a legend's rows
 DECADES = 30.0  # a metric whose means span more than this is drawn on a logarithmic scale
 
 
@@ -82,7 +86,8 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
         across = min(len(groups), 2)
         down = math.ceil(len(groups) / across)
         cell = 0.62 if len(xs) * len(ys) <= ANNOTATED_CELLS else 0.25
-        size = (1.0 + across * (0.6 + max(3.0, cell * len(xs))), 0.8 + down * (0.6 + max(2.2, 0.5 * cell / 0.62 * len(ys))))
+        wide, high = (cell * min(len(values), MOST_WORDS) for values in (xs, ys))
+        size = (1.0 + across * (0.6 + max(3.0, wide)), 0.8 + down * (0.6 + max(2.2, 0.5 * high / 0.62)))
         figure = Figure(figsize=size, layout="constrained")
         panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
         norm = _norm(table, metric)
@@ -98,8 +103,9 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
             )
             if len(xs) * len(ys) <= ANNOTATED_CELLS:
                 _numbers(axes, image, _field(table, (x_key, y_key, metric), rows))
-            axes.set_xticks(range(len(xs)), _labels(xs))
-            axes.set_yticks(range(len(ys)), _labels(ys))
+            for axis, values in ((axes.xaxis, xs), (axes.yaxis, ys)):
+                every = math.ceil(len(values) / MOST_WORDS)
+                axis.set_ticks(range(0, len(values), every), _labels(values)[::every])
             axes.tick_params(length=0)
             axes.set_title(label)
         for axes in panels.ravel()[len(groups) :]:
@@ -176,6 +182,10 @@ def _legend(figure: Figure, axes: Axes, others: Sequence[str]) -> None:
     if len(labels) <= 6:
         figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), title=title, alignment="left")
     else:
+        room = int((figure.get_figheight() - 0.6) / NAME_INCHES)
+        if len(labels) > room:
+            handles = [*handles[: room - 1], Line2D([], [], linestyle="")]
+            labels = [*labels[: room - 1], f"and {len(labels) - room + 1} more"]
         figure.legend(handles, labels, loc="outside right upper", title=title, alignment="left")
 
 
@@ -262,9 +272,18 @@ def _is_number(value: Any) -> bool:
 
 
 def _labels(values: Sequence[Any]) -> list[str]:
-    """How values that differ are named: tables by their kinds, as far as these differ."""
-    kinds = [json.loads(value).get("kind") for value in values if isinstance(value, str) and value.startswith("{")]
-    return kinds if None not in kinds and len(set(kinds)) == len(values) else [_short(value) for value in values]
+    """How values that differ are named: tables by their kinds, numbers by six digits, as far as these differ."""
+    kinds = [kind for value in values if isinstance(kind := _kind(value), str)]
+    short = [_short(value) for value in values]
+    return next((names for names in (kinds, short) if len(set(names)) == len(values)), [str(value) for value in values])
+
+
+def _kind(value: Any) -> Any:
+    """What a table says it is."""
+    with contextlib.suppress(ValueError):  # a text may begin like a table
+        if isinstance(value, str) and value.startswith("{"):
+            return json.loads(value).get("kind")
+    return None
 
 
 def _short(value: Any) -> str:

@@ -182,9 +182,9 @@ def so_far(folder: Path, plan: Plan) -> pa.Table:
     Raises:
         UsageError: it cannot be read.
     """
-    try:
-        table = read_table(folder / TABLE) if (folder / TABLE).exists() else rows.table_of(plan, {})
+    try:  # the journal first: it is emptied once the table has what stands in it
         answers = {line.run: rows.packed(bytes(line.row)) for line in _journal(folder)}
+        table = read_table(folder / TABLE) if (folder / TABLE).exists() else rows.table_of(plan, {})
         if not answers:
             return table
         return rows.table_of(plan, rows.answers_of(table, list(plan.vary), failed=True) | answers)

@@ -28,6 +28,18 @@ def test_plot_refuses_what_no_run_has_left(folder: Path, target: str) -> None:
     assert list((folder / "empty").iterdir()) == []
 
 
+@pytest.mark.parametrize("damage", [slice(-20, None), slice(1000, 3000)])
+def test_plot_says_which_run_is_damaged(folder: Path, damage: slice) -> None:
+    assert vcmvsp("run", "s.toml", "--out", "damaged").code == 0
+    table = folder / "damaged" / "states.parquet"
+    content = bytearray(table.read_bytes())
+    content[damage] = bytes(len(content[damage]))
+    table.write_bytes(content)
+    code, out, err = vcmvsp("plot", "damaged")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("vcmvsp: damaged cannot be read: ")
+
+
 def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
     vcmvsp("run", "formation-circle", "--set", "physics.kind=kinematic", "--set", "duration_s=2", "--out", "out")
     figures = {name: data for name, data in contents(folder / "out").items() if name.endswith(".png")}

@@ -1,12 +1,16 @@
 """``vcmvsp radio --coverage``: maps agree with what runs recorded."""
 
 import json
+import math
+import shutil
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from cosim import coverage
+from cosim.errors import UsageError
 from cosim.record import coverage_plot, plots
 from tests.cosim.command import vcmvsp
 from tests.cosim.rooms import rows, run_rooms
@@ -43,6 +47,46 @@ def test_in_an_empty_world_the_map_reaches_as_far_as_the_radio(folder: Path) -> 
     for axis in (found.x, found.y):
         assert -110.0 <= axis[0] <= -85.0  # range 85.6 m
         assert 85.0 <= axis[-1] <= 110.0
+
+
+@pytest.mark.parametrize("height_m", [40.0, 200.0])
+def test_the_words_above_a_map_fit_its_width(folder: Path, height_m: float) -> None:
+    found = coverage.coverage(folder, "car1", resolution_m=8.0)
+    figure = coverage_plot.coverage(msgspec.structs.replace(found, y=np.linspace(0.0, height_m, len(found.y))))
+    figure.draw_without_rendering()
+    (title,) = [text for text in figure.texts if "coverage of car1" in text.get_text()]
+    assert figure.bbox.x0 <= title.get_window_extent().x0 < title.get_window_extent().x1 <= figure.bbox.x1
+
+
+@pytest.mark.parametrize("resolution_m", [100.0, 125.0, 250.0])
+def test_a_coarse_map_has_all_vehicles_on_it_too(folder: Path, resolution_m: float) -> None:
+    found = coverage.coverage(folder, "car1", resolution_m=resolution_m)
+    for axis, values in ((0, found.x), (1, found.y)):
+        assert values[0] <= min(place[axis] for place in found.places.values())
+        assert max(place[axis] for place in found.places.values()) <= values[-1]
+
+
+@pytest.mark.parametrize("resolution_m", [0.0, -1.0, math.inf, math.nan])
+def test_a_resolution_is_a_positive_number(folder: Path, resolution_m: float) -> None:
+    with pytest.raises(UsageError, match="must be a positive number"):
+        coverage.coverage(folder, "car1", resolution_m=resolution_m)
+
+
+@pytest.mark.parametrize("at_s", [-1.0, 1e9, math.nan])
+def test_a_run_has_places_while_it_lasts(folder: Path, at_s: float) -> None:
+    with pytest.raises(UsageError, match="lasted from 0 to"):
+        coverage.coverage(folder, "car1", at_s=at_s, resolution_m=20.0)
+
+
+def test_of_a_run_with_damage_the_states_alone_count(folder: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(folder, tmp_path / "run")
+    (run / "metrics.json").write_text("{")
+    assert coverage.coverage(run, "car1", at_s=1.0, resolution_m=50.0).places.keys() >= {"car1", "car2"}
+    whole = (folder / "states.parquet").read_bytes()
+    for left in (whole[:-20], whole[:1000] + bytes(2000) + whole[3000:]):
+        (run / "states.parquet").write_bytes(left)
+        with pytest.raises(UsageError, match="cannot be read"):
+            coverage.coverage(run, "car1", at_s=1.0, resolution_m=50.0)
 
 
 def test_the_picture_has_units_equal_scales_and_the_same_bytes(folder: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -188,11 +189,20 @@ def test_the_frame_that_is_asked_for(log: explain.Log, folder: Path) -> None:
 # --- the command ------------------------------------------------------------------------------------------------------------
 
 
+def test_where_no_frame_has_a_sinr_none_is_the_worst(folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "states.parquet", tmp_path)
+    table = pq.read_table(folder / "radio.parquet")
+    unknown = pa.nulls(table.num_rows, pa.float64())
+    pq.write_table(table.set_column(table.schema.get_field_index("sinr_db"), "sinr_db", unknown), tmp_path / "radio.parquet")
+    with pytest.raises(UsageError, match="--frame worst: no frame on car1/car2 has a SINR"):
+        explain_frame.frame_report(explain.Log(tmp_path), ("car1", "car2"), "worst")
+
+
 def test_text_and_json_of_a_run(folder: Path) -> None:
     code, out, err = vcmvsp("radio", str(folder))
     assert (code, err) == (0, "")
     assert "car1/car2" in out
-    for arguments, links in (([], 12), (["--link", "car1/*"], 3), (["--link", "car1/car2"], 1)):
+    for arguments, links in (([], 12), (["--link", "car1/*"], 3), (["--link", "car?/car1"], 3), (["--link", "car1/car2"], 1)):
         code, out, err = vcmvsp("radio", str(folder), *arguments, "--json")
         assert (code, err) == (0, "")
         assert len(json.loads(out)["links"]) == links
@@ -236,10 +246,22 @@ def test_what_is_no_run(folder: Path, tmp_path: Path) -> None:
     assert "no states.parquet here" in vcmvsp("radio", str(tmp_path)).err
     assert "no scenario.toml here" in vcmvsp("radio", str(tmp_path), "--coverage", "car1").err
     assert "a time can be given for a run only" in vcmvsp("radio", "formation-circle", "--coverage", "car1", "--at", "1").err
-    for name in ("radio.parquet", "states.parquet"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes()[:-20])
-    with pytest.raises(UsageError, match="cannot be read"):
-        explain.Log(tmp_path)
+    for damage in (slice(-20, None), slice(1000, 3000)):
+        for name in ("radio.parquet", "states.parquet"):
+            content = bytearray((folder / name).read_bytes())
+            content[damage] = bytes(len(content[damage]))
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(UsageError, match="cannot be read"):
+            explain.Log(tmp_path)
+
+
+def test_who_is_alone_has_no_links(tmp_path: Path) -> None:
+    run = api.run("pillar-single", set={"duration_s": 0.2}, agents="inprocess", out=tmp_path / "run")
+    assert run.folder is not None
+    outcome = vcmvsp("radio", str(run.folder))
+    assert (outcome.code, outcome.out) == (2, "")
+    assert "was the only vehicle, and there is no link" in outcome.err
+    assert "--link" not in outcome.err
 
 
 def test_a_table_without_budgets_is_named(folder: Path, tmp_path: Path) -> None:

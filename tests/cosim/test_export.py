@@ -17,7 +17,7 @@ from cosim.clock import SECOND_NS
 from cosim.errors import UsageError
 from cosim.record import export_csv, export_source, export_video, load, plots
 from cosim.record.export import NAMES, export
-from cosim.record.export_source import Values
+from cosim.record.export_source import Source, Values
 from cosim.record.mcap import Recorded, contents, messages
 from cosim.record.tables import RunFacts, radio_table, write_table
 from cosim.types import VehicleState
@@ -277,6 +277,36 @@ def test_of_a_run_that_was_killed_all_is_exported_that_is_there(part: float, tmp
     assert outcome.err.count("no radio.parquet here: radio.csv is without frames of programs, and without routes") == 1
     assert left[3]["x_m"] == str(whole[1][1]["position"][0])
     assert all(path.exists() for path in outputs.values())
+
+
+def test_of_a_run_that_was_killed_while_it_wrote_the_radio_what_was_recorded_of_it_is_exported(tmp_path: Path) -> None:
+    folder = exporting.cut("a crossing cart", tmp_path / "killed", 1.0)
+    whole = (exporting.run_of("a crossing cart") / "radio.parquet").read_bytes()
+    (folder / "radio.parquet").write_bytes(whole[: len(whole) // 2])
+    told: list[str] = []
+    export(folder, csv=tmp_path / "csv", tell=told.append)
+    assert [line for line in told if "radio.parquet cannot be read: radio.csv is without frames of programs" in line]
+    export(exporting.run_of("a crossing cart"), csv=tmp_path / "whole")
+    assert rows(tmp_path / "csv/radio.csv") == rows(tmp_path / "whole/radio.csv")
+
+
+@pytest.mark.parametrize("part", [0.2, 0.5])
+def test_of_a_run_that_goes_on_all_is_exported_that_was_there_at_first(
+    part: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = exporting.cut("recon-team", tmp_path / "run", part)
+    export(folder, csv=tmp_path / "then")
+    headers = export_csv._headers
+
+    def read(source: Source) -> Any:
+        found = headers(source)
+        exporting.cut("recon-team", folder, 1.0)
+        return found
+
+    monkeypatch.setattr(export_csv, "_headers", read)
+    export(folder, csv=tmp_path / "now")
+    left = {path.name: path.read_bytes() for path in (tmp_path / "then").iterdir()}
+    assert {path.name: path.read_bytes() for path in (tmp_path / "now").iterdir()} == left
 
 
 def test_numbers_that_json_cannot_say_are_read_as_nan_and_what_is_no_message_is_named() -> None:

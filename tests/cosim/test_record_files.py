@@ -46,6 +46,8 @@ from cosim.types import (
     Velocity,
     frozen,
 )
+from tests.cosim.recordings import follows, states
+from tests.cosim.recordings import recorded as plainly
 
 NAMES = ("car1", "car2")
 TENTH = Ticks.every(0.1)
@@ -318,6 +320,17 @@ def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> 
     assert len(runs[0]) == 6
     assert make_reader(io.BytesIO(runs[0]["run.mcap"])).get_header().library == "vcmvsp"
     assert b"matplotlib" not in runs[0]["t.png"]
+
+
+@pytest.mark.parametrize(("greatest_m", "scale"), [(1e-9, "linear"), (1e-5, "log"), (1.0, "log")])
+def test_errors_that_are_rounding_have_no_decades(greatest_m: float, scale: str) -> None:
+    errors = np.geomspace(1e-6, 1.0, 50) * greatest_m
+    events = [states(k * SECOND_NS // 10, {"a": (0.0, 0.0, 0.0), "b": (-1.0 - e, 0.0, 0.0)}) for k, e in enumerate(errors)]
+    seen = plainly("ab", [follows("b", "a", (-1.0, 0.0), 0.1), *events], 5 * SECOND_NS)
+    axes = plots.formation_error(seen.states, seen.radio, seen.follows).axes[0]
+    low, high = axes.get_ylim()
+    assert axes.get_yscale() == scale
+    assert low < greatest_m < high
 
 
 def test_recording_tables_alone_gives_the_same_tables() -> None:

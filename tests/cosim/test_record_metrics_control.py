@@ -89,6 +89,9 @@ def test_a_command_beyond_all_measure_breaks_nothing() -> None:
     control = control_of("ab", [velocity("a", 0, (1e200, 0.0, 0.0)), velocity("a", SECOND_NS, (-1e200, 0.0, 0.0))], 2.0)
     assert control["effort_m2_s"] == math.inf
     assert control["per_vehicle"]["b"]["effort_m2_s"] is None
+    events = [velocity("a", 0, (1e200, 0.0, 0.0)), velocity("a", SECOND_NS, (2.0, 0.0, 0.0))]
+    later = control_of("a", events, 3.0, window=(2.0, None))
+    assert (later["effort_m2_s"], later["speed_rms_m_s"]) == (4.0, 2.0)  # nothing is left of it
 
 
 commands = st.lists(

@@ -228,6 +228,12 @@ def test_bytes_and_switches_add_up() -> None:
     assert got["switches"] - base["switches"] == 1
 
 
+def test_bytes_of_an_agent_in_the_place_of_another_count_on_top() -> None:
+    counts = [0.0, 500.0, 900.0, 0.0, 300.0, 400.0]
+    got = mission_of(*(note("uav3", tick, map_bytes=count) for tick, count in enumerate(counts)))
+    assert got["map_bytes_sent"] - mission_of()["map_bytes_sent"] == 900 + 400
+
+
 def test_the_searched_area_is_the_union_of_what_all_saw() -> None:
     def shown(left: float, cell_m: float, seen: Any) -> ProbabilityMap:
         seen = frozen(seen, np.bool_)
@@ -435,6 +441,44 @@ def test_the_film_runs_at_four_times_the_pace_and_is_the_same_again(run: Any, lo
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) / film.get(cv2.CAP_PROP_FPS) == pytest.approx(20.0 / 4.0, abs=0.2)
     pictures = list(mission_video.frames(log, moved, TARGETS, OUTLINES))
     assert len({picture.tobytes() for picture in pictures}) > len(pictures) // 2
+
+
+def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: MissionLog) -> None:
+    from cosim.record import mission_video
+
+    (_, seen), *_ = log.sightings["uav1"]
+    white = cv2.imencode(".jpg", np.full((60, 80, 3), 255, np.uint8))[1].tobytes()
+    shown = msgspec.structs.replace(seen, jpeg=white, found=(), width=80, height=60)
+    cars = tuple(f"car{number}" for number in range(mission_video.MOST_PICTURES))
+    team = MissionLog((*cars, "uav1"), SECOND_NS, sightings={"uav1": [(0, shown)]})
+    moved = metrics.motion(plainly(team.vehicles, (), 0).states)
+    beside = next(mission_video.frames(team, moved, (), ()))[:, mission_video.MAP_PX :]
+    assert (beside.min(axis=2) > 200).mean() > 0.05
+
+
+def test_a_film_that_fails_is_closed(log: MissionLog, run: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cosim.record import mission_video
+
+    closed = []
+
+    class Film:
+        def __init__(self, *_: Any) -> None:
+            pass
+
+        def isOpened(self) -> bool:  # noqa: N802  the library's name
+            return True
+
+        def write(self, _: Any) -> None:
+            raise KeyboardInterrupt
+
+        def release(self) -> None:
+            closed.append(True)
+
+    monkeypatch.setattr(cv2, "VideoWriter", Film)
+    monkeypatch.setattr(Film, "fourcc", lambda *_: 0, raising=False)
+    with pytest.raises(KeyboardInterrupt):
+        mission_video.write_video(tmp_path / "film.mp4", log, metrics.motion(run[0].states), TARGETS, OUTLINES)
+    assert closed == [True]
 
 
 def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:

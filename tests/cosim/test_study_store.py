@@ -14,12 +14,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from cosim.errors import UsageError
+from cosim.record.tables import read_table
 from cosim.studies import plan as plans
 from cosim.studies import rows
+from cosim.studies import store as stores
 from cosim.studies.engine import study
 from cosim.studies.examine import examined
 from cosim.studies.plan import Plan
-from cosim.studies.store import Store
+from cosim.studies.store import Store, so_far
 from cosim.studies.worker import failed
 from tests.cosim.command import vcmvsp
 from tests.cosim.studying import ESTIMATOR, LOSS, columns, mine, start, two
@@ -353,3 +355,17 @@ def test_ctrl_c_says_how_far_it_got_and_how_to_go_on(tmp_path: Path) -> None:
     assert err == f"vcmvsp: interrupted: {rows_there} of 18 runs are done; the same command with --resume goes on\n"
     assert rows_there > 0
     assert psutil.wait_procs(workers, timeout=30)[1] == []
+
+
+def test_a_page_that_is_made_while_the_table_is_written_lacks_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Store(tmp_path / "s", plan_of(), resume=False, force=False) as store:
+        fill(store, stop=3)  # in the journal alone
+
+        def read(path: Path) -> Any:
+            found = read_table(path)
+            store.write()
+            return found
+
+        monkeypatch.setattr(stores, "read_table", read)
+        assert so_far(tmp_path / "s", store.plan).num_rows == 3
+        assert so_far(tmp_path / "s", store.plan).num_rows == 3

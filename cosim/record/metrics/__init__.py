@@ -89,7 +89,7 @@ from cosim.record.metrics.ages import Link, age_metrics, ages_s, links
 from cosim.record.metrics.changes import Noted
 from cosim.record.metrics.connectivity import connectivity_metrics
 from cosim.record.metrics.control import control_metrics
-from cosim.record.metrics.formation import SETTLED_M, formation_errors, formation_metrics
+from cosim.record.metrics.formation import ROUNDING_M, SETTLED_M, formation_errors, formation_metrics
 from cosim.record.metrics.hardware import hardware_metrics
 from cosim.record.metrics.mission import Mission, Target, target_at
 from cosim.record.metrics.motion import Motion, motion
@@ -101,6 +101,7 @@ from cosim.record.metrics.window import Window
 SCHEMA = "vcmvsp.metrics/1"
 
 __all__ = [
+    "ROUNDING_M",
     "SCHEMA",
     "SETTLED_M",
     "Link",

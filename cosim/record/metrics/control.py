@@ -41,7 +41,8 @@ def _sums(rows: Array, begin: int, end: int) -> Array:
     step, apart = np.diff(values, axis=0), np.diff(time) / SECOND_NS
     judged = (time[1:] >= begin) & (time[1:] <= end) & ~np.isnan(step[:, 0])
     step, apart = step[judged], apart[judged]
-    squared, changed = np.nan_to_num(values) ** 2, step**2 / apart[:, np.newaxis]
+    squared = np.where(held[:, np.newaxis] > 0.0, values, 0.0) ** 2  # no time of what is infinite would be no number
+    changed = step**2 / apart[:, np.newaxis]
     return np.array(
         [
             held.sum(),

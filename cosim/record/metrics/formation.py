@@ -18,7 +18,7 @@ from cosim.record.tables import Placement
 from cosim.types import Array, Follows
 
 SETTLED_M = 0.05  # a follower this near to its place has settled
-ROUNDING_M = 1e-6  # errors of a leader's link below it are rounding, which nobody passes on
+ROUNDING_M = 1e-6  # errors below it are rounding, which nobody passes on from link to link
 
 
 def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, Array]:

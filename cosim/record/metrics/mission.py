@@ -7,7 +7,7 @@ without a name is ``""``: it may be any. A vehicle whose agent has failed (``sta
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import groupby, pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -56,7 +56,7 @@ class Mission:
     def __init__(self) -> None:
         self._histories: dict[tuple[str, str], list[tuple[int, str]]] = {}
         self._left: dict[tuple[str, str], str] = {}  # what it was when an agent was lost
-        self._map_bytes: dict[str, float] = {}
+        self._map_bytes: dict[str, list[float]] = {}  # of each of its agents: one that takes another's place begins at 0
         self._maps: dict[str, ProbabilityMap] = {}
         self._marked = False
         self.found: list[Found] = []
@@ -77,7 +77,9 @@ class Mission:
         if values.get("status") == "failed":
             self.leave(vehicle, time_ns)
         if "map_bytes" in values:
-            self._map_bytes[vehicle] = _number(values["map_bytes"])
+            sent = _number(values["map_bytes"])
+            counts = self._map_bytes.setdefault(vehicle, [sent])
+            counts[-1:] = [counts[-1], sent] if sent < counts[-1] else [sent]
         if "found" in values:
             place = _number(values.get("found_x")), _number(values.get("found_y"))
             self.found.append(Found(time_ns, vehicle, str(values["found"]), place))
@@ -131,7 +133,7 @@ class Mission:
             "found_s": first_s,
             "false_finds": false_finds,
             "area_seen_ratio": seen_ratio(self._maps.values()),
-            "map_bytes_sent": int(sum(filter(math.isfinite, self._map_bytes.values()))),
+            "map_bytes_sent": int(sum(filter(math.isfinite, chain.from_iterable(self._map_bytes.values())))),
             "switches": sum(_switches(changes) for (_, name), changes in self._histories.items() if name == "commander"),
         }
 
@@ -207,7 +209,6 @@ def _number(noted: Any) -> float:
 
 def _longest_ns(time_ns: Array, holds: Array) -> int:
     """The longest time from the first to the last of instants on end at which something holds."""
-    stretches = [
-        list(group) for held, group in groupby(zip(holds.tolist(), time_ns.tolist(), strict=True), lambda pair: pair[0]) if held
-    ]
-    return max((stretch[-1][1] - stretch[0][1] for stretch in stretches), default=-1)
+    changes = np.diff(np.concatenate(([False], holds, [False])).astype(np.int8))
+    first, last = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1) - 1
+    return int((time_ns[last] - time_ns[first]).max(initial=-1))
