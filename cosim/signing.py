@@ -5,12 +5,12 @@ import datetime as dt
 import ipaddress
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -51,6 +51,16 @@ def new_authority(days: int) -> Signed:
     return Signed(_key_pem(key), _pem(draft.sign(key, hashes.SHA256())))
 
 
+@contextlib.contextmanager
+def _known() -> Iterator[None]:
+    """What the library has no name for is damaged, or none of ours: a ``ValueError``, as for all else that is wrong."""
+    try:
+        yield
+    except UnsupportedAlgorithm as error:
+        raise ValueError(f"{error}") from error
+
+
+@_known()
 def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, days: int) -> Signed:
     """A new key, and a certificate for it.
 
@@ -82,6 +92,7 @@ def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, d
     return Signed(_key_pem(key), _pem(draft.add_extension(issuer, critical=False).sign(ca_key, hashes.SHA256())))
 
 
+@_known()
 def facts(certificate_pem: str) -> Facts:
     """Read a certificate.
 
@@ -100,6 +111,7 @@ def facts(certificate_pem: str) -> Facts:
     return Facts(str(names[0].value), tuple(str(each.value) for each in others.value), since, until)
 
 
+@_known()
 def check_together(signed: Signed, ca_pem: str) -> None:
     """Raise ``ValueError`` unless the key is that of the certificate, and the certificate signed by this authority."""
     certificate = x509.load_pem_x509_certificate(signed.certificate_pem.encode())

@@ -1,5 +1,6 @@
 """An authority, and the files of machines: what they hold, who accepts them, and what they refuse."""
 
+import base64
 import contextlib
 import datetime as dt
 import json
@@ -19,6 +20,7 @@ from cosim.errors import UsageError
 from tests.cosim.command import vcmvsp
 
 DAY = dt.timedelta(days=1)
+P_256 = bytes.fromhex("2a8648ce3d030107")  # the curve's identifier (RFC 5480, 2.1.1.1)
 
 
 @pytest.fixture(scope="module")
@@ -286,6 +288,17 @@ def test_parts_that_do_not_belong_together_are_refused(shared: Path, keys: Path,
     (keys / "ca.key").write_text((shared / "ca.key").read_text())
     with pytest.raises(UsageError):
         authority.issue(keys, "car5", ["car5"])
+
+
+def test_a_curve_that_nobody_knows_is_damage(shared: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.keys"
+    for number, block in enumerate(parts := signing.blocks((shared / "laptop.keys").read_text())):
+        head, *lines, tail = block.split("\n")[:-1]
+        content = base64.b64decode("".join(lines)).replace(P_256, P_256[:-1] + b"\x41")
+        text = "\n".join([head, base64.b64encode(content).decode(), tail, ""])
+        damaged.write_text("".join([*parts[:number], text, *parts[number + 1 :]]))
+        with pytest.raises(UsageError, match="is no file of a machine, or damaged"):
+            certificates.load_bundle(damaged)
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
