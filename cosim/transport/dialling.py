@@ -105,7 +105,7 @@ def _answer(
             was, there = there, hub_of(session) != "" if question is None else question
             if was and not there and desk.ended is None:
                 on_state(f"the run is out of reach; waiting for at most {patience_s:g} s")
-            if there and hub_of(session) not in (hub, ""):
+            if there and desk.ended is None and hub_of(session) not in (hub, ""):
                 raise FederateError("the run", "is gone: another one listens there now; start this host again")
         elif answer := answers.to(question.payload.to_bytes()):
             says.put(answer)

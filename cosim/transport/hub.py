@@ -71,8 +71,10 @@ class Hub:
             zenoh.init_log_from_env_or(security.LOG)
         secure = security.LIMITS if keys is None else security.hub_security(keys)
         self._strangers = children is None
-        with threads("()" if children is None else _READS), tempfile.TemporaryDirectory(prefix="vcmvsp-") as folder:
+        with contextlib.ExitStack() as meanwhile:
+            meanwhile.enter_context(threads("()" if self._strangers else _READS))
             if children is not None:
+                folder = meanwhile.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))
                 secure = security.merge(secure, security.children_security(children, Path(folder)))
             self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()

@@ -86,17 +86,14 @@ def children_security(passwords: Mapping[str, str], folder: Path) -> Config:
     """
     known = folder / "passwords"
     known.write_text("".join(f"{name}:{password}\n" for name, password in passwords.items()))
-    (name, password), *_ = passwords.items()
-    return _login(name, password, dictionary_file=str(known))
+    config = child_security(*next(iter(passwords.items())))
+    config["transport"]["auth"]["usrpwd"]["dictionary_file"] = str(known)
+    return config
 
 
 def child_security(name: str, password: str) -> Config:
     """What such a child's configuration needs."""
-    return _login(name, password)
-
-
-def _login(name: str, password: str, **more: str) -> Config:
-    return {"transport": {"auth": {"usrpwd": {"user": name, "password": password, **more}}}}
+    return {"transport": {"auth": {"usrpwd": {"user": name, "password": password}}}}
 
 
 def machine_security(bundle: "Bundle") -> Config:

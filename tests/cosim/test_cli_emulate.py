@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from hardware.positioning import Located, dwm1001, ubisense
 from hardware.ros2.driver import Ros2Driver
 from tests.cosim.command import vcmvsp
 from tests.cosim.hosting import reserved
+from tests.hardware.drivers import held
 
 WALL = """
 name = "wall"
@@ -364,16 +365,8 @@ def test_a_port_that_is_taken_is_said_in_one_line(tmp_path: Path) -> None:
 
 
 def test_nothing_is_left_of_it_in_this_process() -> None:
-    def left() -> set[str]:
-        """What is open here; what an earlier test has left may close meanwhile."""
-        found = set[str]()
-        for each in Path("/proc/self/fd").iterdir():
-            with suppress(FileNotFoundError):
-                found.add(f"{each.name} {each.readlink()}")
-        return found
-
-    before = left()
+    before = held()
     outcome = vcmvsp("emulate", "amigobot", "--duration", "0.2", "--ubisense", "udp://127.0.0.1:9", "--dwm1001", "PTY")
     assert outcome.code == 0
     assert len(outcome.out.splitlines()) >= 4
-    assert left() - before == set()
+    assert held() <= before

@@ -1,6 +1,7 @@
 """The end of a run as its hosts see it: the last answer may be lost as any other, and must be given again then."""
 
 import contextlib
+import itertools
 import queue
 import threading
 import time
@@ -46,12 +47,13 @@ class Asked:
         return self._data
 
 
-def answered(*asked: Asked, patience_s: float = PATIENCE_S) -> tuple[list[bytes], list[Any]]:
-    """What a host says to this, and what it has not read when it leaves."""
+def answered(*asked: Asked | bool, patience_s: float = PATIENCE_S, hubs: str = "a") -> tuple[list[bytes], list[Any]]:
+    """What a host says to this, and what it has not read when it leaves; ``hubs``: those that it finds, look by look."""
     said, inbox = list[bytes](), queue.SimpleQueue[Any]()
     for each in asked:
         inbox.put(each)
-    session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: ["hub"]))
+    found = itertools.chain(hubs, itertools.repeat(hubs[-1]))
+    session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: [next(found)]))
     says = types.SimpleNamespace(put=said.append)
     dialling._answer(inbox, Desk(), says, session, patience_s, lambda _: None)  # type: ignore[arg-type]
     return said, [inbox.get() for _ in range(inbox.qsize())]
@@ -71,6 +73,11 @@ def test_a_farewell_to_who_has_not_been_told_of_the_end_says_nothing() -> None:
 
 def test_who_hears_no_more_of_its_run_leaves() -> None:
     assert answered(Asked(1, 1, b"end"), patience_s=0.01) == ([wire.number.pack(1) + b"to end"], [])
+
+
+def test_who_has_answered_to_the_end_of_a_run_does_not_mind_that_another_one_listens_there_now() -> None:
+    said, left = answered(Asked(1, 1, b"end"), False, True, patience_s=0.01, hubs="ab")
+    assert (said, left) == ([wire.number.pack(1) + b"to end"], [])
 
 
 def test_an_answer_that_is_lost_with_the_link_at_the_end_comes_when_the_link_is_back(
