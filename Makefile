@@ -31,11 +31,11 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --num-workers auto
 	$(BIN)/lint-imports
-	$(BIN)/python -m cosim.reference
+	$(BIN)/python -m vcmvsp.cosim.reference.markdown
 
 docs: setup
-	$(BIN)/python -m cosim.reference --write
-	$(BIN)/python -m cosim.reference_index --write
+	$(BIN)/python -m vcmvsp.cosim.reference.markdown --write
+	$(BIN)/python -m vcmvsp.cosim.reference.index --write
 
 # Files go to workers in their order, so that none that takes long comes last.
 test: check

@@ -1,16 +1,16 @@
 """The host of agents: one federate for all agents that live in one process.
 
 It turns what was published about a vehicle into an `Observation`, calls the agent, and turns its command, messages and notes
-into events that take effect at tick + latency (`agents.seat`).
+into events that take effect at tick + latency (`agents.agent_runner`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from agents.building import Kinds
-from agents.seat import NEVER_NS, Seat
-from cosim.agent import Agent, AgentSpec
-from cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.agents.factory import Kinds
+from vcmvsp.agents.agent_runner import NEVER_NS, Seat
+from vcmvsp.cosim.agent import Agent, AgentSpec
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 
 
 class AgentHost:

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from cosim.agent import Agent, Observation, Radio, VehicleInfo
-from cosim.frames import rotate2, wrap
-from cosim.types import Array, NonNegative, Positive, Scan, Vec3, Velocity, Waypoint
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.frames import rotate2, wrap
+from vcmvsp.cosim.types import Array, NonNegative, Positive, Scan, Vec3, Velocity, Waypoint
 
 TURN_GAIN = 1.5  # 1/s
 LANE_M = 0.6  # what it needs of the way, across

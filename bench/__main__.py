@@ -38,13 +38,13 @@ from bench import (
 )
 from bench.measure import Row, in_turn, measured, table
 from bench.workloads import run_cpu_s, star
-from cosim import scenario as scenarios
-from cosim.assemble import Assembly
-from cosim.federate import Event
-from cosim.files import finite
-from cosim.kernel import Kernel
-from cosim.transport.hub import Hub
-from cosim.transport.remote import RemoteHost
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.util.files import finite
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.hosts.hub import Hub
+from vcmvsp.cosim.hosts.remote_host import RemoteHost
 
 ROUNDS = 5
 Question = tuple[int, Sequence[Event]]

@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
-from agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
+from vcmvsp.agents.avoidance.settings import Settings
 from bench.measure import Row, cpu, in_turn, table
-from cosim.agent import Body
-from cosim.types import Array, Scan
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.types import Array, Scan
 
 ROUNDS = 9
 CALLS = 40  # in each

@@ -13,13 +13,13 @@ import simpy
 import zenoh
 
 from bench.measure import cpu
-from cosim.clock import SECOND_NS, Ticks
-from cosim.federate import Event, Instants, RunInfo
-from cosim.types import Velocity
-from physics.bullet import p as pybullet  # there it is imported without its greeting
-from physics.federate import BulletPhysics
-from physics.vehicles import P2DX, VehicleSpec
-from physics.world import World
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
+from vcmvsp.physics.federate import BulletPhysics
+from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.world.world import World
 
 
 def simpy_cpu_s(vehicles: int, duration_s: float) -> float:

@@ -184,7 +184,7 @@ def _wait_for_port(port: int) -> None:
 
 def run(given: str) -> None:
     """Two vehicles that stand, at wall pace."""
-    import cosim
+    from vcmvsp import cosim
 
     wanted = json.loads(given)
     vehicle = {"kind": "kinematic"}

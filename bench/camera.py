@@ -11,12 +11,12 @@ from functools import partial
 import numpy as np
 
 from bench.measure import Row, cpu, in_turn, table
-from cosim.types import Array
-from physics.bullet import p as pybullet  # there it is imported without its greeting
-from physics.render import render
-from physics.solids import Box
-from physics.view import View
-from physics.world import World
+from vcmvsp.cosim.types import Array
+from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
+from vcmvsp.physics.render.renderer import render
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.render.view import View
+from vcmvsp.physics.world.world import World
 
 SIZES = ((160, 120), (320, 240), (640, 480))
 BOXES = (100, 500, 2000)

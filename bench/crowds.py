@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from bench.growth import HANDOVER_S, crowd
-from cosim.agent import Agent, Observation, Radio, VehicleInfo
-from cosim.types import Positive, Velocity
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.types import Positive, Velocity
 
 MOST = 1024  # vehicles: more are not tried
 TICK_S = 0.1  # between two instants at which all of them act

@@ -19,10 +19,10 @@ import numpy as np
 
 from bench.measure import Row, peak_mib, table
 from bench.workloads import recorder_of
-from cosim import scenario as scenarios
-from cosim.assemble import Assembly
-from cosim.federate import Event
-from cosim.kernel import Kernel
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.kernel.kernel import Kernel
 
 COUNTS = (10, 20, 40, 80)
 DURATION_S = 4.0
@@ -174,8 +174,8 @@ def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> li
     """The costs over N, on logarithmic axes."""
     from PIL import Image
 
-    from cosim.figures import files
-    from cosim.figures.kit import Curve, Figure, Panel
+    from vcmvsp.cosim.reproduction.figures import files
+    from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 
     panels = []
     for name, costs_of in found.items():

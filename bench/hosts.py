@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bench.measure import Row, in_turn, measured, table
-from cosim import api
+from vcmvsp.cosim.runs import api
 
 ROUNDS = 3
 HOSTS = 2

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.crowds import RADIOS, team
-from cosim import api
-from cosim.record.tables import read_table
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.tables.schema import read_table
 
 VEHICLES, DURATION_S = 50, 10.0
 SILENT_HZ, TALKING_HZ = 1e-6, 10.0

@@ -12,8 +12,8 @@ from bench.measure import cpu, in_turn
 from bench.ns3.cases import Case
 from bench.radio import _ours_s
 from bench.studies import JOBS, VARY, formation
-from cosim import api
-from cosim.studies.engine import study
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.studies.engine import study
 
 ROUNDS = 3
 RUN_S = 4.0

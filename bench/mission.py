@@ -12,12 +12,12 @@ from functools import cache, partial
 import cv2
 import numpy as np
 
-from agents.reconnaissance.recognition import Detector, Target
+from vcmvsp.agents.reconnaissance.recognition import Detector, Target
 from bench.measure import Row, cpu, in_turn, measured, table
 from bench.workloads import run_cpu_s
-from cosim import scenario as scenarios
-from cosim.snapshots import Snapshot, Snapshots
-from cosim.types import Array
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.analysis.snapshots import Snapshot, Snapshots
+from vcmvsp.cosim.types import Array
 
 SCENARIO, SIZE_M = "recon-urban", 2.0
 PICTURES, ROUNDS = 40, 5

@@ -21,7 +21,7 @@ _OURS = """
 import os, sys, time
 os.environ["VCMVSP_COMPILED"] = sys.argv[1]
 from bench.measure import peak_mib
-from cosim.cli import main
+from vcmvsp.cosim.cli.app import main
 try:
     main(sys.argv[2:])
 finally:

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 from bench.growth import crowd
 from bench.measure import Row, cpu, in_turn, measured, table
 from bench.workloads import recorder_of
-from cosim import scenario as scenarios
-from cosim.assemble import Assembly
-from cosim.codec import encode
-from cosim.federate import Event
-from cosim.kernel import Kernel
-from cosim.record.recorder import Recorder
-from cosim.record.tables import RADIO_SCHEMA
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
 
 ROUNDS = 7
 VEHICLES, RUN_S = 10, 20.0

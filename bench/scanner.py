@@ -9,13 +9,13 @@ import platform
 import numpy as np
 
 from bench.measure import Row, cpu, in_turn, table
-from cosim.types import Array
-from physics.bullet import p as pybullet  # there it is imported without its greeting
-from physics.raycast import caster_of
-from physics.scanner import Lms, RangeScanner, Ring, true_ranges
-from physics.scene import Hull, Scene
-from physics.solids import Box
-from physics.world import World
+from vcmvsp.cosim.types import Array
+from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
+from vcmvsp.physics.raycast.caster import caster_of
+from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring, true_ranges
+from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.world import World
 
 ROUNDS = 7
 AREA_M = 120.0  # edge of the town, whatever the number of its buildings: the more, the smaller

@@ -10,13 +10,13 @@ from functools import cache
 from bench.camera import PITCH_M, city, crossings
 from bench.measure import Row, in_turn, measured, table
 from bench.vehicles import Fleet, federate_cpu_s
-from cosim.types import Vec3
-from physics.camera import NadirCamera
-from physics.quadrotor import Quadrotor
-from physics.scanner import Lms, Ring
-from physics.sensor import Sensor
-from physics.vehicles import P2DX, VehicleSpec
-from physics.world import World
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.physics.sensors.camera import NadirCamera
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.sensors.range_scanner import Lms, Ring
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.world.world import World
 
 ROUNDS = 5
 BUILDINGS = 200

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.measure import Row, table
-from cosim import api
-from cosim.exchange import Observer
-from cosim.kernel import Kernel
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.kernel.event_bus import Observer
+from vcmvsp.cosim.kernel.kernel import Kernel
 
 FOLDER = Path("runs") / "shares"
 PARTS = ("Bullet", "physics", "radio", "agents", "kernel", "recording", "start", "end")
@@ -152,7 +152,7 @@ def _row(name: str, seconds: Mapping[str, float]) -> Row:
 
 def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
     """The CPU seconds as shares.csv, and drawn; the answer is what was written."""
-    from cosim.record import plots
+    from vcmvsp.cosim.plots import run_plots
 
     folder.mkdir(parents=True, exist_ok=True)
     numbers = folder / "shares.csv"
@@ -160,15 +160,15 @@ def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
         lines = csv.writer(file, lineterminator="\n")
         lines.writerow(("scenario", *(f"{part}_s" for part in PARTS)))
         lines.writerows((name, *(f"{seconds[part]:.4f}" for part in PARTS)) for name, seconds in found.items())
-    return [numbers, *plots.save(draw(found), folder / "shares")]
+    return [numbers, *run_plots.save(draw(found), folder / "shares")]
 
 
 def draw(found: Mapping[str, Mapping[str, float]]) -> Any:
     """A bar for each run, as long as all others, of its parts."""
     from matplotlib.figure import Figure
 
-    from cosim.record.palette import OKABE_ITO
-    from cosim.record.style import ABOVE, GREY, styled
+    from vcmvsp.cosim.util.palette import OKABE_ITO
+    from vcmvsp.cosim.plots.style import ABOVE, GREY, styled
 
     colors = (*OKABE_ITO[1:], "0.8", GREY)  # black would hide what is written in it
 

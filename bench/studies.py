@@ -16,13 +16,13 @@ import tomli_w
 
 from bench.measure import Row, cpu, in_turn, measured, peak_mib, table
 from bench.workloads import star
-from cosim import api
-from cosim.studies.engine import study
-from cosim.studies.plan import Plan
-from cosim.studies.rows import Row as Values
-from cosim.studies.rows import decode, encode, flat
-from cosim.studies.store import Store
-from cosim.studies.worker import Job, Work, run_one, version
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.studies.engine import study
+from vcmvsp.cosim.studies.plan import Plan
+from vcmvsp.cosim.studies.rows import Row as Values
+from vcmvsp.cosim.studies.rows import decode, encode, flat
+from vcmvsp.cosim.studies.store import Store
+from vcmvsp.cosim.studies.worker import Job, Work, run_one, version
 
 ROUNDS = 5
 DURATION_S = 120.0

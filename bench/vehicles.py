@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from bench.measure import Row, cpu, in_turn, measured, table
-from cosim.clock import SECOND_NS, Ticks
-from cosim.federate import Event, Instants, RunInfo
-from cosim.types import Later, Velocity
-from physics.bullet import FLOOR, SOLID, p
-from physics.federate import BulletPhysics
-from physics.quadrotor import Quadrotor
-from physics.vehicles import P2DX, VehicleSpec
-from physics.world import World
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.types import Later, Velocity
+from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, p
+from vcmvsp.physics.federate import BulletPhysics
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.world.world import World
 
 ROUNDS = 5
 STEADY_NS = 2 * SECOND_NS  # until then they get going, which is not timed

@@ -7,14 +7,14 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from agents.patrol import Patrol
+from vcmvsp.agents.patrol import Patrol
 from bench import bare
 from bench.measure import Row, in_turn, measured, table
 from bench.vehicles import Fleet, bare_cpu_s
 from bench.workloads import run_cpu_s, star
-from cosim import scenario as scenarios
-from cosim.agent import Agent, Observation, Radio, VehicleInfo
-from cosim.types import Velocity, Waypoint
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.types import Velocity, Waypoint
 
 ROUNDS = 5
 

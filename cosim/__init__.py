@@ -7,11 +7,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.agent import Agent, Observation, Radio, VehicleInfo
-    from cosim.api import Result, run
-    from cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
-    from cosim.frames import arc, quaternion_from_yaw, rotate2, wrap, yaw_of
-    from cosim.types import (
+    from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+    from vcmvsp.cosim.runs.api import Result, run
+    from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
+    from vcmvsp.cosim.frames import arc, quaternion_from_yaw, rotate2, wrap, yaw_of
+    from vcmvsp.cosim.types import (
         Fix,
         Follows,
         Image,
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     )
 
 _HOMES = {
-    "cosim.agent": ("Agent", "Observation", "Radio", "VehicleInfo"),
-    "cosim.api": ("Result", "run"),
-    "cosim.errors": ("AgentError", "FederateError", "Interrupted", "ScenarioError", "UsageError", "VcmvspError"),
-    "cosim.frames": ("arc", "quaternion_from_yaw", "rotate2", "wrap", "yaw_of"),
-    "cosim.studies.engine": ("study",),
-    "cosim.types": (
+    "vcmvsp.cosim.agent": ("Agent", "Observation", "Radio", "VehicleInfo"),
+    "vcmvsp.cosim.runs.api": ("Result", "run"),
+    "vcmvsp.cosim.errors": ("AgentError", "FederateError", "Interrupted", "ScenarioError", "UsageError", "VcmvspError"),
+    "vcmvsp.cosim.frames": ("arc", "quaternion_from_yaw", "rotate2", "wrap", "yaw_of"),
+    "vcmvsp.cosim.studies.engine": ("study",),
+    "vcmvsp.cosim.types": (
         "Fix",
         "Follows",
         "Image",

@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from cosim.clock import Ticks
-from cosim.rng import stream
-from cosim.types import (
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import (
     Follows,
     Message,
     Mosaic,

@@ -22,8 +22,8 @@ from typing import Protocol, runtime_checkable
 
 import msgspec
 
-from cosim.clock import Ticks
-from cosim.types import AnyValue
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.types import AnyValue
 
 
 class Slot(IntEnum):

@@ -14,7 +14,7 @@ Events of a real vehicle, at the instants at which physics publishes those of si
 Commands go to the robot at once, and so does ``operator/halted`` (`Halted`): while a vehicle is halted, its robot is told zero
 velocity in place of what its agent commands, and all rules of safety go on; let go, it follows the newest command.
 
-Physics shows the vehicle where `states` says that it is (`cosim.outside`).
+Physics shows the vehicle where `states` says that it is (`cosim.kernel.external_vehicles`).
 """
 
 import contextlib
@@ -23,13 +23,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from cosim.clock import SECOND_NS, Ticks, WallClock
-from cosim.errors import FederateError
-from cosim.federate import Event, Needed, RunInfo, Slot, Step
-from cosim.real import RealVehicle
-from cosim.types import AnyValue, Array, Halted, States, VehicleState
-from hardware.connecting import Connections
-from hardware.seat import Seat
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.federate import Event, Needed, RunInfo, Slot, Step
+from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
+from vcmvsp.cosim.types import AnyValue, Array, Halted, States, VehicleState
+from vcmvsp.hardware.stations import Connections
+from vcmvsp.hardware.real_vehicle import Seat
 
 HEARTBEAT = Ticks.every(0.05)
 """Orders are said again so often: stations stop their robots when they hear none."""

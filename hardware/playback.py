@@ -6,17 +6,17 @@ from math import sqrt
 
 import msgspec
 
-from cosim.clock import SECOND_NS
-from cosim.errors import UsageError
-from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.frames import Quaternion
-from cosim.record.inputs import REFLECTED, Input
-from cosim.types import Odometry, Vec3, VehicleState
-from hardware.driver import ORIGIN
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.frames import Quaternion
+from vcmvsp.cosim.recording.external_inputs import REFLECTED, Input
+from vcmvsp.cosim.types import Odometry, Vec3, VehicleState
+from vcmvsp.hardware.drivers.base import ORIGIN
 
 
 class Playback:
-    """The federate ``hardware`` (`cosim.outside.Vehicles`) out of ``hardware.mcap``. Nothing that is commanded moves anybody.
+    """The federate ``hardware`` (`cosim.kernel.external_vehicles.Vehicles`) out of ``hardware.mcap``. Nothing that is commanded moves anybody.
 
     Each event is given again at its time. Physics is told at each instant what it was told then; between two of these, where
     it asks because a period was changed, in a straight line from the one to the other: both are known, which is better than
@@ -27,7 +27,7 @@ class Playback:
 
     Args:
         names: whose recording counts; all others in it are left out.
-        inputs: what `cosim.record.inputs.read_inputs` gives.
+        inputs: what `cosim.recording.external_inputs.read_inputs` gives.
         tell: takes lines for the user.
 
     Raises:

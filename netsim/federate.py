@@ -5,15 +5,25 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cosim.clock import seconds_to_ns
-from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.rng import stream
-from cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States
-from netsim.channel import Channel
-from netsim.recorded import RecordedChannel
-from netsim.routing.network import Network
-from netsim.routing.router import Routing
-from netsim.traffic import Carried, received
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import (
+    Array,
+    Changed,
+    Datagrams,
+    FrameReport,
+    Message,
+    Outage,
+    Reception,
+    Seconds,
+    States,
+)
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.replayed import RecordedChannel
+from vcmvsp.netsim.routing.network import Network
+from vcmvsp.netsim.routing.router import Routing
+from vcmvsp.netsim.channel.datagrams import Carried, received
 
 MANY = 1_000_000  # frames
 TELLING = 20  # the same: how many are to come goes by how soon the first ones came
@@ -34,7 +44,7 @@ class RadioFederate:
                                      them
     ``operator/changed``  in         `Changed`: a number of a layer, for all frames whose fate is open then
     ``radio/frame``       out        `FrameReport`: what became of a frame, as soon as that is known: at its sending where
-                                     nobody contends for the air, or a recording tells it (`netsim.recorded`), else when
+                                     nobody contends for the air, or a recording tells it (`netsim.channel.replayed`), else when
                                      it ends; at the end of the run for the rest
     ``radio/traffic``     out        `Traffic`: the same of datagrams, all that is known at an instant together
     ``radio/routed``      out        `Routed`: how a message came to whom, once it is under way no more; with routing alone

@@ -3,7 +3,7 @@
 from copy import deepcopy
 from typing import Any
 
-from cosim.errors import ScenarioError
+from vcmvsp.cosim.errors import ScenarioError
 
 LAYERS = (
     "path_loss",

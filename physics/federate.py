@@ -18,7 +18,7 @@ Published at every instant that somebody asked for (`RunInfo.instants`, the star
 
 and what sensors say, at their own ticks: ``<vehicle>/fix`` of a positioning sensor, ``<vehicle>/<sensor>`` of all others.
 
-Vehicles that something else moves (`cosim.outside`) are in all of this, but for ``estimate``, ``odometry`` and ``fix``: these
+Vehicles that something else moves (`cosim.kernel.external_vehicles`) are in all of this, but for ``estimate``, ``odometry`` and ``fix``: these
 are published by whoever moves them.
 """
 
@@ -28,25 +28,32 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from cosim.clock import Ticks
-from cosim.errors import FederateError, ScenarioError
-from cosim.federate import Event, Instants, Needed, RunInfo, Slot, Step
-from cosim.outside import Outside
-from cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
-from physics.bodies_put import check_free, placed
-from physics.bodies_scene import Stage
-from physics.bodies_start import check_instants, check_lift, check_names, check_overlaps, check_places, check_sensors
-from physics.commands import Commands
-from physics.contacts import Contacts
-from physics.engine import Engine, Motion, gathered
-from physics.instruments import Instruments
-from physics.outside import Reflected, check_shown
-from physics.pose_sources import PoseSources
-from physics.quadrotor import Quadrotor
-from physics.riders import riders
-from physics.urdf import UrdfDrive
-from physics.vehicles import DifferentialDrive, VehicleSpec, flies
-from physics.world import World
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.federate import Event, Instants, Needed, RunInfo, Slot, Step
+from vcmvsp.cosim.kernel.external_vehicles import Outside
+from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
+from vcmvsp.physics.move_checks import check_free, placed
+from vcmvsp.physics.scene_builder import Stage
+from vcmvsp.physics.initial_checks import (
+    check_instants,
+    check_lift,
+    check_names,
+    check_overlaps,
+    check_places,
+    check_sensors,
+)
+from vcmvsp.physics.engine.commands import Commands
+from vcmvsp.physics.engine.contacts import Contacts
+from vcmvsp.physics.engine.interface import Engine, Motion, gathered
+from vcmvsp.physics.sensor_scheduler import Instruments
+from vcmvsp.physics.dynamics.external_vehicles import Reflected, check_shown
+from vcmvsp.physics.pose_sources import PoseSources
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.bodiless_engines import riders
+from vcmvsp.physics.vehicles.urdf import UrdfDrive
+from vcmvsp.physics.vehicles.models import DifferentialDrive, VehicleSpec, flies
+from vcmvsp.physics.world.world import World
 
 PACE = Ticks.every(1 / 64)
 """How often an engine with steps of its own moves on where the wall clock paces the run, so that instants begin in time."""
@@ -266,7 +273,7 @@ class BulletPhysics(Physics):
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """Bullet for those with a body, the others as without it."""
-        from physics.bullet.engine import BulletEngine  # loads PyBullet: 0.4 s that a kinematic run need not wait
+        from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet: 0.4 s that a kinematic run need not wait
 
         check_instants(self._run, self.rate_hz, self._sources.instants)
         self._instruments.check(Ticks.rate(self.rate_hz))

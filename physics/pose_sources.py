@@ -12,15 +12,15 @@ from math import isnan
 
 import numpy as np
 
-from cosim.clock import Ticks
-from cosim.errors import ScenarioError
-from cosim.federate import Event, Instants
-from cosim.frames import travelled
-from cosim.rng import stream
-from cosim.types import Fix, Odometry, Vec3, VehicleState
-from physics.engine import Motion
-from physics.estimates import Fuser, estimate, state_of
-from physics.vehicles import VehicleSpec
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.federate import Event, Instants
+from vcmvsp.cosim.frames import travelled
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState
+from vcmvsp.physics.engine.interface import Motion
+from vcmvsp.physics.sensors.pose_estimate import Fuser, estimate, state_of
+from vcmvsp.physics.vehicles.models import VehicleSpec
 
 _FED = Ticks.rate(10.0)
 _LEAST_SIGMA_M = 1e-3  # of a fix, for an estimator that could not divide by 0

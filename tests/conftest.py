@@ -9,7 +9,7 @@ import pytest
 import typer.main
 from hypothesis import settings
 
-from cosim.result import Result
+from vcmvsp.cosim.runs.result import Result
 
 # Compiling the contention core takes longer than any test saves by it: only the tests that compare both do so.
 os.environ.setdefault("VCMVSP_COMPILED", "0")

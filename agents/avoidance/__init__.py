@@ -4,13 +4,13 @@
 methods; `levels`: limits of the speed near obstacles; `steering`: all of it around the commands of any agent.
 """
 
-from agents.avoidance.dynamic_window import DynamicWindow
-from agents.avoidance.gap import Gap
-from agents.avoidance.method import Decision, Method, Task
-from agents.avoidance.own import Own
-from agents.avoidance.potential_field import PotentialField
-from agents.avoidance.vfh import Vfh
-from agents.avoidance.view import View, view_of
+from vcmvsp.agents.avoidance.dynamic_window import DynamicWindow
+from vcmvsp.agents.avoidance.gap import Gap
+from vcmvsp.agents.avoidance.method import Decision, Method, Task
+from vcmvsp.agents.avoidance.user_method import Own
+from vcmvsp.agents.avoidance.potential_field import PotentialField
+from vcmvsp.agents.avoidance.vfh import Vfh
+from vcmvsp.agents.avoidance.view import View, view_of
 
 Avoidance = PotentialField | Gap | Vfh | DynamicWindow | Own
 

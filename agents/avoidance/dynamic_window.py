@@ -10,12 +10,12 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from agents.avoidance.method import Decision, Method, Point, Task
-from agents.avoidance.settings import Settings
-from agents.avoidance.view import View, wrapped
-from cosim.agent import Body
-from cosim.frames import arc, rotate2, wrap
-from cosim.types import Array, NonNegative, Positive
+from vcmvsp.agents.avoidance.method import Decision, Method, Point, Task
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.view import View, wrapped
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.frames import arc, rotate2, wrap
+from vcmvsp.cosim.types import Array, NonNegative, Positive
 
 STRAIGHTEST = 1e-9  # 1/m: curvatures below it are as good as none
 STILL = 1e-6  # m/s: as good as on the spot

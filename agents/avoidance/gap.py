@@ -6,13 +6,13 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from agents.avoidance.gaps import Gaps, gaps, gaps_ahead
-from agents.avoidance.lane import free_m, lane_free, ways
-from agents.avoidance.method import Decision, Method, Point, Task
-from agents.avoidance.settings import Settings
-from agents.avoidance.view import View, wrapped
-from cosim.agent import Body
-from cosim.types import Array, NonNegative, Positive
+from vcmvsp.agents.avoidance.gaps import Gaps, gaps, gaps_ahead
+from vcmvsp.agents.avoidance.lane import free_m, lane_free, ways
+from vcmvsp.agents.avoidance.method import Decision, Method, Point, Task
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.view import View, wrapped
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.types import Array, NonNegative, Positive
 
 STILL, PATIENCE_S = 0.02, 3.0  # m/s; s: slower than that for so long, longer than half a turn takes, it makes no way
 TIE = 1e-6  # rad per rad: less than that is rounding

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.avoidance.view import View, wrapped
-from cosim.types import Array
+from vcmvsp.agents.avoidance.view import View, wrapped
+from vcmvsp.cosim.types import Array
 
 QUARTER = 0.5 * math.pi + 1e-9  # rad: the beams at its ends belong to it
 

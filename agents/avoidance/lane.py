@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from agents.avoidance.view import View
-from cosim.types import Array
+from vcmvsp.agents.avoidance.view import View
+from vcmvsp.cosim.types import Array
 
 EVEN = 1e-9  # rad, and beams: less than that is rounding
 ASIDE = -1e-8  # cosine of a beam that points exactly aside, and is rounded

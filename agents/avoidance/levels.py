@@ -9,12 +9,12 @@ import math
 
 import numpy as np
 
-from agents.avoidance.method import Point
-from agents.avoidance.settings import Settings
-from agents.avoidance.view import View
-from cosim.agent import Body
-from cosim.clock import seconds_to_ns
-from cosim.types import Array
+from vcmvsp.agents.avoidance.method import Point
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.view import View
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.types import Array
 
 SPARE_M = 0.03  # it comes to rest so much before it is as near as it may be
 AROUND_M = 0.3  # beyond what is kept: level 2 begins there at the latest

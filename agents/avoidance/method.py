@@ -8,7 +8,7 @@ forward, y left. Ground vehicles move along x alone: their velocities have no y.
 import math
 from typing import Literal, NamedTuple, Protocol
 
-from agents.avoidance.view import View
+from vcmvsp.agents.avoidance.view import View
 
 Point = tuple[float, float]
 

@@ -32,11 +32,11 @@ into fast: at 3 m/s with a lag of 0.5 s a vehicle comes nearer than 0.2 m. Limit
 
 import math
 
-from agents.avoidance.method import Decision, Method, Point, Task, saturated
-from agents.avoidance.settings import Settings
-from agents.avoidance.view import View
-from cosim.agent import Body
-from cosim.types import Array, NonNegative, Positive
+from vcmvsp.agents.avoidance.method import Decision, Method, Point, Task, saturated
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.view import View
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.types import Array, NonNegative, Positive
 
 BEAMS = 32  # in a full turn, of the scanner that the gain is meant for (Toh 2012)
 EDGE_M = 0.05  # from the core to where the push grows no further

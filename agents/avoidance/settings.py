@@ -5,9 +5,9 @@ from typing import Annotated
 
 import msgspec
 
-from agents.avoidance.method import Method
-from cosim.agent import Body, VehicleInfo
-from cosim.types import Positive
+from vcmvsp.agents.avoidance.method import Method
+from vcmvsp.cosim.agent import Body, VehicleInfo
+from vcmvsp.cosim.types import Positive
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):

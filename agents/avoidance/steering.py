@@ -2,14 +2,14 @@
 
 import math
 
-from agents.avoidance.levels import Levels
-from agents.avoidance.method import Decision, Point, Task, saturated
-from agents.avoidance.settings import Settings, body_of
-from agents.avoidance.view import Looking, View
-from cosim.agent import Observation, VehicleInfo
-from cosim.clock import seconds_to_ns
-from cosim.errors import ScenarioError
-from cosim.frames import rotate2
+from vcmvsp.agents.avoidance.levels import Levels
+from vcmvsp.agents.avoidance.method import Decision, Point, Task, saturated
+from vcmvsp.agents.avoidance.settings import Settings, body_of
+from vcmvsp.agents.avoidance.view import Looking, View
+from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import rotate2
 
 VANISHED_S = 0.5  # all that was near is gone at once: so long that is not believed
 UNSEEN = 0.1  # m/s: on wheels, to where the scanner does not look

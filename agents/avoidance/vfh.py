@@ -13,13 +13,13 @@ from typing import Annotated, NamedTuple
 import msgspec
 import numpy as np
 
-from agents.avoidance.lane import half_angles
-from agents.avoidance.method import Decision, Method, Point, Task
-from agents.avoidance.settings import Settings
-from agents.avoidance.view import View, wrapped
-from cosim.agent import Body
-from cosim.frames import rotate2, wrap
-from cosim.types import Array, NonNegative, Positive
+from vcmvsp.agents.avoidance.lane import half_angles
+from vcmvsp.agents.avoidance.method import Decision, Method, Point, Task
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.view import View, wrapped
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.frames import rotate2, wrap
+from vcmvsp.cosim.types import Array, NonNegative, Positive
 
 Angle = Annotated[float, msgspec.Meta(gt=0, le=360)]
 

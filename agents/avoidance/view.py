@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.agent import Observation, VehicleInfo
-from cosim.clock import seconds_to_ns
-from cosim.frames import wrap
-from cosim.types import Array, Scan
+from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Array, Scan
 
 Geometry = tuple[int, float, float]  # beams, rad of the first, rad from one to the next
 

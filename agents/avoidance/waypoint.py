@@ -2,9 +2,9 @@
 
 import math
 
-from cosim.agent import Observation
-from cosim.frames import wrap
-from cosim.types import Velocity, Waypoint
+from vcmvsp.cosim.agent import Observation
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Velocity, Waypoint
 
 ARRIVAL = 0.8  # 1/s: towards a way-point no faster than this times the way that is left
 TURN_GAIN, TURN = 1.0, 1.0  # 1/s, rad/s: towards the heading of a way-point

@@ -3,20 +3,20 @@
 Start reading in `leader_follower`; ``agents/README.md`` says what the law does and does not do.
 """
 
-from agents.formation.aerial_follower import AerialFollower
-from agents.formation.aerial_route import AerialRoute
-from agents.formation.consensus import Consensus
-from agents.formation.formation import Formation
-from agents.formation.geometry import axle_velocity, hand_point, hand_velocity
-from agents.formation.leader import Leader
-from agents.formation.leader_follower import LeaderFollower
-from agents.formation.listening import heartbeat_for
-from agents.formation.prediction import DeadReckoning, Estimator, Hold
-from agents.formation.report import LeaderState, Report
-from agents.formation.route import Route
-from agents.formation.sending import Sending
-from agents.formation.teleop import Teleop
-from agents.formation.trajectory import Trajectory
+from vcmvsp.agents.formation.aerial.follower import AerialFollower
+from vcmvsp.agents.formation.aerial.route import AerialRoute
+from vcmvsp.agents.formation.followers.consensus import Consensus
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.followers.hand_point import axle_velocity, hand_point, hand_velocity
+from vcmvsp.agents.formation.leaders.leader import Leader
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.reports.received import heartbeat_for
+from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator, Hold
+from vcmvsp.agents.formation.reports.report import LeaderState, Report
+from vcmvsp.agents.formation.leaders.route import Route
+from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.leaders.teleop import Teleop
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 
 __all__ = [
     "AerialFollower",

@@ -11,10 +11,10 @@ import math
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
-from agents.mission.guard import Guard
-from cosim.agent import Agent, Observation, Radio, Shown, VehicleInfo
-from cosim.frames import rotate2
-from cosim.types import Vec3, Velocity, Waypoint
+from vcmvsp.agents.mission.speed_limit import Guard
+from vcmvsp.cosim.agent import Agent, Observation, Radio, Shown, VehicleInfo
+from vcmvsp.cosim.frames import rotate2
+from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
 
 Command = Velocity | Waypoint
 

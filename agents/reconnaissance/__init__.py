@@ -4,9 +4,16 @@
 `sectors`: strips and lanes. `watch`: the camera, and what is recognised in its pictures; `track`: keeping over a target.
 """
 
-from agents.reconnaissance.exchange import Exchange, exchange
-from agents.reconnaissance.probability_map import Grid, Rectangle, Sensor, decisions, log_odds, probability
-from agents.reconnaissance.sectors import Comb, lanes, strips
+from vcmvsp.agents.reconnaissance.exchange import Exchange, exchange
+from vcmvsp.agents.reconnaissance.probability_map import (
+    Grid,
+    Rectangle,
+    Sensor,
+    decisions,
+    log_odds,
+    probability,
+)
+from vcmvsp.agents.reconnaissance.sectors import Comb, lanes, strips
 
 __all__ = [
     "Comb",

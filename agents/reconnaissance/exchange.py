@@ -12,10 +12,10 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from agents.reconnaissance.ledger import Ledger
-from agents.reconnaissance.probability_map import LIMIT, Grid, Sensor, log_odds
-from agents.reconnaissance.tiles import Body, Tiling, packed, parsed
-from cosim.types import Array
+from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.probability_map import LIMIT, Grid, Sensor, log_odds
+from vcmvsp.agents.reconnaissance.tiles import Body, Tiling, packed, parsed
+from vcmvsp.cosim.types import Array
 
 Kind = Literal["none", "delta", "consensus", "ledger"]
 STEPS = 1600  # of a number in a message for 1 of l: 20 is 32000, which two bytes hold, and half a step is 0.0003

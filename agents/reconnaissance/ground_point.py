@@ -15,8 +15,8 @@ Pixels are (column, row) as OpenCV counts them: the middle of the first pixel is
 import math
 from typing import NamedTuple
 
-from cosim.frames import Quaternion
-from cosim.types import Image, Vec3, VehicleState
+from vcmvsp.cosim.frames import Quaternion
+from vcmvsp.cosim.types import Image, Vec3, VehicleState
 
 Point = tuple[float, float]  # m, world, on the ground
 Pixel = tuple[float, float]  # column, row

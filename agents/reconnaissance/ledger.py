@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.reconnaissance.probability_map import LIMIT, Sensor
-from agents.reconnaissance.tiles import Body, Tiling, number, packed, parsed
-from cosim.types import Array
+from vcmvsp.agents.reconnaissance.probability_map import LIMIT, Sensor
+from vcmvsp.agents.reconnaissance.tiles import Body, Tiling, number, packed, parsed
+from vcmvsp.cosim.types import Array
 
 KEY = "l"
 NEVER = -1

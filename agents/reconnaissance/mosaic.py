@@ -6,12 +6,12 @@ import cv2
 import msgspec
 import numpy as np
 
-from agents.reconnaissance.ground_point import Nadir
-from agents.reconnaissance.probability_map import Rectangle
-from agents.reconnaissance.watch import STEEPEST, Frame
-from cosim.clock import seconds_to_ns
-from cosim.errors import ScenarioError
-from cosim.types import Array, Mosaic, Positive, frozen
+from vcmvsp.agents.reconnaissance.ground_point import Nadir
+from vcmvsp.agents.reconnaissance.probability_map import Rectangle
+from vcmvsp.agents.reconnaissance.watch import STEEPEST, Frame
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Array, Mosaic, Positive, frozen
 
 MOST_CELLS = 4_000_000  # 12 MB
 EVERY_NS = seconds_to_ns(1.0)  # a picture is laid so often

@@ -8,10 +8,10 @@ be off by a degree and more half-way between ticks of 0.1 s, and so would be wha
 import math
 from collections import deque
 
-from cosim.agent import Observation
-from cosim.clock import seconds_to_ns
-from cosim.frames import Quaternion, product
-from cosim.types import Vec3, VehicleState
+from vcmvsp.cosim.agent import Observation
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.frames import Quaternion, product
+from vcmvsp.cosim.types import Vec3, VehicleState
 
 KEPT_NS = seconds_to_ns(10.0)
 GAP = 1.5  # periods from pose to pose: in longer ones nobody knows how the vehicle has moved

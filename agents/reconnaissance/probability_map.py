@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.types import Array
+from vcmvsp.cosim.types import Array
 
 LIMIT = 20.0  # of |l|: a cell that is surer than 1 - 2e-9 could hardly be talked out of it
 TARGET, EMPTY = 0.99, 0.01  # P above and below which a cell is decided

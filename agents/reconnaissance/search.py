@@ -6,19 +6,19 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from agents.formation.aerial import GAIN, YAW_GAIN, check_flies
-from agents.mission.roster import Roster, members_of
-from agents.reconnaissance.exchange import Kind, exchange
-from agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
-from agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
-from agents.reconnaissance.search_way import Way
-from agents.reconnaissance.sectors import Comb, Point
-from agents.reconnaissance.watch import Watch, Watching
-from cosim.agent import Agent, Observation, Radio, VehicleInfo
-from cosim.clock import seconds_to_ns
-from cosim.errors import ScenarioError
-from cosim.frames import wrap
-from cosim.types import Array, Looks, NonNegative, Positive, Probability, Velocity
+from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, check_flies
+from vcmvsp.agents.reconnaissance.roster import Roster, members_of
+from vcmvsp.agents.reconnaissance.exchange import Kind, exchange
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
+from vcmvsp.agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
+from vcmvsp.agents.reconnaissance.lane_following import Way
+from vcmvsp.agents.reconnaissance.sectors import Comb, Point
+from vcmvsp.agents.reconnaissance.watch import Watch, Watching
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Array, Looks, NonNegative, Positive, Probability, Velocity
 
 Overlap = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Some = Annotated[int, msgspec.Meta(ge=1)]

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.reconnaissance.exchange import Exchange
-from agents.reconnaissance.probability_map import TARGET, Grid, decisions, log_odds, probability
-from agents.reconnaissance.tiles import Body
-from agents.reconnaissance.watch import Frame
-from cosim.agent import Observation
-from cosim.types import Array, Looks, ProbabilityMap, frozen
+from vcmvsp.agents.reconnaissance.exchange import Exchange
+from vcmvsp.agents.reconnaissance.probability_map import TARGET, Grid, decisions, log_odds, probability
+from vcmvsp.agents.reconnaissance.tiles import Body
+from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.cosim.agent import Observation
+from vcmvsp.cosim.types import Array, Looks, ProbabilityMap, frozen
 
 Point = tuple[float, float]
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from agents.reconnaissance.probability_map import Rectangle
+from vcmvsp.agents.reconnaissance.probability_map import Rectangle
 
 Point = tuple[float, float]
 

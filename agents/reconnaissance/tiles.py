@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from agents.reconnaissance.probability_map import Grid
-from cosim.types import Array
+from vcmvsp.agents.reconnaissance.probability_map import Grid
+from vcmvsp.cosim.types import Array
 
 SIDES = (16, 8, 4, 2, 1)  # cells, of a tile
 OVERHEAD = 36  # bytes at most: "ms" with its number, the key, contributor, tile and age, and the lengths of all of it

@@ -7,16 +7,25 @@ from typing import Annotated, Any
 
 import msgspec
 
-from agents.formation.aerial import check_flies
-from agents.mission.roster import Claim, Roster, members_of
-from agents.reconnaissance.mosaic import Mosaicking, Sheet
-from agents.reconnaissance.showing import Showing
-from agents.reconnaissance.tracking import GAIN, LOST_S, SMOOTHING, SPIRAL_S, WITHIN_M, Confirmation, Point, Tracker
-from agents.reconnaissance.watch import Around, Frame, Watch, Watching
-from cosim.agent import Agent, Observation, Radio, VehicleInfo
-from cosim.clock import seconds_to_ns
-from cosim.errors import ScenarioError
-from cosim.types import Positive, Probability, Velocity, Waypoint
+from vcmvsp.agents.formation.aerial.flight import check_flies
+from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
+from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
+from vcmvsp.agents.reconnaissance.picture_recording import Showing
+from vcmvsp.agents.reconnaissance.tracking import (
+    GAIN,
+    LOST_S,
+    SMOOTHING,
+    SPIRAL_S,
+    WITHIN_M,
+    Confirmation,
+    Point,
+    Tracker,
+)
+from vcmvsp.agents.reconnaissance.watch import Around, Frame, Watch, Watching
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Positive, Probability, Velocity, Waypoint
 
 AT_LEAST_ONE = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 

@@ -18,8 +18,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Literal
 
-from cosim.clock import seconds_to_ns
-from cosim.types import Vec3
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.types import Vec3
 
 Point = tuple[float, float]
 Phase = Literal["none", "seen", "predicted", "spiral", "lost"]

@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Region, nadir_of
-from agents.reconnaissance.poses import Poses
-from agents.reconnaissance.recognition import Detector, Target
-from agents.reconnaissance.recognition.detector import SMALLEST_PX
-from cosim import registry
-from cosim.agent import Observation, VehicleInfo
-from cosim.errors import ScenarioError
-from cosim.types import Image, Positive, Sighting, Vec3
+from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Region, nadir_of
+from vcmvsp.agents.reconnaissance.poses import Poses
+from vcmvsp.agents.reconnaissance.recognition import Detector, Target
+from vcmvsp.agents.reconnaissance.recognition.detector import SMALLEST_PX
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Image, Positive, Sighting, Vec3
 
 STEEPEST = math.cos(math.radians(30.0))  # tilted further, a camera does not show targets as they look from above
 RELIABLE = math.cos(math.radians(20.0))  # tilted further, more than a few of them are missed

@@ -12,13 +12,13 @@ from bench.ns3 import program
 from bench.ns3.cases import REFERENCE_LOSS_DB, SIZE, Case
 from bench.ns3.program import Floats, Frames
 from bench.ns3.sample import Sample, tally
-from cosim.clock import SECOND_NS
-from cosim.rng import key64
-from netsim.dcf import Dcf
-from netsim.dcf_medium import DcfMedium
-from netsim.medium import Decided, Fate, Medium, Offered
-from netsim.phy import Dsss
-from netsim.phy_ofdm import Ofdm
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.rng import key64
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.mac.dcf.medium import DcfMedium
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Medium, Offered
+from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.ofdm import Ofdm
 
 ErrorModel = Literal["table", "yans", "nist"]
 
@@ -27,7 +27,7 @@ REFILL_NS = 50_000
 
 
 def core(case: Case, seed: int) -> Sample:
-    """One run of `netsim.dcf`."""
+    """One run of `netsim.mac.dcf.parameters`."""
     positions = case.positions
     n, air = len(positions), Air(case, seed)
     medium = air.open(np.array([key64(seed, f"radio{i}") for i in range(n)], np.uint64))

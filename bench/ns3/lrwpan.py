@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.ns3 import program
-from cosim.rng import key64
-from netsim.csma154 import Csma154
-from netsim.medium import Decided, Fate, Offered, Renew
-from netsim.phy import Ieee802154
+from vcmvsp.cosim.rng import key64
+from vcmvsp.netsim.mac.csma154.parameters import Csma154
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered, Renew
+from vcmvsp.netsim.phy.standards import Ieee802154
 
 SOURCE = program.SOURCE.with_name("lrwpan.cc")
 LIBRARIES = ("lr-wpan", "core", "network", "propagation", "spectrum", "mobility", "antenna", "stats", "energy")

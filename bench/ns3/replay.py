@@ -20,9 +20,9 @@ from bench.ns3 import program
 from bench.ns3.cases import SIZE, Case
 from bench.ns3.core import Air
 from bench.ns3.program import Floats, Frames, Ints
-from cosim.clock import SECOND_NS
-from netsim.dcf import Dcf
-from netsim.medium import Decided, Fate, Offered
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
 
 LIGHT = "--ns3::ConstantSpeedPropagationDelayModel::Speed=3e10"
 NEAR_NS = 8_000  # less than a slot
@@ -133,7 +133,7 @@ def _ours(case: Case, judged: Judged, until_ns: int) -> dict[int, Decided]:
     def luck(sender: int, tries: Sequence[Floats], attempt: int, _start_ns: int) -> tuple[Floats, Floats]:
         return air.mean_mw[sender], tries[attempt] if attempt < len(tries) else np.full(n, UNLUCKY)
 
-    with mock.patch("netsim.dcf_medium.link_uniform", uniform):
+    with mock.patch("vcmvsp.netsim.mac.dcf.medium.link_uniform", uniform):
         medium = air.open(np.arange(n, dtype=np.uint64))
         for number, (sender, to, sent_ns) in enumerate(np.stack([frames.sender, frames.to, frames.sent_ns], axis=1).tolist()):
             renew = partial(luck, sender, judged.patience[number])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bench.ns3 import program
 from bench.ns3.cases import SIZE, Case
 from bench.ns3.program import Floats, Frames, Ints
-from cosim.clock import SECOND_NS
+from vcmvsp.cosim.clock import SECOND_NS
 
 BIN_M = 10.0  # of distance
 BINS = 128

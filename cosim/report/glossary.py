@@ -1,6 +1,6 @@
 """What the numbers of ``metrics.json`` are, a line each, for readers of a page. ``*`` stands for a name.
 
-`cosim.record.metrics` says how each is computed.
+`cosim.metrics` says how each is computed.
 """
 
 from collections.abc import Sequence

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any
 
-from cosim.errors import UsageError, VcmvspError
-from cosim.studies.plan import Run
-from cosim.studies.pool import Answered, Asked
-from cosim.studies.worker import DIED, Work, failed, run_one, version
+from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.studies.plan import Run
+from vcmvsp.cosim.processes.worker_pool import Answered, Asked
+from vcmvsp.cosim.studies.worker import DIED, Work, failed, run_one, version
 
 TIMEOUT_S = 10  # for the scheduler, and then for what its workers say of their version
 PER_THREAD = 4  # runs that are handed over at once: enough that no worker waits for us

@@ -9,15 +9,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cosim.errors import Interrupted, UsageError
-from cosim.files import Folder, to_json, writing
-from cosim.studies import plan as plans
-from cosim.studies import rows
-from cosim.studies.examine import examined, where
-from cosim.studies.plan import Plan
-from cosim.studies.pool import Answered, Pool, cores
-from cosim.studies.store import Answers, Store, begun
-from cosim.studies.worker import DIED, Job, Work, run_one, version
+from vcmvsp.cosim.errors import Interrupted, UsageError
+from vcmvsp.cosim.util.files import Folder, to_json, writing
+from vcmvsp.cosim.studies import plan as plans
+from vcmvsp.cosim.studies import rows
+from vcmvsp.cosim.studies.checks import examined, where
+from vcmvsp.cosim.studies.plan import Plan
+from vcmvsp.cosim.processes.worker_pool import Answered, Pool, cores
+from vcmvsp.cosim.studies.store import Answers, Store, begun
+from vcmvsp.cosim.studies.worker import DIED, Job, Work, run_one, version
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -162,7 +162,7 @@ def _workers(work: Work, jobs: int | None, cluster: Any) -> Iterator[Ask]:
         with Pool(functools.partial(run_one, work), jobs or cores(), died=DIED) as pool:
             yield pool.answers
     else:
-        from cosim.studies.cluster import Cluster
+        from vcmvsp.cosim.studies.cluster import Cluster
 
         with Cluster(work, cluster) as connected:
             yield connected.answers
@@ -173,7 +173,7 @@ def _answers(plan: Plan, out: Path | None, *, resume: bool, force: bool) -> Answ
 
 
 def _write(out: Path, table: "pa.Table", plan: Plan, about: Mapping[str, Any], *, repeatable: bool) -> None:
-    from cosim.studies import outputs
+    from vcmvsp.cosim.studies import outputs
 
     with writing(out):
         outputs.write(out, table, plan, repeatable=repeatable)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import tomli_w
 
-from cosim import scenario as scenarios
-from cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
-from cosim.report.run import FILE
-from cosim.studies.plan import Plan
-from cosim.studies.store import PLAN, so_far
-from cosim.studies.summary import summarise, to_csv
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
+from vcmvsp.cosim.report.run_page import FILE
+from vcmvsp.cosim.studies.plan import Plan
+from vcmvsp.cosim.studies.store import PLAN, so_far
+from vcmvsp.cosim.studies.summary import summarise, to_csv
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as FigureOfPlots
@@ -34,12 +34,12 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
     Returns:
         What was written.
     """
-    from cosim.record import plots
+    from vcmvsp.cosim.plots import run_plots
 
     summary = summarise(table, list(plan.vary), plan.metrics)
     written = [folder / "summary.csv"]
     written[0].write_text(to_csv(summary), "utf-8")
-    drawn = [path for name, figure in _figures(summary, plan).items() for path in plots.save(figure, folder / name)]
+    drawn = [path for name, figure in _figures(summary, plan).items() for path in run_plots.save(figure, folder / name)]
     drawings = {path.stem: path.read_text("utf-8") for path in drawn if path.suffix == ".svg"}
     report = folder / FILE
     report.write_text(_page(table, summary, plan, drawings, repeatable=repeatable), "utf-8")
@@ -56,12 +56,12 @@ def report_again(folder: Path, out: Path | None = None) -> Path:
     Raises:
         UsageError: its plan or its rows cannot be read.
     """
-    from cosim.record import plots
+    from vcmvsp.cosim.plots import run_plots
 
     plan = Plan.read(folder / PLAN)
     table = so_far(folder, plan)
     summary = summarise(table, list(plan.vary), plan.metrics)
-    drawings = {name: plots.svg(figure) for name, figure in _figures(summary, plan).items()}
+    drawings = {name: run_plots.svg(figure) for name, figure in _figures(summary, plan).items()}
     path = out or folder / FILE
     path.write_text(_page(table, summary, plan, drawings, repeatable=_is_file(plan)), "utf-8")
     return path
@@ -69,7 +69,7 @@ def report_again(folder: Path, out: Path | None = None) -> Path:
 
 def _figures(summary: pa.Table, plan: Plan) -> "dict[str, FigureOfPlots]":
     """The figures, by the names of their files."""
-    from cosim.record import study_plot
+    from vcmvsp.cosim.plots import study_plot
 
     keys, metrics = list(plan.vary), list(plan.metrics)
     if not metrics or not summary.num_rows:

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import msgspec
 import tomli_w
 
-from cosim import scenario as scenarios
-from cosim import table
-from cosim.errors import UsageError
-from cosim.studies.grid import EXAMPLE, MOST, label, values_of
-from cosim.types import Seed
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.studies.grid import EXAMPLE, MOST, label, values_of
+from vcmvsp.cosim.types import Seed
 
 SCHEMA = "vcmvsp.study/1"
 OWN_COLUMNS = ("seed", "error", "digest")
@@ -100,7 +100,7 @@ class Base(NamedTuple):
 def base_of(scenario: str | Path | Mapping[str, Any]) -> Base:
     """The scenario's text, taken once: what happens to the file while the study runs does not matter."""
     if isinstance(scenario, Mapping):
-        return Base(tomli_w.dumps(table.plain(dict(scenario))), Path.cwd(), scenario)
+        return Base(tomli_w.dumps(binding.plain(dict(scenario))), Path.cwd(), scenario)
     return Base(scenarios.text_of(scenario), scenarios.path_of(scenario).resolve().parent, scenario)
 
 
@@ -137,14 +137,14 @@ def make(
     first = parsed.seed if seed is not None or not stored else stored.seeds[0]
     if count * math.prod(map(len, full.values())) > MOST:
         raise UsageError(f"more than {MOST} runs: give fewer values or --seeds")
-    table.convert(first + count - 1, Seed, key="--seed plus --seeds")
+    binding.convert(first + count - 1, Seed, key="--seed plus --seeds")
     return Plan(
         scenario=parsed.name if isinstance(base.asked, Mapping) else str(base.asked),
         scenario_toml=base.text,
         vary=full,
         seeds=list(range(first, first + count)),
         metrics=[metrics] if isinstance(metrics, str) else list(metrics or (stored.metrics if stored else said.metrics)),
-        set={key: table.plain(value) for key, value in settings.items()},
+        set={key: binding.plain(value) for key, value in settings.items()},
     )
 
 
@@ -175,7 +175,7 @@ def check_same(plan: Plan, stored: Plan, out: Path) -> None:
 
 def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
     if not isinstance(vary, Mapping):
-        raise UsageError(f"vary: must be a mapping, e.g. {{'radio.loss.probability': [0.0, 0.3]}}, not {table.show(vary)}")
+        raise UsageError(f"vary: must be a mapping, e.g. {{'radio.loss.probability': [0.0, 0.3]}}, not {binding.show(vary)}")
     full: dict[str, list[Any]] = {}
     for key, values in vary.items():
         try:
@@ -188,9 +188,9 @@ def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 def _plain(value: Any) -> Any:
     """The value in TOML's types, of Python's or NumPy's."""
-    found = table.plain(value.tolist() if hasattr(value, "tolist") else value)
+    found = binding.plain(value.tolist() if hasattr(value, "tolist") else value)
     if found is None:
-        raise ValueError(f"{table.show(value)} is no value that a scenario can have")
+        raise ValueError(f"{binding.show(value)} is no value that a scenario can have")
     return found
 
 
@@ -203,7 +203,7 @@ def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) 
         raise UsageError(f"{key} is varied over no values")
     seen: set[str] = set()
     for value in values:
-        if (bad := table.non_finite(value)) is not None:
+        if (bad := binding.non_finite(value)) is not None:
             raise UsageError(f"--vary {key}={value}: must be finite, not {bad}")
         if label(value) in seen:
             raise UsageError(f"{key} is varied over {label(value)} twice")
@@ -225,11 +225,11 @@ def _difference(now: Any, then: Any, key: str = "") -> str | None:
     """The first thing in which two nested values differ."""
     if isinstance(now, dict) and isinstance(then, dict):
         names = [*then, *(name for name in now if name not in then)]
-        inside = (_difference(now.get(name), then.get(name), table.join(key, name)) for name in names)
+        inside = (_difference(now.get(name), then.get(name), binding.join(key, name)) for name in names)
         return next((each for each in inside if each is not None), None)
     if isinstance(now, list) and isinstance(then, list) and len(now) == len(then):
         pairs = enumerate(zip(now, then, strict=True))
         return next((each for i, (a, b) in pairs if (each := _difference(a, b, f"{key}[{i}]")) is not None), None)
     if now == then:
         return None
-    return f"{key}: {'nothing' if now is None else table.show(now)} now, {'nothing' if then is None else table.show(then)} then"
+    return f"{key}: {'nothing' if now is None else binding.show(now)} now, {'nothing' if then is None else binding.show(then)} then"

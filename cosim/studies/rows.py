@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from cosim.record.columns import column
-from cosim.studies.grid import label
-from cosim.studies.plan import Plan, Run
-from cosim.types import Array
+from vcmvsp.cosim.tables.columns import column
+from vcmvsp.cosim.studies.grid import label
+from vcmvsp.cosim.studies.plan import Plan, Run
+from vcmvsp.cosim.types import Array
 
 LOSSES = "radio.losses."
 

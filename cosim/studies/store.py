@@ -22,11 +22,11 @@ from typing import IO, Self
 import msgspec
 import pyarrow as pa
 
-from cosim.errors import UsageError
-from cosim.files import Folder, writing
-from cosim.record.tables import read_table, write_table
-from cosim.studies import rows
-from cosim.studies.plan import Plan, check_same
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.util.files import Folder, writing
+from vcmvsp.cosim.tables.schema import read_table, write_table
+from vcmvsp.cosim.studies import rows
+from vcmvsp.cosim.studies.plan import Plan, check_same
 
 PLAN, TABLE, JOURNAL, LOCK = "study.toml", "study.parquet", "study.journal", "study.lock"
 UNFINISHED = {LOCK, f"{PLAN}.tmp"}  # what a study leaves that was killed before it began

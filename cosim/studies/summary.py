@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from cosim import rng
+from vcmvsp.cosim import rng
 
 RESAMPLES = 9999
 CONFIDENCE = 0.95

@@ -1,4 +1,4 @@
-"""One run of a study, wherever it is made: by `cosim.studies.pool` on this machine, or by `cosim.studies.cluster`."""
+"""One run of a study, wherever it is made: by `cosim.processes.worker_pool` on this machine, or by `cosim.studies.cluster`."""
 
 import contextlib
 import functools
@@ -10,10 +10,10 @@ from typing import Any, Literal
 
 import msgspec
 
-from cosim import api
-from cosim.errors import VcmvspError
-from cosim.studies.plan import content
-from cosim.studies.rows import Row, encode, flat
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.studies.plan import content
+from vcmvsp.cosim.studies.rows import Row, encode, flat
 
 _one_at_a_time = threading.Lock()  # a run has the process for itself, its current folder too
 

@@ -4,10 +4,10 @@ import ipaddress
 import re
 from typing import TYPE_CHECKING, Literal
 
-from cosim.errors import UsageError
+from vcmvsp.cosim.errors import UsageError
 
 if TYPE_CHECKING:
-    from cosim.certificates import Bundle, Keys
+    from vcmvsp.cosim.security.certificates import Bundle, Keys
 
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#\s]+):(\d{1,5})")
 

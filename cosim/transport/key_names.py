@@ -10,14 +10,14 @@ With a machine's name NAME from its certificate and ZID, the id of its Zenoh ses
     vcmvsp/hub/alive             liveliness token of the hub
     vcmvsp/topic/...             what the run shows to observers
 
-Where a driver of the run waits for the robot of its vehicle, which has a program of its own aboard (`hardware.onboard`)::
+Where a driver of the run waits for the robot of its vehicle, which has a program of its own aboard (`hardware.remote_robot`)::
 
     vcmvsp/robot/NAME/greet              queryable of the driver: a robot that wants to be driven
     vcmvsp/robot/NAME/VEHICLE/ZID/down   the driver publishes velocities to a robot
     vcmvsp/robot/NAME/VEHICLE/ZID/up     the robot publishes what it knows of itself
     vcmvsp/robot/NAME/VEHICLE/ZID/alive  liveliness token of a robot
 
-The hub lets a machine use no key but its own (`cosim.transport.security`). So the key says for certain who speaks, and what a
+The hub lets a machine use no key but its own (`cosim.transport.access_control`). So the key says for certain who speaks, and what a
 payload says of it is worth nothing.
 """
 

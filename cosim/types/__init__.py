@@ -3,8 +3,8 @@
 Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays.
 """
 
-from cosim.types.operated import Changed, Halted, Moved, Outage
-from cosim.types.quantities import (
+from vcmvsp.cosim.types.operator_actions import Changed, Halted, Moved, Outage
+from vcmvsp.cosim.types.quantities import (
     Array,
     Count,
     Decibels,
@@ -22,10 +22,31 @@ from cosim.types.quantities import (
     Vec3,
     frozen,
 )
-from cosim.types.radio import Datagrams, FrameReport, Message, Reception, Routed, Traffic
-from cosim.types.readings import Fix, Image, Imu, Later, Looks, Measured, Odometry, Reading, Readings, Scan
-from cosim.types.shown import Follows, Mosaic, Note, ProbabilityMap, Sighting, Sightings
-from cosim.types.vehicles import Contact, Incident, Presence, Pushed, RealStatus, States, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types.radio import Datagrams, FrameReport, Message, Reception, Routed, Traffic
+from vcmvsp.cosim.types.readings import (
+    Fix,
+    Image,
+    Imu,
+    Later,
+    Looks,
+    Measured,
+    Odometry,
+    Reading,
+    Readings,
+    Scan,
+)
+from vcmvsp.cosim.types.agent_reports import Follows, Mosaic, Note, ProbabilityMap, Sighting, Sightings
+from vcmvsp.cosim.types.vehicles import (
+    Contact,
+    Incident,
+    Presence,
+    Pushed,
+    RealStatus,
+    States,
+    VehicleState,
+    Velocity,
+    Waypoint,
+)
 
 __all__ = [
     "AnyValue",

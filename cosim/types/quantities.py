@@ -24,7 +24,7 @@ Name = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-]+\Z")]
 
 
 class Value(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """Base of all values: immutable and encodable (see `cosim.codec`)."""
+    """Base of all values: immutable and encodable (see `cosim.util.codec`)."""
 
 
 def frozen(array: Any, dtype: Any = None) -> Array:

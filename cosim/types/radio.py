@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from cosim.types.quantities import Array, Value
+from vcmvsp.cosim.types.quantities import Array, Value
 
 
 class Message(Value, frozen=True, kw_only=True, tag="message"):

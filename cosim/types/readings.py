@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from cosim.types.quantities import Array, Value, Vec3
+from vcmvsp.cosim.types.quantities import Array, Value, Vec3
 
 
 class Odometry(Value, frozen=True, kw_only=True, tag="odometry"):

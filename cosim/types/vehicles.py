@@ -2,8 +2,8 @@
 
 from typing import Literal
 
-from cosim.frames import Quaternion, yaw_of
-from cosim.types.quantities import Array, Value, Vec3
+from vcmvsp.cosim.frames import Quaternion, yaw_of
+from vcmvsp.cosim.types.quantities import Array, Value, Vec3
 
 
 class VehicleState(Value, frozen=True, kw_only=True, tag="state"):

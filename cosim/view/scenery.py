@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim import component, registry, table
-from cosim.agent import AgentInfo
-from cosim.clock import SECOND_NS, seconds_to_ns
-from cosim.scenario_tables import Scenario, VehicleTable
-from cosim.source import Source
-from cosim.types import frozen
-from cosim.view.shown import Craft, Obstacle, Scenery
+from vcmvsp.cosim.config import factory, registry, binding
+from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
+from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.types import frozen
+from vcmvsp.cosim.view.messages import Craft, Obstacle, Scenery
 
 
 def scenery_of(
@@ -39,7 +39,7 @@ def scenery_of(
         ScenarioError: the world, or the kind of a vehicle, cannot be built.
     """
     if world is None:
-        world, _ = component.world_of(scenario.world, source, seed=scenario.seed)
+        world, _ = factory.world_of(scenario.world, source, seed=scenario.seed)
     vertices, triangles = world.mesh()
     agents = {info.vehicle: info for info in infos}
     kinds: dict[str, Any] = {}  # a file is executed once, not for each vehicle
@@ -82,8 +82,8 @@ def _model(vehicle: VehicleTable, source: Source, kinds: dict[str, Any]) -> Any:
     if vehicle.kind not in kinds:
         kinds[vehicle.kind] = registry.find("vehicle", vehicle.kind, folder=source.folder, key=f"{key}.kind", origin=source)
     kind = kinds[vehicle.kind]
-    params = {name: value for name, value in vehicle.params.items() if name in table.parameters(kind)}
-    return table.call(kind, component.found(params, source), key=key, origin=source)
+    params = {name: value for name, value in vehicle.params.items() if name in binding.parameters(kind)}
+    return binding.call(kind, factory.found(params, source), key=key, origin=source)
 
 
 def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) -> tuple[str, float | None]:

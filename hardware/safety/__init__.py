@@ -13,13 +13,13 @@
     aerial       the same for a vehicle that flies, with floor and ceiling
 """
 
-from hardware.safety.aerial import AerialParameters, AerialSupervisor
-from hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
-from hardware.safety.geofence import Polygon
-from hardware.safety.limits import Limits, clamp
-from hardware.safety.rounds import Decision
-from hardware.safety.separation import Others
-from hardware.safety.supervisor import Parameters, Supervisor
+from vcmvsp.hardware.safety.aerial_supervisor import AerialParameters, AerialSupervisor
+from vcmvsp.hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
+from vcmvsp.hardware.safety.geofence import Polygon
+from vcmvsp.hardware.safety.limits import Limits, clamp
+from vcmvsp.hardware.safety.control_step import Decision
+from vcmvsp.hardware.safety.separation import Others
+from vcmvsp.hardware.safety.ground_supervisor import Parameters, Supervisor
 
 __all__ = [
     "AerialParameters",

@@ -4,7 +4,7 @@ from enum import StrEnum
 
 import msgspec
 
-from cosim.clock import SECOND_NS
+from vcmvsp.cosim.clock import SECOND_NS
 
 
 class Cause(StrEnum):

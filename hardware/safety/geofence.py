@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.safety.sector import Around, Floats, Stadiums, toward
+from vcmvsp.hardware.safety.obstacle_distance import Around, Floats, Stadiums, toward
 
 RETURN_MPS = 0.1  # of who is outside: nothing is known of what is there
 

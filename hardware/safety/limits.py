@@ -4,7 +4,7 @@ import math
 
 import msgspec
 
-from cosim.types import Positive
+from vcmvsp.cosim.types import Positive
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 
-from cosim.types import Array
-from hardware.safety.sector import Around, Stadiums
+from vcmvsp.cosim.types import Array
+from vcmvsp.hardware.safety.obstacle_distance import Around, Stadiums
 
 
 class Others(msgspec.Struct, frozen=True):

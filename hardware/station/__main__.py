@@ -1,4 +1,4 @@
-"""A station's process: ``python -P -m hardware.station FD``, where FD is the inherited end of the link to its run.
+"""A station's process: ``python -P -m vcmvsp.hardware.station FD``, where FD is the inherited end of the link to its run.
 
 It turns at a steady rate, on deadlines that do not drift. When the run ends, however it does, the robot is stopped within a
 turn. Ctrl-C is the run's affair, and is not heard here; SIGTERM stops the robot and ends the station.
@@ -16,21 +16,21 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim import registry, table
-from cosim.clock import SECOND_NS
-from cosim.codec import encode
-from cosim.errors import ScenarioError, place_of
-from cosim.transport.link import Link
-from cosim.waiting import readable
-from hardware.driver import Driver, DriverError
-from hardware.station import wire
-from hardware.station.control import Answer, Ear
-from hardware.station.guarded import within
-from hardware.station.onboard import Onboard
-from hardware.station.wire import Mission, Order, Part, Report
+from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.util.polling import readable
+from vcmvsp.hardware.drivers.base import Driver, DriverError
+from vcmvsp.hardware.station import messages as wire
+from vcmvsp.hardware.station.emergency_stop import Answer, Ear
+from vcmvsp.hardware.drivers.call_timeout import within
+from vcmvsp.hardware.station.controller import Onboard
+from vcmvsp.hardware.station.messages import Mission, Order, Part, Report
 
 if TYPE_CHECKING:
-    from hardware.positioning.sources import Localisation
+    from vcmvsp.hardware.localisation.systems import Localisation
 
 MISSION_S = 10.0  # from the start to the mission
 HANG_S = 3.0  # for a turn, which should take a millisecond
@@ -238,9 +238,9 @@ def _built(part: Part, mission: Mission) -> Any:
     folder = Path(mission.folder)
     with registry.looking_in(folder):
         kind = registry.find(part.group, part.kind, folder=folder, key=f"{part.group}.kind")
-        known = table.parameters(kind)
+        known = binding.parameters(kind)
         offered = {"vehicle": mission.vehicle, "folder": mission.folder}
-        return table.call(kind, part.params, key=part.group, given={n: v for n, v in offered.items() if n in known})
+        return binding.call(kind, part.params, key=part.group, given={n: v for n, v in offered.items() if n in known})
 
 
 def _settle() -> None:

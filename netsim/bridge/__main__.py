@@ -1,4 +1,4 @@
-"""``python -P -m netsim.bridge FD``, where FD is the inherited end of the link to the run. Ctrl-C is the run's affair."""
+"""``python -P -m vcmvsp.netsim.bridge FD``, where FD is the inherited end of the link to the run. Ctrl-C is the run's affair."""
 
 import contextlib
 import gc
@@ -9,9 +9,9 @@ import socket
 import sys
 from pathlib import Path
 
-from cosim.transport.link import Link
-from netsim.bridge.loop import new_loop
-from netsim.bridge.process import Process
+from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.netsim.bridge.process.event_loop import new_loop
+from vcmvsp.netsim.bridge.process.bridge_process import Process
 
 NICE = -5  # where the system allows it: datagrams leave at their time while the run computes
 

@@ -2,9 +2,9 @@
 
 from collections import Counter
 
-from cosim.codec import encode
-from cosim.types import Reception, Traffic
-from netsim.bridge import wire
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.types import Reception, Traffic
+from vcmvsp.netsim.bridge.process import messages
 
 
 class Echoes:
@@ -15,7 +15,7 @@ class Echoes:
         self._said: dict[int, tuple[str, bytes]] = {}  # by number: by whom, and what
         self._coming: Counter[tuple[str, int, str, bytes]] = Counter()  # receiver, when, sender, what
 
-    def said(self, came: wire.Came) -> None:
+    def said(self, came: messages.Came) -> None:
         """These were given to the radio, with their bytes."""
         for number, sender, payload in zip(came.number.tolist(), came.sender.tolist(), came.payloads, strict=True):
             self._said[number] = self._vehicles[sender], payload

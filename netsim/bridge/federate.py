@@ -8,7 +8,7 @@ key                    direction  value
 ``<vehicle>/heard``    in         `Reception` of what an agent said, for programs of that vehicle (where they hear agents)
 =====================  =========  =====================================================================================
 
-Sockets are the affair of a process beside the run (`netsim.bridge.process`): here are numbers, sizes and times. The run must
+Sockets are the affair of a process beside the run (`netsim.bridge.process.bridge_process`): here are numbers, sizes and times. The run must
 keep the pace of the wall clock.
 """
 
@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.types import AnyValue, Array, Datagrams, Reception, States, Traffic, frozen
-from netsim.bridge import pieces, wire
-from netsim.bridge.beside import Beside
-from netsim.bridge.door import LARGEST
-from netsim.bridge.echoes import Echoes
-from netsim.bridge.lateness import Lateness
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.types import AnyValue, Array, Datagrams, Reception, States, Traffic, frozen
+from vcmvsp.netsim.bridge.process import message_chunks, messages as wire
+from vcmvsp.netsim.bridge.process_client import Beside
+from vcmvsp.netsim.bridge.gateways.base import LARGEST
+from vcmvsp.netsim.bridge.echoes import Echoes
+from vcmvsp.netsim.bridge.lateness import Lateness
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -185,7 +185,7 @@ class Bridge:
             self._ripe = []
             for event in events:
                 self.log(event.key, event.time_ns, event.value)
-            process.say(pieces.taken_over(self._taken))  # what comes meanwhile may be gathered
+            process.say(message_chunks.taken_over(self._taken))  # what comes meanwhile may be gathered
         if self._levels_due and self._states is not None:
             self._say_levels(process, self._states)
         return Step(events, self._next(process, now_ns))
@@ -228,7 +228,7 @@ class Bridge:
 
     def _say_levels(self, process: Beside, states: States) -> None:
         self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
-        for each in pieces.levels(self._air.levels_dbm(states)):
+        for each in message_chunks.levels(self._air.levels_dbm(states)):
             process.say(each)
 
     def _hear(self, messages: Sequence[wire.Up]) -> None:
@@ -277,7 +277,7 @@ class Bridge:
         self._late.due(traffic, at_ns)
         if self._opening.payloads:
             self._echoes.decided(traffic)
-        for each in pieces.due(self._taken, traffic, at_ns):
+        for each in message_chunks.due(self._taken, traffic, at_ns):
             process.say(each)
 
     def _on_heard(self, process: Beside, vehicle: str, heard: Reception) -> None:

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.clock import SECOND_NS
-from cosim.types import Array, Traffic
-from netsim.bridge.door import BROADCAST
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Array, Traffic
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -2,16 +2,16 @@
 
 from collections.abc import Sequence
 
-from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.record.inputs import Input
-from cosim.types import Datagrams
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.recording.external_inputs import Input
+from vcmvsp.cosim.types import Datagrams
 
 
 class BridgePlayback:
     """The federate ``bridge`` out of the inputs of a run; what it would deliver, nobody takes.
 
     Args:
-        inputs: what `cosim.record.inputs.read_inputs` gives; all but datagrams are left out.
+        inputs: what `cosim.recording.external_inputs.read_inputs` gives; all but datagrams are left out.
     """
 
     name = "bridge"

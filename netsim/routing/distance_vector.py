@@ -14,10 +14,10 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from cosim.clock import seconds_to_ns
-from cosim.rng import stream
-from cosim.types import Period, Seconds
-from netsim.routing.router import HopLimit, Router, Update
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import Period, Seconds
+from vcmvsp.netsim.routing.router import HopLimit, Router, Update
 
 ENTRY_BYTES = 5
 """Of an update: a destination (2), hops to it and whether it was heard itself (1), and its newest number (2)."""

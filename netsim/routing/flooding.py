@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cosim.clock import seconds_to_ns
-from cosim.types import Seconds
-from netsim.routing.router import BROADCAST, HopLimit, Router
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.types import Seconds
+from vcmvsp.netsim.routing.router import BROADCAST, HopLimit, Router
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from cosim.clock import seconds_to_ns
-from cosim.errors import ScenarioError
-from cosim.table import convert, unknown
-from cosim.types import Seconds
-from netsim.routing.router import HopLimit, Router
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.config.binding import convert, unknown
+from vcmvsp.cosim.types import Seconds
+from vcmvsp.netsim.routing.router import HopLimit, Router
 
 
 @dataclass(frozen=True)

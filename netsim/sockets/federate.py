@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 
-from cosim.federate import Event, RunInfo, Slot, Step
-from cosim.scenario_tables import SocketsTable
-from cosim.sockets_wire import ROOM
-from cosim.types import Message, Note, Reception, VehicleState
-from cosim.waiting import readable
-from netsim.sockets.joining import Gathering, Listener, check_endpoint
-from netsim.sockets.program import Left, Program
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.scenario.schema import SocketsTable
+from vcmvsp.cosim.sockets.messages import ROOM
+from vcmvsp.cosim.types import Message, Note, Reception, VehicleState
+from vcmvsp.cosim.util.polling import readable
+from vcmvsp.netsim.sockets.admission import Gathering, Listener, check_endpoint
+from vcmvsp.netsim.sockets.program import Left, Program
 
 LEFT, MISSED = "program", "program_missed"  # what is noted
 

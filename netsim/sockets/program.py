@@ -4,10 +4,10 @@ import contextlib
 import socket
 from collections import deque
 
-from cosim.errors import FederateError
-from cosim.sockets_wire import EACH, ROOM, Go, Over, Send, Stream, Up, Wait, WireError, up
-from cosim.text import plain
-from cosim.types import Message, Vec3
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.sockets.messages import EACH, ROOM, Go, Over, Send, Stream, Up, Wait, WireError, up
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.types import Message, Vec3
 
 MOST_CALLS = 100_000  # datagrams that it may send without letting time go on
 MOST_BYTES = 1 << 26  # of them

@@ -7,13 +7,13 @@ from typing import Any
 
 import msgspec
 
-from cosim import registry, table
-from cosim.errors import ScenarioError
-from cosim.source import Source
-from cosim.types import NonNegative
-from physics.importers.reading import require_file, text_of
-from physics.world import Light, Wind, World
-from physics.worlds.listed import Empty
+from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.types import NonNegative
+from vcmvsp.physics.importers.file_access import require_file, text_of
+from vcmvsp.physics.world.world import Light, Wind, World
+from vcmvsp.physics.worlds.boxes import Empty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class File:
         except tomllib.TOMLDecodeError as error:
             raise ScenarioError(f"is not TOML: {error}", source=str(path)) from error
         source = Source(str(path), path.parent, text)
-        listed = table.call(Empty, content, origin=source)
+        listed = binding.call(Empty, content, origin=source)
         return beside(path.parent, listed), source
 
     def build(self) -> World:

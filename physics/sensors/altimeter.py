@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.types import Measured, Rate
-from physics.noise import Errors, Noise
-from physics.scene import Scene
-from physics.sensor import Sensor
+from vcmvsp.cosim.types import Measured, Rate
+from vcmvsp.physics.sensors.noise import Errors, Noise
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.sensor import Sensor
 
 _BAROMETER = Noise(sigma=0.1, drift_sd=0.5, drift_time_s=600.0)  # assumed
 

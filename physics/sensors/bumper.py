@@ -7,9 +7,9 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from cosim.types import Measured, Vec3
-from physics.scene import Scene
-from physics.sensor import Sensor
+from vcmvsp.cosim.types import Measured, Vec3
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.sensor import Sensor
 
 _FLOOR_M = 0.01  # what touches the world below this height touches the floor
 

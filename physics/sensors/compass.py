@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.frames import wrap, yaw_of
-from cosim.types import Measured
-from physics.noise import Errors, Noise
-from physics.scene import Scene
-from physics.sensor import Sensor
+from vcmvsp.cosim.frames import wrap, yaw_of
+from vcmvsp.cosim.types import Measured
+from vcmvsp.physics.sensors.noise import Errors, Noise
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.sensor import Sensor
 
 _MAGNETIC = Noise(sigma=0.02, bias_sd=0.05)  # assumed
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.types import Fix, NonNegative, Positive, Probability, Rate, Seconds, Vec3
-from physics.noise import Errors, Noise, jump
-from physics.scene import Scene
-from physics.sensor import Sensor
-from physics.sensors.common import mounted
+from vcmvsp.cosim.types import Fix, NonNegative, Positive, Probability, Rate, Seconds, Vec3
+from vcmvsp.physics.sensors.noise import Errors, Noise, jump
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.sensors.mounting import mounted
 
 
 @dataclass(kw_only=True)
@@ -17,7 +17,7 @@ class Gps(Sensor):
     """Position of an antenna, without heading.
 
     Each coordinate errs by a Gauss-Markov process (satellite geometry, ionosphere, slow multipath) and by white noise (see
-    `physics.noise`). The defaults are those of a low-cost receiver without correction: 2.5 m within which half of the fixes
+    `physics.sensors.noise`). The defaults are those of a low-cost receiver without correction: 2.5 m within which half of the fixes
     lie (u-blox NEO-M8 data sheet) is 2.1 m in each horizontal coordinate, nearly all of it slow; heights err about 1.5 times
     as much. A fix tells the standard deviation of both errors together.
     """

@@ -1,13 +1,13 @@
-"""The positioning system of `physics.positioning`, as a sensor among the others: a fix with a heading."""
+"""The positioning system of `physics.sensors.positioning_system`, as a sensor among the others: a fix with a heading."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.types import Fix, NonNegative, Probability, VehicleState
-from physics.positioning import Positioning
-from physics.scene import Scene
-from physics.sensor import Sensor
+from vcmvsp.cosim.types import Fix, NonNegative, Probability, VehicleState
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.sensor import Sensor
 
 
 @dataclass(kw_only=True)

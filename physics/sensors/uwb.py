@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.types import Array, Fix, NonNegative, Positive, Probability, Vec3
-from physics.clearance import Clearance, Near
-from physics.noise import jump
-from physics.scene import Scene
-from physics.sensor import Sensor
-from physics.sensors.common import mounted, sightline
-from physics.world import World, made_once
+from vcmvsp.cosim.types import Array, Fix, NonNegative, Positive, Probability, Vec3
+from vcmvsp.physics.world.clearance import Clearance, Near
+from vcmvsp.physics.sensors.noise import jump
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.sensors.mounting import mounted, sightline
+from vcmvsp.physics.world.world import World, made_once
 
 _TINY_M = 1e-6  # stands for no error at all where errors are compared
 

@@ -6,12 +6,12 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.errors import ScenarioError
-from cosim.types import Array, Positive
-from physics.polygons import overlap_m
-from physics.solids import Prism
-from physics.world import World
-from physics.worlds.surroundings import Surroundings
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Array, Positive
+from vcmvsp.physics.world.polygons import overlap_m
+from vcmvsp.physics.world.solids import Prism
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds.surroundings import Surroundings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import msgspec
 
-from cosim.errors import ScenarioError
-from cosim.types import Positive
-from physics.solids import Box, Color
-from physics.world import World
-from physics.worlds.surroundings import Surroundings
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Positive
+from vcmvsp.physics.world.solids import Box, Color
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds.surroundings import Surroundings
 
 _COLORS: tuple[Color, Color] = ((208, 72, 56), (56, 104, 184))  # of the walls on the left and on the right
 

@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from cosim.errors import ScenarioError
-from cosim.types import Positive
-from physics.ground import Ground, Mark
-from physics.solids import Box, Color, Point2
-from physics.world import World
-from physics.worlds.surroundings import Surroundings
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Positive
+from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.solids import Box, Color, Point2
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds.surroundings import Surroundings
 
 LENGTH, WIDTH, HEIGHT = 16.4, 9.5, 2.6  # inside, m
 PATROL: tuple[Point2, ...] = ((-7.5, -4.05), (7.5, -4.05), (7.5, 4.05), (-7.5, 4.05))

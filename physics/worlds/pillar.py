@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from cosim.types import Positive
-from physics.solids import Box, Cylinder, Point2, Solid
-from physics.world import World
-from physics.worlds.surroundings import Surroundings
+from vcmvsp.cosim.types import Positive
+from vcmvsp.physics.world.solids import Box, Cylinder, Point2, Solid
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds.surroundings import Surroundings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,12 +8,12 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from cosim.rng import stream
-from cosim.types import Seed
-from physics.ground import Ground, Mark
-from physics.solids import Box, Color, Cylinder, Point2
-from physics.world import World
-from physics.worlds.surroundings import Surroundings, rectangle_points
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import Seed
+from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.solids import Box, Color, Cylinder, Point2
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
 
 LENGTH, WIDTH = 300.0, 250.0  # east-west, north-south, m
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import msgspec
 
-from cosim.errors import ScenarioError
-from cosim.types import NonNegative
-from physics.ground import Ground, Mark, around, read_picture
-from physics.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
-from physics.targets import Target, names, placed
-from physics.world import Light, Movable, Moving, Wind, World, Zone
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import NonNegative
+from vcmvsp.physics.world.floor import Ground, Mark, around, read_picture
+from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
+from vcmvsp.physics.world.targets import Target, names, placed
+from vcmvsp.physics.world.world import Light, Movable, Moving, Wind, World, Zone
 
 Bounds = tuple[float, float, float, float]
 

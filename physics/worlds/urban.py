@@ -8,14 +8,14 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from cosim.errors import ScenarioError
-from cosim.rng import stream
-from cosim.types import NonNegative, Positive, Probability, Seed
-from physics.ground import MOST_PIXELS, Ground, Mark
-from physics.solids import Box, Color, Point2
-from physics.targets import PlacedTarget, Target, placed
-from physics.world import World
-from physics.worlds.surroundings import Surroundings, rectangle_points
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import NonNegative, Positive, Probability, Seed
+from vcmvsp.physics.world.floor import MOST_PIXELS, Ground, Mark
+from vcmvsp.physics.world.solids import Box, Color, Point2
+from vcmvsp.physics.world.targets import PlacedTarget, Target, placed
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
 
 _ASPHALT: Color = (92, 94, 98)
 _PAVED: Color = (172, 168, 160)

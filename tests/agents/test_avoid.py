@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim
-from agents.avoidance import PotentialField
-from agents.avoidance.avoid import Avoid
-from cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
-from cosim.errors import ScenarioError
-from cosim.frames import quaternion_from_yaw
-from cosim.types import Follows, Scan, VehicleState, Velocity, Waypoint
+from vcmvsp import cosim
+from vcmvsp.agents.avoidance import PotentialField
+from vcmvsp.agents.avoid import Avoid
+from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.types import Follows, Scan, VehicleState, Velocity, Waypoint
 
 HERE = "tests.agents.test_avoid"
 PUSHLESS: Any = {"gain": 1e-9, "tang": 0.0}  # a field that leads nowhere: what is left is the limits
-KIND = "agents.avoidance.avoid:Avoid"
+KIND = "vcmvsp.agents.avoid:Avoid"
 FREE = (math.inf,) * 32
 NEAR = (0.8, *FREE[1:])
 WHEELS, WINGS = Body(width_m=0.4, radius_m=0.25), Body(width_m=0.5, radius_m=0.25, flies=True)
@@ -183,7 +183,7 @@ def test_errors_name_the_key(agent: dict[str, Any], key: str, words: str) -> Non
 
 def test_a_task_may_be_in_a_file_beside_the_scenario(tmp_path: Any) -> None:
     (tmp_path / "mine.py").write_text(
-        "from cosim import Agent, Velocity\n\n\nclass Mine(Agent):\n"
+        "from vcmvsp.cosim import Agent, Velocity\n\n\nclass Mine(Agent):\n"
         "    def act(self, obs, radio):\n        return Velocity(linear=(0.25, 0.0, 0.0))\n"
     )
     path = tmp_path / "mine.toml"

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-import cosim
+from vcmvsp import cosim
 
 LOOP = [[4.0, 0.0, 0.0], [4.0, 4.0, 0.0]]
 

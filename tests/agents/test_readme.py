@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-import agents
-import cosim
+from vcmvsp import agents
+from vcmvsp import cosim
 
 README = (Path(agents.__path__[0]) / "README.md").read_text(encoding="utf-8")
 

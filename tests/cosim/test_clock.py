@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
+from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
 
 PERIODS_NS = st.fractions(min_value=1, max_value=10**11, max_denominator=10**6)
 TICKS = PERIODS_NS.map(lambda period: Ticks(period.numerator, period.denominator))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.clock import LISTEN_NS, SECOND_NS, Clock, LiveClock
+from vcmvsp.cosim.clock import LISTEN_NS, SECOND_NS, Clock, LiveClock
 
 
 class Watched:

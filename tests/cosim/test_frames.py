@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from cosim.frames import arc, product, quaternion_from_yaw, rotate2, wrap, yaw_of
+from vcmvsp.cosim.frames import arc, product, quaternion_from_yaw, rotate2, wrap, yaw_of
 
 ANGLES = st.floats(-100.0, 100.0)
 SPEEDS = st.floats(-5.0, 5.0)

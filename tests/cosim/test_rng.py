@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.rng import key64, link_uniform, philox4x32, stream
+from vcmvsp.cosim.rng import key64, link_uniform, philox4x32, stream
 
 # Known-answer vectors of the reference implementation (Random123, tests/kat_vectors, "philox4x32 10").
 KNOWN_ANSWERS = [

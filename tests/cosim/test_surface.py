@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-import cosim
+from vcmvsp import cosim
 
 PUBLIC = {
     "run": "api",
@@ -61,7 +61,7 @@ def test_another_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'cosim' has no attribute 'Agnet'"):
         _ = cosim.Agnet
     with pytest.raises(ImportError, match="Agnet"):
-        exec("from cosim import Agnet", {})
+        exec("from vcmvsp.cosim import Agnet", {})
 
 
 def modules_after(code: str) -> set[str]:
@@ -71,18 +71,18 @@ def modules_after(code: str) -> set[str]:
     return {name.partition(".")[0] for name in done.stderr.split()}
 
 
-@pytest.mark.parametrize("code", ["import cosim", "import cosim.cli", "from cosim import ScenarioError"])
+@pytest.mark.parametrize("code", ["from vcmvsp import cosim", "import cosim.cli", "from vcmvsp.cosim import ScenarioError"])
 def test_the_core_and_its_command_line_load_nothing_heavy(code: str) -> None:
     assert not modules_after(code) & HEAVY
 
 
 def test_help_loads_nothing_heavy() -> None:
-    code = "from cosim.cli import main\ntry:\n    main(['run', '--help'])\nexcept SystemExit:\n    pass"
+    code = "from vcmvsp.cosim.cli.app import main\ntry:\n    main(['run', '--help'])\nexcept SystemExit:\n    pass"
     assert not modules_after(code) & HEAVY
 
 
 def test_an_author_of_agents_needs_numpy_alone() -> None:
-    code = "from cosim import Agent, Observation, Radio, Velocity, arc, wrap"
+    code = "from vcmvsp.cosim import Agent, Observation, Radio, Velocity, arc, wrap"
     assert modules_after(code) & (HEAVY | {"physics", "netsim", "agents", "hardware"}) == {"numpy"}
 
 
@@ -92,7 +92,7 @@ def test_the_shipped_agents_load_no_other_part() -> None:
 
 
 def test_every_error_has_its_exit_code() -> None:
-    from cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
+    from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
 
     errors: dict[type[VcmvspError], int] = {
         VcmvspError: 1,

@@ -6,24 +6,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.formation.leader_follower import LeaderFollower
-from agents.formation.trajectory import Trajectory
-from cosim.agent import Agent, Observation, Radio
-from cosim.clock import Ticks
-from cosim.federate import Event, Federate, Instants, RunInfo, Slot, Step
-from cosim.rng import stream
-from cosim.testing import check_agent, check_channel, check_federate
-from cosim.types import Message, Note, States, Velocity, frozen
-from netsim.channel import Channel
-from netsim.delay import FixedDelay, NoDelay
-from netsim.federate import RadioFederate
-from netsim.loss import Bernoulli, NoLoss
-from netsim.phy import ConstantRate, Dsss, Ieee802154
-from netsim.propagation import LogDistance, NoPathLoss
-from physics.federate import BulletPhysics, KinematicPhysics
-from physics.positioning import Positioning
-from physics.vehicles import P2DX, VehicleSpec
-from physics.world import World
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
+from vcmvsp.cosim.agent import Agent, Observation, Radio
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.federate import Event, Federate, Instants, RunInfo, Slot, Step
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.testing import check_agent, check_channel, check_federate
+from vcmvsp.cosim.types import Message, Note, States, Velocity, frozen
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
+from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
+from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
+from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.world.world import World
 
 RUN = RunInfo(scenario="check", seed=1, duration_ns=10**9, vehicles=("car1", "car2"), instants=(Instants(Ticks.every(0.1)),))
 

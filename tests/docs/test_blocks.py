@@ -11,18 +11,18 @@ from typing import Any
 
 import pytest
 
-import cosim
-from cosim.federate import RunInfo
-from tests.cosim.command import vcmvsp
-from tests.docs.accounts import SHOWN
-from tests.docs.pages import CODE, INDENTED, ROOT, Block
-from tests.docs.pages import block as block_of
-from tests.docs.stories import KEEP_GAP
-from tests.netsim.bridge_runs import Standing
+from vcmvsp import cosim
+from vcmvsp.cosim.federate import RunInfo
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.docs.readme_coverage import SHOWN
+from tests.support.docs.readme_pages import CODE, INDENTED, ROOT, Block
+from tests.support.docs.readme_pages import block as block_of
+from tests.support.docs.readme_sessions import KEEP_GAP
+from tests.support.netsim.bridge_runs import Standing
 
 DO = (
-    "A block in a README that is neither a scenario nor for a shell is used by a test, as `tests.docs.pages.block` gives it."
-    " Name that test in SHOWN in tests/docs/accounts.py, or say there why there can be none."
+    "A block in a README that is neither a scenario nor for a shell is used by a test, as `tests.support.docs.readme_pages.block` gives it."
+    " Name that test in SHOWN in tests/support/docs/readme_coverage.py, or say there why there can be none."
 )
 CARS = """
 [[vehicle]]

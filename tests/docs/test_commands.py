@@ -9,19 +9,29 @@ from pathlib import Path
 
 import pytest
 
-from cosim import scenario
-from tests.cosim.command import vcmvsp
-from tests.docs.accounts import ELSEWHERE, SHOWN, UNRUN
-from tests.docs.pages import COMMANDS, MENTIONS, PAGES, ROOT, Command, blocks_of, commands_in, program_of, words_of
-from tests.docs.parsing import mentioned, ours, understood
-from tests.docs.stories import STORIES, Step, Story
-from tests.gallery import section
+from vcmvsp.cosim.scenario import loader
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.docs.readme_coverage import ELSEWHERE, SHOWN, UNRUN
+from tests.support.docs.readme_pages import (
+    COMMANDS,
+    MENTIONS,
+    PAGES,
+    ROOT,
+    Command,
+    blocks_of,
+    commands_in,
+    program_of,
+    words_of,
+)
+from tests.support.docs.readme_commands import mentioned, ours, understood
+from tests.support.docs.readme_sessions import STORIES, Step, Story
+from tests.support.docs.gallery import section
 
 STEPS = {step.command for story in STORIES for step in story.steps}
 KNOWN = [each for each in COMMANDS if program_of(words_of(each.text)) in {"vcmvsp", "make"}]
 DO = (
-    "A command in a README is run by a test. Make it a `Step` of a story in tests/docs/stories.py; or, if a test runs it"
-    " already, name that in ELSEWHERE, or, if it cannot be run here, say why in UNRUN, both in tests/docs/accounts.py."
+    "A command in a README is run by a test. Make it a `Step` of a story in tests/support/docs/readme_sessions.py; or, if a test runs it"
+    " already, name that in ELSEWHERE, or, if it cannot be run here, say why in UNRUN, both in tests/support/docs/readme_coverage.py."
 )
 
 
@@ -35,11 +45,11 @@ def defined_in(file: str) -> set[str]:
 
 def changes() -> list[tuple[str, list[str]]]:
     """Scenarios, and what the gallery says that one may set in them, or a sentence that one may vary."""
-    said = [(name, shlex.split(span)) for name in scenario.names() for span in re.findall(r"`(--set [^`]+)`", section(name))]
+    said = [(name, shlex.split(span)) for name in loader.names() for span in re.findall(r"`(--set [^`]+)`", section(name))]
     for mention in MENTIONS:
         words = words_of(mention.partition(": ")[2])
         for option, value in pairwise(words):
-            if option in {"--set", "--vary"} and words[2] in scenario.names():
+            if option in {"--set", "--vary"} and words[2] in loader.names():
                 said.append((words[2], ["--set", value.partition(",")[0]]))
     return said
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from tests.cosim.command import vcmvsp
-from tests.cosim.hosting import Stage, ended
-from tests.docs.pages import block, command, words_of
-from tests.docs.stories import BRIEF
-from tests.netsim.bridging import free_ports
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import Stage, ended
+from tests.support.docs.readme_pages import block, command, words_of
+from tests.support.docs.readme_sessions import BRIEF
+from tests.support.netsim.gateway_context import free_ports
 
 PAGE = "netsim/bridge/README.md"
 TWO = """

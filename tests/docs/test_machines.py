@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-import cosim
-from tests.cosim.command import contents, vcmvsp
-from tests.cosim.hosting import UNDRAWN, VCMVSP, Stage, ended
-from tests.docs.pages import block, command
-from tests.docs.stories import BRIEF, KEEP_GAP
+from vcmvsp import cosim
+from tests.support.cosim.command_line import contents, vcmvsp
+from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended
+from tests.support.docs.readme_pages import block, command
+from tests.support.docs.readme_sessions import BRIEF, KEEP_GAP
 
 HOSTS = """
 connect = "tls/127.0.0.1:{port}"

@@ -13,19 +13,19 @@ import msgspec
 import numpy as np
 import pytest
 
-import cosim
-from cosim import api
-from cosim.clock import SECOND_NS, Ticks
-from cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
-from cosim.federate import Event, Instants, RunInfo
-from cosim.real import RealVehicle
-from cosim.scenario_tables import SafetyTable
-from cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
-from hardware.connecting import mission
-from hardware.driver import Notice
-from hardware.federate import HEARTBEAT, KNOWN_S, Hardware
-from hardware.station.process import StationError
-from hardware.station.wire import OPERATOR_STOP, Order, Report
+from vcmvsp import cosim
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
+from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
+from vcmvsp.cosim.scenario.schema import SafetyTable
+from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
+from vcmvsp.hardware.stations import mission
+from vcmvsp.hardware.drivers.base import Notice
+from vcmvsp.hardware.federate import HEARTBEAT, KNOWN_S, Hardware
+from vcmvsp.hardware.station.process_client import StationError
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
 
 TENTH = SECOND_NS // 10
 SAFETY = msgspec.convert(
@@ -305,7 +305,7 @@ def test_real_vehicles_keep_to_the_wall_clock() -> None:
 
 SLOW = """
 import time
-from cosim import Agent
+from vcmvsp.cosim import Agent
 class Slow(Agent):
     def act(self, obs, radio):
         time.sleep(0.0 if obs.time_ns else 0.25)
@@ -367,7 +367,7 @@ def status(t: float, **more: Any) -> tuple[int, RealStatus]:
 
 
 def test_metrics_of_a_real_vehicle_by_hand() -> None:
-    from cosim.record.metrics import Receptions, hardware_metrics
+    from vcmvsp.cosim.metrics import Receptions, hardware_metrics
 
     got = Receptions(
         receivers=("car2",),

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.errors import UsageError
-from cosim.federate import Event, RunInfo, Slot
-from cosim.frames import quaternion_from_yaw, wrap, yaw_of
-from cosim.kernel import Kernel
-from cosim.record.inputs import Input
-from cosim.types import AnyValue, Fix, Note, Odometry, VehicleState
-from hardware.playback import Playback
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.federate import Event, RunInfo, Slot
+from vcmvsp.cosim.frames import quaternion_from_yaw, wrap, yaw_of
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.recording.external_inputs import Input
+from vcmvsp.cosim.types import AnyValue, Fix, Note, Odometry, VehicleState
+from vcmvsp.hardware.playback import Playback
 
 MS = 1_000_000
 V, W = 0.5, 0.4  # m/s, rad/s

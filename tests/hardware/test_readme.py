@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-import hardware
-from tests.hardware.drivers import rest
+from vcmvsp import hardware
+from tests.support.hardware.driver_runs import rest
 
 
 @pytest.mark.usefixtures("steady")

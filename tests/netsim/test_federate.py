@@ -4,13 +4,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from cosim.clock import SECOND_NS
-from cosim.federate import Event, Federate, RunInfo, Slot, Step
-from cosim.types import FrameReport, Message, Reception, States
-from netsim import dcf_core
-from netsim.channel import Channel
-from netsim.federate import RadioFederate
-from tests.netsim.helpers import make_channel
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
+from vcmvsp.cosim.types import FrameReport, Message, Reception, States
+from vcmvsp.netsim.mac.dcf import events
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.federate import RadioFederate
+from tests.support.netsim.channels import make_channel
 
 MS = 1_000_000
 NAMES = ("a", "b", "c")
@@ -125,11 +125,11 @@ def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
 
     def load(*core: object) -> Callable[..., int]:
         told()
-        return dcf_core.run
+        return events.run
 
-    patch.setattr("netsim.dcf_medium.available", lambda: True)
-    patch.setattr("netsim.dcf_medium.loaded", lambda *_: False)
-    patch.setattr("netsim.dcf_medium.Compiled", load)
+    patch.setattr("vcmvsp.netsim.mac.dcf.medium.available", lambda: True)
+    patch.setattr("vcmvsp.netsim.mac.dcf.medium.loaded", lambda *_: False)
+    patch.setattr("vcmvsp.netsim.mac.dcf.medium.Compiled", load)
 
 
 @pytest.mark.parametrize("programs", [False, True])
@@ -139,8 +139,8 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
     """It would hold up everybody for a second; with what is known beforehand, the frames fare the same."""
     compiled: list[int] = []
     code_is_had(monkeypatch, lambda: compiled.append(1))
-    monkeypatch.setattr("netsim.dcf_medium.COMPILE_AFTER", 10)
-    monkeypatch.setattr("netsim.dcf_medium.LOAD_AFTER", 10)
+    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.COMPILE_AFTER", 10)
+    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.LOAD_AFTER", 10)
 
     def fates(*, paced: bool) -> list[tuple[str, ...]]:
         radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
@@ -167,8 +167,8 @@ def test_what_compiled_code_pays_for_is_seen_from_how_soon_the_first_frames_come
     loaded_at: list[int] = []
     fates: list[list[tuple[str, ...]]] = []
     code_is_had(monkeypatch, lambda: loaded_at.append(len(fates[-1])))
-    monkeypatch.setattr("netsim.dcf_medium.at_hand", lambda *_: True)
-    monkeypatch.setattr("netsim.federate.TELLING", 5)
+    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.at_hand", lambda *_: True)
+    monkeypatch.setattr("vcmvsp.netsim.federate.TELLING", 5)
     for duration_s in (seconds, 1):
         radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
         radio.start(msgspec.structs.replace(RUN, duration_ns=duration_s * SECOND_NS))

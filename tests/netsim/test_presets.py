@@ -1,16 +1,16 @@
 import pytest
 
-from cosim import registered
-from cosim.errors import ScenarioError
-from netsim.presets import LAYERS, PRESETS, preset
-from tests.netsim.helpers import make_channel, send
+from vcmvsp.cosim.config import builtin_kinds
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.presets import LAYERS, PRESETS, preset
+from tests.support.netsim.channels import make_channel, send
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_sets_every_layer_and_delivers_to_a_neighbour(name: str) -> None:
     layers = preset(name)
     assert tuple(layers) == LAYERS
-    assert all(layers[layer]["kind"] in registered.KINDS[layer] for layer in LAYERS)
+    assert all(layers[layer]["kind"] in builtin_kinds.KINDS[layer] for layer in LAYERS)
     assert send(make_channel(name), 5.0).outcome == ("received",)
 
 

@@ -7,22 +7,23 @@ from typing import Any
 
 import pytest
 
-import netsim
-from cosim import radio, registry, table
-from cosim.source import Source
-from cosim.testing import check_channel
-from netsim.budget import Hearing
-from netsim.burst import GilbertElliott
-from netsim.channel import Channel
-from netsim.delay import NoDelay
-from netsim.delivery import Delivery
-from netsim.loss import Bernoulli
-from netsim.operated import Outages
-from netsim.outcome import UNDER_WAY, Outcomes
-from netsim.phy import Dsss
-from netsim.script import Script
-from netsim.trace import Trace
-from tests.netsim.helpers import send
+from vcmvsp import netsim
+from vcmvsp.cosim.assembly import radio
+from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.testing import check_channel
+from vcmvsp.netsim.channel.link_budget import Hearing
+from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.impairments.delay import NoDelay
+from vcmvsp.netsim.impairments.delivery import Delivery
+from vcmvsp.netsim.impairments.loss import Bernoulli
+from vcmvsp.netsim.channel.runtime_changes import Outages
+from vcmvsp.netsim.channel.reception import UNDER_WAY, Outcomes
+from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.impairments.script import Script
+from vcmvsp.netsim.impairments.trace import Trace
+from tests.support.netsim.channels import send
 
 HOME = Path(netsim.__path__[0])
 README = (HOME / "README.md").read_text(encoding="utf-8")
@@ -57,7 +58,7 @@ def test_the_lines_of_a_scenario() -> None:
         "delivery": "delivery",
     }
     for vehicle in scenario["vehicle"]:
-        table.call(registry.piece("vehicle radio"), vehicle["radio"])
+        binding.call(registry.piece("vehicle radio"), vehicle["radio"])
 
 
 def test_every_outcome_is_explained(tmp_path: Path) -> None:

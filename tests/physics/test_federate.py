@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.clock import SECOND_NS, Ticks, seconds_to_ns
-from cosim.errors import FederateError, ScenarioError
-from cosim.federate import Event, Federate, Instants, RunInfo, Slot
-from cosim.frames import arc
-from cosim.rng import stream
-from cosim.types import Velocity
-from physics.federate import BulletPhysics, KinematicPhysics, Physics
-from physics.positioning import Positioning
-from physics.quadrotor import Quadrotor
-from physics.scene import Hull
-from physics.sensors.odometry import WheelOdometry
-from physics.solids import Box
-from physics.vehicles import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
-from physics.world import Movable, Moving, World
-from tests.responses import settling_s
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.federate import Event, Federate, Instants, RunInfo, Slot
+from vcmvsp.cosim.frames import arc
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
+from vcmvsp.physics.world.world import Movable, Moving, World
+from tests.support.step_responses import settling_s
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
@@ -339,15 +339,15 @@ def test_momentum_delays_settling(kind: type[Physics], model: GroundVehicle, exp
 
 QUIET = """
 import sys
-from cosim.clock import Ticks
-from cosim.federate import Instants, RunInfo
+from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.federate import Instants, RunInfo
 from physics.federate import {kind}
-from physics.vehicles import P2DX, VehicleSpec
-from physics.quadrotor import Quadrotor
-from physics.scene import Hull
-from physics.sensors.odometry import WheelOdometry
-from physics.solids import Box
-from physics.world import World
+from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.world import World
 world = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))
 physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX())])
 physics.start(RunInfo(scenario="test", seed=1, duration_ns=10**9, vehicles=("car",), instants=(Instants(Ticks.every(0.1)),)))

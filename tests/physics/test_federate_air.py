@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.clock import SECOND_NS, Ticks
-from cosim.errors import FederateError, ScenarioError
-from cosim.federate import Event, Instants, RunInfo
-from cosim.types import Contact, Vec3, Velocity, Waypoint
-from physics.federate import BulletPhysics, KinematicPhysics, Physics
-from physics.positioning import Positioning
-from physics.quadrotor import Quadrotor
-from physics.solids import Box
-from physics.vehicles import P2DX, Kinematic, Point, Vehicle, VehicleSpec
-from physics.world import Movable, Moving, Wind, World
-from tests.physics.stepping import stepped
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Vehicle, VehicleSpec
+from vcmvsp.physics.world.world import Movable, Moving, Wind, World
+from tests.support.physics.physics_stepper import stepped
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])

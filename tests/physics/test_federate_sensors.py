@@ -7,19 +7,19 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cosim.clock import SECOND_NS, Ticks
-from cosim.errors import ScenarioError
-from cosim.federate import Event, Instants, RunInfo
-from cosim.types import Measured, Velocity
-from physics.federate import BulletPhysics, KinematicPhysics, Physics
-from physics.positioning import Positioning
-from physics.quadrotor import Quadrotor
-from physics.scene import Scene
-from physics.sensor import Sensor
-from physics.sensors.bumper import Bumper
-from physics.solids import Box, Cylinder
-from physics.vehicles import P2DX, Point, VehicleSpec
-from physics.world import Movable, Moving, World
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.types import Measured, Velocity
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.sensors.bumper import Bumper
+from vcmvsp.physics.world.solids import Box, Cylinder
+from vcmvsp.physics.vehicles.models import P2DX, Point, VehicleSpec
+from vcmvsp.physics.world.world import Movable, Moving, World
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 FIFTH = (Instants(Ticks.every(0.2)),)

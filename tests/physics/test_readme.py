@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-import cosim
-import physics
-from cosim import api, registered
-from cosim.worlds import world_of
-from physics.solids import Cylinder
+from vcmvsp import cosim
+from vcmvsp import physics
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.config import builtin_kinds
+from vcmvsp.cosim.assembly.worlds import world_of
+from vcmvsp.physics.world.solids import Cylinder
 
 README = (Path(physics.__path__[0]) / "README.md").read_text(encoding="utf-8")
 BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", README, re.DOTALL)
@@ -76,7 +77,7 @@ def test_every_file_and_kind_that_is_named_is_there() -> None:
     for path in re.findall(r"[\w/]+\.py\b|\b\w+/(?=[\s;,:])", block("", "federate.py ")):
         assert (home / path).exists(), path
     for group in ("vehicle", "sensor"):
-        for kind in registered.KINDS[group]:
+        for kind in builtin_kinds.KINDS[group]:
             assert f"`{kind}`" in README, kind
     for target in re.findall(r"\]\(([^)#h][^)#]*)", README):
         assert (home / target).exists(), target

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-import cosim
-from cosim import scenario
-from cosim.api import check
+from vcmvsp import cosim
+from vcmvsp.cosim.scenario import loader
+from vcmvsp.cosim.runs.api import check
 
-STUDIES = [name for name in scenario.names() if name.startswith("study-")]
+STUDIES = [name for name in loader.names() if name.startswith("study-")]
 T = 0.1  # s, between messages
 LOSS, DELAY, BURST, WHO = "radio.loss.probability", "radio.delay.seconds", "radio.loss.mean_burst_s", "agents.estimator"
 
@@ -32,7 +32,7 @@ def rms(name: str, point: dict[str, Any], seeds: int = 1) -> float:
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middle_of_it(name: str) -> None:
-    study = scenario.load(name)[0].study
+    study = loader.load(name)[0].study
     assert study.metrics[0] == ("safety.min_clearance_m" if name == "study-avoidance" else "formation.rms_m")
     for point in itertools.product(*((values[0], values[-1]) for values in study.vary.values())):
         check(name, set=dict(zip(study.vary, point, strict=True)))

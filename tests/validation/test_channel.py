@@ -5,8 +5,18 @@ import math
 import numpy as np
 import pytest
 
-import cosim
-from tests.validation.fleet import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, errors, fleet, lossy
+from vcmvsp import cosim
+from tests.support.validation.fleets import (
+    K1,
+    LEFT_BEHIND,
+    NEVER_LOST,
+    RIGHT_BEHIND,
+    T,
+    V,
+    errors,
+    fleet,
+    lossy,
+)
 
 FOLLOWERS = 30
 FROM_S = 20.0

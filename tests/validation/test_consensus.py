@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim
-from agents.formation.consensus import Graph, neighbours_of
-from tests.responses import growth, root
-from tests.validation.fleet import Floats, Table, lossy, poses
+from vcmvsp import cosim
+from vcmvsp.agents.formation.followers.consensus import Graph, neighbours_of
+from tests.support.step_responses import growth, root
+from tests.support.validation.fleets import Floats, Table, lossy, poses
 
 KIND = "consensus"
 SMALL = 1e-3  # m: growth is followed over many powers of ten before the vehicles' greatest speed ends it

@@ -22,13 +22,13 @@ import pytest
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-import cosim
-from cosim.figures import lossy as plain
-from cosim.figures.delay import DELAYS_S
-from cosim.figures.delay import REFERENCE as DELAY
-from cosim.figures.scenarios import AHEAD, LEFT_BEHIND, RIGHT_BEHIND, T
-from tests.responses import Floats
-from tests.validation.fleet import LEFT, errors, fleet, lossy
+from vcmvsp import cosim
+from vcmvsp.cosim.reproduction.figures.formation import loss_integration as plain
+from vcmvsp.cosim.reproduction.figures.formation.delay import DELAYS_S
+from vcmvsp.cosim.reproduction.figures.formation.delay import REFERENCE as DELAY
+from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, LEFT_BEHIND, RIGHT_BEHIND, T
+from tests.support.step_responses import Floats
+from tests.support.validation.fleets import LEFT, errors, fleet, lossy
 
 ALL, BOTH, PATHS = ("hold", "dr", "acc", "plan"), ("hold", "dr"), ("slalom", "random")
 TICKS, FROM = 1201, 200  # of a run, and those that do not count

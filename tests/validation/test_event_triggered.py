@@ -11,8 +11,8 @@ import functools
 import numpy as np
 import pytest
 
-import cosim
-from tests.validation.fleet import LEFT_BEHIND, RIGHT_BEHIND, Floats, errors, fleet, lossy
+from vcmvsp import cosim
+from tests.support.validation.fleets import LEFT_BEHIND, RIGHT_BEHIND, Floats, errors, fleet, lossy
 
 SEEDS = range(1, 5)
 

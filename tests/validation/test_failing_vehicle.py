@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-import cosim
-from tests.validation.fleet import fleet, poses
+from vcmvsp import cosim
+from tests.support.validation.fleets import fleet, poses
 
 DIES_S = 4.0
 

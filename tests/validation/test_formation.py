@@ -5,14 +5,28 @@ import math
 import numpy as np
 import pytest
 
-import cosim
-from agents.formation import LeaderFollower
-from agents.formation.law import Place
-from cosim import theory
-from cosim.agent import Observation, Radio
-from cosim.types import Follows, Velocity
-from tests.responses import overshoot, servo_step, settling_s
-from tests.validation.fleet import AHEAD, K1, LEFT, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, R, T, V, W, errors, fleet, poses
+from vcmvsp import cosim
+from vcmvsp.agents.formation import LeaderFollower
+from vcmvsp.agents.formation.followers.control_law import Place
+from vcmvsp.cosim.analysis import closed_forms
+from vcmvsp.cosim.agent import Observation, Radio
+from vcmvsp.cosim.types import Follows, Velocity
+from tests.support.step_responses import overshoot, servo_step, settling_s
+from tests.support.validation.fleets import (
+    AHEAD,
+    K1,
+    LEFT,
+    LEFT_BEHIND,
+    NEVER_LOST,
+    RIGHT_BEHIND,
+    R,
+    T,
+    V,
+    W,
+    errors,
+    fleet,
+    poses,
+)
 
 
 def test_the_standard_triangle_on_a_circle() -> None:
@@ -76,7 +90,7 @@ def test_step_response_of_a_servo(k1: float, share: float) -> None:
 
 def settled_s(behind: float, tau: float, accel: float, first_tick: int) -> float:
     """When a follower's z1 stays below 5 cm: plain integration at 1 ms of a servo that acts from ``first_tick`` on."""
-    z = theory.start_up(behind, tau, accel, gain=K1, speed=V, period_s=T, first_tick=first_tick)
+    z = closed_forms.start_up(behind, tau, accel, gain=K1, speed=V, period_s=T, first_tick=first_tick)
     return settling_s(z, T, 0.05)
 
 

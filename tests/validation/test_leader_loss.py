@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-import cosim
-from tests.validation.fleet import lossy, poses
-from tests.validation.teams import COLUMN, link_errors, parents_of, team
+from vcmvsp import cosim
+from tests.support.validation.fleets import lossy, poses
+from tests.support.validation.teams import COLUMN, link_errors, parents_of, team
 
 DIES_S = 40.0
 

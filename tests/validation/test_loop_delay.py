@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
-import cosim
-from tests.responses import growth, overshoot
-from tests.validation.fleet import AHEAD, K1, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
+from vcmvsp import cosim
+from tests.support.step_responses import growth, overshoot
+from tests.support.validation.fleets import AHEAD, K1, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
 
 START = 0.5  # m behind the slot
 FINE = 0.01  # s: a period that is short against the delays

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from cosim.sockets import Socket
-from tests.netsim.socketing import played, scenario
+from vcmvsp.cosim.sockets import Socket
+from tests.support.netsim.socket_programs import played, scenario
 
 TALKER = """
-from cosim import Agent
+from vcmvsp.cosim import Agent
 
 class Talker(Agent):
     def act(self, obs, radio):

@@ -8,12 +8,12 @@ import cv2
 import msgspec
 import numpy as np
 
-import cosim
-from agents.reconnaissance.watch import Watch, Watching
-from cosim import Agent, Observation, Radio, Velocity
-from cosim.frames import wrap
-from cosim.record.metrics import motion
-from cosim.types import Sighting, Vec3
+from vcmvsp import cosim
+from vcmvsp.agents.reconnaissance.watch import Watch, Watching
+from vcmvsp.cosim import Agent, Observation, Radio, Velocity
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.types import Sighting, Vec3
 
 TARGETS = Path(__file__).parents[2] / "scenarios" / "targets"
 SIZE_M = 2.0

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-import cosim
-from cosim import Agent, Observation, Radio
-from cosim.federate import Event
-from cosim.record.columns import names_of, numbers
-from cosim.replay import replay
-from cosim.types import Reception, Routed
+from vcmvsp import cosim
+from vcmvsp.cosim import Agent, Observation, Radio
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.runs.replay import replay
+from vcmvsp.cosim.types import Reception, Routed
 
 TEXT = (Path(cosim.__file__).parent.parent / "scenarios" / "relay-chain.toml").read_text("utf-8")
 SETTINGS: dict[str, Any] = {"duration_s": 24.0, "metrics.from_s": 8.0}

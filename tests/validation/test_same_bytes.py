@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim
-from agents.formation import LeaderFollower, Trajectory
-from cosim.result import Result
-from tests.netsim.bridging import free_ports
-from tests.validation.fleet import files
+from vcmvsp import cosim
+from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from vcmvsp.cosim.runs.result import Result
+from tests.support.netsim.gateway_context import free_ports
+from tests.support.validation.fleets import files
 
 pytestmark = pytest.mark.usefixtures("figures")
 
@@ -32,7 +32,7 @@ NAMES = {
     "report.html",
 }
 SHORT = {"duration_s": 4.0, "metrics.from_s": 2.0}  # three p2dx in Bullet; loss and jitter are on
-COMMAND = [sys.executable, "-m", "cosim.cli"]
+COMMAND = [sys.executable, "-m", "vcmvsp.cosim.cli.app"]
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-import cosim
-from cosim import Agent, Observation, Radio, Scan, Velocity
-from physics.camera import Camera
-from physics.scanner import RangeScanner
-from tests.validation.fleet import files
+from vcmvsp import cosim
+from vcmvsp.cosim import Agent, Observation, Radio, Scan, Velocity
+from vcmvsp.physics.sensors.camera import Camera
+from vcmvsp.physics.sensors.range_scanner import RangeScanner
+from tests.support.validation.fleets import files
 
 ROOM: dict[str, Any] = {
     "name": "room",

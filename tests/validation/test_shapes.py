@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim
-from agents.formation import LeaderFollower, Trajectory
-from tests.agents.loops import drive
-from tests.agents.ways import crosses
-from tests.validation.fleet import T, lossy, poses
-from tests.validation.teams import COLUMN, link_errors, neighbours_only, parents_of, rms_of_links, team
+from vcmvsp import cosim
+from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from tests.support.agents.agent_loop import drive
+from tests.support.agents.straight_paths import crosses
+from tests.support.validation.fleets import T, lossy, poses
+from tests.support.validation.teams import COLUMN, link_errors, neighbours_only, parents_of, rms_of_links, team
 
 SHAPES = ("column", "line", "echelon", "wedge", "box", "diamond")
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim
-from cosim.figures import chain
-from tests.cosim.figuring import RUNNER, made
-from tests.validation.fleet import K1, lossy
-from tests.validation.teams import COLUMN, rms_of_links, swing, team
+from vcmvsp import cosim
+from vcmvsp.cosim.reproduction.figures.formation import chain
+from tests.support.cosim.figures import RUNNER, made
+from tests.support.validation.fleets import K1, lossy
+from tests.support.validation.teams import COLUMN, rms_of_links, swing, team
 
 OMEGA, TAU, DELAY_S, STEP_S = 0.8, 0.5, 0.3, 0.01  # rad/s, s, s, s
 SURGING = {"path": "stopgo", "yaw_rate": 0.0, "surge_s": math.tau / OMEGA}

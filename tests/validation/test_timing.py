@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-import cosim
-from tests.validation.fleet import LEFT, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
+from vcmvsp import cosim
+from tests.support.validation.fleets import LEFT, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
 
 START = 0.5  # m behind the slot
 

@@ -4,7 +4,7 @@
 answer to a call depends on its arguments alone.
 """
 
-from agents.reconnaissance.recognition.detector import Detection, Detector
-from agents.reconnaissance.recognition.template import Target
+from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detector
+from vcmvsp.agents.reconnaissance.recognition.template import Target
 
 __all__ = ["Detection", "Detector", "Target"]

@@ -10,7 +10,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from cosim.types import Array
+from vcmvsp.cosim.types import Array
 
 SATURATION = 70  # of 255: paler pixels have no hue
 BIN = 5  # of OpenCV's 180 hues

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from agents.reconnaissance.recognition import colour
-from agents.reconnaissance.recognition.match import Pose, match
-from agents.reconnaissance.recognition.polar import COARSE, FULL, Rings, Signature, product, rotation
-from agents.reconnaissance.recognition.template import PATCH, Target, Template
-from cosim.errors import ScenarioError
-from cosim.frames import wrap
-from cosim.types import Array
+from vcmvsp.agents.reconnaissance.recognition import colour
+from vcmvsp.agents.reconnaissance.recognition.match import Pose, match
+from vcmvsp.agents.reconnaissance.recognition.polar import COARSE, FULL, Rings, Signature, product, rotation
+from vcmvsp.agents.reconnaissance.recognition.template import PATCH, Target, Template
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Array
 
 SMALLEST_PX = 12  # of a target's side in the picture: what is smaller is not recognised
 RINGS = 0.88  # cosine of the second stage

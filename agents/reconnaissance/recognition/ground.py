@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from cosim.types import Array
+from vcmvsp.cosim.types import Array
 
 WIDTH, HEIGHT, FOCAL_PX = 640, 480, 400.0
 FINE = 2  # drawn this much finer than the picture, then averaged

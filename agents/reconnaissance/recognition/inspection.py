@@ -6,12 +6,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from agents.reconnaissance.recognition import colour
-from agents.reconnaissance.recognition.match import SHIFT, Pose, match
-from agents.reconnaissance.recognition.polar import FULL, product, rotation
-from agents.reconnaissance.recognition.template import PATCH, Target, Template
-from cosim.frames import wrap
-from cosim.types import Array
+from vcmvsp.agents.reconnaissance.recognition import colour
+from vcmvsp.agents.reconnaissance.recognition.match import SHIFT, Pose, match
+from vcmvsp.agents.reconnaissance.recognition.polar import FULL, product, rotation
+from vcmvsp.agents.reconnaissance.recognition.template import PATCH, Target, Template
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Array
 
 # sides off the given place at which a patch is tried, to the right and down
 TRIES = np.array([(0.045 * i, 0.045 * j) for j in range(-3, 4) for i in range(-3, 4)])

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from agents.reconnaissance.recognition.polar import product
-from agents.reconnaissance.recognition.template import PATCH, Template, unit
-from cosim.types import Array
+from vcmvsp.agents.reconnaissance.recognition.polar import product
+from vcmvsp.agents.reconnaissance.recognition.template import PATCH, Template, unit
+from vcmvsp.cosim.types import Array
 
 SHIFT = 4  # px of the patch, to all sides
 STEP_RAD = 0.045

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from cosim.types import Array
+from vcmvsp.cosim.types import Array
 
 HARMONICS = 9  # 0 to 8
 TURNS = 72  # a rotation is looked for in steps of 5 deg

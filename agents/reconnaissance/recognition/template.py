@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from agents.reconnaissance.recognition.colour import Hues, hues
-from agents.reconnaissance.recognition.polar import COARSE, FULL, Signature
-from cosim.errors import ScenarioError
-from cosim.types import Array
+from vcmvsp.agents.reconnaissance.recognition.colour import Hues, hues
+from vcmvsp.agents.reconnaissance.recognition.polar import COARSE, FULL, Signature
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Array
 
 PATCH = 48  # px: pictures are compared at this size
 CAMERA_BLUR_PX = 0.8  # standard deviation of what a pixel of the camera averages, px of its picture

@@ -1,0 +1,256 @@
+"""One agent in its host: what it will see at its next tick, and what it has said. The only caller of `Agent.act`."""
+
+import math
+import traceback
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import msgspec
+
+from vcmvsp.agents.factory import Kinds, build
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.hosts.lost_agent import Absence
+from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
+
+NEVER_NS = 2**63
+COMMANDS = (Velocity, Waypoint)
+MUTABLE = frozenset({dict, list})  # of what comes out of MessagePack
+ALWAYS = ("odometry", "fix")  # what every vehicle may have besides the sensors that the scenario names
+
+
+class Seat:
+    """A seat for one agent.
+
+    Args:
+        spec: of the agent.
+        agent: it, if it exists already.
+        kinds: where its class is looked up, if not.
+
+    Attributes:
+        next_ns: its next tick.
+        info: what there is to be said of the agent.
+        sees: takes the newest of what is published about its vehicle, by the last chunk of its key.
+    """
+
+    def __init__(self, spec: AgentSpec, agent: Agent | None, kinds: Kinds) -> None:
+        self.spec, self.vehicle, self.next_ns = spec, spec.vehicle, 0
+        self._started, self._command_key, self._note_key = False, f"{spec.vehicle}/command", f"{spec.vehicle}/note"
+        if agent is None:
+            self.agent, params, taken = build(spec, kinds)
+        else:  # what it was made with is its maker's to know; what the scenario says is as good as any
+            known = binding.parameters(type(agent))
+            said = {name: value for name, value in {**spec.defaults, **spec.params}.items() if name in known}
+            self.agent, params, taken = agent, binding.complete(type(agent), said), tuple(spec.defaults)
+        try:
+            self._ticks = Ticks.every(binding.convert(spec.period_s or self.agent.period, Period))
+        except ScenarioError as error:
+            problem = f"the class's own period {error.problem}"
+            raise ScenarioError(problem, key=f"vehicle.{spec.vehicle}.agent.kind", source=spec.source) from error
+        wanted = self.agent.sensors
+        sensors = [each for each in dict.fromkeys((*ALWAYS, *spec.sensors)) if wanted is None or each in wanted]
+        self.info = AgentInfo(
+            vehicle=spec.vehicle,
+            agent=spec.kind,
+            ticks=self._ticks,
+            latency_ns=seconds_to_ns(spec.latency_s),
+            params=params,
+            known=tuple(binding.parameters(type(self.agent))),
+            taken=taken,
+            sensors=tuple(wanted or ()),
+        )
+        self._state: VehicleState | None = None
+        self._readings = Readings()
+        self._heard: list[Reception] = []
+        self.sees: dict[str, Callable[[Any], None]] = {
+            "estimate": self._locate,
+            **{sensor: partial(self._readings.__setitem__, sensor) for sensor in sensors},
+        }
+        self._follows: Follows | None = None
+        self.fails_ns = NEVER_NS if spec.fails_s is None else seconds_to_ns(spec.fails_s)
+        self._dead = False
+        self._absence: Absence | None = None
+
+    def start(self, run: RunInfo) -> None:
+        """Tell the agent who and where it is."""
+        self._radio, self._started = Radio(self.vehicle, run.vehicles), True
+        self._others = frozenset(run.vehicles) - {self.vehicle}
+        about = VehicleInfo(
+            name=self.vehicle,
+            vehicles=run.vehicles,
+            period_s=float(self._ticks.period / SECOND_NS),
+            latency_s=self.spec.latency_s,
+            seed=run.seed,
+            body=self.spec.body,
+            sensors=self.spec.sensors,
+            beside_m=self.spec.beside_m,
+        )
+        try:
+            self.guarded(self.agent.start, about, passes=ValueError)
+        except ValueError as error:  # a name or number of the scenario that this agent cannot work with
+            key = f"vehicle.{self.vehicle}.agent"
+            raise ScenarioError(str(error), key=key, source=self.spec.source) from error
+
+    def close(self) -> AgentError | None:
+        """Close the agent; what goes wrong is the answer."""
+        try:
+            if self._started:
+                self.guarded(self.agent.close)
+        except AgentError as error:
+            return error
+        return None
+
+    def hear(self, reception: Reception) -> None:
+        """Note what its vehicle has heard."""
+        self._heard.append(reception if isinstance(reception.message.body, bytes) else _own_copy(reception))
+
+    def _locate(self, state: VehicleState) -> None:
+        self._state = state
+
+    def tick(self, now_ns: int, after_ns: int, events: list[Event]) -> None:
+        """Append what the agent does at its tick, or what its vehicle does without it, in effect from now + latency on."""
+        if self.next_ns < now_ns:  # out of reach of the run, it has missed ticks
+            self.next_ns = self._ticks.after(now_ns - 1)
+            if self.next_ns > now_ns:
+                return
+        self.next_ns = after_ns
+        if now_ns >= self.fails_ns:
+            self._die(now_ns, events)
+        elif self._absence is not None:
+            self._heard.clear()
+            events.extend(self._absence.go_on(now_ns + self.info.latency_ns))
+        else:
+            given = len(events)
+            try:
+                self._act(now_ns, now_ns + self.info.latency_ns, events)
+            except AgentError as error:
+                if self.spec.on_lost == "stop":
+                    raise
+                del events[given:]
+                self._leave(now_ns, error, events)
+
+    def _leave(self, now_ns: int, error: AgentError, events: list[Event]) -> None:
+        """The agent has failed: the scenario says what follows."""
+        when, follows = now_ns + self.info.latency_ns, self._follows is not None
+        self._absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
+        events.extend(self._absence.news)
+
+    def _act(self, now_ns: int, when: int, events: list[Event]) -> None:
+        """Let the agent act; what it does takes effect at ``when``."""
+        if self._state is None:
+            raise AgentError(
+                (self.vehicle,), self.spec.kind, "has no state to act on: nothing published its vehicle's estimate"
+            )
+        agent, radio = self.agent, self._radio
+        seen = Observation(
+            vehicle=self.vehicle,
+            time_ns=now_ns,
+            state=self._state,
+            readings=Readings(self._readings),
+            heard=tuple(self._heard) if self._heard else (),
+        )
+        if self._heard:
+            self._heard.clear()
+        try:
+            command = agent.act(seen, radio)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # as in `guarded`, a call less
+            raise self._failure(error) from error
+        if command is not None:
+            events.append(Event(self._command_key, when, self._checked(command)))
+        if agent.follows is not self._follows and agent.follows != self._follows:
+            self._follows = agent.follows
+            events.append(Event(f"{self.vehicle}/follows", when, self._place(self._follows)))
+        if agent._notes or agent._shown or radio._outbox:  # noqa: SLF001  looked at here, as it is at every tick of every agent
+            self._tell(when, events)
+
+    def _tell(self, when: int, events: list[Event]) -> None:
+        """Append what the agent has noted, shown and sent."""
+        if notes := self.agent.drain_notes():
+            events.append(Event(self._note_key, when, Note(values=notes)))
+        if self.agent._shown:  # noqa: SLF001  as in `_act`
+            events += [Event(f"{self.vehicle}/{what}", when, value) for what, value in self.agent.drain_shown().items()]
+        if self._radio._outbox:  # noqa: SLF001  as in `_act`
+            events += [Event(f"{self.vehicle}/send", when, message) for message in self._radio.drain()]
+
+    def _die(self, now_ns: int, events: list[Event]) -> None:
+        """From now on the vehicle stands still and says nothing."""
+        self._heard.clear()
+        if not self._dead:
+            self._dead, when = True, now_ns + self.info.latency_ns
+            note = Note(values={"status": "failed"})
+            events += [Event(f"{self.vehicle}/command", when, Velocity()), Event(f"{self.vehicle}/note", when, note)]
+            if self._follows is not None:  # it means to keep no place any more
+                events.append(Event(f"{self.vehicle}/follows", when, self._place(None)))
+
+    def _checked(self, command: Any) -> Velocity | Waypoint:
+        """The command in plain floats, as it would come over a wire."""
+        if not isinstance(command, COMMANDS):
+            raise self._error(f"returned {binding.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
+        try:
+            said, total = _plain(command)
+        except (TypeError, ValueError):
+            raise self._error(f"returned {command}; every coordinate must be a number") from None
+        if not math.isfinite(total):
+            raise self._error(f"returned a command that is not finite: {said}")
+        return said
+
+    def _place(self, follows: Any) -> Follows:
+        """The place to keep in plain floats, as it would come over a wire."""
+        if follows is None:
+            return Follows(leader=None)
+        try:
+            place = msgspec.convert(msgspec.to_builtins(follows, enc_hook=lambda number: number.item()), Follows)
+        except (msgspec.ValidationError, TypeError, AttributeError):
+            raise self._error(f"has set follows to {binding.show(follows)}; it must be a Follows, or None") from None
+        if place.leader not in self._others:
+            raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
+        return place
+
+    def guarded(self, method: Any, *args: Any, passes: type[Exception] | tuple[()] = ()) -> Any:
+        """Call a method of the agent; what it raises becomes an error that names agent, vehicle, and the line."""
+        try:
+            return method(*args)
+        except KeyboardInterrupt:
+            raise
+        except passes:
+            raise
+        except BaseException as error:  # whatever an agent raises must not end the recording
+            raise self._failure(error) from error
+
+    def _failure(self, error: BaseException) -> AgentError:
+        """What an agent raised, as an error that names agent, vehicle, and the line."""
+        cause = f"raised {type(error).__name__}: {error}{place_of(error)}"
+        return self._error(cause, details="".join(traceback.format_exception(error)))
+
+    def _error(self, cause: str, *, details: str = "") -> AgentError:
+        return AgentError((self.vehicle,), self.spec.kind, plain(cause, lines=True), details=details)
+
+
+def _plain(command: Velocity | Waypoint) -> tuple[Velocity | Waypoint, float]:
+    """The command in plain floats, and their sum, which is finite only if all are."""
+    if isinstance(command, Velocity):
+        x, y, z = command.linear
+        rate = command.yaw_rate
+        if type(x) is type(y) is type(z) is type(rate) is float and type(command) is Velocity and type(command.linear) is tuple:
+            return command, x + y + z + rate
+        x, y, z, rate = float(x), float(y), float(z), float(rate)
+        return Velocity(linear=(x, y, z), yaw_rate=rate), x + y + z + rate
+    x, y, z = map(float, command.position)
+    yaw, speed = (None if each is None else float(each) for each in (command.yaw, command.speed))
+    return Waypoint(position=(x, y, z), yaw=yaw, speed=speed), x + y + z + (yaw or 0.0) + (speed or 0.0)
+
+
+def _own_copy(reception: Reception) -> Reception:
+    """The reception with a body of its own, so that an agent that changes it changes nobody else's, as over a wire."""
+    message = reception.message
+    assert isinstance(message.body, dict)  # noqa: S101  bytes need no copy
+    flat = MUTABLE.isdisjoint(map(type, message.body.values()))
+    body = message.body.copy() if flat else msgspec.msgpack.decode(msgspec.msgpack.encode(message.body))
+    return msgspec.structs.replace(reception, message=msgspec.structs.replace(message, body=body))

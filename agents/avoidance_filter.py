@@ -1,0 +1,70 @@
+"""Avoidance between a task and its vehicle: the command that leads around things, in place of one that does not look."""
+
+import math
+
+from vcmvsp.agents.avoidance import Avoidance
+from vcmvsp.agents.avoidance.method import Point
+from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.agents.avoidance.waypoint import velocity_to
+from vcmvsp.agents.formation.aerial.flight import around
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.types import Velocity, Waypoint
+
+SAME = 1e-9  # m/s: a velocity turned into the body frame and back
+
+
+class GetAround(Agent):
+    """Does what a task wants, but around what stands in the way.
+
+    Velocities go through the avoidance, in the body frame on wheels, in the world frame in the air (where x and y are looked
+    after, not the height). A way-point is left to the autopilot as long as nothing is near; else it is flown to by velocities.
+
+    Noted: ``mode`` and ``level``, when they change.
+
+    Attributes:
+        goal: where the task is about to get, x and y, m, world; None: where its commands lead.
+    """
+
+    def __init__(self, avoidance: Avoidance, goal: Point | None = None) -> None:
+        self.goal = goal
+        self._steering = Steering(avoidance)
+        self.sensors = self._steering.sensors
+        self._flies = False
+
+    def start(self, info: VehicleInfo) -> None:
+        """Find the scanner."""
+        self._steering.start(info)
+        self._flies = info.body is not None and info.body.flies
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
+        """With no task: get out of the way of what comes near."""
+        return self.around(obs, radio, Velocity())
+
+    def around(self, obs: Observation, radio: Radio, wanted: Velocity | Waypoint | None) -> Velocity | Waypoint | None:
+        """What to do in place of what is wanted."""
+        command = self._around(obs, wanted)
+        self.note(**self._steering.notes)
+        return command
+
+    def _around(self, obs: Observation, command: Velocity | Waypoint | None) -> Velocity | Waypoint | None:
+        if isinstance(command, Waypoint):
+            if not self._flies:
+                raise ValueError("avoid: the task gave a Waypoint, and a vehicle on wheels takes velocities alone")
+            return self._flown(obs, velocity_to(obs, command, self._steering.settings.max_speed), command)
+        if not isinstance(command, Velocity):
+            return command  # none yet; or something that the host refuses
+        if self._flies:
+            return self._flown(obs, command, None)
+        decision = self._steering.drive(obs, (command.linear[0], command.yaw_rate), self.goal)
+        return Velocity(linear=(*decision.velocity, 0.0), yaw_rate=decision.yaw_rate)
+
+    def _flown(self, obs: Observation, command: Velocity, waypoint: Waypoint | None) -> Velocity | Waypoint:
+        """The same in the air, for a velocity that may stand for a way-point."""
+        goal = self.goal if waypoint is None or self.goal is not None else waypoint.position[:2]
+        moved = around(self._steering, obs, command.linear, command.yaw_rate, goal)
+        as_wanted = (
+            moved.mode == "task" and math.dist(moved.velocity, command.linear) < SAME and moved.yaw_rate == command.yaw_rate
+        )
+        if waypoint is not None and self._steering.level == 0 and as_wanted:
+            return waypoint
+        return Velocity(linear=moved.velocity, yaw_rate=moved.yaw_rate)

@@ -1,0 +1,53 @@
+"""Agents as a scenario describes them: their classes, and what they are made with."""
+
+from pathlib import Path
+from typing import Any
+
+from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.agent import Agent, AgentSpec
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.scenario.schema import AgentTable
+
+
+class Kinds:
+    """Classes of agents, each looked up once per host: a file is not executed again for every vehicle."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str], Any] = {}
+
+    def find(self, spec: AgentSpec) -> Any:
+        """The class that a spec names."""
+        if (spec.kind, spec.folder) not in self._found:
+            key, origin = f"vehicle.{spec.vehicle}.agent.kind", binding.Named(spec.source)
+            found = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
+            self._found[spec.kind, spec.folder] = found
+        return self._found[spec.kind, spec.folder]
+
+
+def check_acts(kind: Any, name: str, key: str, source: str = "") -> None:
+    """Refuse a class without an `act` of its own."""
+    if kind.act is Agent.act:
+        raise ScenarioError(f"'{name}' has no act(obs, radio) of its own", key=key, source=source)
+
+
+def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
+    """Build the agent of a spec: (agent, all its parameters, the [agents] defaults that it takes)."""
+    key, origin = f"vehicle.{spec.vehicle}.agent", binding.Named(spec.source)
+    kind = kinds.find(spec)
+    check_acts(kind, spec.kind, f"{key}.kind", spec.source)
+    known = binding.parameters(kind)
+    taken = tuple(name for name in spec.defaults if name in known and name not in spec.params)
+    params = {**{name: spec.defaults[name] for name in taken}, **spec.params}
+    params |= {
+        name: binding.fitted(params[name], known[name].annotation, kept)
+        for name, kept in spec.replaced.items()
+        if name in params and name in known
+    }
+    try:
+        with registry.looking_in(Path(spec.folder)):
+            agent: Agent = binding.call(kind, params, key=key, origin=origin, also=binding.parameters(AgentTable))
+    except ScenarioError as error:
+        name = error.key.removeprefix(f"{key}.")
+        shared = name.partition(".")[0] in taken  # the first chunk: what is wrong may be inside a table
+        raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if shared else error) from error
+    return agent, binding.complete(kind, params), taken

@@ -1,0 +1,1 @@
+"""Followers on the ground, consensus."""

@@ -1,0 +1,249 @@
+"""Consensus: all members agree on where the formation is, each by what it hears of its neighbours; nobody leads.
+
+With ``delta_i`` the place of member i in the formation (turned to ``heading``), every member moves its point ``x_i`` at::
+
+    u_i = kappa sum_j ((x_j - delta_j) - (x_i - delta_i)) + v_ref                over its neighbours j
+
+the consensus protocol of Olfati-Saber and Murray ("Consensus problems in networks of agents with switching topology and
+time-delays", IEEE Trans. Automatic Control 49(9), 2004), with formation offsets as in Ren ("Consensus strategies for
+cooperative control of vehicle formations", IET Control Theory & Applications 1(2), 2007). With L the Laplacian of a connected
+undirected graph, the disagreement decays at least as fast as ``exp(-kappa lambda_2(L) t)``.
+
+What is heard is old, and there are two ways to write that down:
+
+``fresh``    the neighbour's old point against the own present one, the neighbour having moved on at v_ref since: converges for
+             every age, as long as kappa T times the number of neighbours is below 1 (diagonal dominance).
+``delayed``  both points as old as the report: stable, at period T and an age of d ticks, if and only if
+             ``kappa lambda_max(L) T < 2 sin(pi / (2 (2 d + 1)))``; for T -> 0, age < pi / (2 kappa lambda_max).
+"""
+
+import math
+from bisect import bisect_left
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
+
+from vcmvsp.agents.formation.team.formation import Formation, ShapeName
+from vcmvsp.agents.formation.followers.hand_point import axle_velocity, hand_point
+from vcmvsp.agents.formation.reports.report import PLAUSIBLE
+from vcmvsp.agents.formation.team.shape import slots
+from vcmvsp.agents.formation.team.team import members_of
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.frames import rotate2, wrap
+from vcmvsp.cosim.types import Follows, NonNegative, Positive, Velocity
+
+Graph = Literal["complete", "ring", "path", "star"]
+Vec2 = tuple[float, float]
+
+
+class Seen(NamedTuple):
+    """Where a member's point was."""
+
+    t_ns: int
+    x: float  # m, world
+    y: float  # m, world
+
+
+class Consensus(Agent):
+    """Agree with the neighbours on where the formation is, and move along with it at ``velocity``.
+
+    At every tick it sends ``t_ns``, ``x`` and ``y`` of its point to all who can hear it; a member of another kind that reports
+    these (a `Trajectory` does) is a neighbour like any other. Who hears nobody moves at ``velocity``.
+
+    Noted at every tick: ``heard``, the number of neighbours in use; ``age_s``, the greatest age of their reports, and
+    ``disagreement``, the root mean square over them of ``|(x_j - delta_j) - (x_i - delta_i)|`` as this member believes it (m);
+    and, once there is one, the number of their messages that could not be used, ``refused``.
+
+    Its formation error is measured against its first neighbour in the order of the members, if that one comes before it. On
+    wheels that needs a ``velocity``, for a standing robot may head anywhere.
+
+    Args:
+        formation: shape, spacing, offsets, members and changes of the team, the same for all (its topology does not count);
+            default: all members meet at one point.
+        graph: who is whose neighbour, by the order of the members; of a ``star``, the first is the hub.
+        neighbours: instead of a graph, the names of this member's own neighbours.
+        own: which own point a report is compared with: the ``fresh`` one, or the ``delayed`` one that is as old as the report.
+        gain: kappa, 1/s.
+        velocity: v_ref, x and y, m/s, world.
+        heading: which way the formation faces, rad; members in the air turn there.
+        handle: how far ahead of its axle a robot's point lies, m; default: it moves in any direction, as those in the air do.
+        max_speed: limit of the point's speed, m/s; default: none but the vehicle's own.
+        timeout_s: a neighbour whose newest report is so old does not count, s.
+        clock_bound_s: how far ahead a neighbour's clock may be, s; a report from further in the future is refused.
+    """
+
+    def __init__(
+        self,
+        *,
+        formation: Formation | None = None,
+        graph: Graph = "complete",
+        neighbours: tuple[str, ...] | None = None,
+        own: Literal["fresh", "delayed"] = "fresh",
+        gain: Positive = 1.0,
+        velocity: Vec2 = (0.0, 0.0),
+        heading: float = 0.0,
+        handle: Positive | None = None,
+        max_speed: Positive | None = None,
+        timeout_s: Positive = 3.0,
+        clock_bound_s: NonNegative = 0.0,
+    ) -> None:
+        self.formation, self.graph, self.neighbours = formation, graph, neighbours
+        self.own, self.gain, self.velocity, self.heading, self.handle = own, gain, velocity, heading, handle
+        self.max_speed = math.inf if max_speed is None else max_speed
+        self.timeout_s = timeout_s
+        self._clock_bound_ns, self._timeout_ns = seconds_to_ns(clock_bound_s), seconds_to_ns(timeout_s)
+        self._newest: dict[str, Seen] = {}
+        self._past: list[Seen] = []  # the own point, tick by tick, as far back as a report may be
+        self._times: list[int] = []  # the same, when only
+        self._refused = 0
+        self._places: dict[str, Vec2] = {}  # delta_j - delta_i of every neighbour
+        self._changes: list[tuple[int, ShapeName]] = []  # still to come, the next one last
+
+    def start(self, info: VehicleInfo) -> None:
+        """Find the neighbours, and take the formation's first shape.
+
+        Raises:
+            ValueError: a vehicle on wheels without a handle, or names that do not fit.
+        """
+        if self.handle is None and info.body is not None and not info.body.flies:
+            raise ValueError("handle is missing: on wheels no vehicle moves sideways; give one, e.g. handle = 0.3 (m, > 0)")
+        members = members_of(self.formation or Formation(), info.vehicles, info.name)
+        self._members, self._index = members, members.index(info.name)
+        self._neighbours = self._named_neighbours(info.name) if self.neighbours is not None else self._of_graph()
+        shape: ShapeName | None = None
+        if self.formation and self.formation.passage:
+            raise ValueError("formation.passage needs a leader who decides, and here nobody leads; leave it out")
+        if self.formation:
+            shape = self.formation.shape
+            self._changes = [(seconds_to_ns(at_s), to) for at_s, to in reversed(self.formation.changes)]
+        self._take(shape)
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        """Move towards agreement with all who have been heard of lately."""
+        here = self._own_point(obs)
+        radio.send(t_ns=here.t_ns, x=here.x, y=here.y)
+        self._listen(obs)
+        while self._changes and self._changes[-1][0] <= obs.time_ns:
+            self._take(self._changes.pop()[1])
+        if self.own == "delayed":
+            self._remember(here)
+        ux, uy = self._demand(here)
+        if (speed := math.hypot(ux, uy)) > self.max_speed:
+            ux, uy = ux / speed * self.max_speed, uy / speed * self.max_speed
+        yaw = obs.state.yaw
+        if self.handle is None:
+            return Velocity(linear=(ux, uy, 0.0), yaw_rate=self.gain * wrap(self.heading - yaw))
+        v, w = axle_velocity(ux, uy, yaw, self.handle)
+        return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
+
+    def _demand(self, here: Seen) -> Vec2:
+        """The protocol: velocity of the own point, m/s, world."""
+        (vx, vy), delayed = self.velocity, self.own == "delayed"
+        sum_x = sum_y = squares = oldest_s = 0.0
+        heard = 0
+        for name, (dx, dy) in self._places.items():
+            seen = self._newest.get(name)
+            if seen is None or (age_s := max(0, here.t_ns - seen.t_ns) / 1e9) >= self.timeout_s:
+                continue
+            if delayed:
+                _, own_x, own_y = self._recall(seen.t_ns)
+            else:
+                own_x, own_y = here.x - vx * age_s, here.y - vy * age_s
+            ex, ey = seen.x - own_x - dx, seen.y - own_y - dy
+            sum_x, sum_y, squares = sum_x + ex, sum_y + ey, squares + ex * ex + ey * ey
+            heard, oldest_s = heard + 1, max(oldest_s, age_s)
+        if heard:
+            self.note(heard=heard, age_s=oldest_s, disagreement=math.sqrt(squares / heard))
+        else:
+            self.note(heard=0)
+        return vx + self.gain * sum_x, vy + self.gain * sum_y
+
+    def _own_point(self, obs: Observation) -> Seen:
+        x, y, _ = obs.state.position
+        if self.handle is not None:
+            x, y = hand_point(x, y, obs.state.yaw, self.handle)
+        return Seen(obs.time_ns, x, y)
+
+    def _listen(self, obs: Observation) -> None:
+        """Keep the newest report of every neighbour: late ones and copies change nothing, nonsense is counted."""
+        latest_ns = obs.time_ns + self._clock_bound_ns
+        for heard in obs.heard:
+            sender, body = heard.message.sender, heard.message.body
+            if sender not in self._places or isinstance(body, bytes):  # which are of a program there
+                continue
+            seen = _parse(body, latest_ns)
+            if seen is None:
+                self._refused += 1
+            elif sender not in self._newest or seen.t_ns > self._newest[sender].t_ns:
+                self._newest[sender] = seen
+        if self._refused:
+            self.note(refused=self._refused)
+
+    def _remember(self, here: Seen) -> None:
+        self._past.append(here)
+        self._times.append(here.t_ns)
+        gone = bisect_left(self._times, here.t_ns - self._timeout_ns) - 1  # one from before, to interpolate
+        if gone > 0:
+            del self._past[:gone], self._times[:gone]
+
+    def _recall(self, t_ns: int) -> Seen:
+        """Where the own point was; between ticks on a straight line."""
+        i = min(bisect_left(self._times, t_ns), len(self._times) - 1)
+        at = self._past[i]
+        if at.t_ns <= t_ns or i == 0:
+            return at
+        (t0, x0, y0), (t1, x1, y1) = self._past[i - 1], at
+        part = (t_ns - t0) / (t1 - t0)
+        return Seen(t_ns, x0 + part * (x1 - x0), y0 + part * (y1 - y0))
+
+    def _take(self, shape: ShapeName | None) -> None:
+        """Take a shape: everybody's place relative to the own one, and where the formation error is measured."""
+        members, formation = self._members, self.formation
+        if shape is None or formation is None:
+            places: tuple[Vec2, ...] = ((0.0, 0.0),) * len(members)
+        else:
+            places = slots(shape, len(members), formation.spacing, formation.offsets)
+        x, y = places[self._index]
+        self._places = {members[j]: rotate2(places[j][0] - x, places[j][1] - y, self.heading) for j in self._neighbours}
+        first, facing = min(self._neighbours, default=self._index), self._facing()
+        if first < self._index and facing is not None:
+            dx, dy = rotate2(*self._places[members[first]], -facing)
+            self.follows = Follows(leader=members[first], slot=(-dx, -dy), handle_m=self.handle or 0.0)
+
+    def _facing(self) -> float | None:
+        """Which way the members head once they agree, rad: robots on wheels where they go."""
+        if self.handle is None:
+            return self.heading
+        return math.atan2(self.velocity[1], self.velocity[0]) if any(self.velocity) else None
+
+    def _named_neighbours(self, me: str) -> tuple[int, ...]:
+        named = self.neighbours or ()
+        if wrong := [name for name in named if name not in self._members or name == me]:
+            others = ", ".join(name for name in self._members if name != me)
+            raise ValueError(f"neighbours: {wrong[0]!r} is not another member of the formation ({others})")
+        return tuple(sorted({self._members.index(name) for name in named}))
+
+    def _of_graph(self) -> tuple[int, ...]:
+        return neighbours_of(self.graph, self._index, len(self._members))
+
+
+def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:
+    """The neighbours of member ``index`` of ``count``, in ascending order."""
+    others = {
+        "complete": range(count),
+        "star": range(count) if index == 0 else (0,),
+        "path": [j for j in (index - 1, index + 1) if 0 <= j < count],
+        "ring": [(index - 1) % count, (index + 1) % count],
+    }[graph]
+    return tuple(sorted({*others} - {index}))
+
+
+def _parse(body: Mapping[str, Any], latest_ns: int) -> Seen | None:
+    """The report in a message body; None where it is not one that can be used."""
+    try:
+        t_ns, x, y = body["t_ns"], body["x"], body["y"]
+        if type(t_ns) is not int or t_ns > latest_ns or not abs(x) + abs(y) < PLAUSIBLE:
+            return None
+    except (KeyError, TypeError):
+        return None
+    return Seen(t_ns, float(x), float(y))

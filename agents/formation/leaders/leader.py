@@ -1,0 +1,166 @@
+"""What all leaders have in common: they move as they like, and tell those who follow where they are and what they are about.
+
+A leader of your own says how it moves, and need not care about the rest::
+
+    class Waltz(Leader):
+        def speeds(self, obs):
+            return 0.3, 0.5 * math.sin(obs.time_s)
+"""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from vcmvsp.agents.avoidance import Avoidance
+from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.team.membership import check_silence
+from vcmvsp.agents.formation.team.passage import Guide, places_of, scanners
+from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
+from vcmvsp.agents.formation.reports.sending import Reporter, Sending
+from vcmvsp.agents.formation.team.team import Team
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.types import NonNegative, Positive, Velocity
+
+Extra = Literal["a", "plan"]
+
+PLAN = 20  # speeds that a plan tells besides those of now
+
+
+class Leader(Agent):
+    """Moves by `speeds`, reports itself at every tick, and leads a formation where it has one.
+
+    Args:
+        tell: what reports hold besides pose and speeds, whatever the estimator: ``a`` (accelerations), ``plan``.
+        estimator: of those who follow; what it needs is told, and sending when needed reckons with it.
+        horizon_s: of that estimator, s.
+        fade_s: of that estimator, s.
+        sending: when reports are sent; default: at every tick.
+        formation: the team that this vehicle leads, and when it changes its shape; default: none.
+        avoidance: how it gets around what stands in the way; default: it does not look.
+        clock_bound_s: how far ahead the clocks of members may be, s; a report from further in the future is refused.
+    """
+
+    def __init__(
+        self,
+        *,
+        tell: tuple[Extra, ...] = (),
+        estimator: str | Estimator = "dr",
+        horizon_s: NonNegative = 2.0,
+        fade_s: Positive = 1.0,
+        sending: Sending | None = None,
+        formation: Formation | None = None,
+        avoidance: Avoidance | None = None,
+        clock_bound_s: NonNegative = 0.0,
+    ) -> None:
+        self.estimator = estimator_of(estimator, horizon_s=horizon_s, fade_s=fade_s)
+        wanted = {*tell, *getattr(self.estimator, "needs", ())}
+        self._tells_a, self._tells_plan = "a" in wanted, "plan" in wanted
+        self._reporter = Reporter(sending, self.estimator)
+        check_silence(self._reporter.sending, formation)
+        self._formation, self._clock_bound_s = formation, clock_bound_s
+        self._team: Team | None = None
+        self._guide: Guide | None = None
+        self._steering = None if avoidance is None else Steering(avoidance)
+        self.sensors = scanners(avoidance, formation) or self.sensors
+        self._period_s = self.period
+        self._last: tuple[float, float] | None = None  # the speeds of the tick before
+
+    def speeds(self, obs: Observation) -> tuple[float, float]:
+        """How fast to move from now on: forward, m/s, and turning, rad/s."""
+        raise NotImplementedError
+
+    def aim(self, obs: Observation) -> tuple[float, float] | None:
+        """Where it is to get, m, world, for one that has to find another way there; None: nowhere in particular."""
+        return None
+
+    def led_astray(self, obs: Observation) -> None:
+        """Told at every tick at which something in the way had it drive otherwise than by its `speeds`."""
+
+    def ahead(self, count: int) -> Sequence[tuple[float, float]] | None:
+        """The speeds of the ``count`` ticks to come, those of now not among them; None where it makes no plans."""
+        return None
+
+    def start(self, info: VehicleInfo) -> None:
+        """Note the period, and who is led."""
+        self._period_s = info.period_s
+        if self._steering is not None:
+            self._steering.start(info)
+        if self._formation is None:
+            return
+        team = self._team = Team(self._formation, info.vehicles, info.name)
+        if team.parent is not None:
+            raise ValueError(
+                f"formation: {info.name} does not lead this team, {team.ancestors[-1]} does; name it first in members"
+            )
+        self._reporter.start(team.children)
+        self._believed: set[str] = set()  # who has told of newer shapes than this vehicle knew
+        self._listening = Listening(team.members, self._clock_bound_s)
+        if self._formation.passage is not None:
+            self._guide = Guide(self._formation.passage, team, info)
+        self.note(shape=team.shape)
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        """Move, and tell all how this vehicle moves from now on."""
+        v, w = self.speeds(obs)
+        if self._steering is not None:
+            decision = self._steering.drive(obs, (v, w), self.aim(obs))
+            v, w = decision.velocity[0], decision.yaw_rate
+            if decision.mode != "task":
+                self.led_astray(obs)
+            self.note(**self._steering.notes)
+        more: dict[str, Any] = {} if self._team is None else self._lead(self._team, obs)
+        if self._tells_a:
+            last_v, last_w = self._last or (v, w)
+            more["a"], more["al"] = (v - last_v) / self._period_s, (w - last_w) / self._period_s
+            self._last = v, w
+        if self._tells_plan and (plan := self.ahead(PLAN)):
+            more["plan"], more["dt"] = [speed for pair in plan for speed in pair], self._period_s
+        self._reporter.tell(radio, obs, v, w, **more)
+        return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
+
+    def _lead(self, team: Team, obs: Observation) -> dict[str, Any]:
+        """Change the shape when it is time to; what followers must be told of it."""
+        if team.formation.changes or self._guide is not None:
+            self._listening.take(obs)
+        for shape in team.due(obs.time_ns):
+            if self._guide is None:
+                self._change(team, shape, obs)
+            else:
+                team.wide = shape
+        self._go_on(team, obs)
+        if self._guide is not None:
+            wanted = self._guide.shape(obs, self._listening, self.estimator)
+            if wanted != team.shape:
+                self._change(team, wanted, obs)
+            self.note(**self._guide.notes)
+        return dict(team.fields())
+
+    def _go_on(self, team: Team, obs: Observation) -> None:
+        """Take up what members have heard of, where another host led them before; each of them is believed once.
+
+        What they know as the last shape would else count for more than the next ones. Passages aside, the shape is the own.
+        """
+        shape, wide = team.shape, team.wide
+        newer = [
+            name for name, report in self._listening.newest.items() if name not in self._believed and team.take(report.body)
+        ]
+        if not newer:
+            return
+        self._believed.update(newer)
+        team.wide = wide
+        if self._guide is None:
+            self._change(team, shape, obs)
+        else:
+            self._reporter.start(team.children)
+            self.note(shape=team.shape)
+
+    def _change(self, team: Team, shape: str, obs: Observation) -> None:
+        team.change(shape, places_of(obs, self._listening.newest, self.estimator))
+        self._reporter.start(team.children)
+        self.note(shape=shape)
+
+
+def towards(value: float, target: float, step: float) -> float:
+    """The value on its way to the target, changed by ``step`` at most."""
+    return value + max(-step, min(target - value, step))

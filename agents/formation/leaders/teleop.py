@@ -1,0 +1,80 @@
+"""A leader that a person drives."""
+
+from typing import Any
+
+from vcmvsp.agents.formation.leaders.input_devices import KEYBOARD, Device, DeviceLostError, open_device
+from vcmvsp.agents.formation.leaders.leader import Leader, towards
+from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.types import Count, NonNegative, Positive, Probability
+
+
+class Teleop(Leader):
+    """Drive by keyboard, gamepad or table; changes of speed are ramped.
+
+    A person needs a run at wall pace (``vcmvsp run --realtime``). Noted at every tick: ``asked_v`` and ``asked_w``, the speeds
+    asked for before they are ramped, and ``status`` ``device lost`` where the device has gone: then it stops, for good. As a
+    table, the times and the speeds asked for drive the same way again.
+
+    Args:
+        device: ``keyboard`` (of the terminal: W A S D or the arrows, a quarter of the limit each; space stops), a joystick such
+            as ``/dev/input/js0``, or a table ``FILE.csv`` with rows ``t_s,v,w``.
+        speed: fastest, m/s.
+        max_reverse: fastest reverse, m/s.
+        yaw_rate: fastest turning, rad/s.
+        acceleration: of the ramp, m/s2.
+        yaw_acceleration: of the ramp, rad/s2.
+        axes: of a joystick: which two tell the speed and the yaw rate.
+        deadband: of a joystick: the share of an axis about its middle that counts as none.
+        leading: tell, estimator, horizon_s, fade_s, sending, formation, avoidance and clock_bound_s, as of every `Leader`.
+    """
+
+    def __init__(
+        self,
+        device: str = KEYBOARD,
+        *,
+        speed: Positive = 0.3,
+        max_reverse: NonNegative = 0.1,
+        yaw_rate: Positive = 0.5,
+        acceleration: Positive = 0.3,
+        yaw_acceleration: Positive = 0.6,
+        axes: tuple[Count, Count] = (1, 0),
+        deadband: Probability = 0.1,
+        **leading: Any,
+    ) -> None:
+        super().__init__(**leading)
+        if deadband == 1.0:
+            raise ValueError("deadband = 1 leaves nothing of the axis; it must be below 1")
+        self.device, self.speed, self.max_reverse, self.yaw_rate = device, speed, max_reverse, yaw_rate
+        self.acceleration, self.yaw_acceleration = acceleration, yaw_acceleration
+        self.axes, self.deadband = axes, deadband
+        self._device: Device | None = None
+        self._v = self._w = 0.0
+
+    def start(self, info: VehicleInfo) -> None:
+        """Open the device."""
+        super().start(info)
+        limits = self.speed, self.yaw_rate
+        self._device = open_device(self.device, limits=limits, axes=self.axes, deadband=self.deadband)
+
+    def speeds(self, obs: Observation) -> tuple[float, float]:
+        """Towards what is asked for, as fast as the ramps allow."""
+        v = w = 0.0
+        if self._device is not None:
+            try:
+                v, w = self._device.read(obs.time_s)
+            except DeviceLostError:
+                self.close()
+        if self._device is None:
+            self.note(status="device lost")
+        asked_v = max(-self.max_reverse, min(v, self.speed))
+        asked_w = max(-self.yaw_rate, min(w, self.yaw_rate))
+        self.note(asked_v=asked_v, asked_w=asked_w)
+        self._v = towards(self._v, asked_v, self.acceleration * self._period_s)
+        self._w = towards(self._w, asked_w, self.yaw_acceleration * self._period_s)
+        return self._v, self._w
+
+    def close(self) -> None:
+        """Close the device."""
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()

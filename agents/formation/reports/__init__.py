@@ -1,0 +1,1 @@
+"""Leader reports: content, prediction, when sent, what was received."""

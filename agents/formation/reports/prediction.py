@@ -1,0 +1,177 @@
+"""Where the leader is now, given where it was: estimators behind one verb, `Estimator.predict`.
+
+A report is always old: by the air time and the period at least, by every loss and delay on top. What an estimator wants to
+find in reports besides pose and speeds it says in ``needs``, a tuple of ``"a"`` (accelerations) and ``"plan"``; leaders then
+send it.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, accelerations, plan_of
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import arc
+from vcmvsp.cosim.config.registry import find
+from vcmvsp.cosim.config.binding import call, parameters, unknown
+from vcmvsp.cosim.types import Positive
+
+
+class Estimator(Protocol):
+    """From the newest report and its age to the leader's present state.
+
+    A pure function: a vehicle asks one estimator about what it hears, and about what it sends.
+    """
+
+    def predict(self, report: Report, age_s: float) -> LeaderState:
+        """State of the leader ``age_s`` seconds (>= 0) after ``report`` was valid."""
+
+
+class Hold:
+    """The report as it is (Toh 2012): wrong by the leader's speed times the age."""
+
+    def predict(self, report: Report, age_s: float) -> LeaderState:
+        """The reported state, whatever its age."""
+        return report.state
+
+
+class DeadReckoning:
+    """The leader has kept its speeds: exact on straight lines and circles, for any age up to ``horizon_s``.
+
+    Beyond the horizon both speeds fade linearly to zero within ``fade_s``, and the leader stays on its arc.
+    """
+
+    def __init__(self, horizon_s: float = 2.0, fade_s: float = 1.0) -> None:
+        self.horizon_s, self.fade_s = horizon_s, fade_s
+
+    def predict(self, report: Report, age_s: float) -> LeaderState:
+        """The reported pose moved along the arc of the reported speeds."""
+        return moved(report.state, age_s, self.horizon_s, self.fade_s)
+
+
+class Acceleration(DeadReckoning):
+    """The leader goes on to change its speeds as it did last, less and less: the change fades with ``decay_s``.
+
+    After s seconds it has changed by ``tau (1 - e^(-s/tau))`` times the acceleration, tau being ``decay_s``. The pose moves
+    along the arc of the mean of the reported and the predicted speeds. Better than `DeadReckoning` where motion is smooth,
+    worse where it is not and reports are old. Beyond the horizon, speeds fade as there.
+
+    Args:
+        horizon_s: as of `DeadReckoning`.
+        fade_s: as of `DeadReckoning`.
+        decay_s: how fast an acceleration is forgotten, s.
+        slowest: an acceleration takes the speed no lower than this, m/s; nor, where that is lower, than what was reported.
+        fastest: nor higher than this, m/s.
+        fastest_turn: nor the yaw rate beyond this, rad/s, to either side.
+    """
+
+    needs = ("a",)
+
+    def __init__(
+        self,
+        horizon_s: float = 2.0,
+        fade_s: float = 1.0,
+        *,
+        decay_s: Positive = 1.0,
+        slowest: float = -0.1,
+        fastest: float = 0.6,
+        fastest_turn: Positive = 0.8,
+    ) -> None:
+        super().__init__(horizon_s, fade_s)
+        self.decay_s, self.slowest, self.fastest, self.fastest_turn = decay_s, slowest, fastest, fastest_turn
+
+    def predict(self, report: Report, age_s: float) -> LeaderState:
+        """The reported pose moved along the arc of the mean speeds."""
+        a, al = accelerations(report)
+        if a == 0.0 == al:
+            return super().predict(report, age_s)
+        x, y, th, v, w = report.state
+        trusted_s = min(age_s, self.horizon_s)
+        gain_s = -self.decay_s * math.expm1(-trusted_s / self.decay_s)
+        v_then = max(min(v, self.slowest), min(v + gain_s * a, max(v, self.fastest)))
+        w_then = max(min(w, -self.fastest_turn), min(w + gain_s * al, max(w, self.fastest_turn)))
+        x, y, th = arc((x, y, th), 0.5 * (v + v_then), 0.5 * (w + w_then), trusted_s)
+        return moved(LeaderState(x, y, th, v_then, w_then), age_s - trusted_s, 0.0, self.fade_s)
+
+
+class Plan(Acceleration):
+    """The leader does what it said that it would do: exact as long as it does and the plan lasts.
+
+    After the plan its last speeds are taken to stay, with a horizon that begins there. Where a report has no plan, or none that
+    makes sense, the estimate is that of `Acceleration`.
+    """
+
+    needs = ("plan",)
+
+    _report: Report | None = None  # which the last prediction was made from
+    _plan: tuple[float, list[tuple[float, float]]] | None  # of that report
+    _poses: list[tuple[float, float, float]]  # at the start of each of its speeds, as far as they were needed
+
+    def predict(self, report: Report, age_s: float) -> LeaderState:
+        """The reported pose moved along the arcs of the plan."""
+        if report is not self._report:
+            self._report, self._plan, self._poses = report, plan_of(report), [report.state[:3]]
+        if self._plan is None:
+            return super().predict(report, age_s)
+        dt, speeds = self._plan
+        step = min(int(age_s / dt + 1e-6), len(speeds) - 1)  # which of the speeds are those of now
+        while len(self._poses) <= step:
+            self._poses.append(arc(self._poses[-1], *speeds[len(self._poses) - 1], dt))
+        (x, y, th), (v, w), rest_s = self._poses[step], speeds[step], age_s - step * dt
+        return moved(LeaderState(x, y, th, v, w), rest_s, dt + self.horizon_s, self.fade_s)
+
+
+ESTIMATORS: Mapping[str, type[Estimator]] = {"hold": Hold, "dr": DeadReckoning, "acc": Acceleration, "plan": Plan}
+
+
+def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
+    """The estimator that a scenario or a caller names.
+
+    Args:
+        kind: one of `ESTIMATORS`, ``"module:Class"``, ``"file.py:Class"``, a table with such a ``kind`` and other parameters
+            of its class, or an object with `predict`.
+        horizon_s: given to a class that takes it, unless the table does so.
+        fade_s: the same.
+
+    Raises:
+        ValueError: an unknown name, or something without `predict`.
+    """
+    if isinstance(kind, str | Mapping):
+        return _made({"kind": kind} if isinstance(kind, str) else kind, horizon_s, fade_s)
+    if not hasattr(kind, "predict"):
+        raise ValueError(
+            f"estimator {kind!r} has no method predict(report, age_s); allowed are {', '.join(ESTIMATORS)} or such an object"
+        )
+    estimator: Estimator = kind
+    return estimator
+
+
+def _made(content: Mapping[str, Any], horizon_s: float, fade_s: float) -> Estimator:
+    kind = content.get("kind")
+    if not isinstance(kind, str):
+        raise ScenarioError(f"must be a string, one of {', '.join(ESTIMATORS)}", key="estimator.kind")
+    if kind not in ESTIMATORS and ":" not in kind:
+        raise ValueError(
+            unknown("estimator", kind, ESTIMATORS)
+            + "; or give module:Class or file.py:Class with a method predict(report, age_s)"
+        )
+    made: type[Estimator] = ESTIMATORS[kind] if kind in ESTIMATORS else find("estimator", kind, key="estimator")
+    own = {name: value for name, value in content.items() if name != "kind"}
+    offered = {"horizon_s": horizon_s, "fade_s": fade_s}
+    return call(made, {**{name: value for name, value in offered.items() if name in parameters(made)}, **own}, key="estimator")
+
+
+def moved(state: LeaderState, age_s: float, horizon_s: float, fade_s: float) -> LeaderState:
+    """Where constant speeds lead in ``age_s``, which fade to zero from ``horizon_s`` on, within ``fade_s``.
+
+    The speeds are ``(v, w) (1 - s/F)`` at s seconds after the horizon. Since they fade in proportion, it stays on its arc, and
+    the way it goes has a closed form: that of ``s - s^2 / (2 F)`` seconds at full speed.
+    """
+    x, y, th, v, w = state
+    left = 1.0
+    if age_s > horizon_s:
+        faded_s = min(age_s - horizon_s, fade_s)
+        left = 1.0 - faded_s / fade_s
+        age_s = horizon_s + 0.5 * faded_s * (1.0 + left)  # = s - s^2 / (2 F), the mean speed times s
+    x, y, th = arc((x, y, th), v, w, age_s)
+    return LeaderState(x, y, th, v * left, w * left)

@@ -1,0 +1,124 @@
+"""When a vehicle that others follow tells them where it is: what ``sending = {...}`` of an agent says, and who does it.
+
+Sent only when needed, reports save the channel (event-triggered sending). The sender knows what its followers make of the last
+report that they have, for it runs their estimator on it, and sends a new one once that would be wrong by the threshold. Which
+report they have is certain only if they say so: each answers a report that asks for it with its number (`acknowledge`). Until
+an answer can have come back, the report is taken to have arrived; if none came, the one before it counts again, by which they
+are wrong by now, so that a new report goes out at once.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any, Literal
+
+import msgspec
+
+from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, send_report
+from vcmvsp.cosim.agent import Observation, Radio
+from vcmvsp.cosim.frames import wrap, yaw_of
+from vcmvsp.cosim.types import NonNegative, Positive
+
+METRES_PER_RADIAN = 0.5  # what an error of the heading counts
+GIVEN_UP = 5.0  # times silence_s: so long is an answer awaited of one who gives none
+REMEMBERED = 64  # reports, besides those that followers have confirmed: an answer to an older one is not understood any more
+
+
+class Sending(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When reports are sent."""
+
+    when: Literal["always", "needed"] = "always"  # at every tick, or once those who follow would be wrong by the threshold
+    threshold: Positive = 0.02  # of "needed": m; an error of the heading counts half a metre a radian
+    silence_s: Positive = 2.0  # of "needed": it sends at least so often, s
+    acknowledge: bool = True  # of "needed": followers confirm what they hear, and it is sent again until they do
+    answer_s: NonNegative = 0.2  # of "needed": how long an answer takes; it counts as given until then, s
+
+
+def acknowledge(radio: Radio, report: Report, to: str) -> None:
+    """For a follower: answer a report of ``to``, if it asks for that."""
+    if report.body.get("ak") and isinstance(seq := report.body.get("seq"), int):
+        radio.send(ack=seq, to=to)
+
+
+class Reporter:
+    """Sends the reports of one vehicle.
+
+    Args:
+        sending: when; default: at every tick.
+        estimator: what the followers make of a report; default: `DeadReckoning`.
+    """
+
+    def __init__(self, sending: Sending | None = None, estimator: Estimator | None = None) -> None:
+        self.sending = sending or Sending()
+        self.estimator = estimator or DeadReckoning()
+        self._flight = getattr(self.estimator, "flight", None)  # of one that reckons with heights
+        self._seq = 0
+        self._always = self.sending.when == "always"
+        self._sent: dict[int, Report] = {}  # by number: what a follower may have as its newest, the last one last
+        self._has: dict[str, int] = {}  # the number that each follower has confirmed last; -1: none
+        self._answered_ns: dict[str, float] = {}  # when; inf: it has only just been announced
+
+    def start(self, listeners: Iterable[str]) -> None:
+        """Before the first tick, and whenever it changes: who follows this vehicle, so that their answers are awaited.
+
+        Anybody else who answers is awaited too. Who has given no answer for ``GIVEN_UP`` times ``silence_s`` is taken to be
+        gone, and reports are not repeated for its sake, until it answers again.
+        """
+        names = tuple(listeners)
+        self._has = {name: self._has.get(name, -1) for name in names}
+        self._answered_ns = dict.fromkeys(names, math.inf)
+
+    def tell(self, radio: Radio, obs: Observation, v: float, w: float, **more: Any) -> None:
+        """At every tick: speeds from now on, m/s and rad/s, and what else belongs into the report; sent if it is due."""
+        if self._always:
+            send_report(radio, self._seq, obs, v, w, **more)
+            self._seq += 1
+            return
+        x, y, _ = obs.state.position
+        if self.sending.acknowledge:
+            self._hear(obs)
+            more["ak"] = 1
+        now = Report(obs.time_ns, LeaderState(x, y, yaw_of(obs.state.attitude), v, w), more)
+        if self._due(now):
+            send_report(radio, self._seq, obs, v, w, **more)
+            self._sent[self._seq] = now
+            self._seq += 1
+            if len(self._sent) > REMEMBERED:
+                wanted = {*self._has.values(), *range(self._seq - REMEMBERED // 2, self._seq)}
+                self._sent = {number: report for number, report in self._sent.items() if number in wanted}
+
+    def _hear(self, obs: Observation) -> None:
+        """Note which reports have arrived."""
+        for heard in obs.heard:
+            body, name = heard.message.body, heard.message.sender
+            number = None if isinstance(body, bytes) else body.get("ack")
+            if type(number) is int and number in self._sent:
+                self._has[name] = max(number, self._has.get(name, -1))
+                self._answered_ns[name] = obs.time_ns
+        self._answered_ns = {name: min(when, obs.time_ns) for name, when in self._answered_ns.items()}
+        patience_ns = GIVEN_UP * self.sending.silence_s * 1e9
+        for name in [each for each, when in self._answered_ns.items() if obs.time_ns - when > patience_ns]:
+            del self._has[name], self._answered_ns[name]
+
+    def _due(self, now: Report) -> bool:
+        """Whether somebody may be too far from what would be reported now."""
+        if not self._sent:
+            return True
+        since_s = (now.t_ns - self._sent[self._seq - 1].t_ns) / 1e9
+        if since_s >= self.sending.silence_s:
+            return True
+        if not self.sending.acknowledge or since_s < self.sending.answer_s or not self._has:
+            numbers = {self._seq - 1}
+        else:
+            numbers = set(self._has.values())
+        return any(number < 0 or self._wrong(self._sent[number], now) for number in sorted(numbers))
+
+    def _wrong(self, known: Report, now: Report) -> bool:
+        """Whether one who has the report ``known`` takes this vehicle to be elsewhere, or a shape or a lane for another."""
+        if any(known.body.get(key) != now.body.get(key) for key in ("sn", "cl")):
+            return True
+        age_s = (now.t_ns - known.t_ns) / 1e9
+        x, y, th, _, _ = self.estimator.predict(known, age_s)
+        up = 0.0 if self._flight is None else self._flight(known, age_s).position[2] - self._flight(now, 0.0).position[2]
+        aside = math.hypot(x - now.state.x, y - now.state.y, up)
+        return aside + METRES_PER_RADIAN * abs(wrap(th - now.state.th)) > self.sending.threshold

@@ -1,0 +1,1 @@
+"""Places, shapes, topology, membership, passages."""

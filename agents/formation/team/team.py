@@ -1,0 +1,189 @@
+"""What a member knows of its formation: its own place, whom it follows, and which shape the team has now.
+
+All members read the same `Formation`, so at the start nothing need be said. When the leader changes the shape, its reports
+carry the new shape, how often it has changed, and who has which place; whoever has heard of a newer shape passes it on in
+its own reports, so that it comes down a chain over any lossy link. The newest counts, whoever told it.
+"""
+
+import functools
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from vcmvsp.agents.formation.team.assignment import assign
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.shape import SHAPES, Slot, Slots, slots, width
+from vcmvsp.agents.formation.team.topology import ancestors, named_parents, parents, ranks
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.config.binding import unknown
+
+JUMP = 10_000  # by more than that no team has changed its shape since somebody heard of it last
+
+
+class Team:
+    """The formation as one of its members sees it.
+
+    Attributes:
+        members: all names; the first leads.
+        name, index: of this member, and its number among them.
+        shape: the present one.
+        wide: the one that it has, or will have again, where nothing is in the way (`agents.formation.passage`).
+        changed: how often it has changed.
+        place: the number of this member's place in it; the leader's is 0.
+        slot: that place, m in the leader's frame, x forward, y left.
+        parent: whom it follows; None: nobody, it leads.
+        ancestors: the parent, the parent's parent, and so on up to the leader.
+        children: who follows it.
+        ranks: all members, those nearest to the leader first; nobody comes before an ancestor of his.
+
+    Raises:
+        ValueError: a formation that does not fit these vehicles; the message names its key.
+    """
+
+    def __init__(self, formation: Formation, vehicles: Sequence[str], name: str) -> None:
+        self.formation, self.name = formation, name
+        self.members = members_of(formation, vehicles, name)
+        self.index, count = self.members.index(name), len(self.members)
+        self._by_name = formation.topology == "graph"
+        if self._by_name:
+            self._tree = named_parents(formation.parents or {}, self.members)
+        else:
+            self._tree = parents(formation.topology, count, formation.branching)
+        narrow = formation.passage
+        wanted = {formation.shape, *(shape for _, shape in formation.changes), narrow and narrow.shape}
+        spacings = ((narrow.shape, narrow.spacing),) if narrow is not None and narrow.spacing is not None else ()
+        self._slots = _all_slots(count, formation.spacing, spacings, formation.offsets, "own" in wanted)
+        if narrow is not None:
+            _check_narrower(narrow.shape, self._slots[narrow.shape], formation.shape, self._slots[formation.shape])
+        self.shape: str = formation.shape
+        self.wide: str = formation.shape
+        self.changed = 0
+        self._coming = deque((seconds_to_ns(at_s), shape) for at_s, shape in formation.changes)
+        self._order = tuple(range(count))
+        self._settle()
+        if self.parent is None and (formation.changes or narrow is not None):
+            assign(self._slots[self.shape], self._slots[self.shape])  # loads the solver now, not in the middle of a run
+
+    def fields(self) -> Mapping[str, Any]:
+        """What belongs into the own reports, for those who have not heard of it; nothing until the shape first changes."""
+        return self._fields
+
+    def places(self, shape: str) -> Slots:
+        """The slots of a shape, m in the leader's frame."""
+        return self._slots[shape]
+
+    def slot_of(self, name: str) -> Slot:
+        """The place of a member, m in the leader's frame."""
+        return self._slots[self.shape][self._order.index(self.members.index(name))]
+
+    def beside(self, parent: str) -> Slot:
+        """Where this member belongs in the frame of another one, m: x forward, y left, as if all had one heading."""
+        x, y = self.slot_of(parent)
+        return self.slot[0] - x, self.slot[1] - y
+
+    def due(self, now_ns: int) -> list[str]:
+        """The shapes that the formation is to change to, and that have come up since this was asked last."""
+        shapes: list[str] = []
+        while self._coming and now_ns >= self._coming[0][0]:
+            shapes.append(self._coming.popleft()[1])
+        return shapes
+
+    def take(self, body: Mapping[str, Any]) -> bool:
+        """Adopt the shape that a report tells of, where it is newer than the own; whether it was.
+
+        What makes no sense is ignored: a shape that this formation does not have, an order that is not one of its members, or
+        one in which the leader leaves its place, and what would be newer by more than `JUMP` changes.
+        """
+        changed = body.get("sn", 0)
+        if type(changed) is not int or not self.changed < changed <= self.changed + JUMP:
+            return False
+        everybody = list(range(len(self.members)))
+        shape, order = body.get("shape"), body.get("order", everybody)
+        if not isinstance(shape, str) or shape not in self._slots or not isinstance(order, list) or order[:1] != [0]:
+            return False
+        if any(type(each) is not int for each in order) or sorted(order) != everybody:
+            return False
+        self._adopt(shape, changed, tuple(order))
+        return True
+
+    def change(self, shape: str, positions: Mapping[str, Slot]) -> None:
+        """As the leader: give the team another shape, and everybody the place that makes the ways shortest and crosses none.
+
+        Args:
+            shape: the new one.
+            positions: where members are, as far as known, m in the leader's frame; the others are taken to be in their places.
+        """
+        if shape not in self._slots:
+            raise ValueError(f"shape = {shape!r}: {unknown('shape', shape, self._slots)}")
+        now = [positions.get(name) or self.slot_of(name) for name in self.members]
+        self._adopt(shape, self.changed + 1, assign(now, self._slots[shape]))
+
+    def whom(self, alive: Callable[[str], bool]) -> str | None:
+        """Whom to follow while not all are alive: the nearest living ancestor; None: nobody, this member leads now.
+
+        Where no ancestor is left, the living member nearest to the leader leads, and the others keep the shape around it. So
+        nobody follows one who comes after him in ``ranks``, and members never follow each other in a circle.
+        """
+        for name in self.ancestors:
+            if alive(name):
+                return name
+        return next((name for name in self.ranks[: self.ranks.index(self.name)] if alive(name)), None)
+
+    def _adopt(self, shape: str, changed: int, order: tuple[int, ...]) -> None:
+        self.shape, self.changed, self._order = shape, changed, order
+        if self.formation.passage is None or shape != self.formation.passage.shape:
+            self.wide = shape
+        self._settle()
+
+    def _settle(self) -> None:
+        """Work out who is where, from the shape and the order."""
+        self.place = self._order.index(self.index)
+        self.slot = self._slots[self.shape][self.place]
+        of_node = range(len(self.members)) if self._by_name else self._order  # the member at each node of the tree
+        names = [self.members[member] for member in of_node]
+        node = self.index if self._by_name else self.place
+        self.ancestors = tuple(names[each] for each in ancestors(self._tree, node))
+        self.parent = self.ancestors[0] if self.ancestors else None
+        self.children = tuple(names[child] for child, parent in enumerate(self._tree) if parent == node)
+        self.ranks = tuple(names[each] for each in ranks(self._tree))
+        told: dict[str, Any] = {"shape": self.shape, "sn": self.changed} if self.changed else {}
+        if self._order != tuple(range(len(self.members))):
+            told["order"] = list(self._order)
+        self._fields = told
+
+
+@functools.lru_cache(maxsize=16)  # all members of a run ask for the same
+def _all_slots(
+    count: int, spacing: float, spacings: tuple[tuple[str, float], ...], offsets: tuple[Slot, ...], own: bool
+) -> Mapping[str, Slots]:
+    """The slots of every shape that the team can take; ``spacings``: of single shapes; ``own``: whether that must be there."""
+    taken = [shape for shape in SHAPES if shape != "own" or own or offsets]
+    return {shape: slots(shape, count, dict(spacings).get(shape, spacing), offsets) for shape in taken}
+
+
+def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -> None:
+    needs, has = width(places, 0.0), width(wide_places, 0.0)
+    if len(places) > 1 and needs >= has:
+        raise ValueError(
+            f"formation.passage.shape = {narrow!r} is no narrower than the formation's own, {wide!r}: "
+            f"{needs:.3g} m instead of {has:.3g} m without bodies; take another one, or a smaller passage.spacing"
+        )
+
+
+def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tuple[str, ...]:
+    """Who belongs to the formation of this vehicle: whom it names, or else all.
+
+    Raises:
+        ValueError: it names who is none of the vehicles, or somebody twice, or leaves this one out.
+    """
+    members = formation.members or tuple(vehicles)
+    known, seen = frozenset(vehicles), set()
+    for member in members:
+        if member not in known:
+            raise ValueError(f"formation.members: {unknown('vehicle', member, vehicles)}")
+        if member in seen:
+            raise ValueError(f"formation.members names {member} twice")
+        seen.add(member)
+    if name not in seen:
+        raise ValueError(f"formation.members ({', '.join(members)}) does not name {name}; add it, or give it no formation")
+    return members

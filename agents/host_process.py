@@ -1,0 +1,104 @@
+"""A process that hosts agents: started by a run (``runs = "process"``) or by hand (``vcmvsp agent``)."""
+
+import argparse
+import io
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from vcmvsp.agents.federate import AgentHost
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.scenario.schema import AgentTable
+from vcmvsp.cosim.hosts.server import Desk
+from vcmvsp.cosim.hosts.host_client import serve
+from vcmvsp.cosim.transport.endpoints import endpoint_rules
+from vcmvsp.cosim.hosts.protocol import PROTOCOL, Hello
+
+GRACE_S = 0.2
+
+
+def host(
+    endpoint: str,
+    vehicles: tuple[str, ...],
+    *,
+    kind: str | None = None,
+    folder: str = "",
+    params: dict[str, Any] | None = None,
+    token: str = "",
+    keys: Path | None = None,
+    insecure: bool = False,
+    on_state: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Serve the agents of these vehicles to the run at ``endpoint`` until it ends; the answer is why it ended.
+
+    Args:
+        endpoint: Zenoh endpoint of the run, e.g. ``tcp/127.0.0.1:7447``.
+        vehicles: whose agents to run.
+        kind: the agent's class; None: what the scenario says.
+        folder: where a relative file of ``kind`` is.
+        params: parameters that win over the scenario's.
+        token: proves that this host was started by the run itself, which knows it by its first vehicle.
+        keys: file with the certificate of this machine.
+        insecure: do without one, although the run is on another machine.
+        on_state: told what is being waited for.
+    """
+    for vehicle in vehicles:
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
+            raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -")
+    if strange := [name for name in params or {} if name in binding.parameters(AgentTable)]:
+        raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
+    bundle = None
+    if keys is not None:
+        from vcmvsp.cosim.security import certificates
+
+        bundle = certificates.load_bundle(keys)
+        if warning := bundle.check():
+            on_state(warning)
+        bundle.speaks_for(vehicles)
+    if not token:  # whom a run has started it has also told where to dial
+        endpoint_rules(endpoint, bundle, insecure=insecure, side="host")
+
+    def hello(host_id: str) -> Hello:
+        return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=folder, params=params or {}, token=token)
+
+    with threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
+        login = (vehicles[0], token) if token else None
+        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, login=login, on_state=on_state)
+
+
+def _end_with_parent(pipe: io.FileIO) -> None:
+    """Leave at once when the run's process is gone: its end of the pipe closes, however it died."""
+    pipe.read()
+    time.sleep(GRACE_S)  # to end by itself, as it does after a run that went well
+    os._exit(1)
+
+
+def main() -> int:
+    """Entry point of a host that a run has spawned."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's to handle; it ends its hosts
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--connect", required=True)
+    parser.add_argument("--vehicle", action="append", required=True)
+    options = parser.parse_args()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # what agents print is seen, however this process ends
+    pipe = io.FileIO(0, closefd=False)  # unbuffered: a thread that waits in it must not hold a lock when Python exits
+    token = pipe.readline().decode().strip()
+    threading.Thread(target=_end_with_parent, args=(pipe,), daemon=True).start()
+    try:
+        host(options.connect, tuple(options.vehicle), token=token)
+    except UsageError as error:
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    except VcmvspError as error:  # the run has been told, and tells it
+        return error.exit_code
+    return 0

@@ -1,0 +1,45 @@
+"""Which pictures of a camera are recorded: all in which something was recognised, and now and then the pixels themselves."""
+
+import cv2
+
+from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.types import Image, Sightings
+
+NOTHING_NS = seconds_to_ns(5.0)  # pixels without a target in them are kept so often
+QUALITY = 80  # of JPEG, in percent
+
+
+class Showing:
+    """Of one camera.
+
+    Args:
+        camera: its name.
+        picture_s: how often pixels with a target in them are kept, s.
+    """
+
+    def __init__(self, camera: str, picture_s: float) -> None:
+        self._camera, self._every_ns = camera, seconds_to_ns(picture_s)
+        self._kept_ns: int | None = None  # when the newest picture was taken whose pixels were kept
+
+    def of(self, frame: Frame) -> Sightings | None:
+        """What is recorded of a picture; None: nothing."""
+        wait_ns = self._every_ns if frame.sightings else max(self._every_ns, NOTHING_NS)
+        keep = self._kept_ns is None or frame.time_ns - self._kept_ns >= wait_ns
+        if not (keep or frame.sightings):
+            return None
+        if keep:
+            self._kept_ns = frame.time_ns
+        return Sightings(
+            sensor=self._camera,
+            time_ns=frame.time_ns,
+            width=frame.nadir.width,
+            height=frame.nadir.height,
+            found=frame.sightings,
+            jpeg=_jpeg(frame.image) if keep else b"",
+        )
+
+
+def _jpeg(image: Image) -> bytes:
+    _, coded = cv2.imencode(".jpg", cv2.cvtColor(image.pixels, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, QUALITY))
+    return coded.tobytes()

@@ -1,0 +1,233 @@
+"""Who takes part in a mission, what each of them is doing, and who tracks which target: all that members tell of themselves.
+
+====== ===== ==============================================================
+key    type  meaning
+====== ===== ==============================================================
+``do`` str   the task: ``search``, ``formation`` or ``track``
+``ms`` int   when that was so, ms of simulated time
+``tg`` str   the target that it tracks; absent: none
+``at`` list  where that target is, x and y, m, world
+``since`` int when it began to track that one, ms
+====== ===== ==============================================================
+
+Each says all of it again and again, so that a message may be lost. Of a sender the newest counts, however it was overtaken.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypeGuard
+
+from vcmvsp.agents.reconnaissance.state_table import TASKS, Task
+from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.config.binding import unknown
+
+Point = tuple[float, float]
+
+SAME_M = 3.0  # targets without a name that lie so near to one another are one
+APART_M = 20.0  # so far from one another even those of one name are two
+GIVEN_UP_NS = seconds_to_ns(60.0)  # so long a place that was given up is left alone
+FARTHEST_M = 1e9  # no place on Earth lies further from an origin
+LATEST_MS = 2**53  # of the clock; more is no time
+LONGEST_NAME = 100  # characters
+
+
+class Claim(NamedTuple):
+    """A target that a vehicle tracks."""
+
+    target: str  # empty: it does not know yet which one it is
+    place: Point  # m, world
+    since_ns: int
+
+    def same(self, other: "Claim") -> bool:
+        """Whether both are about one target."""
+        if self.target and other.target:
+            return self.target == other.target and math.dist(self.place, other.place) <= APART_M
+        return math.dist(self.place, other.place) <= SAME_M
+
+
+class Heard(NamedTuple):
+    """What a member said last."""
+
+    ms: int
+    task: Task
+    claim: Claim | None
+
+
+class Roster:
+    """The mission as one of its members sees it.
+
+    Args:
+        me: this vehicle.
+        members: all that take part, itself included.
+        sectors: which of them search one sector together, the first of each leads there; those not named have one of their own.
+        alive_s: after so long a silence a member counts as lost, s.
+        claim_s: so long its claim stands nevertheless, s: more often than not it is only out of reach.
+        report_s: how often a member tells of itself, s; at once where its task or its target changes.
+        clock_bound_s: how far ahead the clocks of others may be, s.
+
+    Attributes:
+        sector: the one of this vehicle; it has the name of the first of those who share it.
+        clock_bound_s: how far ahead the clocks of others may be, s, whatever they tell.
+
+    Raises:
+        ValueError: members or sectors that do not fit one another.
+    """
+
+    def __init__(
+        self,
+        me: str,
+        members: Sequence[str],
+        *,
+        sectors: Sequence[Sequence[str]] = (),
+        alive_s: float = 5.0,
+        claim_s: float = 30.0,
+        report_s: float = 1.0,
+        clock_bound_s: float = 0.0,
+    ) -> None:
+        if me not in members:
+            raise ValueError(f"members: {me} is not one of them; they are {', '.join(members)}")
+        if alive_s <= report_s:
+            raise ValueError(f"alive_s = {alive_s}: members tell of themselves every {report_s} s, so it must be longer")
+        self.me, self.members = me, tuple(sorted(set(members)))
+        self._sector_of = _by_sector(self.members, sectors)
+        self._rank = {name: rank for sector in sectors for rank, name in enumerate(sector)}
+        self.sector = self._sector_of[me]
+        self._given_up: list[tuple[int, Point]] = []
+        self._alive_ns, self._report_ns = seconds_to_ns(alive_s), seconds_to_ns(report_s)
+        self._claim_ns = max(self._alive_ns, seconds_to_ns(claim_s))
+        self.clock_bound_s, self._clock_bound_ns = clock_bound_s, seconds_to_ns(clock_bound_s)
+        self._heard: dict[str, Heard] = {}
+        self._there_ns: dict[str, int] = {}  # when anything came from its agent
+        self._start_ns: int | None = None
+        self._told: tuple[Task, str | None] | None = None
+        self._told_ns = 0
+
+    def hear(self, obs: Observation) -> None:
+        """Once a tick: take in what others told; whatever a member sends shows that it is there, unless a program sends it."""
+        self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
+        for heard in obs.heard:
+            sender, body = heard.message.sender, heard.message.body
+            if sender == self.me or sender not in self._sector_of or isinstance(body, bytes):
+                continue
+            self._there_ns[sender] = obs.time_ns
+            said = _parsed(body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
+            before = self._heard.get(sender)
+            if said is not None and (before is None or said.ms > before.ms):
+                self._heard[sender] = said
+
+    def tell(self, obs: Observation, radio: Radio, task: Task, claim: Claim | None) -> None:
+        """Once a tick: say what this vehicle does, when it is due."""
+        now = task, None if claim is None else claim.target
+        if now == self._told and obs.time_ns - self._told_ns < self._report_ns:
+            return
+        self._told, self._told_ns = now, obs.time_ns
+        body: dict[str, Any] = {"do": task, "ms": obs.time_ns // 1_000_000}
+        if claim is not None:
+            body |= {"tg": claim.target, "at": list(claim.place), "since": claim.since_ns // 1_000_000}
+        radio.send(body)
+
+    def alive(self, now_ns: int) -> tuple[str, ...]:
+        """Those who take part and have not been silent for too long, this one among them, in the order of their names."""
+        return tuple(name for name in self.members if name == self.me or self._silent_ns(name, now_ns) < self._alive_ns)
+
+    def searchers(self, now_ns: int) -> tuple[str, ...]:
+        """Those of them who search, alone or in formation, and this one; of whom nothing is known searches."""
+        return tuple(
+            name
+            for name in self.alive(now_ns)
+            if name == self.me or name not in self._heard or self._heard[name].task != "track"
+        )
+
+    def shared(self, now_ns: int) -> bool:
+        """Whether somebody before this one searches its sector, so that this one only flies along."""
+        before = self._rank.get(self.me, 0)
+        return any(self._sector_of[name] == self.sector and self._rank.get(name, 0) < before for name in self.searchers(now_ns))
+
+    def sectors(self, now_ns: int) -> tuple[str, ...]:
+        """The sectors in which somebody searches, this one's own among them, in the order of their names."""
+        return tuple(sorted({self._sector_of[name] for name in self.searchers(now_ns)}))
+
+    def claims(self, now_ns: int) -> Mapping[str, Claim]:
+        """What others track, by vehicle."""
+        return {
+            name: each.claim
+            for name, each in sorted(self._heard.items())
+            if each.claim is not None and self._silent_ns(name, now_ns) < self._claim_ns
+        }
+
+    def taken(self, claim: Claim, now_ns: int) -> bool:
+        """Whether another one has the better right to that target.
+
+        Who knows which one it is comes before who does not; of these who began first; of those that began together the first.
+        """
+        mine = _right(self.me, claim)
+        return any(claim.same(other) and _right(name, other) < mine for name, other in self.claims(now_ns).items())
+
+    def give_up(self, place: Point, now_ns: int) -> None:
+        """Leave alone for a while what is there, m, world: it was tracked in vain, or is another's."""
+        self._given_up.append((now_ns, place))
+
+    def given_up(self, now_ns: int) -> list[Point]:
+        """Such places of the last minute."""
+        self._given_up = [each for each in self._given_up if now_ns - each[0] < GIVEN_UP_NS]
+        return [place for _, place in self._given_up]
+
+    def _silent_ns(self, name: str, now_ns: int) -> int:
+        """For how long nothing has been heard of a member; of one that never said anything, since the start."""
+        return now_ns - self._there_ns.get(name, now_ns if self._start_ns is None else self._start_ns)
+
+
+def members_of(info: VehicleInfo, named: Sequence[str]) -> tuple[str, ...]:
+    """Those who take part: these, or all vehicles of the run where nobody is named.
+
+    Raises:
+        ValueError: one of them is no vehicle of the run.
+    """
+    for name in named:
+        if name not in info.vehicles:
+            raise ValueError(f"members: {unknown('vehicle', name, info.vehicles)}")
+    return tuple(named) or info.vehicles
+
+
+def _right(name: str, claim: Claim) -> tuple[bool, int, str]:
+    """By which claims to one target are put in order."""
+    return not claim.target, claim.since_ns // 1_000_000, name
+
+
+def _by_sector(members: Sequence[str], sectors: Sequence[Sequence[str]]) -> dict[str, str]:
+    """By member: its sector's name, which is that of the first in it."""
+    of: dict[str, str] = {}
+    for sector in sectors:
+        if not sector:
+            raise ValueError("sectors: there is one in which nobody is; leave it out, or name somebody")
+        for name in sector:
+            if name not in members:
+                raise ValueError(f"sectors: {unknown('member', name, members)}")
+            if name in of:
+                raise ValueError(f"sectors names {name} twice")
+            of[name] = sector[0]
+    return {name: of.get(name, name) for name in members}
+
+
+def _parsed(body: Any, latest_ms: int) -> Heard | None:
+    """What a member says of itself; None: that is not what it is, or it makes no sense."""
+    if not isinstance(body, Mapping):
+        return None
+    task, ms = body.get("do"), body.get("ms")
+    if task not in TASKS or not _is_time(ms, min(latest_ms, LATEST_MS)):
+        return None
+    if "tg" not in body:
+        return Heard(ms, task, None)
+    target, place, since = body["tg"], body.get("at"), body.get("since")
+    if not isinstance(target, str) or len(target) > LONGEST_NAME or not _is_time(since, ms):
+        return None
+    if not isinstance(place, list) or len(place) != 2 or not all(type(each) is float for each in place):
+        return None
+    if not all(abs(each) <= FARTHEST_M for each in place):
+        return None
+    return Heard(ms, task, Claim(target, (place[0], place[1]), since * 1_000_000))
+
+
+def _is_time(value: Any, latest: int) -> TypeGuard[int]:
+    return type(value) is int and 0 <= value <= latest

@@ -1,0 +1,150 @@
+"""Who commands a vehicle on a search: a table of states, as a pure function of the state and of what is known at a tick.
+
+=========  ==================================  ============================================  ===============================
+state      entered                             left                                          who commands
+=========  ==================================  ============================================  ===============================
+search     at the start; a target is lost      a target is confirmed                         the search
+formation  the same, where two or more share   the same                                      the law of the formation
+           a sector
+track      3 detections of 5 frames, or the    3 s without a detection, and then 10 s on a   the tracker; lost: a spiral
+           map is sure (P > 0.99)              spiral; another one tracks it                 around where it was seen last
+avoid1     something nearer than d1, and       nothing nearer than d1 + 0.2 m for 0.5 s:     avoidance, in the direction
+           closing on it                       back to the task                              that the task wants
+avoid2     something nearer than d2            nothing nearer than d2 + 0.15 m for 0.5 s:    the same
+                                               to avoid1
+=========  ==================================  ============================================  ===============================
+
+avoid2 goes before avoid1, avoid1 before track, track before search. Search, formation and track are the tasks; what avoidance
+interrupts stays the task, and has the command back afterwards. A task may still change meanwhile: pictures are looked at and
+maps are exchanged in every state, so a target that is confirmed on the way around something is tracked after that. The 10 s of
+a spiral count whoever commands, as avoidance does what the tracker wants, only around things: else a vehicle that cannot get to
+where a target is said to be (on a roof, in a narrow street), and so never leaves avoidance, would stay there for ever.
+
+There is no switch within 0.5 s of another, whatever happens. So avoid2 may begin half a second late, if something else began
+just before. That costs no safety, because no safety rests on it: the limit of the speed near obstacles holds for the command of
+whoever commands (`agents.mission.speed_limit`, `agents.avoidance.levels`), from the first tick at which something is nearer than d2.
+What is late is only the way around, and that of a vehicle which comes no nearer than it may. At the end of the half second the
+facts of then decide, and avoid2 goes before all: nothing stands in line before it.
+"""
+
+import math
+from typing import Literal, NamedTuple, get_args
+
+from vcmvsp.cosim.clock import seconds_to_ns
+
+Task = Literal["search", "formation", "track"]
+Name = Literal["search", "formation", "track", "avoid1", "avoid2"]
+TASKS: tuple[Task, ...] = get_args(Task)
+
+DWELL_NS = seconds_to_ns(0.5)  # from switch to switch, at least
+CLEAR_NS = seconds_to_ns(0.5)  # so long nothing may be near before a level is left
+CLEAR_M = {"avoid1": 0.2, "avoid2": 0.15}  # and so much further away than where it began
+SURE = 0.99  # probability of a target in a cell of the map
+LOST_NS = seconds_to_ns(3.0)  # without a detection: lost
+SPIRAL_NS = seconds_to_ns(10.0)  # so long it is searched for then
+
+
+class Facts(NamedTuple):
+    """What is known at a tick."""
+
+    now_ns: int
+    nearest_m: float = math.inf  # the nearest obstacle; not a number: who does not know is near
+    closing: bool = False  # whether it comes nearer
+    first_m: float = 1.2  # d1: from how near on avoidance looks at things
+    second_m: float = 0.9  # d2: from how near on the vehicle must be slow; depends on its speed
+    shared: bool = False  # whether others search the same sector
+    recognised: bool = False  # a target, by detections in several frames
+    probability: float = 0.0  # in the surest cell of the map whose target is nobody's, and was not given up since
+    seen_ns: int | None = None  # when the target that is tracked was detected last
+    taken: bool = False  # another vehicle tracks that target, the confirmed or the tracked one
+    place: tuple[float, float] | None = None  # m, world: of what is recognised or probable; for whom it may concern
+
+
+class State(NamedTuple):
+    """Who commands, since when and why; what the task is; and the timers of the table."""
+
+    name: Name = "search"
+    task: Task = "search"  # the same, or what has the command back after avoidance
+    since_ns: int = 0  # of the last switch
+    why: str = "start"
+    task_why: str = "start"  # why the task is that
+    switches: int = 0  # so far
+    now_ns: int | None = None  # of the last facts
+    clear_ns: int | None = None  # since when things are far enough away to leave a level of avoidance
+    found_ns: int = 0  # when the task became to track
+    lost: bool = False  # the target has not been seen for 3 s
+    spiral_ns: int = 0  # how long it has been searched for since
+
+    @property
+    def avoids(self) -> bool:
+        """Whether avoidance commands."""
+        return self.name in CLEAR_M
+
+
+def step(state: State, facts: Facts) -> State:
+    """The state at a tick, from that of the tick before. Times that go back count as no time."""
+    before = facts.now_ns if state.now_ns is None else state.now_ns
+    facts = facts._replace(now_ns=max(facts.now_ns, before))
+    if state.now_ns is None:
+        state = state._replace(since_ns=facts.now_ns)
+    state = _with_task(_timed(state, facts, facts.now_ns - before), facts)
+    wanted, why = _avoidance(state, facts) or _the_task(state)
+    if wanted == state.name or (state.switches > 0 and facts.now_ns - state.since_ns < DWELL_NS):
+        return state
+    return state._replace(name=wanted, since_ns=facts.now_ns, why=why, switches=state.switches + 1, clear_ns=None)
+
+
+def _timed(state: State, facts: Facts, passed_ns: int) -> State:
+    """The timers move on."""
+    clear_ns = None
+    if state.name in CLEAR_M:
+        begun_m = facts.first_m if state.name == "avoid1" else facts.second_m
+        if facts.nearest_m > begun_m + CLEAR_M[state.name]:
+            clear_ns = facts.now_ns if state.clear_ns is None else state.clear_ns
+    state = state._replace(now_ns=facts.now_ns, clear_ns=clear_ns)
+    if state.task != "track":
+        return state
+    seen_ns = state.found_ns if facts.seen_ns is None else max(facts.seen_ns, state.found_ns)
+    lost = facts.now_ns - seen_ns >= LOST_NS
+    return state._replace(lost=lost, spiral_ns=state.spiral_ns + passed_ns if lost and state.lost else 0)
+
+
+def _with_task(state: State, facts: Facts) -> State:
+    """The task from now on, whoever commands."""
+    searching: Task = "formation" if facts.shared else "search"
+    if state.task == "track":
+        if facts.taken:
+            return _turned_to(state, searching, "another vehicle tracks the target")
+        return _turned_to(state, searching, "the target is lost") if state.spiral_ns >= SPIRAL_NS else state
+    if not facts.taken and facts.recognised:
+        return _turned_to(state, "track", "a target is recognised")._replace(found_ns=facts.now_ns)
+    if not facts.taken and facts.probability > SURE:
+        why = f"the map is sure of a target, P {facts.probability:.4f}"
+        return _turned_to(state, "track", why)._replace(found_ns=facts.now_ns)
+    if state.task == searching:
+        return state
+    return _turned_to(state, searching, "the sector is shared" if facts.shared else "alone in the sector")
+
+
+def _turned_to(state: State, task: Task, why: str) -> State:
+    return state._replace(task=task, task_why=why, lost=False, spiral_ns=0)
+
+
+def _the_task(state: State) -> tuple[Name, str]:
+    """The task is to command, and why."""
+    return state.task, f"nothing is near any more ({state.task_why})" if state.avoids else state.task_why
+
+
+def _avoidance(state: State, facts: Facts) -> tuple[Name, str] | None:
+    """The level of avoidance that is due, and why; None: none is."""
+    near, nearer = (not facts.nearest_m >= limit_m for limit_m in (facts.first_m, facts.second_m))  # not a number is near
+    has_passed = state.clear_ns is not None and facts.now_ns - state.clear_ns >= CLEAR_NS
+    if nearer:
+        return "avoid2", f"something at {facts.nearest_m:.2f} m, nearer than {facts.second_m:.2f} m"
+    if state.name == "avoid2":
+        return ("avoid1", "room for more speed") if has_passed else ("avoid2", state.why)
+    if state.name == "avoid1":
+        return None if has_passed else ("avoid1", state.why)
+    if near and facts.closing:
+        return "avoid1", f"something at {facts.nearest_m:.2f} m, nearer than {facts.first_m:.2f} m, and closing on it"
+    return None

@@ -1,0 +1,213 @@
+"""A map of where a vehicle's radio is heard, from a scenario: the same channel that a run would have, asked at many places."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.config import factory, registry, binding
+from vcmvsp.cosim.assembly import radio
+from vcmvsp.cosim.scenario import loader as scenario
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.tables.schema import load_tables
+from vcmvsp.cosim.scenario.schema import Scenario
+from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.types import Array, Vec3
+
+SCHEMA = "vcmvsp.coverage/1"
+MOST_PLACES = 1_000_000
+_STEPS = 150  # places along the longer side, about
+
+
+class Site(msgspec.Struct, frozen=True):
+    """What the radio of a scenario knows: the channel, and what stands where."""
+
+    channel: Any  # `netsim.channel.channel.Channel`
+    solids: Sequence[Any]  # `physics.world.solids.Solid`
+    radios: Mapping[str, Any]  # `netsim.interfaces.radio.Radio`, by vehicle
+    places: Mapping[str, Vec3]  # of the vehicles, m, world
+
+
+class Map(msgspec.Struct, frozen=True, kw_only=True):
+    """Level and success on a grid of places, all seen from above."""
+
+    scenario: str
+    vehicle: str
+    preset: str
+    seed: int
+    size_bytes: int
+    height_m: float  # of the receivers' antennas
+    floor_dbm: float  # the weakest level that is noticed
+    noise_dbm: float
+    x: Array  # (m,) m, world
+    y: Array  # (n,)
+    level_dbm: Array  # (n, m) mean over the fading
+    success: Array  # (n, m) chance that a frame arrives
+    places: Mapping[str, Vec3]  # of the vehicles
+    others: Mapping[str, tuple[float, float]]  # level and success at each other vehicle's own antenna
+    solids: Sequence[Any]
+
+
+def site_of(parsed: Scenario, source: Source) -> Site:
+    """Build the world and the channel of a scenario, and nothing else of it.
+
+    Raises:
+        ScenarioError: they cannot be built.
+    """
+    world, _ = factory.world_of(parsed.world, source, seed=parsed.seed)
+    built = radio.of_scenario(parsed, source, solids=world.solids)
+    places = {each.name: each.start[0] for each in parsed.vehicle}
+    return Site(built.channel, world.solids, built.radios, places)
+
+
+def coverage(
+    what: str | Path | Mapping[str, Any],
+    vehicle: str,
+    *,
+    at_s: float | None = None,
+    size_bytes: int = 100,
+    height_m: float = 0.5,
+    resolution_m: float | None = None,
+    seed: int | None = None,
+    set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
+) -> Map:
+    """Where the frames of a vehicle arrive.
+
+    Args:
+        what: a scenario, or the directory of a run: that run's.
+        vehicle: who sends.
+        at_s: of a run: when the vehicles are where they are taken to be; default: at the start.
+        size_bytes: payload of a frame.
+        height_m: of the receivers' antennas above the floor.
+        resolution_m: from place to place; default: about 150 places along the longer side.
+        seed: instead of the scenario's.
+        set: key path -> value, as for a run.
+
+    Raises:
+        ScenarioError: the scenario has no such radio.
+        UsageError: no such vehicle, time or resolution; or the states of the run cannot be read.
+    """
+    if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0.0):
+        raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
+    folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
+    parsed, source = scenario.load(_scenario_in(folder) if folder else what, settings=set, seed=seed)
+    site = site_of(parsed, source)
+    if vehicle not in site.places:
+        raise UsageError(binding.unknown("vehicle", vehicle, site.places))
+    if at_s is not None:
+        if folder is None:
+            raise UsageError("a time can be given for a run only: name the directory that a run left")
+        site = msgspec.structs.replace(site, places=_places_at(folder, at_s))
+    return _map(site, parsed, vehicle, size_bytes, height_m, resolution_m)
+
+
+def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: float, resolution_m: float | None) -> Map:
+    asked = registry.piece("coverage")
+    x, y = _grid(site, asked.range_m(site.channel, vehicle, height_m), vehicle, resolution_m)
+    antennas = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=-1)
+    position = np.array(site.places[vehicle])
+    found = asked.coverage(site.channel, vehicle, position, antennas, size_bytes=size_bytes, seed=parsed.seed)
+    there = asked.among(site.channel, vehicle, site.places, size_bytes=size_bytes, seed=parsed.seed)
+    others = [name for name in site.places if name != vehicle]
+    shape = len(y), len(x)
+    return Map(
+        scenario=parsed.name,
+        vehicle=vehicle,
+        preset=parsed.radio.get("preset", "ideal"),
+        seed=parsed.seed,
+        size_bytes=size_bytes,
+        height_m=height_m,
+        floor_dbm=asked.floor_dbm(site.channel),
+        noise_dbm=site.channel.hearing.noise_dbm,
+        x=x,
+        y=y,
+        level_dbm=found.level_dbm.reshape(shape),
+        success=found.success.reshape(shape),
+        places=site.places,
+        others=dict(zip(others, zip(there.level_dbm.tolist(), there.success.tolist(), strict=True), strict=True)),
+        solids=site.solids,
+    )
+
+
+def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float | None) -> tuple[Array, Array]:
+    """The columns and rows of the map: solids and vehicles with a margin; in an empty world, as far as the radio is heard."""
+    points = np.array([place[:2] for place in site.places.values()])
+    corners = [corner for solid in site.solids for piece in solid.uprights() for corner in piece.corners]
+    if corners:
+        points = np.concatenate([points, corners])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = max(2.0, 0.1 * float((high - low).max()))
+    if not corners and range_m is not None:
+        centre = np.array(site.places[vehicle][:2])
+        low, high, margin = np.minimum(low, centre - range_m), np.maximum(high, centre + range_m), 0.1 * range_m
+    low, high = low - margin, high + margin
+    step = resolution_m or _round_step(float((high - low).max()) / _STEPS)
+    first = np.floor(low / step)
+    count = np.ceil(high / step) - first + 1.0
+    if not count.prod() <= MOST_PLACES:
+        columns, rows = (f"{each:.0f}" for each in count)
+        raise UsageError(f"a place every {step:g} m makes {columns} x {rows} of them; at most {MOST_PLACES} can be drawn")
+    x, y = (step * (first[axis] + np.arange(count[axis])) for axis in (0, 1))
+    return x, y
+
+
+def _round_step(step_m: float) -> float:
+    """1, 2 or 5 times a power of ten, not below the step."""
+    power = 10.0 ** math.floor(math.log10(step_m))
+    return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= step_m * (1.0 - 1e-9))
+
+
+def _scenario_in(folder: Path) -> Path:
+    path = folder / "scenario.toml"
+    if not path.is_file():
+        raise UsageError(f"{folder}: no scenario.toml here; name a scenario, or the directory that a run left")
+    return path
+
+
+def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:
+    """Where the vehicles of a run were, at the last recorded instant up to a time."""
+    try:
+        moved = motion(load_tables(folder).states)
+    except (OSError, ValueError) as error:  # a damaged table
+        raise UsageError(f"{folder} cannot be read: {error}") from error
+    instant = int(np.searchsorted(moved.time_ns, at_s * SECOND_NS, side="right")) - 1
+    if instant < 0 or not at_s * SECOND_NS <= moved.time_ns[-1]:
+        raise UsageError(f"{at_s:g} s: the run in {folder} lasted from 0 to {moved.time_ns[-1] / SECOND_NS:g} s")
+    return {name: tuple(moved.position[:, instant, moved.column(name)].tolist()) for name in moved.names}
+
+
+def to_table(found: Map) -> dict[str, Any]:
+    """The map for JSON: row by row from south to north, each from west to east."""
+    names = ("scenario", "vehicle", "preset", "seed", "size_bytes", "height_m", "floor_dbm", "noise_dbm")
+    arrays = ("x", "y", "level_dbm", "success")
+    return {
+        "schema": SCHEMA,
+        **{name: getattr(found, name) for name in names},
+        "vehicles": {name: list(place) for name, place in found.places.items()},
+        "at_vehicles": {name: {"level_dbm": level, "success": success} for name, (level, success) in found.others.items()},
+        "heard_share": heard_share(found),
+        "mean_success": float(found.success.mean()),
+        **{f"{name}_m" if name in ("x", "y") else name: getattr(found, name).tolist() for name in arrays},
+    }
+
+
+def heard_share(found: Map) -> float:
+    """Share of the area in which the mean level suffices."""
+    return float((found.level_dbm >= found.floor_dbm).mean())
+
+
+def summary(found: Map) -> str:
+    """The map in a few lines."""
+    width, height = (float(np.ptp(axis)) for axis in (found.x, found.y))
+    lines = [
+        f"{found.scenario}: {found.vehicle} is heard at {found.floor_dbm:.1f} dBm or more in "
+        f"{100.0 * heard_share(found):.1f} % of {width:g} x {height:g} m; "
+        f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, all places taken together"
+    ]
+    lines += [f"  {name}: {level:.1f} dBm, {100.0 * success:.1f} % arrive" for name, (level, success) in found.others.items()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,130 @@
+"""The answers of `cosim.analysis.links` as text for a terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+Row = Mapping[str, Any]
+_MATRIX = 12  # vehicles that a matrix has room for
+_LINKS = 40  # links that a table shows
+
+
+def overview_text(rows: Sequence[Row], vehicles: Sequence[str]) -> str:
+    """A matrix of delivery ratios, where it has room, and a table of links, the worst first."""
+    parts = []
+    if len(rows) > 1 and len(vehicles) <= _MATRIX:
+        ratio = {(row["sender"], row["receiver"]): _percent(row["delivery_ratio"]) for row in rows}
+        lines = [["from \\ to", *vehicles]]
+        lines += [[a, *(ratio.get((a, b), "-") for b in vehicles)] for a in vehicles if any((a, b) in ratio for b in vehicles)]
+        parts.append("delivered, %\n" + _table(lines))
+    head = ["link", "frames", "delivered %", "distance m", "level dBm", "longest gap s", "lost to"]
+    lines = [head]
+    for row in rows[:_LINKS]:
+        losses = ", ".join(f"{loss['frames']} {cause}" for cause, loss in row["losses"].items()) or "-"
+        link = f"{row['sender']}/{row['receiver']}"
+        figures = [_figure(row[name], digits) for name, digits in (("distance_m", 1), ("rssi_dbm", 1), ("longest_gap_s", 3))]
+        lines.append([link, str(row["frames"]), _percent(row["delivery_ratio"]), *figures, losses])
+    parts.append(_table(lines, left=(0, 6)))
+    if len(rows) > _LINKS:
+        parts.append(f"... and {len(rows) - _LINKS} links that deliver more; --json has them all\n")
+    return "\n".join(parts)
+
+
+def link_text(link: Row) -> str:
+    """One link."""
+    if not link["frames"]:
+        return f"{link['sender']} -> {link['receiver']}: no frames\n"
+    delivered = f"{link['received']} delivered"
+    if link["delivery_ratio"] is not None:
+        delivered += f" ({_percent(link['delivery_ratio'])} %)"
+    lines = [["frames", f"{link['frames']}, {delivered}" + (f", {link['under_way']} under way" if link["under_way"] else "")]]
+    for cause, loss in link["losses"].items():
+        lines.append([f"  {cause}", f"{loss['frames']} ({_percent(loss['share'])} %)"])
+    for name, key, unit in (("level", "rssi_dbm", "dBm"), ("SNR", "snr_db", "dB"), ("SINR", "sinr_db", "dB")):
+        lines.append([name, _range(link[key], unit)])
+    distance, walls, receptions = link["distance_m"], link["walls"], link["receptions"]
+    lines.append(["distance", f"{_figure(distance['min'], 2)} to {_figure(distance['max'], 2)} m"])
+    lines.append(["path loss", f"{_figure(link['path_loss_db']['mean'], 1)} dB on average"])
+    lines.append(["walls", f"{_figure(walls['loss_db'], 1)} dB on average ({_shares(walls['materials'])})"])
+    for name in ("shadowing", "fading"):
+        of = link[f"{name}_db"]
+        lines.append([name, f"{_figure(of['mean'], 1)} dB on average, standard deviation {_figure(of['sd'], 1)} dB"])
+    for name in ("delay", "queue", "access"):
+        of = link[f"{name}_s"]
+        lines.append([name, ", ".join(f"{key} {_milli(value)}" for key, value in of.items()) + " ms"])
+    gap = (
+        "-"
+        if receptions["longest_gap_s"] is None
+        else f"{receptions['longest_gap_s']:.3f} s, from {receptions['gap_from_s']:.3f} s on"
+    )
+    lines.append(["longest gap", gap])
+    lines.append(["received", f"first at {_figure(receptions['first_s'], 3)} s, last at {_figure(receptions['last_s'], 3)} s"])
+    return f"{link['sender']} -> {link['receiver']}\n\n" + _table(lines, left=(0, 1))
+
+
+def frame_text(frame: Row) -> str:
+    """The budget of one frame, and its fate."""
+    budget = frame["budget"]
+    gains = (
+        [] if budget["tx_gain_dbi"] is None else [("antenna gains", budget["tx_gain_dbi"] + budget["rx_gain_dbi"], "dB", "")]
+    )
+    disturbed = budget["interference_dbm"] is not None
+    items = [
+        ("transmitted power" if gains else "power and antenna gains", budget["power_dbm"], "dBm", ""),
+        *gains,
+        ("path loss", budget["path_loss_db"], "dB", f"over {frame['distance_m']:.2f} m"),
+        ("walls", budget["walls_db"], "dB", frame["wall_materials"]),
+        ("shadowing", budget["shadowing_db"], "dB", ""),
+        ("fading", budget["fading_db"], "dB", ""),
+    ]
+    if abs(budget["changes_db"]) > 1e-6:
+        items.append(("script or trace", budget["changes_db"], "dB", ""))
+    items += [
+        ("received level", budget["rssi_dbm"], "dBm", ""),
+        ("noise", budget["noise_dbm"], "dBm", f"SNR {budget['snr_db']:.2f} dB"),
+        (
+            "interference",
+            budget["interference_dbm"],
+            "dBm",
+            "" if disturbed else "unknown" if budget["sinr_db"] is None else "none",
+        ),
+        ("SINR", budget["sinr_db"], "dB", ""),
+    ]
+    if budget["floor_dbm"] is not None:
+        beside = f"the level is {abs(budget['margin_db']):.2f} dB {'above' if budget['margin_db'] >= 0.0 else 'below'} it"
+        items.append((budget["floor"].removeprefix("the "), budget["floor_dbm"], "dBm", beside))
+    lines = [[name, _figure(value, 2), unit if value is not None else "", note] for name, value, unit, note in items]
+    head = f"frame {frame['frame']}, {frame['sender']} -> {frame['receiver']}, {frame['size_bytes']} bytes"
+    return f"{head}, sent at {frame['sent_s']:.3f} s\n\n{_table(lines, left=(0, 2, 3))}\n{frame['why']}\n"
+
+
+def _table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
+    """Columns aligned to the right, but those named ``left``."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if column in left else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]
+    return "".join(f"{line.rstrip()}\n" for line in lines)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100.0 * share:.1f}"
+
+
+def _figure(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"  # no -0.0
+
+
+def _milli(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.3f}"
+
+
+def _range(of: Mapping[str, float | None], unit: str) -> str:
+    return f"{_figure(of['median'], 1)} {unit} (median; 5 to 95 %: {_figure(of['p5'], 1)} to {_figure(of['p95'], 1)} {unit})"
+
+
+def _shares(shares: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} in {_percent(share)} %" for name, share in shares.items()) or "-"

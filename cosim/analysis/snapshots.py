@@ -1,0 +1,300 @@
+"""Pictures that a vehicle of a scenario would take from random places over its world, and what its detector says of them.
+
+The world, the camera, the targets that are looked for and the cells of the map are those of the scenario; no run is needed.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vcmvsp.cosim.config import factory, registry, binding
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import product, quaternion_from_yaw, wrap
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.scenario.schema import VehicleTable
+from vcmvsp.cosim.types import Array, Positive, Sighting, VehicleState
+
+STEEPEST = math.radians(5.0)  # tilt
+ROOM_M = 0.5  # nothing may be nearer to a vehicle
+TRIES = 1000  # to find a place that is free
+HIDDEN = 0.02  # of the distance: what is nearer than that before a target hides it
+CELL_M = 2.0  # where the scenario says nothing
+MOST_CELLS = 10_000_000
+Area = tuple[float, float, float, float]  # left, bottom, right, top, m
+
+
+class InSight(NamedTuple):
+    """A target that is looked for, whose middle is in a picture."""
+
+    name: str
+    place: tuple[float, float]  # m, world
+    size_m: float
+    pixel: tuple[float, float]  # u, v of its middle
+    angle: float  # rad, by which it is turned in the picture, counter-clockwise
+    visible: float  # which part of it nothing hides
+    looked: bool  # whether its middle lies where the detector says that it looked
+    cell: int | None  # of the map; None: outside
+
+
+class Snapshot(NamedTuple):
+    """A picture and what is said of it."""
+
+    pixels: Array  # (h, w, 3) uint8
+    targets: tuple[InSight, ...]
+    sightings: tuple[Sighting, ...]
+    cells: Array  # (n,) of the map, that are looked at
+    hits: Array  # (n,) bool: something was recognised there
+
+
+class Snapshots:
+    """Takes pictures.
+
+    Args:
+        scenario: name, file or content of a scenario.
+        vehicle: whose camera; default: the first one that recognises something.
+        height_m: of the vehicle, world; default: at which it searches.
+        cell_m: side of a cell of the map; default: as in its search.
+        seed: of the places; that of the world is the scenario's.
+        settings: keys of the scenario, and their values.
+
+    Raises:
+        ScenarioError: there is no such vehicle, it looks for nothing, or nothing that it looks for is there.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Mapping[str, Any],
+        *,
+        vehicle: str | None = None,
+        height_m: float | None = None,
+        cell_m: float | None = None,
+        seed: int = 0,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        parsed, self._source = scenarios.load(scenario, settings=settings)
+        self._scenario, self._seed = parsed, seed
+        table_, key = self._found(vehicle)
+        self.vehicle = table_.name
+        params = self._params(table_)
+        search, self.table = _search_of(params)
+        self._start_watch(table_, params["watching"], key)
+        self.world, _ = factory.world_of(parsed.world, self._source, seed=parsed.seed)
+        self.height_m = self._height(height_m, search, table_, key)
+        self.area = self._area(search)
+        self.cell_m = float(self._said(search, "cell_m", Positive, CELL_M)) if cell_m is None else cell_m
+        self._grid = self._cells()
+        wanted = self._watch.names
+        self._targets = [each for each in self.world.targets if each.name in wanted]
+        if not self._targets:
+            problem = f"none of what {self.vehicle} looks for ({', '.join(wanted)}) lies in this world"
+            raise ScenarioError(problem, key="world.targets", source=self._source.of("world"))
+
+    def take(self, number: int, of: int) -> Snapshot:
+        """One picture of so many, always the same for a number; in every other one there is a target. Call them in order."""
+        rng = stream(self._seed, f"snapshots/{number}")
+        time_s = self._scenario.duration_s * number / of
+        state, time_ns = self._placed(rng, time_s, with_target=number % 2 == 0), seconds_to_ns(time_s)
+        image = self._picture(state, time_ns, rng)
+        obs = Observation(vehicle=self.vehicle, time_ns=time_ns, state=state, readings={self._camera_name: image}, heard=())
+        frame = self._watch.look(obs)
+        cells, hits = registry.piece("looks of a picture")(self._grid, frame)
+        targets = tuple(self._in_sight(each, frame, state, time_s) for each in self._targets if _shows(frame, each, time_s))
+        return Snapshot(image.pixels, targets, frame.sightings, cells, hits)
+
+    # --- what the scenario says ---------------------------------------------------------------------------------------------
+
+    def _found(self, name: str | None) -> tuple[VehicleTable, str]:
+        """The vehicle, and the key of what it looks for."""
+        vehicles = {each.name: each for each in self._scenario.vehicle}
+        if name is not None and name not in vehicles:
+            raise ScenarioError(binding.unknown("vehicle", name, vehicles), key="vehicle", source=self._source.name)
+        for each in [vehicles[name]] if name else vehicles.values():
+            if self._params(each).get("watching") is not None:
+                own = each.agent is not None and "watching" in each.agent.params
+                return each, f"vehicle.{each.name}.agent.watching" if own else "agents.watching"
+        who = name or "no vehicle"
+        problem = f"is missing: {who} recognises {'nothing' if name else 'anything'}; give a camera and targets to look for"
+        key = f"vehicle.{name}.agent.watching" if name else "agents.watching"
+        raise ScenarioError(problem, key=key, source=self._source.name)
+
+    def _params(self, vehicle: VehicleTable) -> dict[str, Any]:
+        """The parameters of a vehicle's agent."""
+        if vehicle.agent is None:
+            return {}
+        return {**self._scenario.agents.defaults, **vehicle.agent.params}
+
+    def _start_watch(self, vehicle: VehicleTable, content: Any, key: str) -> None:
+        """The detector, and the camera through which it looks."""
+        module = registry.piece("watch")
+        with registry.looking_in(self._source.folder):
+            settings = binding.convert(content, module.Watching, key=key, origin=self._source)
+            try:
+                self._watch = module.Watch(settings, key=key)
+            except ScenarioError as error:
+                raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
+        self._camera_name = settings.camera
+        where = f"vehicle.{vehicle.name}.sensors"
+        if settings.camera not in vehicle.sensors:
+            problem = f"{binding.unknown('sensor', settings.camera, vehicle.sensors)} (of {vehicle.name})"
+            raise ScenarioError(problem, key=f"{key}.camera", source=self._source.of(f"{key}.camera"))
+        sensor = {**vehicle.sensors[settings.camera], "depth": True}  # tells what is hidden
+        self._camera, _ = factory.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
+        if not hasattr(self._camera, "focal_px"):
+            kind = f"{where}.{settings.camera}.kind"
+            raise ScenarioError("must take pictures", key=kind, source=self._source.of(kind))
+        self._watch.start(VehicleInfo(name=vehicle.name, vehicles=(vehicle.name,), period_s=1.0, latency_s=0.0, seed=0))
+
+    def _said(self, search: Mapping[str, Any], name: str, annotation: Any, default: Any = None) -> Any:
+        """What the search says; its agent is not built, so that nobody else has looked at it."""
+        if name not in search:
+            return default
+        return binding.convert(search[name], annotation, key=f"{self.table}.{name}", origin=self._source)
+
+    def _height(self, height_m: float | None, search: Mapping[str, Any], vehicle: VehicleTable, key: str) -> float:
+        """At which the pictures are taken: as given, at which the vehicle says that it searches, or where it begins."""
+        if height_m is None:
+            height_m = float(self._said(search, "height", float, vehicle.start[0][2]))
+            if "height" not in search and not height_m > 0.0:
+                problem = f"{self.vehicle} begins on the ground, and its search says no height: give one"
+                raise ScenarioError(problem, key=f"vehicle.{self.vehicle}.position", source=self._source.name)
+        mount, ground_m = self._watch.settings.mount, self._watch.settings.ground_m
+        if not height_m + mount[2] > ground_m:
+            problem = f"the camera of {self.vehicle}, at {height_m:g} m, is not above the ground, at {ground_m:g} m"
+            raise ScenarioError(problem, key=f"{key}.ground_m", source=self._source.of(key))
+        return height_m
+
+    def _area(self, search: Mapping[str, Any]) -> Area:
+        """Where the vehicle searches: as it says, or all of the world."""
+        found = self._said(search, "area", tuple[float, float, float, float], self.world.bounds)
+        if found is None:
+            problem = f"{self.vehicle} has no area to search, and the world has no end"
+            raise ScenarioError(problem, key=f"{self.table}.area", source=self._source.name)
+        left, bottom, right, top = map(float, found)
+        if not (left < right and bottom < top):
+            key, problem = f"{self.table}.area", f"must be left, bottom, right, top, not {binding.show(list(found))}"
+            raise ScenarioError(problem, key=key, source=self._source.of(key))
+        return left, bottom, right, top
+
+    def _cells(self) -> Any:
+        """Of the map."""
+        reconnaissance = registry.piece("reconnaissance")
+        grid = reconnaissance.Grid(reconnaissance.Rectangle(*self.area), self.cell_m)
+        if grid.rows * grid.columns > MOST_CELLS:
+            problem = f"of {self.cell_m:g} m there are more than {MOST_CELLS} cells in the area: make them larger"
+            raise ScenarioError(problem, key=f"{self.table}.cell_m", source=self._source.of(self.table))
+        return grid
+
+    # --- a picture ----------------------------------------------------------------------------------------------------------
+
+    def _placed(self, rng: np.random.Generator, time_s: float, *, with_target: bool) -> VehicleState:
+        """Somewhere over the area, clear of what stands there; a target is anywhere in the picture, where one has to be."""
+        left, bottom, right, top = self.area
+        for _ in range(TRIES):
+            yaw, about = rng.uniform(-math.pi, math.pi, 2).tolist()
+            half = 0.5 * rng.uniform(0.0, STEEPEST)
+            tilt = math.cos(half), math.sin(half) * math.cos(about), math.sin(half) * math.sin(about), 0.0
+            attitude = product(quaternion_from_yaw(yaw), tilt)
+            x, y = float(rng.uniform(left, right)), float(rng.uniform(bottom, top))
+            if with_target:
+                target = self._targets[int(rng.integers(len(self._targets)))]
+                across, down = (rng.uniform(0.0, 1.0, 2) * (self._camera.width - 1, self._camera.height - 1)).tolist()
+                off = self._over(attitude).ground_point((across, down))
+                if off is None:  # a wide one sees the horizon, too
+                    continue
+                x, y = (here - there for here, there in zip(target.place(time_s), off, strict=True))
+            if not (left <= x <= right and bottom <= y <= top):
+                continue
+            corners = np.array([(x + i * ROOM_M, y + j * ROOM_M) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+            if self.world.blocking(corners, self.height_m - ROOM_M, self.height_m + ROOM_M) is None:
+                return VehicleState(position=(x, y, self.height_m), attitude=attitude)
+        problem = f"no place over the area at {self.height_m:g} m is free{' and shows a target' if with_target else ''}"
+        raise ScenarioError(problem, key="world", source=self._source.of("world"))
+
+    def _over(self, attitude: tuple[float, float, float, float]) -> Any:
+        """The geometry of a picture that is taken over the origin."""
+        camera, pieces = self._camera, registry.piece("ground point")
+        state = VehicleState(position=(0.0, 0.0, self.height_m), attitude=attitude)
+        mount = pieces.turned(attitude, self._watch.settings.mount)
+        place = tuple(a + b for a, b in zip(state.position, mount, strict=True))
+        return pieces.Nadir(place, attitude, camera.focal_px, camera.width, camera.height, self._watch.settings.ground_m)
+
+    def _picture(self, state: VehicleState, time_ns: int, rng: np.random.Generator) -> Any:
+        scene = registry.piece("scene")
+        (x, y, z), w = state.position, state.attitude
+        taken = scene.Scene(
+            now_ns=time_ns,
+            world=self.world,
+            vehicles=(self.vehicle,),
+            hulls=(scene.Hull((0.1, 0.1, 0.1)),),
+            position=np.array([[x, y, z]]),
+            velocity=np.zeros((1, 3)),
+            attitude=np.array([w]),
+            angular_velocity=np.zeros((1, 3)),
+            acceleration=np.zeros((1, 3)),
+            wheels=np.full((1, 2), np.nan),
+        )
+        return self._camera.measure(taken, 0, rng)
+
+    def _in_sight(self, target: Any, frame: Any, state: VehicleState, time_s: float) -> InSight:
+        place = target.place(time_s)
+        u, v = frame.nadir.pixel(place)
+        ahead = target.yaw(time_s) + 0.5 * math.pi  # its upper edge, where it is not turned, is north
+        region = frame.looked
+        return InSight(
+            name=target.name,
+            place=place,
+            size_m=target.size_m,
+            pixel=(u, v),
+            angle=wrap(ahead - state.yaw),
+            visible=_visible(target, frame, time_s),
+            looked=region is not None and region[0] <= u <= region[2] and region[1] <= v <= region[3],
+            cell=self._grid.at(*place),
+        )
+
+
+def _search_of(params: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
+    """The parameters of the search, that of a mission or the agent itself, and the table in which they stand."""
+    algorithms = params.get("algorithms")
+    if isinstance(algorithms, Mapping):
+        search = algorithms.get("search")
+        return (search if isinstance(search, Mapping) else {}), "agents.algorithms.search"
+    return params, "agents"
+
+
+def _shows(frame: Any, target: Any, time_s: float) -> bool:
+    """Whether the middle of a target is in a picture."""
+    pixel, size = frame.nadir.pixel(target.place(time_s)), (frame.nadir.width, frame.nadir.height)
+    return pixel is not None and all(-0.5 <= at < edge - 0.5 for at, edge in zip(pixel, size, strict=True))
+
+
+def _visible(target: Any, frame: Any, time_s: float) -> float:
+    """Which part of a target nothing hides, of 25 points of it that the picture shows."""
+    (x, y), yaw, nadir = target.place(time_s), target.yaw(time_s), frame.nadir
+    c, s = math.cos(yaw), math.sin(yaw)
+    along = [target.size_m * (i - 2) * 0.24 for i in range(5)]
+    free, total = 0, 0
+    for a in along:
+        for b in along:
+            point = (x + c * a - s * b, y + s * a + c * b)
+            pixel = nadir.pixel(point)
+            if pixel is None:
+                continue
+            column, row = round(pixel[0]), round(pixel[1])
+            if 0 <= column < nadir.width and 0 <= row < nadir.height:
+                total += 1
+                free += bool(frame.image.depth_m[row, column] >= (1.0 - HIDDEN) * _distance_m(nadir, point))
+    return free / total if total else 0.0
+
+
+def _distance_m(nadir: Any, point: tuple[float, float]) -> float:
+    """Of a place on the ground along the optical axis."""
+    x, y, z = nadir.position
+    ahead: tuple[float, float, float] = registry.piece("ground point").turned(nadir.attitude, (0.0, 0.0, -1.0))
+    way = (point[0] - x, point[1] - y, nadir.ground_m - z)
+    return sum((a * b for a, b in zip(ahead, way, strict=True)), 0.0)

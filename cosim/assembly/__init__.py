@@ -1,0 +1,1 @@
+"""From a scenario to federates: vehicles, agents, radio, world, bridge, robots."""

@@ -1,0 +1,166 @@
+"""The real vehicles of a scenario: their tables checked, and handed to the part that knows robots."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.assembly.resolved import Resolution
+from vcmvsp.cosim.scenario.schema import SIMULATED, SafetyTable, Scenario, VehicleTable
+from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.types import Value, Vec3
+
+MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, of a robot among people unless somebody says otherwise; assumed
+ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that does not say its own: an AmigoBot's; assumed
+
+ADDRESSES = frozenset({"port", "address", "listen"})  # parameters of drivers and localisations that one vehicle alone may have
+OF_DRIVER = ("driver", "localisation", "fusion", "safety")
+"""Keys of a vehicle that only a real one has."""
+
+
+class RealVehicle(Value, frozen=True, kw_only=True):
+    """A real vehicle as the scenario describes it."""
+
+    name: str
+    folder: str  # of the scenario
+    driver: str  # its kind, as written
+    driver_params: dict[str, Any]
+    localisation: str | None  # its kind, as written
+    localisation_params: dict[str, Any]
+    fusion: dict[str, Any]
+    safety: SafetyTable  # nothing in it is left to a default
+    pose_source: str
+    start: Vec3  # x m, y m, yaw rad
+    height_m: float  # of its reference point above the ground
+    flies: bool
+    positioning: dict[str, Any] | None  # of its simulated twin, complete
+    seed: int
+
+
+def of_scenario(
+    scenario: Scenario, source: Source, resolution: Resolution, models: Mapping[str, Any]
+) -> tuple[RealVehicle, ...]:
+    """Those vehicles of the scenario that have a driver, checked.
+
+    Args:
+        scenario: the scenario.
+        source: where it came from.
+        resolution: takes the tables with everything filled in.
+        models: what each vehicle is, by name (`physics.vehicles.models.Vehicle`).
+    """
+    found = []
+    for vehicle in scenario.vehicle:
+        if vehicle.driver is None:
+            _check_nothing_lost(vehicle, source)
+        if vehicle.driver is None or not vehicle.is_real:
+            continue
+        key = f"vehicle.{vehicle.name}"
+        model = models[vehicle.name]
+        flies = registry.piece("flies")(model)
+        build = _builder(vehicle.name, source, resolution, flies=flies)
+        kind, params = build("driver", vehicle.driver, f"{key}.driver")
+        tables: dict[str, Any] = {"driver": {"kind": kind, **params}}
+        where, known = None, dict[str, Any]()
+        if vehicle.localisation is not None and vehicle.localisation.get("kind") != SIMULATED:
+            where, known = build("localisation", vehicle.localisation, f"{key}.localisation")
+            tables["localisation"] = {"kind": where, **known}
+        position, yaw = vehicle.start
+        start = (position[0], position[1], yaw)
+        fusion = registry.piece("fusion")
+        binding.call(fusion, vehicle.fusion, key=f"{key}.fusion", origin=source, given={"start": start})
+        tables["fusion"] = binding.complete(fusion, vehicle.fusion, without=("start",))
+        safety = _safety(scenario.safety, vehicle, model, source)
+        tables["safety"] = binding.plain(safety)
+        resolution.real[vehicle.name] = tables
+        described = RealVehicle(
+            name=vehicle.name,
+            folder=str(source.folder.resolve()),
+            driver=vehicle.driver["kind"],
+            driver_params=params,
+            localisation=where and (vehicle.localisation or {})["kind"],
+            localisation_params=known,
+            fusion=tables["fusion"],
+            safety=safety,
+            pose_source=vehicle.pose_source,
+            start=start,
+            height_m=position[2],
+            flies=flies,
+            positioning=_twin(vehicle),
+            seed=scenario.seed,
+        )
+        try:
+            registry.piece("safety check")(described)
+        except ValueError as error:
+            at = f"{key}.safety" if "fence" in vehicle.safety else "safety"
+            raise ScenarioError(str(error), key=at, source=source.of(at)) from error
+        found.append(described)
+    _check_addresses(found, source)
+    return tuple(found)
+
+
+def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
+    """No two vehicles at one port."""
+    taken: dict[str, str] = {}
+    for each in found:
+        for table_, params in (("driver", each.driver_params), ("localisation", each.localisation_params)):
+            for name in sorted(ADDRESSES & {*params}):
+                address, key = str(params[name]), f"vehicle.{each.name}.{table_}.{name}"
+                if address in taken and address != "emulated" and not address.endswith(":0"):
+                    problem = f"'{address}' is that of {taken[address]}, too: each vehicle needs one of its own"
+                    raise ScenarioError(problem, key=key, source=source.of(key))
+                taken[address] = each.name
+
+
+def _builder(
+    vehicle: str, source: Source, resolution: Resolution, *, flies: bool
+) -> Callable[[str, Mapping[str, Any], str], tuple[str, dict[str, Any]]]:
+    """Checks a table by building what it describes, which does nothing yet; its kind and complete parameters."""
+    offered = {"vehicle": vehicle, "folder": str(source.folder.resolve())}
+
+    def build(group: str, content: Mapping[str, Any], key: str) -> tuple[str, dict[str, Any]]:
+        built, full = resolution.component(group, content, key, offered=offered)
+        if flies and getattr(built, "ground_only", False):
+            problem = f"drives robots on the ground, and {vehicle} flies"
+            raise ScenarioError(problem, key=f"{key}.kind", source=source.of(f"{key}.kind"))
+        return full.pop("kind"), full
+
+    return build
+
+
+def _check_nothing_lost(vehicle: VehicleTable, source: Source) -> None:
+    """Keys that only a real vehicle has are errors at a simulated one, where nobody would look at them."""
+    for name in OF_DRIVER[1:]:
+        if name == "fusion" and vehicle.pose_source == "fusion":
+            continue
+        if getattr(vehicle, name):
+            key = f"vehicle.{vehicle.name}.{name}"
+            problem = "counts for a real vehicle only: give it a driver, or leave this out"
+            raise ScenarioError(problem, key=key, source=source.of(key))
+
+
+def _safety(shared: SafetyTable, vehicle: VehicleTable, model: Any, source: Source) -> SafetyTable:
+    """``[safety]``, what the vehicle has of its own, and what its kind knows."""
+    key = f"vehicle.{vehicle.name}.safety"
+    own = binding.call(SafetyTable, vehicle.safety, key=key, origin=source)
+    given = {name: getattr(own if name in vehicle.safety else shared, name) for name in SafetyTable.__struct_fields__}
+    length, width, _ = model.hull.size
+    ahead, aside, _ = model.hull.offset
+    at_most = {
+        "max_speed": min(getattr(model, "max_speed", MOST_SPEED), MOST_SPEED),
+        "max_yaw_rate": min(getattr(model, "max_yaw_rate", MOST_YAW_RATE), MOST_YAW_RATE),
+        "accel": getattr(model, "accel", ACCEL),
+        "decel": getattr(model, "decel", ACCEL),
+        "yaw_accel": getattr(model, "yaw_accel", YAW_ACCEL),
+        "radius_m": math.hypot(0.5 * length + abs(ahead), 0.5 * width + abs(aside)),
+    }
+    full = {name: at_most.get(name) if value is None else value for name, value in given.items()}
+    return msgspec.convert(binding.plain(full), SafetyTable)
+
+
+def _twin(vehicle: VehicleTable) -> dict[str, Any] | None:
+    if vehicle.positioning is None:
+        return None
+    return binding.complete(registry.piece("positioning"), vehicle.positioning)

@@ -1,0 +1,190 @@
+"""The scenario as it really is: every key of every component filled in, so that running it again gives the same bytes.
+
+Where agents ran is not part of it, since that changes no result. Defaults for all agents or vehicles stay defaults: a study can
+still change them in one place.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from vcmvsp.cosim.config import factory as component, registry, binding
+from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.scenario.schema import ClockTable, Scenario, VehicleTable
+from vcmvsp.cosim.config.provenance import Source
+
+
+class Resolution:
+    """Collects what is found out while a scenario is being assembled.
+
+    Attributes:
+        tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
+        vehicles: the parameters of each vehicle's kind, complete.
+        sensors: the tables of each vehicle's sensors, complete.
+        real: the tables of each real vehicle, complete.
+        files: files that the scenario uses as they are now, by the name under which they are kept beside it.
+    """
+
+    def __init__(self, scenario: Scenario, source: Source) -> None:
+        self._scenario, self._source = scenario, source
+        self.tables: dict[str, Any] = {}
+        self.vehicles: dict[str, dict[str, Any]] = {}
+        self.sensors: dict[str, dict[str, Any]] = {}
+        self.real: dict[str, dict[str, Any]] = {}
+        self.files: dict[str, bytes] = {}
+        self._paths: dict[str, Path] = {}
+
+    def component(
+        self,
+        group: str,
+        content: Mapping[str, Any],
+        key: str,
+        *,
+        given: Mapping[str, Any] | None = None,
+        offered: Mapping[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Build what a table describes, and keep its files; the object, and the table complete (`cosim.config.factory.build`)."""
+        return component.build(
+            group, content, key=key, source=self._source, portable=self.portable, given=given, offered=offered, keep=self.keep
+        )
+
+    def portable(self, kind: str, *, foreign: bool = False) -> str:
+        """The kind without a folder; a Python file that it names is kept.
+
+        Args:
+            kind: as it is written.
+            foreign: a host elsewhere says so, which may name any file of this machine: only those beside the scenario are kept.
+        """
+        path = registry.file_of(kind, self._source.folder)
+        if not registry.is_file_kind(kind) or not path.is_file():  # that of a host elsewhere is not on this machine
+            return kind
+        if foreign and self._lies_elsewhere(path):
+            return kind
+        return f"{self.keep(path)}:{kind.rpartition(':')[2]}"
+
+    def keep(self, path: Path) -> str:
+        """Keep a file that the scenario uses, as it is now; its name beside the resolved scenario."""
+        path, name, number = path.resolve(), path.name, 1
+        while self._paths.setdefault(name, path) != path:  # another file of that name is kept already
+            number += 1
+            name = f"{path.stem}-{number}{path.suffix}"
+        self.files.setdefault(name, path.read_bytes())
+        return name
+
+    def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str], foreign: Collection[str] = ()) -> dict[str, Any]:
+        """The resolved scenario, in TOML's types.
+
+        Args:
+            infos: what the hosts say of the agents.
+            brought: the classes that hosts brought along instead of the scenario's, by vehicle.
+            foreign: vehicles whose hosts somebody has started elsewhere.
+        """
+        scenario, agents = self._scenario, self._scenario.agents
+        told = {info.vehicle: info for info in infos}
+        shared, of_agents = self._shared_by_vehicles(), self._shared_by_agents(infos)
+        return {
+            "name": scenario.name,
+            "duration_s": scenario.duration_s,
+            "seed": scenario.seed,
+            **self.tables,
+            "agents": {
+                **_present(period_s=agents.period_s, latency_s=agents.latency_s, on_lost=agents.on_lost, hold_s=agents.hold_s),
+                **{name: self._kept(value) for name, value in of_agents.items()},
+            },
+            **({"clock": binding.plain(scenario.clock)} if scenario.clock != ClockTable() else {}),
+            **({"safety": binding.plain(scenario.safety)} if any("driver" in each for each in self.real.values()) else {}),
+            "vehicles": shared,
+            "record": binding.plain(scenario.record),
+            "metrics": binding.plain(scenario.metrics),
+            **({"study": binding.plain(scenario.study)} if scenario.study.vary else {}),
+            "vehicle": [
+                {
+                    **self._vehicle(each, shared),
+                    **self._agent(each, told.get(each.name), of_agents, brought, each.name in foreign),
+                }
+                for each in scenario.vehicle
+            ],
+        }
+
+    def _shared_by_agents(self, infos: Sequence[AgentInfo]) -> dict[str, Any]:
+        """Defaults for all agents; a table among them as complete as the first agent has it that takes it."""
+        shared = {}
+        for name, value in self._scenario.agents.defaults.items():
+            taken = [info.params[name] for info in infos if name in info.taken and isinstance(info.params.get(name), dict)]
+            shared[name] = taken[0] if taken else binding.plain(value)
+        return shared
+
+    def _shared_by_vehicles(self) -> dict[str, Any]:
+        shared = {name: binding.plain(value) for name, value in self._scenario.vehicles.items()}
+        if "kind" in shared:
+            shared["kind"] = self.portable(shared["kind"])
+        if "positioning" in shared:
+            shared["positioning"] = _sensor(shared["positioning"])
+        shared.pop("sensors", None)  # each vehicle's own say it all
+        if "radio" in shared:
+            shared["radio"] = binding.complete(registry.piece("vehicle radio"), shared["radio"])
+        return shared
+
+    def _vehicle(self, vehicle: VehicleTable, shared: Mapping[str, Any]) -> dict[str, Any]:
+        """Everything of one vehicle that is not a default for all."""
+        full = _present(
+            name=vehicle.name,
+            kind=self.portable(vehicle.kind),
+            **_present(pose=vehicle.pose) or _present(position=vehicle.position, heading=vehicle.heading),
+            pose_source=vehicle.pose_source,
+            positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
+            radio=binding.complete(registry.piece("vehicle radio"), vehicle.radio),
+            sensors=self.sensors[vehicle.name] or None,
+        )
+        full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})
+        return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
+
+    def _agent(
+        self,
+        vehicle: VehicleTable,
+        info: AgentInfo | None,
+        shared: Mapping[str, Any],
+        brought: Mapping[str, str],
+        foreign: bool,
+    ) -> dict[str, Any]:
+        """``agent = {...}``: what is not a default for all, under the kind that really ran."""
+        if info is None:
+            return {}
+        agents, own = self._scenario.agents, vehicle.agent
+        kind = brought.get(vehicle.name) or (own and own.kind) or shared.get("kind") or info.agent
+        full = _present(
+            kind=None if kind == shared.get("kind") else self.portable(kind, foreign=foreign),
+            period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
+            latency_s=own.latency_s if own else None,
+            fails_s=own.fails_s if own else None,
+            on_lost=own.on_lost if own else None,
+            hold_s=own.hold_s if own else None,
+        )
+        taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
+        params = {name: self._kept(value, foreign) for name, value in info.params.items() if name not in taken}
+        return {"agent": {**full, **params}}
+
+    def _kept(self, value: Any, foreign: bool = False, name: str = "") -> Any:
+        """A parameter of an agent; a Python file (``file.py:Class``) or ``picture`` that it or a table in it names is kept."""
+        if isinstance(value, dict):
+            return {name: self._kept(each, foreign, name) for name, each in value.items()}
+        if isinstance(value, list):
+            return [self._kept(each, foreign) for each in value]
+        if name == "picture" and isinstance(value, str):
+            path = registry.located(value, self._source.folder)
+            return self.keep(path) if path.is_file() and not (foreign and self._lies_elsewhere(path)) else value
+        return self.portable(value, foreign=foreign) if isinstance(value, str) else value
+
+    def _lies_elsewhere(self, path: Path) -> bool:
+        """Whether a file is none of the scenario's, nor came with the built-in ones."""
+        return not any(path.resolve().is_relative_to(each.resolve()) for each in (self._source.folder, registry.SHIPPED))
+
+
+def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:
+    return binding.complete(registry.piece("positioning"), content)
+
+
+def _present(**values: Any) -> dict[str, Any]:
+    """What has a value, in TOML's types."""
+    return {name: binding.plain(value) for name, value in values.items() if value is not None}

@@ -1,0 +1,1 @@
+"""The command line `vcmvsp`: one module for each group of commands."""

@@ -1,0 +1,72 @@
+"""``vcmvsp calibrate``: from a measured log to the keys of ``[radio]``."""
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.errors import UsageError
+
+
+def calibrate_command(
+    links: Annotated[
+        Path, typer.Argument(metavar="LINKS.csv", help="Columns time,ax,ay,az,bx,by,bz,rssi_dbm[,received], in s, m, dBm.")
+    ],
+    tx_power: Annotated[float, typer.Option(metavar="DBM", help="What was sent, antenna gains included.")] = 0.0,
+    reference_distance: Annotated[float, typer.Option(metavar="M", help="Where the level is stated.")] = 1.0,
+    sensitivity: Annotated[
+        float | None, typer.Option(metavar="DBM", help="Weaker frames are lost [the least level that was received].")
+    ] = None,
+    world: Annotated[
+        str | None, typer.Option(metavar="SCENARIO", help="Whose walls stood there: the loss of each material is fitted.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for radio.toml and calibration.png.")] = None,
+    json: AsJson = False,
+) -> None:
+    """Fit path loss, shadowing, walls and fading to a measured log; with standard errors.
+
+    Example: vcmvsp calibrate links.csv --tx-power 16 --sensitivity -90 --world lab.toml --out lab-radio
+    """
+    import msgspec
+
+    from vcmvsp.cosim.config import registry
+    from vcmvsp.cosim.util.files import to_json
+
+    registry.guard()
+    for option, value in (
+        ("--tx-power", tx_power),
+        ("--sensitivity", sensitivity),
+        ("--reference-distance", reference_distance),
+    ):
+        if value is not None and not math.isfinite(value):
+            raise UsageError(f"{option} {value}: must be a finite number")
+    if out is not None and out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
+    fitting = registry.piece("calibration").calibrate_command
+    calibration = fitting(
+        links,
+        tx_power_dbm=tx_power,
+        reference_distance_m=reference_distance,
+        sensitivity_dbm=sensitivity,
+        sightline=None if world is None else _sightline(world),
+        out=out,
+    )
+    if json:
+        sys.stdout.write(to_json({**msgspec.to_builtins(calibration), "radio": calibration.table()}))
+        return
+    sys.stdout.write(f"{calibration.summary()}\n\n{calibration.toml()}")
+    for name in ("radio.toml", "calibration.png") if out is not None else ():
+        sys.stdout.write(f"{Path(out or '') / name}\n")
+
+
+def _sightline(world: str) -> Any:
+    """What stands in the world of a scenario."""
+    from vcmvsp.cosim.config import factory, registry
+    from vcmvsp.cosim.scenario import loader
+
+    parsed, source = loader.load(world)
+    built, _ = factory.world_of(parsed.world, source, seed=parsed.seed)
+    return registry.piece("sightline")(built.solids)

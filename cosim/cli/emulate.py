@@ -1,0 +1,288 @@
+"""``vcmvsp emulate``: devices that are not there, at a port, for rehearsals of runs with real ones."""
+
+import os
+import sys
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
+
+import typer
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.cli.options import AsJson, pose_of
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.util.stdout import stdout_to_stderr
+
+Port = Annotated[
+    str,
+    typer.Option(
+        metavar="PORT",
+        help="PTY (a pseudo-terminal), tcp://HOST:8101 (without HOST: for this machine alone), or a path that leads to a PTY.",
+    ),
+]
+Pose = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where it starts, m, m, rad [0,0,0, or the scenario's].")]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Of faults and of errors of positioning.")]
+Duration = Annotated[float | None, typer.Option("--duration", metavar="S", help="End after so long [at Ctrl-C].")]
+TagName = Annotated[str, typer.Option("--tag", metavar="HEX", help="Number of the tag.")]
+FixHz = Annotated[float, typer.Option("--fix-hz", metavar="HZ", help="Fixes a second.")]
+SigmaM = Annotated[float, typer.Option("--sigma-m", metavar="M", help="Standard deviation of each coordinate of a fix.")]
+Outliers = Annotated[float, typer.Option(metavar="P", help="Probability of a fix to be 1 to 3 m off.")]
+DropOuts = Annotated[float, typer.Option("--drop-outs", metavar="P", help="Probability that there is no position.")]
+FixLatency = Annotated[float, typer.Option("--fix-latency-s", metavar="S", help="From measuring a fix to telling it.")]
+Circle = Annotated[
+    str | None, typer.Option(metavar="R,SPEED", help="Go round to the left, m, m/s; R < 0: to the right [it stands].")
+]
+
+emulate_app = typer.Typer(
+    name="emulate",
+    help="Devices in software at a real port: robots, autopilots and tags of positioning.\n\n"
+    "The first line on stdout is what to connect to. Ctrl-C ends it.\n\nStart with: vcmvsp emulate amigobot",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+def robot_command(
+    context: typer.Context,
+    port: Port = "PTY",
+    pose: Pose = None,
+    rate_hz: Annotated[float, typer.Option(metavar="HZ", help="Information packets a second.")] = 10.0,
+    faults: Annotated[
+        str,
+        typer.Option(metavar="NAME=P,...", help="For each byte on the line: drop=0.01,flip=0.001,split=0.2,gap_ms=30."),
+    ] = "",
+    paced: Annotated[bool, typer.Option("--paced", help="Bytes take as long as the baud rate says.")] = False,
+    baud: Annotated[int, typer.Option(metavar="N", help="Baud rate, until the client sets another one.")] = 9600,
+    ping_ms: Annotated[int, typer.Option(metavar="T", help="From ping to ping of an array of 8 sonars.")] = 40,
+    no_watchdog: Annotated[bool, typer.Option("--no-watchdog", help="Do not stop after 2 s without a command.")] = False,
+    ubisense: Annotated[
+        str | None, typer.Option(metavar="udp://HOST:PORT", help="It carries a tag: Ubisense datagrams go there.")
+    ] = None,
+    dwm1001: Annotated[
+        str | None, typer.Option(metavar="PTY|PATH", help="It carries a DWM1001 tag, whose serial port is there.")
+    ] = None,
+    tag: TagName = "1",
+    fix_hz: FixHz = 5.0,
+    sigma_m: SigmaM = 0.15,
+    outliers: Outliers = 0.0,
+    drop_outs: DropOuts = 0.0,
+    fix_latency_s: FixLatency = 0.0,
+    scenario: Annotated[
+        str | None, typer.Option(metavar="SCENARIO", help="Drive in its world, with its other vehicles, at wall pace.")
+    ] = None,
+    vehicle: Annotated[str | None, typer.Option(metavar="NAME", help="Which vehicle of the scenario it is.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario.")] = None,
+    seed: Seed = 0,
+    duration: Duration = None,
+    json: AsJson = False,
+) -> None:
+    """A robot that speaks ARCOS, at a serial port or over TCP.
+
+    In a scenario with physics.kind = "kinematic" there are walls to see, but nothing to run into.
+
+    Example: vcmvsp emulate p2dx --port tcp://:8101 --scenario lab-patrol --vehicle ugv1 --ubisense udp://127.0.0.1:5000
+    """
+    from vcmvsp.cosim.scenario import loader as scenarios
+
+    if scenario is None and (vehicle is not None or set_):
+        raise UsageError("--vehicle and --set are about a scenario: add --scenario")
+    read = registry.piece("emulate options")
+    tags = read.tags_of(
+        ubisense=ubisense,
+        dwm1001=dwm1001,
+        tag=tag,
+        fix_hz=fix_hz,
+        sigma_m=sigma_m,
+        outliers=outliers,
+        drop_outs=drop_outs,
+        latency_s=fix_latency_s,
+        seed=seed,
+    )
+    chosen = read.robot_options(
+        port=port,
+        rate_hz=rate_hz,
+        faults=faults,
+        paced=paced,
+        baud=baud,
+        ping_ms=ping_ms,
+        watchdog=not no_watchdog,
+        seed=seed,
+        duration_s=duration,
+        tags=tags,
+    )
+    start = pose_of(pose)
+    name = str(context.info_name)
+    if scenario is None:
+        _show(lambda ready: registry.piece("emulated robot")(name, chosen, ready, start), as_json=json)
+        return
+    where = {"scenario_name": scenario, "vehicle": vehicle, "settings": scenarios.settings_of(set_ or [])}
+    _show(lambda ready: registry.piece("emulated vehicle")(name, chosen, ready, start, **where), as_json=json)
+
+
+for _name in ("amigobot", "p2dx", "amigo-sh"):
+    emulate_app.command(_name)(robot_command)
+
+
+@emulate_app.command("ubisense")
+def ubisense_command(
+    port: Annotated[str, typer.Option(metavar="udp://HOST:PORT", help="Where datagrams go.")],
+    pose: Pose = None,
+    circle: Circle = None,
+    tag: TagName = "1",
+    fix_hz: FixHz = 5.0,
+    sigma_m: SigmaM = 0.15,
+    outliers: Outliers = 0.0,
+    drop_outs: DropOuts = 0.0,
+    fix_latency_s: FixLatency = 0.0,
+    seed: Seed = 0,
+    duration: Duration = None,
+    json: AsJson = False,
+) -> None:
+    """A tag of a Ubisense system, which tells where it is in UDP datagrams.
+
+    Example: vcmvsp emulate ubisense --port udp://127.0.0.1:5000 --circle 2,0.3
+    """
+    errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
+    tags = registry.piece("emulate options").tags_of(ubisense=port, dwm1001=None, tag=tag, seed=seed, option="--port", **errors)
+    _show_tag(tags, pose, circle, duration, as_json=json)
+
+
+@emulate_app.command("dwm1001")
+def dwm1001_command(
+    port: Annotated[str, typer.Option(metavar="PTY|PATH", help="A pseudo-terminal, or a path that leads to one.")] = "PTY",
+    pose: Pose = None,
+    circle: Circle = None,
+    tag: TagName = "1",
+    fix_hz: FixHz = 10.0,
+    sigma_m: SigmaM = 0.15,
+    outliers: Outliers = 0.0,
+    drop_outs: DropOuts = 0.0,
+    fix_latency_s: FixLatency = 0.0,
+    seed: Seed = 0,
+    duration: Duration = None,
+    json: AsJson = False,
+) -> None:
+    """A DWM1001 tag at its serial port: two carriage returns open the shell, lep switches lines of positions on.
+
+    Example: vcmvsp emulate dwm1001 --port /tmp/tag --pose 1,2,0
+    """
+    errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
+    tags = registry.piece("emulate options").tags_of(ubisense=None, dwm1001=port, tag=tag, seed=seed, option="--port", **errors)
+    _show_tag(tags, pose, circle, duration, as_json=json)
+
+
+@emulate_app.command("mavlink")
+def mavlink_command(
+    port: Annotated[
+        str, typer.Option(metavar="PORT", help="udp://HOST:PORT, where its messages go, or tcp://HOST:PORT, where it listens.")
+    ] = "udp://127.0.0.1:14540",
+    autopilot: Annotated[str, typer.Option(metavar="px4|ardupilot", help="Whose modes and rules it has.")] = "px4",
+    kind: Annotated[str, typer.Option(metavar="quadrotor|rover", help="What it is.")] = "quadrotor",
+    system_id: Annotated[int, typer.Option("--system-id", metavar="N", help="Its number.")] = 1,
+    armed: Annotated[bool, typer.Option("--armed", help="Its motors may turn from the beginning.")] = False,
+    pose: Pose = None,
+    duration: Duration = None,
+    json: AsJson = False,
+) -> None:
+    """A vehicle with an autopilot that speaks MAVLink, over UDP or TCP.
+
+    Example: vcmvsp emulate mavlink --port tcp://:5760 --autopilot ardupilot --kind rover
+    """
+    emulate = registry.piece("emulated autopilot")
+    start = pose_of(pose)
+    about = {
+        "autopilot": autopilot,
+        "kind": kind,
+        "system_id": system_id,
+        "armed": armed,
+        "pose": start,
+        "duration_s": duration,
+    }
+    _show(lambda ready: emulate(port, ready, **about), as_json=json)
+
+
+@emulate_app.command("ros2")
+def ros2_command(
+    port: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Endpoint of Zenoh, where it listens.")] = (
+        "tcp/127.0.0.1:7447"
+    ),
+    stamped: Annotated[bool, typer.Option("--stamped", help="It hears TwistStamped, not Twist.")] = False,
+    pose: Pose = None,
+    duration: Duration = None,
+    json: AsJson = False,
+) -> None:
+    """A robot that runs ROS 2, as rmw_zenoh shows it: it hears cmd_vel and tells odom.
+
+    Example: vcmvsp emulate ros2 --pose 1,2,0
+    """
+    emulate = registry.piece("emulated ros2 robot")
+    start = pose_of(pose)
+    _show(lambda ready: emulate(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
+
+
+def _show_tag(tags: Any, pose: str | None, circle: str | None, duration_s: float | None, *, as_json: bool) -> None:
+    read = registry.piece("emulate options")
+    start = pose_of(pose) or (0.0, 0.0, 0.0)
+    way = None if circle is None else read.circle_of(circle)
+    emulate = registry.piece("emulated tag")
+    _show(lambda ready: emulate(tags, ready, pose=start, circle=way, duration_s=read.duration_of(duration_s)), as_json=as_json)
+
+
+def _show(emulate: Callable[[Callable[[Mapping[str, Any]], None]], Mapping[str, Any]], *, as_json: bool) -> None:
+    """Emulate; what to connect to is said as soon as it is there, what has happened in the end."""
+    import json
+
+    out = _own_stdout()
+
+    def say(about: Mapping[str, Any]) -> None:
+        out(json.dumps(about) + "\n" if as_json else "".join(f"{url}\n" for url in _urls(about)))
+
+    with stdout_to_stderr():
+        happened = emulate(say)
+        out(json.dumps(happened) + "\n" if as_json else _words(happened))
+
+
+def _urls(about: Mapping[str, Any]) -> list[str]:
+    """What one connects to, the robot first; where datagrams go only if there is nothing else."""
+    ports = [each for each in (about.get("url"), about["positioning"].get("dwm1001")) if each]
+    return ports or list(about["positioning"].values())
+
+
+def _words(happened: Mapping[str, Any]) -> str:
+    """What happened, for people."""
+    lines = []
+    if "commands" in happened:
+        lines.append(f"{happened['commands']} commands heard, {happened['packets']} information packets sent")
+        lines.append(
+            f"{happened['bytes_lost']} bytes lost and {happened['bytes_changed']} changed on the line, "
+            f"{happened['bytes_unread']} read by nobody"
+        )
+        lines.append(f"it went to x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m by its wheels")
+    if (lateness := happened.get("lateness")) and lateness["over_one_period"]:
+        lines.append(f"the simulation was late {lateness['over_one_period']} times, by {lateness['max_s']:.2f} s at most")
+    if "messages" in happened:
+        lines.append(f"{happened['messages']} messages heard")
+        lines.append(f"it is at x {happened['x_m']:.2f} m, y {happened['y_m']:.2f} m, z {happened.get('z_m', 0.0):.2f} m")
+    if "mode" in happened:
+        lines.append(f"it is {'' if happened['armed'] else 'not '}armed, in {happened['mode']}")
+    lines += [f"{count} fixes of {name}" for name, count in happened["fixes"].items()]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _own_stdout() -> Callable[[str], None]:
+    """A way to standard output as it is now, which stays when what others print is turned away."""
+    here = sys.stdout
+
+    def write(text: str) -> None:
+        here.write(text)
+        here.flush()
+
+    try:
+        saved = os.dup(here.fileno())
+    except (OSError, ValueError, AttributeError):  # no file, as in a notebook
+        return write
+    return lambda text: _write(saved, text.encode())
+
+
+def _write(file: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(file, data) :]

@@ -1,0 +1,146 @@
+"""``vcmvsp keys``: certificates for machines that take part in runs."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.errors import UsageError
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Bundle, Keys
+
+KeysDir = Annotated[Path, typer.Option("--keys", metavar="DIR", help="What 'vcmvsp keys init' has made.")]
+Names = Annotated[
+    list[str] | None,
+    typer.Option("--name", metavar="NAME_OR_IP", help="Under which other machines dial this one, if it does not know itself."),
+]
+Out = Annotated[Path | None, typer.Option(metavar="FILE", help="File or folder to write to [DIR/NAME.keys].")]
+Force = Annotated[bool, typer.Option("--force", help="Make it again.")]
+HERE = Path("keys")
+
+keys_app = typer.Typer(
+    name="keys",
+    help="Certificates for machines that take part in runs.\n\nStart with: vcmvsp keys init keys",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@keys_app.command("init")
+def init_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder; it stays on this machine.")] = HERE,
+    name: Names = None,
+    days: Annotated[int, typer.Option(metavar="N", help="How long the certificate of runs on this machine is valid.")] = 365,
+    force: Annotated[bool, typer.Option("--force", help="A new authority; all certificates of the old one are void.")] = False,
+) -> None:
+    """Make an authority, which signs certificates, and the certificate of runs on this machine.
+
+    Example: vcmvsp keys init keys --name 192.168.1.10
+    """
+    from vcmvsp.cosim.security import authority
+
+    _say_hub(authority.init(folder, name or (), days=days, force=force))
+
+
+@keys_app.command("hub")
+def hub_command(
+    name: Names = None,
+    keys: KeysDir = HERE,
+    days: Annotated[int, typer.Option(metavar="N", help="How long it is valid.")] = 365,
+) -> None:
+    """Make the certificate of runs on this machine again: for more names, or because it ends.
+
+    Example: vcmvsp keys hub --name 10.0.0.7
+    """
+    from vcmvsp.cosim.security import authority
+
+    _say_hub(authority.renew_hub(keys, name or (), days=days))
+
+
+@keys_app.command("vehicle")
+def vehicle_command(
+    vehicle: Annotated[list[str], typer.Argument(metavar="NAME...", help="The vehicles whose agents the machine may run.")],
+    keys: KeysDir = HERE,
+    as_: Annotated[str | None, typer.Option("--as", metavar="HOST", help="A name for the machine [the one vehicle's].")] = None,
+    days: Annotated[int, typer.Option(metavar="N", help="How long the certificate is valid.")] = 90,
+    out: Out = None,
+    force: Force = False,
+) -> None:
+    """Make the one file that a machine needs which runs the agents of these vehicles.
+
+    Example: vcmvsp keys vehicle car2; vcmvsp keys vehicle car3 car4 --as laptop
+    """
+    from vcmvsp.cosim.security import authority
+
+    if as_ is None and len(vehicle) > 1:
+        raise UsageError("several vehicles: give their machine a name, with --as HOST")
+    bundle = authority.issue(keys, as_ or vehicle[0], vehicle, days=days, out=out, force=force)
+    _say_bundle(bundle, f"there: vcmvsp agent --vehicle {' --vehicle '.join(bundle.vehicles)} --connect")
+
+
+@keys_app.command("observer")
+def observer_command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Who will watch.")],
+    keys: KeysDir = HERE,
+    days: Annotated[int, typer.Option(metavar="N", help="How long the certificate is valid.")] = 90,
+    out: Out = None,
+    force: Force = False,
+) -> None:
+    """Make the one file that somebody needs who may watch runs, and no more.
+
+    Example: vcmvsp keys observer anna
+    """
+    from vcmvsp.cosim.security import authority
+
+    _say_bundle(authority.issue(keys, name, days=days, out=out, force=force), "there: vcmvsp watch")
+
+
+@keys_app.command("list")
+def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
+    """Show who has a certificate, for which vehicles, and until when.
+
+    Example: vcmvsp keys list
+    """
+    from vcmvsp.cosim.security import certificates
+
+    held = certificates.load(keys)
+    rows = [("hub", "run", ", ".join(held.names), held.until, certificates.state_of(held.until))]
+    rows += [(each.name, each.role, ", ".join(each.vehicles), each.until, each.state) for each in held.index.issued]
+    if json:
+        from vcmvsp.cosim.util.files import to_json
+
+        fields = ("name", "role", "for", "until", "state")
+        sys.stdout.write(to_json([dict(zip(fields, (*row[:3], row[3].isoformat(), row[4]), strict=True)) for row in rows]))
+        return
+    width = max(len(row[0]) for row in rows)
+    for name, role, what, until, state in rows:
+        sys.stdout.write(f"{name:<{width}}  {role:<8}  until {until:%Y-%m-%d}  {state:<12}  {what}".rstrip() + "\n")
+
+
+@keys_app.command("revoke")
+def revoke_command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="As 'vcmvsp keys list' shows it.")], keys: KeysDir = HERE
+) -> None:
+    """Let a machine in no more. Its name is not given again.
+
+    Example: vcmvsp keys revoke laptop
+    """
+    from vcmvsp.cosim.security import authority
+
+    entry = authority.revoke(keys, name)
+    sys.stdout.write(f"{entry.name} is revoked: runs that begin from now on do not let it in\n")
+
+
+def _say_hub(keys: "Keys") -> None:
+    sys.stdout.write(
+        f"{keys.folder}: valid until {keys.until:%Y-%m-%d}; this machine may be dialled as {', '.join(keys.names)}\n"
+    )
+    sys.stdout.write(f"next, for each machine: vcmvsp keys vehicle NAME --keys {keys.folder}\n")
+
+
+def _say_bundle(bundle: "Bundle", then: str) -> None:
+    sys.stdout.write(f"{bundle.path}: valid until {bundle.until:%Y-%m-%d}; it is a secret; copy it to its machine\n")
+    sys.stdout.write(f"{then} tls/HOST:PORT --keys {bundle.path.name}\n")

@@ -1,0 +1,182 @@
+"""``vcmvsp net``: a network of vehicles for programs as they are, each vehicle a machine of its own (``[bridge.ip]``)."""
+
+import json as jsons
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any
+
+import typer
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.cli.run import Force, Out, Quiet, ScenarioName, Seed, Sets, View, ViewHost, ViewPort, conduct
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.view import HOST, PORT
+
+RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
+NEEDS = "networks of namespaces need {}: start it as root (sudo), or in a container with --privileged"
+
+net_app = typer.Typer(
+    name="net",
+    help="A network of vehicles for programs as they are: each vehicle is a machine with an address of its own.\n\n"
+    "What its programs send is sent by its radio. Needs Linux, and root.\n\nStart with: vcmvsp net up formation-circle",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@net_app.command("up")
+def up_command(
+    scenario: ScenarioName,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="How long it lasts, if Ctrl-C does not end it [the scenario's].")
+    ] = None,
+    network: Annotated[
+        str | None, typer.Option(metavar="ADDRESS/BITS", help="Of all vehicles, IPv4 [the scenario's, or 10.77.0.0/16].")
+    ] = None,
+    seed: Seed = None,
+    set_: Sets = None,
+    out: Out = None,
+    force: Force = False,
+    json: AsJson = False,
+    quiet: Quiet = False,
+    view: View = False,
+    view_host: ViewHost = HOST,
+    view_port: ViewPort = PORT,
+) -> None:
+    """Run a scenario with a network for its vehicles' programs, at wall pace.
+
+    What a killed run of the same name has left is cleared away first.
+
+    Example: vcmvsp net up formation-circle --duration 600 --set radio.loss.probability=0.1
+    """
+    from vcmvsp.cosim.runs import api
+    from vcmvsp.cosim.assembly import bridge
+    from vcmvsp.cosim.scenario import loader as scenarios
+
+    networks = _able()
+    sets = list(set_ or [])
+    if duration is not None:
+        sets.append(f"duration_s={duration}")
+    parsed, _ = scenarios.load(scenario, settings=scenarios.settings_of(sets), seed=seed)
+    try:
+        networks.check_free(parsed.name)
+    except OSError as error:
+        raise UsageError(str(error)) from error
+    doors = [name for name, content in parsed.bridge.doors.items() if bridge.kind_of(name, content) == "ip"]
+    door = doors[0] if doors else "ip"
+    if network is not None:
+        sets.append(f"bridge.{door}.network={network}")
+    elif not doors:
+        sets.append("bridge.ip={}")
+    page = (view_host, view_port) if view else None
+    conduct(api.run, scenario, sets, out, seed=seed, realtime=1.0, force=force, json=json, quiet=quiet, page=page)
+
+
+@net_app.command("exec")
+def exec_command(
+    vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="On whose machine.")],
+    command: Annotated[list[str], typer.Argument(metavar="-- COMMAND...", help="The program and its arguments.")],
+    run: RunName = None,
+) -> None:
+    """Start a program on a vehicle's machine, where other vehicles are known by their names.
+
+    Its input, output and exit code are its own, and so are signals.
+
+    Example: vcmvsp net exec car1 -- ping car2
+    """
+    networks = _able()
+    network = _chosen(networks, run)
+    space = network.space(vehicle)
+    if space is None:
+        there = ", ".join(each.vehicle for each in network.spaces)
+        raise UsageError(f"{vehicle}: run {network.run} has no machine for such a vehicle; there are {there}")
+    sys.stdout.flush()
+    try:
+        networks.run_inside(network, space, command)
+    except OSError as error:
+        what = f"{error.filename}: " if error.filename else ""
+        raise UsageError(f"{' '.join(command)}: {what}{error.strerror}") from error
+
+
+@net_app.command("status")
+def status_command(json: AsJson = False) -> None:
+    """Show the networks on this machine: addresses, and whether their runs are alive.
+
+    Example: vcmvsp net status
+    """
+    try:
+        known = registry.piece("networks").networks()
+    except OSError as error:  # somebody keeps what he has to himself
+        raise UsageError(f"{error.filename}: {error.strerror}: ask as root (sudo)") from error
+    if json:
+        sys.stdout.write(f"{jsons.dumps([_told(each) for each in known])}\n")
+    elif known:
+        sys.stdout.writelines(f"{line}\n" for each in known for line in _lines(each))
+    else:
+        sys.stdout.write("no run has a network on this machine\n")
+
+
+@net_app.command("down")
+def down_command(
+    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="Whose [all].")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Also that of a run that is alive, which ends.")] = False,
+) -> None:
+    """Clear away what killed runs have left of their networks; those of runs that are alive stay.
+
+    Example: vcmvsp net down
+    """
+    networks = _able()
+    known = networks.networks()
+    chosen = [each for each in known if each.run == run or (run is None and (force or not each.alive))]
+    for each in chosen:
+        if each.alive and not force:
+            raise UsageError(f"run {each.run} is alive (process {each.pid}): end it with Ctrl-C, or add --force")
+        try:
+            networks.clear(each.run, force=force)
+        except OSError as error:
+            raise UsageError(f"the network of {each.run} cannot be cleared away: {error}") from error
+        sys.stdout.write(f"{each.run}: gone\n")
+    if not chosen:
+        sys.stdout.write("there is nothing to clear away\n")
+
+
+def _able() -> Any:
+    """The part that knows networks, where this process has the rights that it needs."""
+    networks = registry.piece("networks")
+    if lacks := networks.netns.missing():
+        raise UsageError(NEEDS.format(lacks))
+    return networks
+
+
+def _chosen(networks: Any, run: str | None) -> Any:
+    """The network of the run that is meant, which is alive."""
+    alive = [each for each in networks.networks() if each.alive]
+    found = [each for each in alive if run is None or each.run == run]
+    if len(found) == 1:
+        return found[0]
+    if not alive:
+        raise UsageError("no run has a network on this machine: start one with 'vcmvsp net up SCENARIO'")
+    names = ", ".join(each.run for each in alive)
+    raise UsageError(f"--run {run}: there is no such run; there are {names}" if run else f"say whose: --run is one of {names}")
+
+
+def _lines(network: Any) -> Iterator[str]:
+    state = f"alive, process {network.pid}" if network.alive else "killed; clear it away with 'vcmvsp net down'"
+    yield f"{network.run}: {state}"
+    cells = [(each.vehicle, *each.addresses) for each in network.spaces]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    for each, row in zip(network.spaces, cells, strict=True):
+        behind = f"  before {', '.join(each.port.behind)} ({each.port.interface})" if each.port is not None else ""
+        yield f"  {_padded(row, widths)}{behind}"
+
+
+def _padded(cells: Sequence[str], widths: Sequence[int]) -> str:
+    return "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+
+
+def _told(network: Any) -> dict[str, Any]:
+    import msgspec
+
+    told: dict[str, Any] = msgspec.to_builtins(network)
+    return told

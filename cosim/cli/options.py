@@ -1,0 +1,35 @@
+"""Options that several commands have."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vcmvsp.cosim.errors import UsageError
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.types import Vec3
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and nothing else there.")]
+KeysOfVehicle = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="This machine's certificate ('vcmvsp keys vehicle NAME').")
+]
+DialInsecurely = Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")]
+
+
+def pose_of(text: str | None) -> "Vec3 | None":
+    """``X,Y,YAW`` of ``--pose``: m, m, rad; None: nothing was said.
+
+    Raises:
+        UsageError: it is something else.
+    """
+    if text is None:
+        return None
+    try:
+        x, y, yaw = map(float, text.split(","))
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise UsageError(f"--pose {text}: write X,Y,YAW (m, m, rad), e.g. 1.5,0,1.57")
+    return x, y, yaw

@@ -1,0 +1,162 @@
+"""``vcmvsp run``, and what other commands share with it that run a scenario."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.view import HOST, PORT
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.runs.api import Result
+    from vcmvsp.cosim.view.live.session import Viewing
+
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario, e.g. radio.loss.probability=0.3."),
+]
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A name that 'vcmvsp list' shows, or a .toml file.")]
+Seed = Annotated[int | None, typer.Option(help="Instead of the scenario's.")]
+WhereAgents = Annotated[
+    str | None, typer.Option(metavar="WHERE", help="Where agents run: inprocess, process, or zenoh (hosts started by hand).")
+]
+Listen = Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Where hosts of agents dial in, e.g. tls/0.0.0.0:7447.")]
+KeysOfRun = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Certificates for hosts on other machines ('vcmvsp keys init').")
+]
+Insecure = Annotated[bool, typer.Option("--insecure", help="Let anybody who can reach this machine host agents.")]
+Realtime = Annotated[
+    float | None, typer.Option(metavar="[SPEED]", help="Keep to the wall clock: SPEED simulated seconds per second (1).")
+]
+Twin = Annotated[bool, typer.Option("--twin", help="Simulate the scenario's real vehicles.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [runs/NAME-SEED].")]
+Force = Annotated[bool, typer.Option("--force", help="Write into DIR even if it is not empty.")]
+View = Annotated[bool, typer.Option("--view", help="Show the run in the browser while it goes on, at real-time pace.")]
+ViewHost = Annotated[str, typer.Option(metavar="HOST", help="What the page is served on; other machines see it unencrypted.")]
+ViewPort = Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Likewise; 0: any that is free.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
+
+
+def run_command(
+    scenario: ScenarioName,
+    seed: Seed = None,
+    set_: Sets = None,
+    agents: WhereAgents = None,
+    listen: Listen = None,
+    keys: KeysOfRun = None,
+    insecure: Insecure = False,
+    realtime: Realtime = None,
+    out: Out = None,
+    force: Force = False,
+    json: AsJson = False,
+    quiet: Quiet = False,
+    twin: Twin = False,
+    view: View = False,
+    view_host: ViewHost = HOST,
+    view_port: ViewPort = PORT,
+) -> None:
+    """Run a scenario; leaves recording, tables, metrics, figures.
+
+    Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
+    """
+    from vcmvsp.cosim.runs import api
+
+    where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
+    sets = simulated(scenario, set_ or []) if twin else set_ or []
+    page = (view_host, view_port) if view else None
+    conduct(api.run, scenario, sets, out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, page=page, **where)
+
+
+def simulated(scenario: str, sets: Sequence[str]) -> list[str]:
+    """The same ``--set`` arguments, and those that have real vehicles simulated."""
+    from vcmvsp.cosim.scenario import loader as scenarios
+
+    parsed, _ = scenarios.load(scenario, settings=scenarios.settings_of(sets))
+    return [*sets, *(f"{key}={value}" for key, value in parsed.twins.items())]
+
+
+def conduct(
+    run: "Callable[..., Result]",
+    scenario: str,
+    sets: Sequence[str],
+    out: Path | None,
+    *,
+    seed: int | None,
+    realtime: float | None,
+    json: bool,
+    quiet: bool,
+    page: tuple[str, int] | None = None,
+    **options: Any,
+) -> None:
+    """Call `cosim.run`, or what takes its place, and show how far it is and what came out; where there is a page, there too."""
+    from vcmvsp.cosim.scenario import loader as scenarios
+    from vcmvsp.cosim.util.files import to_json
+    from vcmvsp.cosim.terminal.progress import Progress, lateness, summary
+
+    if out is not None and str(out) == ".":
+        raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
+    if realtime is not None and not 0.0 < realtime < float("inf"):
+        raise UsageError(f"--realtime {realtime}: must be a positive number")
+    settings = scenarios.settings_of(sets)
+    with contextlib.ExitStack() as stack:
+        if page is not None:
+            options["view"] = stack.enter_context(_viewing(page))
+        with stdout_to_stderr(), Progress(quiet=quiet) as progress:
+            result = run(
+                scenario,
+                seed=seed,
+                set=settings,
+                realtime=realtime,
+                out=out if out is not None else _default_folder(scenario, settings, seed),
+                numbered=out is None,
+                progress=progress.on_instant,
+                tell=progress.tell,
+                observe=progress.observer(lambda: _agents(scenario, settings)),
+                **options,
+            )
+        if json:
+            sys.stdout.write(to_json(result.metrics))
+        elif not quiet:
+            sys.stdout.write(summary(result))
+        elif (late := result.about["lateness"]) and late["over_one_period"]:
+            sys.stderr.write(f"vcmvsp: {lateness(late)}\n")
+        if page is not None and sys.stderr.isatty():
+            sys.stdout.flush()
+            sys.stderr.write("The page shows the end of the run until you press Ctrl-C.\n")
+            options["view"].stay()
+
+
+def _viewing(page: tuple[str, int]) -> "Viewing":
+    """Where the run is shown, once there is anything to show; its address is told even to who wants to hear nothing else."""
+    from vcmvsp.cosim.view.auth.rules import caution
+    from vcmvsp.cosim.view.live.session import Viewing
+
+    def opened(url: str) -> None:
+        sys.stderr.write(f"control station: {url}\n{caution(page[0])}")
+        sys.stderr.flush()
+
+    return Viewing(*page, opened=opened)
+
+
+def _agents(scenario: str, settings: dict[str, Any]) -> dict[str, str]:
+    """The kind of each vehicle's agent; nothing where the scenario cannot be read, which the run itself says better."""
+    from vcmvsp.cosim.scenario import loader as scenarios
+
+    with contextlib.suppress(VcmvspError):
+        parsed, _ = scenarios.load(scenario, settings=settings)
+        return {each.name: each.agent.kind or "" for each in parsed.vehicle if each.agent is not None}
+    return {}
+
+
+def _default_folder(scenario: str, settings: dict[str, Any], seed: int | None) -> Path:
+    """``runs/NAME-SEED``."""
+    from vcmvsp.cosim.scenario import loader as scenarios
+
+    parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
+    return Path("runs") / f"{parsed.name}-{parsed.seed}"

@@ -1,0 +1,204 @@
+"""``vcmvsp watch``: what a run shows, on a terminal or as JSON for other programs."""
+
+import contextlib
+import math
+import sys
+from base64 import b64decode
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+import typer
+
+from vcmvsp.cosim.cli.options import AsJson, DialInsecurely
+from vcmvsp.cosim.frames import yaw_of
+from vcmvsp.cosim.util.text import plain
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.hosts.observers.watcher import Seen
+
+REFRESH_S = 0.5  # of a terminal
+WIDTH = 100  # characters of a value
+
+
+def watch_command(
+    endpoint: Annotated[str, typer.Argument(metavar="ENDPOINT", help="Where the run listens, e.g. tls/192.168.1.10:7447.")],
+    keys: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="This observer's certificate ('vcmvsp keys observer NAME').")
+    ] = None,
+    insecure: DialInsecurely = False,
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="KEYEXPR", help="What to hear, e.g. 'car2/*'; repeat for several [**].")
+    ] = None,
+    json: AsJson = False,
+    count: Annotated[int | None, typer.Option(metavar="N", min=1, help="Leave after so many lines.")] = None,
+) -> None:
+    """Watch a run from here, or from another machine, until it ends.
+
+    A terminal shows the newest value of each topic twice a second; a file or a pipe, and --json, have every event.
+
+    Example: vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'
+    """
+    from vcmvsp.cosim.transport.endpoints import endpoint_rules
+    from vcmvsp.cosim.hosts.observers.watcher import watch
+
+    bundle = None
+    if keys is not None:
+        from vcmvsp.cosim.security import certificates
+
+        bundle = certificates.load_bundle(keys)
+        if warning := bundle.check():
+            _say(warning)
+    endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
+    newest_only = not json and sys.stdout.isatty()
+    batches = watch(endpoint, topic or ["**"], bundle=bundle, every_s=REFRESH_S if newest_only else 0.0, on_state=_say)
+    left = sys.maxsize if count is None else count
+    with contextlib.closing(batches):
+        for batch in batches:
+            shown = (_newest(batch) if newest_only else batch)[:left]
+            sys.stdout.writelines(map(_as_json if json else line, shown))
+            sys.stdout.flush()
+            left -= len(shown)
+            if left == 0:
+                break
+
+
+def line(seen: "Seen") -> str:
+    """An event for people."""
+    return plain(f"{seen.time_ns / 1e9:9.3f} s  {seen.topic:<16}  {words(seen.type, seen.value)}") + "\n"
+
+
+def words(kind: str, value: Any) -> str:
+    """A value for people; of a kind that is not known here, its JSON."""
+    try:
+        said = _WORDS[kind](value)
+    except Exception:  # of another version, or of somebody's own, with anything in it
+        said = _json_or(value)
+    return said if len(said) <= WIDTH else f"{said[: WIDTH - 3]}..."
+
+
+def _json_or(value: Any) -> str:
+    try:
+        return msgspec.json.encode(value).decode()
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return "(cannot be shown)"
+
+
+def _newest(batch: Iterable["Seen"]) -> list["Seen"]:
+    newest = {seen.topic: seen for seen in batch}
+    return [newest[topic] for topic in sorted(newest)]
+
+
+def _as_json(seen: "Seen") -> str:
+    about = {"time_ns": seen.time_ns, "topic": seen.topic, "type": seen.type, "value": seen.value}
+    return msgspec.json.encode(about).decode() + "\n"
+
+
+def _vector(numbers: Sequence[float], unit: str) -> str:
+    return f"({', '.join(map(_number, numbers))}) {unit}"
+
+
+def _number(number: float) -> str:
+    return f"{round(number, 2) + 0.0:.2f}"  # no -0.00
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    return "  ".join(f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in values.items())
+
+
+def _state(value: Any) -> str:
+    yaw = yaw_of(tuple(value["attitude"]))
+    return f"at {_vector(value['position'], 'm')}  yaw {_number(yaw)} rad  {math.hypot(*value['velocity']):.2f} m/s"
+
+
+def _speed(velocity: Sequence[float]) -> str:
+    forward, *others = velocity
+    return _vector(velocity, "m/s") if any(others) else f"v {_number(forward)} m/s"
+
+
+def _odometry(value: Any) -> str:
+    return f"pose {_vector(value['pose'], 'm, m, rad')}  v {_number(value['v'])} m/s  w {_number(value['w'])} rad/s"
+
+
+def _waypoint(value: Any) -> str:
+    speed = "" if value["speed"] is None else f" at {value['speed']:.2f} m/s"
+    return f"to {_vector(value['position'], 'm')}{speed}"
+
+
+def _scan(value: Any) -> str:
+    met = [each for each in value["ranges"] if each is not None]
+    return f"{len(value['ranges'])} beams, " + (f"the nearest {min(met):.2f} m" if met else "all free")
+
+
+def _message(value: Any) -> str:
+    return f"{value['sender']} to {value['to'] or 'all'}, {value['size_bytes']} bytes: {_body(value['body'])}"
+
+
+def _reception(value: Any) -> str:
+    took_ms = (value["received_ns"] - value["sent_ns"]) / 1e6
+    message = value["message"]
+    return f"from {message['sender']}, {value['rssi_dbm']:.1f} dBm, {took_ms:.2f} ms on the way: {_body(message['body'])}"
+
+
+def _body(body: Any) -> str:
+    return _pairs(body) if isinstance(body, dict) else "bytes"
+
+
+def _frame(value: Any) -> str:
+    fates = [f"{name} {outcome}" for name, outcome in zip(value["receivers"], value["outcome"], strict=True)]
+    return f"of {value['sender']}, {value['size_bytes']} bytes: {', '.join(fates)}"
+
+
+def _follows(value: Any) -> str:
+    return f"{value['leader']} at {_vector(value['slot'], 'm')}" if value["leader"] else "nobody"
+
+
+def _looks(value: Any) -> str:
+    return f"at {len(value['cells'])} cells, {sum(value['hits'])} with a target"
+
+
+def _map(value: Any) -> str:
+    probability, seen = (b64decode(value[name]) for name in ("probability", "seen"))
+    sure = sum(each > 0.9 * 255 for each in probability)
+    return f"{_sheet(value)}, {100 * sum(seen) / len(seen):.0f} % seen, {sure} with P > 0.9"
+
+
+def _sightings(value: Any) -> str:
+    found = [f"{each['target']} {each['score']:.2f} at {_vector(each['place'], 'm')}" for each in value["found"]]
+    return f"{value['sensor']}: {', '.join(found) or 'nothing'}"
+
+
+def _sheet(value: Any) -> str:
+    return f"{value['columns']} x {value['rows']} cells of {value['cell_m']:g} m"
+
+
+_WORDS: dict[str, Callable[[Any], str]] = {
+    "state": _state,
+    "states": lambda value: f"{len(value['names'])} vehicles",
+    "velocity": lambda value: f"{_speed(value['linear'])}  w {_number(value['yaw_rate'])} rad/s",
+    "waypoint": _waypoint,
+    "odometry": _odometry,
+    "fix": lambda value: f"at {_vector(value['position'], 'm')}",
+    "imu": lambda value: f"{_vector(value['acceleration'], 'm/s2')}  {_vector(value['angular_velocity'], 'rad/s')}",
+    "scan": _scan,
+    "image": lambda value: f"{value['width']} x {value['height']} pixels",
+    "measured": lambda value: _pairs(value["values"]),
+    "looks": _looks,
+    "map": _map,
+    "sightings": _sightings,
+    "mosaic": _sheet,
+    "message": _message,
+    "reception": _reception,
+    "note": lambda value: _pairs(value["values"]),
+    "follows": _follows,
+    "presence": lambda value: f"its agent is {value['state']}" + (f": {value['why']}" if value["why"] else ""),
+    "frame": _frame,
+    "contact": lambda value: f"with {value['other'] or 'the world'}",
+    "error": lambda value: str(value["message"]),
+}
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()

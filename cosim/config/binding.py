@@ -1,0 +1,309 @@
+"""A TOML table becomes a checked call: keys against the parameters, values against their annotations.
+
+Everything that a scenario configures, from the scenario itself to somebody's own agent, goes through `call`. There is one home
+for defaults (the signature), and one form of error: what is wrong, at which key of which file, and what is allowed.
+"""
+
+import collections.abc
+import difflib
+import functools
+import inspect
+import math
+import re
+import types
+import typing
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any, Literal, Protocol, TypeVar
+
+import msgspec
+
+from vcmvsp.cosim.errors import ScenarioError, place_of
+
+T = TypeVar("T")
+
+
+class Origin(Protocol):
+    """Knows where a key was written."""
+
+    def of(self, key: str) -> str:
+        """File and line, or the ``--set`` that gave the value of ``key``."""
+
+
+class Named:
+    """An origin that is one name for all keys."""
+
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+
+    def of(self, key: str) -> str:
+        """The name."""
+        return self.name
+
+
+class Parameter(msgspec.Struct, frozen=True):
+    """One parameter of a callable: its annotation, and its default unless it is required."""
+
+    annotation: Any
+    default: Any
+    required: bool
+
+
+def parameters(target: Callable[..., Any]) -> Mapping[str, Parameter]:
+    """The parameters that a table can give to ``target`` (a class or function), in order.
+
+    A class that takes ``**more`` is taken to hand that on to its base class, whose parameters then count too.
+    """
+    return _parameters(target)
+
+
+@functools.lru_cache(maxsize=256)
+def _parameters(target: Any) -> Mapping[str, Parameter]:
+    holder = target
+    if isinstance(target, type):
+        holder = next(vars(base)["__init__"] for base in target.__mro__ if "__init__" in vars(base))
+    try:
+        hints = typing.get_type_hints(holder, include_extras=True)
+    except (NameError, TypeError):
+        hints = {}
+    made: dict[str, Callable[[], Any]] = {}  # defaults that are made anew each time
+    if isinstance(target, type) and issubclass(target, msgspec.Struct):
+        hints = typing.get_type_hints(target, include_extras=True)
+        made = {each.name: each.default_factory for each in msgspec.structs.fields(target) if callable(each.default_factory)}
+    found: dict[str, Parameter] = {}
+    for name, parameter in inspect.signature(target).parameters.items():
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            required = parameter.default is parameter.empty
+            default = None if required else made[name]() if name in made else parameter.default
+            found[name] = Parameter(hints.get(name, Any), default, required)
+        elif parameter.kind is parameter.VAR_KEYWORD and isinstance(target, type):  # handed on to the next class in line
+            line = [base for base in target.__mro__ if "__init__" in vars(base)]
+            found |= {name: each for name, each in _parameters(line[1]).items() if name not in found}
+    return types.MappingProxyType(found)
+
+
+def call(
+    target: Callable[..., T],
+    table: Mapping[str, Any],
+    *,
+    key: str = "",
+    origin: Origin | None = None,
+    given: Mapping[str, Any] | None = None,
+    also: Iterable[str] = (),
+) -> T:
+    """Call ``target`` with the table's values, each checked and converted by its annotation.
+
+    Args:
+        target: class or function; its signature says which keys there are.
+        table: what the scenario says.
+        key: path of the table in the scenario, for messages.
+        origin: where the scenario came from, for messages.
+        given: arguments that come from the program, not from the table.
+        also: other keys that may stand in this table, for messages.
+
+    Raises:
+        ScenarioError: unknown or missing key, wrong type or range, or whatever ``target`` itself raises.
+    """
+    origin, given = origin or Named(), given or {}
+    known = {name: each for name, each in parameters(target).items() if name not in given}
+    for name in table:
+        if name not in known:
+            where = join(key, name)
+            raise ScenarioError(unknown("key", name, [*known, *also]), key=where, source=origin.of(where))
+    values = {}
+    for name, parameter in known.items():
+        where = join(key, name)
+        if name in table:
+            values[name] = convert(table[name], parameter.annotation, key=where, origin=origin)
+        elif parameter.required:
+            raise ScenarioError(f"is missing; it must be {describe(parameter.annotation)}", key=where, source=origin.of(key))
+    try:
+        return target(**given, **values)
+    except ScenarioError as error:
+        if error.source:
+            raise
+        where = join(key, error.key)
+        raise ScenarioError(error.problem, key=where, source=origin.of(where)) from error
+    except (Exception, SystemExit) as error:
+        problem = str(error)
+        if not isinstance(error, ValueError):
+            problem = f"{target.__name__} raised {type(error).__name__}: {error}{place_of(error)}"
+        mentioned = [name for name in values if re.search(rf"\b{name}\b", problem)]  # a constructor says which one it means
+        where = join(key, mentioned[0]) if len(mentioned) == 1 else key
+        raise ScenarioError(problem, key=where, source=origin.of(where)) from error
+
+
+def fitted(value: Any, annotation: Any, kept: Collection[str]) -> Any:
+    """A table whose kind has been replaced, without what only its former kind has; what is ``kept`` stays."""
+    tables = [each for each in structs(annotation) if each.__struct_config__.tag_field and _may_be(each, value)]
+    if len(tables) != 1 or not isinstance(value, Mapping):
+        return value
+    known = {*_known(tables[0], value), *kept}
+    return {name: each for name, each in value.items() if name in known}
+
+
+def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iterable[str] = ()) -> dict[str, Any]:
+    """The table with all defaults of ``target`` filled in, in plain TOML types; None and what is not plain are left out."""
+    skipped, full = frozenset(without), {}
+    for name, parameter in parameters(target).items():
+        if name not in skipped:
+            value = plain(convert(table[name], parameter.annotation) if name in table else parameter.default)
+            if value is not None:
+                full[name] = value
+    return full
+
+
+def plain(value: Any) -> Any:
+    """The value in types that TOML has; None where there is none."""
+    try:
+        return _without_none(msgspec.to_builtins(value, builtin_types=()))
+    except TypeError:
+        return None
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_none(each) for name, each in value.items() if each is not None}
+    if isinstance(value, list | tuple):
+        return [_without_none(each) for each in value]
+    return value
+
+
+def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None = None) -> Any:
+    """The value as its annotation wants it, or a `ScenarioError` that says what is allowed."""
+    if (bad := non_finite(value)) is not None:
+        raise _refused(f"must be finite, not {bad}", key, origin)
+    try:
+        return msgspec.convert(value, annotation)
+    except msgspec.ValidationError as error:
+        words, _, inside = str(error).partition(" - at `$")
+        if isinstance(error.__cause__, ValueError):  # of a table's own
+            raise _refused(words, f"{key}{inside[:-1]}", origin) from error
+        if structs(annotation) and (inside or words.startswith("Object ")):
+            raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
+        raise _refused(_unlike(value, annotation), key, origin) from error
+    except TypeError:
+        return value  # an annotation that only Python objects meet; the target checks it itself
+
+
+def _inside(words: str, path: str, value: Any, annotation: Any) -> str:
+    """What is wrong at a path such as ``[0].size`` inside a list of tables, or a table, and the tables in it."""
+    for step in re.findall(r"\w+", path):
+        if step.isdigit():
+            value, annotation = value[int(step)], _item(annotation, int(step))
+        elif step in (known := _known(annotation, value)):
+            value, annotation = value[step], known[step].annotation
+        else:
+            return words
+    if field := re.fullmatch(r"Object contains unknown field `(.*)`", words):
+        return unknown("key", field[1], _known(annotation, value))
+    if field := re.fullmatch(r"Object missing required field `(.*)`", words):
+        return f"{field[1]} is missing; it must be {describe(_known(annotation, value)[field[1]].annotation)}"
+    return _unlike(value, annotation)
+
+
+def _item(annotation: Any, number: int) -> Any:
+    """The annotation of an item of a list."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated:
+        return _item(inner[0], number)
+    if origin in (typing.Union, types.UnionType):
+        return next((found for each in inner if (found := _item(each, number)) is not Any), Any)
+    if not inner:
+        return Any
+    return inner[0] if len(inner) == 1 or inner[-1] is Ellipsis else inner[number]
+
+
+def _known(annotation: Any, value: Any) -> dict[str, Parameter]:
+    """The keys of the table, or of those, that a value of this annotation may be."""
+    tables = [each for each in structs(annotation) if _may_be(each, value)] or structs(annotation)
+    return {name: each for struct in tables for name, each in parameters(struct).items()} | _tags(tables)
+
+
+def _may_be(struct: type[msgspec.Struct], value: Any) -> bool:
+    """Whether a value does not say that it is a table of another kind."""
+    config = struct.__struct_config__
+    return not config.tag_field or not isinstance(value, Mapping) or value.get(config.tag_field, config.tag) == config.tag
+
+
+def _tags(tables: Iterable[type[msgspec.Struct]]) -> dict[str, Parameter]:
+    """The keys that say which of several tables is meant, and the words that each of them allows."""
+    words: dict[str, list[Any]] = {}
+    for each in tables:
+        if (config := each.__struct_config__).tag_field:
+            words.setdefault(config.tag_field, []).append(config.tag)
+    return {name: Parameter(Literal[tuple(allowed)], None, required=True) for name, allowed in words.items()}
+
+
+def _unlike(value: Any, annotation: Any) -> str:
+    """What is allowed instead of this value, and which of a choice is nearly it."""
+    problem = f"must be {describe(annotation)}, not {show(value)}"
+    choices = [each for each in typing.get_args(annotation) if isinstance(each, str)]
+    near = difflib.get_close_matches(value, choices, n=1) if isinstance(value, str) else []
+    return f"{problem}; did you mean '{near[0]}'?" if near else problem
+
+
+def structs(annotation: Any) -> list[type[msgspec.Struct]]:
+    """The tables that a value of this annotation consists of."""
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        return [annotation]
+    return [each for inner in typing.get_args(annotation) for each in structs(inner)]
+
+
+def _refused(problem: str, key: str, origin: Origin | None) -> ScenarioError:
+    return ScenarioError(problem, key=key, source=(origin or Named()).of(key))
+
+
+def non_finite(value: Any) -> float | None:
+    """The first NaN or infinity inside the value."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else value
+    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
+    return next((bad for each in inside if (bad := non_finite(each)) is not None), None)
+
+
+def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
+    """``unknown key 'probabilty'; did you mean 'probability'? (allowed: ...)``."""
+    names = sorted(set(allowed))
+    near = difflib.get_close_matches(name, names, n=1)
+    guess = f"; did you mean '{near[0]}'?" if near else ""
+    return f"unknown {what} '{name}'{guess} (allowed: {', '.join(names) or 'none'})"
+
+
+def join(*parts: str) -> str:
+    """A key path of the parts that are not empty."""
+    return ".".join(part for part in parts if part)
+
+
+def show(value: Any) -> str:
+    """The value for a message, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def describe(annotation: Any) -> str:
+    """What values an annotation allows, in words."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated:
+        limits = [(sign, getattr(meta, name)) for meta in inner[1:] for name, sign in _SIGNS]
+        bounds = [
+            f"{sign} {limit if isinstance(limit, str) else format(limit, 'g')}" for sign, limit in limits if limit is not None
+        ]
+        return " ".join([describe(inner[0]), " and ".join(bounds)])
+    if origin is typing.Literal:
+        return f"one of {', '.join(map(repr, inner))}"
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(dict.fromkeys(describe(each) for each in inner if each is not type(None)))
+    if origin is tuple and inner[-1] is not Ellipsis:
+        return f"a list of {len(inner)} values, each {' / '.join(dict.fromkeys(map(describe, inner)))}"
+    if origin in (tuple, list, collections.abc.Sequence):
+        return f"a list, each item {describe(inner[0])}"
+    if origin in (dict, collections.abc.Mapping) or annotation is dict:
+        return "a table"
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        tag = annotation.__struct_config__.tag_field
+        return f"a table with its {tag}" if tag else "a table"
+    return _WORDS.get(annotation, f"a {getattr(annotation, '__name__', annotation)}")
+
+
+_SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
+_WORDS = {Any: "any value", float: "a number", int: "a whole number", str: "a string", bool: "true or false"}

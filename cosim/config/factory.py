@@ -1,0 +1,119 @@
+"""One of several kinds, built from its table."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from vcmvsp.cosim.config import builtin_kinds, registry, binding
+from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.config.provenance import Source
+
+Portable = Callable[[str], str]
+"""From a kind to how the resolved scenario names it."""
+
+Keep = Callable[[Path], str]
+"""Keeps a file that the scenario uses; how the resolved scenario names it."""
+
+FILES = ("file", "path", "picture")
+"""Keys that name a file, relative to the scenario's folder, wherever they stand in a table (`registry.located`)."""
+
+
+def name_of(path: Path) -> str:
+    """For a scenario that is not kept: the file where it is."""
+    return str(path)
+
+
+def nothing() -> None:
+    """Leaves the layer out."""
+
+
+def build(
+    group: str,
+    content: Mapping[str, Any],
+    *,
+    key: str,
+    source: Source,
+    portable: Portable = str,
+    given: Mapping[str, Any] | None = None,
+    offered: Mapping[str, Any] | None = None,
+    absent: Mapping[str, Any] | None = None,
+    keep: Keep = name_of,
+) -> tuple[Any, dict[str, Any]]:
+    """Build what a table with a ``kind`` describes.
+
+    Args:
+        group: of the registry.
+        content: the table.
+        key: path of the table in the scenario.
+        source: where the scenario came from.
+        portable: how the resolved scenario names the kind.
+        given: arguments that come from the program, not from the table.
+        offered: the same, for those who have such a parameter.
+        absent: arguments for parameters whose default is None, where the table has none.
+        keep: what becomes of files that it names.
+
+    Returns:
+        The object, and the table with all its defaults.
+    """
+    kind = content.get("kind")
+    if not isinstance(kind, str):
+        allowed = ", ".join(builtin_kinds.KINDS[group])
+        raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=source.of(f"{key}.kind"))
+    target = registry.find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source)
+    known = binding.parameters(target)
+    given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
+    params = found(source.kept(content, key, known), source)
+    unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *given}
+    given |= {name: value for name, value in (absent or {}).items() if name in unset}
+    built = binding.call(target, params, key=key, origin=source, given=given)
+    for path in getattr(built, "files", tuple)():  # those that its own files name
+        keep(path)
+    return built, {"kind": portable(kind), **kept(binding.complete(target, params, without=given), keep)}
+
+
+def world_of(
+    content: Mapping[str, Any], source: Source, *, seed: int = 0, portable: Portable = str, keep: Keep = name_of
+) -> tuple[Any, dict[str, Any]]:
+    """The world that a table ``[world]`` describes, and the table with all its defaults; arguments as for `build`.
+
+    Whatever goes wrong in building it is said with its place.
+
+    Args:
+        seed: of the run: that of a world whose own ``seed`` is None by default, and is not given.
+    """
+    key, content = "world", {"kind": "empty", **content}
+    maker, resolved = build(key, content, key=key, source=source, portable=portable, absent={"seed": seed}, keep=keep)
+    try:
+        world = maker.build()
+    except ScenarioError as error:
+        if error.source:
+            raise  # in a file that the scenario names
+        where = binding.join(key, error.key)
+        raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
+    except Exception as error:
+        problem = f"{type(maker).__name__}.build raised {type(error).__name__}: {error}{place_of(error)}"
+        raise ScenarioError(problem, key=key, source=source.of(key)) from error
+    if not isinstance(world, registry.piece("world")):
+        problem = f"{type(maker).__name__}.build must return a World, not {binding.show(world)}"
+        raise ScenarioError(problem, key=key, source=source.of(key))
+    return world, resolved
+
+
+def found(params: Mapping[str, Any], source: Source) -> dict[str, Any]:
+    """Parameters with the files that they name where these really are."""
+    return dict(_with_files(params, lambda name: str(registry.located(name, source.folder))))
+
+
+def kept(params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
+    """Parameters with the files that they name kept, as far as there are such, by the names under which they are."""
+    return dict(_with_files(params, lambda name: keep(Path(name)) if Path(name).is_file() else name))
+
+
+def _with_files(content: Any, change: Callable[[str], str]) -> Any:
+    """A table with the names of the files in it changed."""
+    if isinstance(content, Mapping):
+        return {
+            name: change(value) if name in FILES and isinstance(value, str) and value else _with_files(value, change)
+            for name, value in content.items()
+        }
+    return [_with_files(each, change) for each in content] if isinstance(content, list) else content

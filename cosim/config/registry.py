@@ -1,0 +1,161 @@
+"""From the ``kind`` of a scenario to a class: short names (`cosim.config.builtin_kinds`), ``module:Class``, or ``file.py:Class``.
+
+Parts are reached only through here, as strings, so that ``import cosim`` stays light. Other distributions add short names
+through the entry-point groups ``cosim.<group>``, e.g. ``cosim.agent``.
+"""
+
+import contextlib
+import contextvars
+import hashlib
+import importlib
+import importlib.machinery
+import importlib.metadata
+import importlib.util
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from vcmvsp.cosim.errors import ScenarioError, UsageError, place_of
+from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, PIECES, VERBS
+from vcmvsp.cosim.config.binding import Named, Origin, unknown
+
+PARTS = ("physics", "netsim", "agents", "hardware", "scenarios")
+
+_folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
+
+
+SHIPPED = Path(__file__).resolve().parent.parent / "scenarios"
+"""The built-in scenarios, and the files that come with them."""
+
+
+def located(name: str, folder: Path | None = None) -> Path:
+    """Where a file is that a scenario names: beside it, or else among those that come with the built-in scenarios.
+
+    Args:
+        name: as it is written.
+        folder: the scenario's; default: that of `looking_in`, or the current one.
+    """
+    own, shipped = ((each / name).resolve() for each in (folder or _folder.get() or Path(), SHIPPED))
+    return shipped if shipped.is_file() and not own.exists() else own
+
+
+@contextlib.contextmanager
+def looking_in(folder: Path) -> Iterator[None]:
+    """While something is built: where the files are that it names itself, in its parameters."""
+    token = _folder.set(folder)
+    try:
+        yield
+    finally:
+        _folder.reset(token)
+
+
+def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Origin | None = None) -> Any:
+    """The class that ``kind`` names.
+
+    Args:
+        group: what it is looked up as, e.g. ``"agent"``.
+        kind: short name, ``module:Class`` or ``file.py:Class``.
+        folder: where a relative file is looked for (the scenario's folder); default: that of `looking_in`, or the current one.
+        key: path of the kind in the scenario, for messages.
+        origin: where the scenario came from, for messages.
+
+    Raises:
+        ScenarioError: there is no such kind, or what it names cannot be imported.
+    """
+    origin = origin or Named()
+    aim = target(group, kind, key=key, origin=origin)
+    where, _, name = aim.rpartition(":")
+    path = file_of(kind, folder or _folder.get()).resolve() if is_file_kind(kind) else None
+    if path and not path.is_file():
+        raise ScenarioError(f"there is no file {path}", key=key, source=origin.of(key))
+    try:
+        module = load_file(path) if path else importlib.import_module(where)
+    except (Exception, SystemExit) as error:
+        problem = f"'{where}' cannot be imported: {type(error).__name__}: {error}{place_of(error)}"
+        raise ScenarioError(problem, key=key, source=origin.of(key)) from error
+    found = getattr(module, name, None)
+    if found is None:
+        raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key))
+    if aim != NOTHING and not (callable(found) and hasattr(found, VERBS[group].partition("(")[0])):
+        problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {VERBS[group]}"
+        raise ScenarioError(problem, key=key, source=origin.of(key))
+    return found
+
+
+def piece(name: str) -> Any:
+    """A piece of a part that the core needs (see `cosim.config.builtin_kinds.PIECES`)."""
+    module, _, attribute = PIECES[name].partition(":")
+    loaded = importlib.import_module(module)
+    return getattr(loaded, attribute) if attribute else loaded
+
+
+def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = None) -> str:
+    """``module:Class`` or ``file.py:Class`` of a kind that may be a short name."""
+    if ":" in kind:
+        return kind
+    if kind in KINDS[group]:
+        return KINDS[group][kind]
+    others = _entry_points(group)  # looks through all installed distributions: only where it must
+    if kind not in others:
+        names = [*KINDS[group], *others]
+        problem = unknown(f"{group.replace('_', '-')} kind", kind, names) + "; or give module:Class or file.py:Class"
+        raise ScenarioError(problem, key=key, source=(origin or Named()).of(key))
+    return others[kind]
+
+
+def file_of(kind: str, folder: Path | None) -> Path:
+    """The Python file of a ``file.py:Class`` kind."""
+    return (folder or Path()) / kind.rpartition(":")[0]
+
+
+def is_file_kind(kind: str) -> bool:
+    """Whether a kind names a file rather than a module or a short name."""
+    return kind.rpartition(":")[0].endswith(".py")
+
+
+def load_file(path: Path) -> ModuleType:
+    """Import a Python file by its path, afresh; modules beside it can be imported by it."""
+    name = f"_vcmvsp_{path.stem}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
+    loader = importlib.machinery.SourceFileLoader(name, str(path))
+    spec = importlib.machinery.ModuleSpec(name, loader, origin=str(path))
+    spec.has_location = True  # so that the module has a __file__, by which its source is found
+    module = importlib.util.module_from_spec(spec)
+    before = {*sys.modules, name}
+    sys.modules[name] = module
+    sys.path.insert(0, str(path.parent))
+    try:
+        loader.exec_module(module)
+    finally:
+        sys.path.remove(str(path.parent))
+        for other in [each for each in sys.modules if each not in before and _lies_in(sys.modules[each], path.parent)]:
+            del sys.modules[other]  # what it imported from beside it is its own, and is read afresh next time
+    return module
+
+
+def _lies_in(module: ModuleType, folder: Path) -> bool:
+    file = getattr(module, "__file__", None)
+    return file is not None and Path(file).resolve().is_relative_to(folder)
+
+
+def guard() -> None:
+    """Refuse to go on if a part would come from elsewhere than beside this package.
+
+    Other distributions install top-level packages called ``agents`` or ``hardware`` too, and a folder of that name in the
+    current directory comes first on the path of a notebook.
+    """
+    home = Path(__file__).resolve().parent.parent
+    for part in PARTS:
+        spec = importlib.util.find_spec(part)
+        places = [Path(place).resolve() for place in (spec.submodule_search_locations or ())] if spec else []
+        if places != [home / part]:
+            found = str(places[0]) if places else "nowhere"
+            raise UsageError(
+                f"the package '{part}' of vcmvsp is expected at {home / part} but Python finds it at {found}; "
+                "start elsewhere, remove that package, or install vcmvsp in an environment of its own"
+            )
+
+
+def _entry_points(group: str) -> dict[str, str]:
+    return {entry.name: entry.value for entry in importlib.metadata.entry_points(group=f"cosim.{group}")}

@@ -1,0 +1,1 @@
+"""Pose and clock estimation shared by simulated and real robots."""

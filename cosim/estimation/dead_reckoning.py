@@ -1,0 +1,42 @@
+"""Dead reckoning: where a vehicle is some time after it was last heard of."""
+
+import cmath
+import math
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import product, quaternion_from_yaw
+from vcmvsp.cosim.types import Vec3, VehicleState
+from vcmvsp.hardware.drivers.base import ORIGIN
+
+LONGEST_NS = SECOND_NS // 2
+"""For so long a vehicle is taken to go on; then to stand."""
+
+
+def ahead(state: VehicleState, time_ns: int, *, flies: bool) -> VehicleState:
+    """The state some time later, or a little earlier, at constant speed and yaw rate; it stands once that is long ago.
+
+    On the ground the velocity turns with the body, in the air it does not.
+    """
+    seconds = max(-LONGEST_NS, min(time_ns, LONGEST_NS)) / SECOND_NS
+    (x, y, z), (vx, vy, vz), turn = state.position, state.velocity, state.angular_velocity[2] * seconds
+    chord = 1.0 if flies else cmath.rect(1.0, 0.5 * turn)
+    moved = complex(vx, vy) * chord
+    velocity = moved * chord
+    stands = abs(time_ns) > LONGEST_NS
+    return VehicleState(
+        position=(x + moved.real * seconds, y + moved.imag * seconds, z + vz * seconds),
+        velocity=ORIGIN if stands else (velocity.real, velocity.imag, vz),
+        attitude=product(quaternion_from_yaw(turn), state.attitude),
+        angular_velocity=ORIGIN if stands else state.angular_velocity,
+    )
+
+
+def planar(pose: Vec3, v: float, w: float, height_m: float) -> VehicleState:
+    """The state of a robot on the ground."""
+    x, y, yaw = pose
+    return VehicleState(
+        position=(x, y, height_m),
+        velocity=(v * math.cos(yaw), v * math.sin(yaw), 0.0),
+        attitude=quaternion_from_yaw(yaw),
+        angular_velocity=(0.0, 0.0, w),
+    )

@@ -1,0 +1,299 @@
+"""A robot's pose from its odometry and from positions that come late, now and then wrong, and without heading.
+
+`Fusion` is an extended Kalman filter (`kalman`) over a short log. What arrives is put into the log where its time belongs, and
+the filter runs again from there (rewind and replay): a late position counts exactly as if it had come in time, and the
+estimate does not depend on the order of arrival. A position between two odometry reports divides the motion between them in
+proportion. What is older than the log is refused.
+
+- **Heading.** Unless a start is given, the heading is unknown (variance pi^2/3) until the robot has moved far enough to tell
+  it (`alignment`); until then the estimate is the last position.
+- **Gate.** A position whose innovation is improbable (chi-square, 2 degrees of freedom) is left out. When ``restart_after``
+  consecutive ones were left out and agree among themselves and with odometry, it is the estimate that is wrong: it starts
+  again from them, heading unknown until it is told by motion, and says so.
+- **Silence of odometry.** The last speeds hold for ``coast_s``, then the robot is taken to stand; uncertainty grows meanwhile.
+  What odometry tells afterwards replaces this.
+
+Errors of the positions are taken to be independent: a receiver whose error wanders slowly must be given a sigma that covers
+it, and the covariance is then too small for averages over less than its correlation time. Pure and deterministic: times are
+arguments, in ns of one clock. Times must not lie in the future: they would push the log ahead of what is still to come.
+"""
+
+import bisect
+import math
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.types import Array, Count, NonNegative, Positive, Probability, Vec3, frozen
+from vcmvsp.cosim.estimation import heading_alignment
+from vcmvsp.cosim.estimation.kalman_filter import Motion, Noise, Seen, corrected, grown, innovation, moved
+
+Outcome = Literal["accepted", "gated", "collected", "restarted", "late"]
+
+
+class Verdict(msgspec.Struct, frozen=True):
+    """What became of a position when it came: collected, while the heading is unknown; late, if older than the log."""
+
+    outcome: Outcome
+    nis: float | None = None  # squared Mahalanobis length of the innovation, where there was an estimate to compare with
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it counts for the estimate."""
+        return self.outcome in ("accepted", "collected", "restarted")
+
+
+class Pose(msgspec.Struct, frozen=True, kw_only=True):
+    """The estimate at an instant."""
+
+    time_ns: int
+    x: float  # m
+    y: float  # m
+    heading: float  # rad, in (-pi, pi]; meaningless unless known
+    covariance: Array  # (3, 3) of x, y, heading: m^2, m rad, rad^2
+    heading_known: bool
+    v: float  # m/s, as odometry said last
+    w: float  # rad/s, the same
+    age_s: float  # since the last position that counted was measured; inf: none yet
+    odometry_age_s: float  # since odometry was measured; inf: none yet
+    scale: float  # see `kalman`
+    veer: float  # rad/m
+    bias: float  # rad/s
+    accepted: int  # positions that counted
+    gated: int  # that were left out
+    restarts: int  # times that the estimate was given up for what the positions said
+
+
+class _Belief(msgspec.Struct, frozen=True):
+    """All that the filter knows at an instant."""
+
+    mean: Array | None  # (6,); None while the heading is unknown
+    covariance: Array
+    items: heading_alignment.Items = ()  # since the first position that is collected, or was gated
+    seen_ns: int | None = None
+    accepted: int = 0
+    gated: int = 0
+    restarts: int = 0
+
+
+class _Told(msgspec.Struct, frozen=True):
+    """Odometry from ``start_ns`` to the time of its node."""
+
+    start_ns: int
+    distance_m: float
+    turn_rad: float
+
+
+class _Node(msgspec.Struct, eq=False):
+    """An instant of the log, and the belief after it."""
+
+    time_ns: int
+    belief: _Belief
+    what: _Told | Seen | None = None
+
+    def key(self) -> tuple[float, ...]:
+        """Order of the log: it must not depend on the order of arrival, not even at equal times."""
+        seen = self.what
+        return (self.time_ns, 1, seen.x, seen.y) if isinstance(seen, Seen) else (self.time_ns, 0, 0.0, 0.0)
+
+
+class Fusion:
+    """Fuses odometry with positions.
+
+    Args:
+        noise: how far odometry is to be trusted.
+        start: x (m), y (m) and heading (rad) where the robot sets out; None: unknown.
+        start_sigma_m: standard deviation of the start's x and y.
+        start_sigma_rad: standard deviation of its heading.
+        scale_sigma: standard deviation of the unknown scale error of distances; 0: there is none. Likewise the next two.
+        veer_sigma: rad/m, of the unknown turn per metre.
+        bias_sigma: rad/s, of the unknown turn per second (a gyro's bias).
+        gate: probability that a good position passes the gate.
+        restart_after: so many consecutive gated positions that agree start the estimate again.
+        heading_sigma_rad: how well motion must tell the heading before the filter begins.
+        coast_s: how long the last speeds hold when odometry is silent.
+        history_s: length of the log: how late anything may come.
+    """
+
+    def __init__(
+        self,
+        *,
+        noise: Noise | None = None,
+        start: Vec3 | None = None,
+        start_sigma_m: Positive = 0.05,
+        start_sigma_rad: Positive = 0.05,
+        scale_sigma: NonNegative = 0.0,
+        veer_sigma: NonNegative = 0.0,
+        bias_sigma: NonNegative = 0.0,
+        gate: Probability = 0.999,
+        restart_after: Count = 5,
+        heading_sigma_rad: Positive = 0.2,
+        coast_s: NonNegative = 0.5,
+        history_s: Positive = 2.0,
+    ) -> None:
+        self._noise = noise or Noise()
+        self._prior = np.diag([0.0, 0.0, 0.0, scale_sigma**2, veer_sigma**2, bias_sigma**2])
+        self._gate, self._restart_after, self._heading_sigma = gate, max(restart_after, 2), heading_sigma_rad
+        self._coast_ns, self._history_ns = seconds_to_ns(coast_s), seconds_to_ns(history_s)
+        self._bound = heading_alignment.chi2_quantile(gate, 2)
+        covariance = self._prior + np.diag([start_sigma_m**2, start_sigma_m**2, start_sigma_rad**2, 0.0, 0.0, 0.0])
+        mean = None if start is None else np.array([*start, 0.0, 0.0, 0.0])
+        self._begin = _Belief(mean, covariance)
+        self._nodes: list[_Node] = []
+        self._told_ns: int | None = None  # until when odometry has told
+        self._waiting = (0.0, 0.0)  # motion told without time having gone on
+        self._speed = (0.0, 0.0)  # m/s and rad/s, as told last
+        self.late = 0  # positions refused because they were older than the log
+
+    def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> None:
+        """The robot has gone and turned so much since the last call; the first call only marks the time.
+
+        Of two wheels that went l and r, on an axle of length b, distance is (l + r) / 2 and turn (r - l) / b.
+        """
+        _check(distance_m, turn_rad)
+        if self._told_ns is None:
+            self._told_ns = time_ns
+            self._insert(_Node(time_ns, self._begin))
+            return
+        distance_m, turn_rad = distance_m + self._waiting[0], turn_rad + self._waiting[1]
+        if time_ns <= self._told_ns:
+            self._waiting = (distance_m, turn_rad)
+            return
+        told, self._waiting = _Told(self._told_ns, distance_m, turn_rad), (0.0, 0.0)
+        seconds = (time_ns - self._told_ns) / SECOND_NS
+        self._speed, self._told_ns = (distance_m / seconds, turn_rad / seconds), time_ns
+        self._insert(_Node(time_ns, self._begin, told))
+
+    def twist(self, time_ns: int, v: float, w: float) -> None:
+        """The robot has gone at v (m/s) and w (rad/s) since the last call."""
+        seconds = 0.0 if self._told_ns is None else max(time_ns - self._told_ns, 0) / SECOND_NS
+        self.odometry(time_ns, v * seconds, w * seconds)
+
+    def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> Verdict:
+        """The robot was at x, y (m) at that time, give or take sigma_m in each."""
+        _check(x, y, sigma_m)
+        if sigma_m <= 0.0:
+            raise ValueError(f"a position's sigma_m must be positive, not {sigma_m}")
+        return self._insert(_Node(time_ns, self._begin, Seen(x, y, sigma_m)))
+
+    def estimate(self, now_ns: int) -> Pose | None:
+        """The pose at an instant of the log, or after it; None while nothing is known, or before the log."""
+        index = bisect.bisect_right(self._nodes, now_ns, key=lambda node: node.time_ns) - 1
+        if index < 0:
+            return None
+        belief = self._moved(self._nodes[index].belief, index, now_ns)
+        if belief.mean is None and not belief.items:
+            return None
+        known = belief.mean is not None
+        mean, covariance = (
+            (belief.mean, belief.covariance)
+            if belief.mean is not None
+            else heading_alignment.rough(belief.items, self._prior, self._noise)
+        )
+        x, y, heading, scale, veer, bias = mean.tolist()
+        told_ns = self._told_ns
+        holds = told_ns is not None and now_ns - told_ns <= self._coast_ns
+        return Pose(
+            time_ns=now_ns,
+            x=x,
+            y=y,
+            heading=math.remainder(heading, math.tau),
+            covariance=frozen(covariance[:3, :3]),
+            heading_known=known,
+            v=self._speed[0] if holds else 0.0,
+            w=self._speed[1] if holds else 0.0,
+            age_s=math.inf if belief.seen_ns is None else (now_ns - belief.seen_ns) / SECOND_NS,
+            odometry_age_s=math.inf if told_ns is None else max(now_ns - told_ns, 0) / SECOND_NS,
+            scale=scale,
+            veer=veer,
+            bias=bias,
+            accepted=belief.accepted,
+            gated=belief.gated,
+            restarts=belief.restarts,
+        )
+
+    def _insert(self, node: _Node) -> Verdict:
+        """Put a node where it belongs, run the filter again from there, and forget what is older than the log."""
+        nodes = self._nodes
+        if not nodes:
+            nodes.append(_Node(node.time_ns, self._begin))
+        if node.time_ns < nodes[0].time_ns:
+            self.late += 1
+            return Verdict("late")
+        bisect.insort_right(nodes, node, lo=1, key=_Node.key)
+        since_ns = node.what.start_ns if isinstance(node.what, _Told) else node.time_ns
+        first = bisect.bisect_right(nodes, since_ns, lo=1, key=lambda each: each.time_ns)
+        verdict = Verdict("late")
+        for index in range(min(first, nodes.index(node)), len(nodes)):
+            each = nodes[index]
+            belief, what = self._moved(nodes[index - 1].belief, index - 1, each.time_ns), each.what
+            if isinstance(what, Seen):
+                belief, said = self._told_position(belief, each.time_ns, what)
+                verdict = said if each is node else verdict
+            each.belief = belief
+        oldest = bisect.bisect_right(nodes, nodes[-1].time_ns - self._history_ns, key=lambda each: each.time_ns) - 1
+        del nodes[: max(oldest, 0)]
+        return verdict
+
+    def _moved(self, belief: _Belief, index: int, until_ns: int) -> _Belief:
+        """The belief after node ``index``, moved on to a time before the next node, or after the last."""
+        since_ns = self._nodes[index].time_ns
+        if until_ns == since_ns:
+            return belief
+        motion = self._motion(index, since_ns, until_ns)
+        items = heading_alignment.extended(belief.items, motion) if belief.items else ()
+        if belief.mean is None:
+            return msgspec.structs.replace(belief, items=items)
+        mean, jacobian, added = moved(belief.mean, motion, self._noise)
+        return msgspec.structs.replace(belief, mean=mean, covariance=grown(belief.covariance, jacobian, added), items=items)
+
+    def _motion(self, index: int, since_ns: int, until_ns: int) -> Motion:
+        """What odometry tells of this time, else the last speeds as long as they hold."""
+        seconds = (until_ns - since_ns) / SECOND_NS
+        for node in self._nodes[index + 1 :]:
+            if isinstance(told := node.what, _Told):
+                if told.start_ns > since_ns:
+                    break
+                share = (until_ns - since_ns) / (node.time_ns - told.start_ns)
+                return Motion(told.distance_m * share, told.turn_rad * share, seconds)
+        told_ns = until_ns if self._told_ns is None else self._told_ns
+        held = max(min(until_ns, told_ns + self._coast_ns) - max(since_ns, told_ns), 0) / SECOND_NS
+        return Motion(self._speed[0] * held, self._speed[1] * held, seconds, told=False)
+
+    def _told_position(self, belief: _Belief, time_ns: int, seen: Seen) -> tuple[_Belief, Verdict]:
+        """The belief after a position."""
+        items = heading_alignment.trimmed((*belief.items, seen))
+        if belief.mean is None:
+            return self._collected(belief, time_ns, items), Verdict("collected")
+        difference, inverse, nis = innovation(belief.mean, belief.covariance, seen)
+        if nis <= self._bound:
+            gain, covariance = corrected(belief.covariance, inverse, seen)
+            mean = belief.mean + gain @ difference
+            count = belief.accepted + 1
+            return msgspec.structs.replace(
+                belief, mean=mean, covariance=covariance, items=(), seen_ns=time_ns, accepted=count
+            ), Verdict("accepted", nis)
+        items = heading_alignment.trimmed(items, self._restart_after)
+        if heading_alignment.count(items) == self._restart_after:
+            fit = heading_alignment.fitted(items, self._prior, self._noise)
+            if fit.fits(self._gate):
+                fresh = _Belief(None, self._prior, (), None, belief.accepted, belief.gated, belief.restarts + 1)
+                return self._collected(fresh, time_ns, items), Verdict("restarted", nis)
+        return msgspec.structs.replace(belief, items=items, gated=belief.gated + 1), Verdict("gated", nis)
+
+    def _collected(self, belief: _Belief, time_ns: int, items: heading_alignment.Items) -> _Belief:
+        """The belief after one more position with the heading unknown: perhaps it is known now."""
+        count = belief.accepted + 1
+        start = heading_alignment.aligned(items, self._prior, self._noise, self._heading_sigma, self._gate)
+        if start is None:
+            return msgspec.structs.replace(belief, items=items, seen_ns=time_ns, accepted=count)
+        return msgspec.structs.replace(
+            belief, mean=start.mean, covariance=start.covariance, items=(), seen_ns=time_ns, accepted=count
+        )
+
+
+def _check(*numbers: float) -> None:
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f"odometry and positions must be finite numbers, not {numbers}")

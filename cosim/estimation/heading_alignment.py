@@ -1,0 +1,192 @@
+"""From which heading a robot set out: the path that odometry tells is laid upon the positions that were measured.
+
+Odometry knows the path's shape, positions know where it lies, and neither knows the heading. The rotation that fits best is
+the closed form of the plane Procrustes problem. About it, one linear Kalman pass with a heading that is unknown beforehand
+(uniform: variance pi^2 / 3) gives mean and covariance: the positions' noise and odometry's count once each.
+"""
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+from scipy.special import gammaincinv
+
+from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.estimation.kalman_filter import (
+    HEADING,
+    SIZE,
+    Motion,
+    Noise,
+    Seen,
+    corrected,
+    grown,
+    innovation,
+    moved,
+)
+
+UNKNOWN = math.pi**2 / 3.0  # rad^2, variance of a direction of which nothing is known
+LEAST = 4  # positions; three are needed, one more lets them contradict each other
+MOST = 40  # positions that are kept
+LONGEST = 2000  # items that are kept
+
+Items = tuple[Motion | Seen, ...]  # in order of time; the first is a position
+
+
+class Start(msgspec.Struct, frozen=True):
+    """Where the robot is after the items."""
+
+    mean: Array  # (6,)
+    covariance: Array  # (6, 6)
+    chi2: float  # how ill the positions fit
+    count: int  # of the positions
+
+    def fits(self, gate: float) -> bool:
+        """Whether the positions agree with each other and with odometry: two degrees each, less pose and heading."""
+        return self.chi2 <= chi2_quantile(gate, max(2 * self.count - 3, 1))
+
+
+def chi2_quantile(probability: float, degrees: int) -> float:
+    """Below which a chi-square variable stays with this probability."""
+    return 2.0 * float(gammaincinv(0.5 * degrees, probability))
+
+
+def trimmed(items: Items, most: int = MOST) -> Items:
+    """The items from the last ``most`` positions on."""
+    places = [index for index, item in enumerate(items) if isinstance(item, Seen)]
+    return items[places[-most] :] if 0 < most < len(places) else items
+
+
+def extended(items: Items, motion: Motion) -> Items:
+    """The items and a motion; of a list that grows too long, the oldest positions and their motions are forgotten."""
+    last = items[-1]
+    if isinstance(last, Motion) and last.told == motion.told and _rests(last) and _rests(motion):
+        return (*items[:-1], Motion(0.0, 0.0, last.seconds + motion.seconds, motion.told))
+    if len(items) < LONGEST:
+        return (*items, motion)
+    left = trimmed(items, count(items) - 1)
+    return (*left, motion) if left is not items else ()
+
+
+def count(items: Items) -> int:
+    """How many positions there are."""
+    return sum(isinstance(item, Seen) for item in items)
+
+
+def aligned(items: Items, prior: Array, noise: Noise, sigma_rad: float, gate: float) -> Start | None:
+    """The start, once the path is long enough to tell the heading to ``sigma_rad``, and the positions agree.
+
+    Where they do not, up to a quarter of them is left out: each time the one without which the others fit best.
+    """
+    path, seen = _path(items)
+    left = list(range(len(seen)))
+    while len(left) >= max(LEAST, len(seen) - len(seen) // 4):
+        heading, sigma, _ = _rotation(path[left], [seen[each] for each in left])
+        if sigma > sigma_rad:
+            return None
+        start = fitted(_without(items, [each for each in range(len(seen)) if each not in left]), prior, noise, heading)
+        if start.fits(gate):
+            return start
+        residuals = [_rotation(path[rest], [seen[i] for i in rest])[2] for rest in _one_less(left)]
+        left.pop(int(np.argmin(residuals)))
+    return None
+
+
+def fitted(items: Items, prior: Array, noise: Noise, heading: float | None = None) -> Start:
+    """The least-squares start: a Kalman pass over the differences from the path that sets out with ``heading``.
+
+    ``prior`` has the variances of scale, veer and bias in its diagonal.
+    """
+    path, seen = _path(items)
+    if heading is None:
+        heading = _rotation(path, seen)[0]
+    nominal = np.zeros(SIZE)
+    nominal[:3] = seen[0].x, seen[0].y, heading
+    covariance = prior.copy()
+    covariance[0, 0] = covariance[1, 1] = seen[0].sigma_m ** 2
+    covariance[2, 2] = UNKNOWN
+    difference, chi2 = np.zeros(SIZE), 0.0
+    for item in items[1:]:
+        if isinstance(item, Motion):
+            nominal, jacobian, added = moved(nominal, item, noise)
+            difference, covariance = jacobian @ difference, grown(covariance, jacobian, added)
+        else:
+            residual, inverse, length2 = innovation(nominal + difference, covariance, item)
+            gain, covariance = corrected(covariance, inverse, item)
+            difference, chi2 = difference + gain @ residual, chi2 + length2
+    return Start(nominal + difference, covariance, chi2, len(seen))
+
+
+def rough(items: Items, prior: Array, noise: Noise) -> tuple[Array, Array]:
+    """Mean and covariance while the heading is unknown: the last position, and a way from it in some direction."""
+    last = max(index for index, item in enumerate(items) if isinstance(item, Seen))
+    seen, since = items[last], items[last:]
+    assert isinstance(seen, Seen)  # noqa: S101
+    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    mean[:2] = seen.x, seen.y
+    covariance[0, 0] = covariance[1, 1] = seen.sigma_m**2
+    end = np.zeros(SIZE)
+    for item in since[1:]:
+        assert isinstance(item, Motion)  # noqa: S101
+        end, jacobian, added = moved(end, item, noise)
+        covariance = grown(covariance, jacobian, added)
+    spread = 0.5 * float(end[0] ** 2 + end[1] ** 2)  # variance of each coordinate of a vector of random direction
+    covariance[:HEADING, HEADING:] = covariance[HEADING:, :HEADING] = 0.0
+    covariance[0, 0] += spread
+    covariance[1, 1] += spread
+    covariance[HEADING:, HEADING:] = prior[HEADING:, HEADING:]
+    covariance[HEADING, HEADING] = UNKNOWN
+    return mean, covariance
+
+
+def _path(items: Items) -> tuple[Array, list[Seen]]:
+    """Where odometry puts each position, (n, 2) m, were the first at the origin with heading 0; and the positions."""
+    at, noise = np.zeros(SIZE), Noise()
+    places, seen = [], []
+    for item in items:
+        if isinstance(item, Motion):
+            at, _, _ = moved(at, item, noise)
+        else:
+            places.append(at[:2])
+            seen.append(item)
+    return np.array(places), seen
+
+
+def _rotation(path: Array, seen: Sequence[Seen]) -> tuple[float, float, float]:
+    """Heading that lays the path on the positions, its standard deviation, and the weighted squared residual.
+
+    Centred paths u and positions z with weights w = 1 / sigma^2: the heading is the argument of the sum of
+    ``w conj(u) z`` (as complex numbers), its variance ``1 / sum w |u|^2``, its residual
+    ``sum w (|u|^2 + |z|^2) - 2 |sum w conj(u) z|``.
+    """
+    weight = np.array([each.sigma_m**-2 for each in seen])
+    u = path[:, 0] + 1j * path[:, 1]
+    z = np.array([complex(each.x, each.y) for each in seen])
+    u, z = u - weight @ u / weight.sum(), z - weight @ z / weight.sum()
+    product = complex(weight @ (u.conj() * z))
+    spread = float(weight @ np.abs(u) ** 2)
+    residual = spread + float(weight @ np.abs(z) ** 2) - 2.0 * abs(product)
+    return math.atan2(product.imag, product.real), spread**-0.5 if spread > 0.0 else math.inf, residual
+
+
+def _rests(motion: Motion) -> bool:
+    return motion.distance_m == 0.0 and motion.turn_rad == 0.0
+
+
+def _one_less(indices: list[int]) -> list[list[int]]:
+    return [indices[:each] + indices[each + 1 :] for each in range(len(indices))]
+
+
+def _without(items: Items, dropped: list[int]) -> Items:
+    """The items without some of the positions, from the first position that is left on."""
+    kept: list[Motion | Seen] = []
+    number = -1
+    for item in items:
+        if isinstance(item, Seen):
+            number += 1
+            if number in dropped:
+                continue
+        elif not kept:
+            continue
+        kept.append(item)
+    return tuple(kept)

@@ -1,0 +1,152 @@
+"""A recording as CSV files, for spreadsheets and whatever else reads nothing better; units stand in the headers.
+
+``states.csv`` has the true states, ``radio.csv`` the columns of ``radio.parquet``, a row per frame and receiver,
+``commands.csv`` what agents commanded, ``notes.csv`` what they noted. Each sensor that gives numbers has a file of its name,
+with the vehicles below one another. Times are those of the run, s; an empty cell is a number that there was not. Scans,
+pictures and maps are not exported: they are no rows.
+"""
+
+import csv
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow import csv as arrow_csv
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.recording.recorded_run import Source, Values
+from vcmvsp.cosim.recording.foxglove.messages import PoseInFrame
+from vcmvsp.cosim.recording.mcap_file import Recorded
+from vcmvsp.cosim.tables.schema import RunFacts, radio_table, read_table
+from vcmvsp.cosim.types import FrameReport, Imu, Odometry, VehicleState, Velocity, Waypoint
+
+AXES = "xyz"
+TURN = ("qw", "qx", "qy", "qz")  # world_from_body
+STATE = (*(f"{a}_m" for a in AXES), *TURN, *(f"v{a}_m_s" for a in AXES), *(f"w{a}_rad_s" for a in AXES))
+COLUMNS: Mapping[type, Sequence[str]] = {
+    VehicleState: STATE,
+    Odometry: ("x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"),
+    Imu: ("measured_s", *(f"a{a}_m_s2" for a in AXES), *(f"w{a}_rad_s" for a in AXES)),
+    PoseInFrame: ("measured_s", "x_m", "y_m", "z_m", "yaw_rad", "sigma_m", "sigma_rad"),
+    Velocity: ("vx_m_s", "vy_m_s", "vz_m_s", "yaw_rate_rad_s"),
+    Waypoint: ("to_x_m", "to_y_m", "to_z_m", "to_yaw_rad", "speed_m_s"),
+}
+"""The columns of each type of value; what comes by name, as notes do, has its names for columns."""
+FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates"}
+"""By topic, where the name is another than the topic's."""
+RADIO = "radio"
+
+
+def write_csv(source: Source, folder: Path) -> None:
+    """Write the files into ``folder``, which is there and empty."""
+    headers, count = _headers(source)
+    reports: list[FrameReport] = []
+    with ExitStack() as stack:
+        writers = {}
+        for name, header in headers.items():
+            stream = stack.enter_context((folder / f"{name}.csv").open("w", encoding="utf-8", newline=""))
+            writers[name] = csv.writer(stream)
+            writers[name].writerow(("time_s", "vehicle", *header))
+        for said, value in islice(_read(source), count):  # of a run that goes on there may be more by now
+            if isinstance(value, FrameReport):
+                reports.append(value)
+            elif (row := _row(value)) is not None:
+                vehicle, name = _place(said.topic)
+                writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
+    _write_radio(_radio(reports, source), folder / f"{RADIO}.csv")
+
+
+def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
+    """Messages with their values."""
+    values = Values()
+    for said in source:
+        yield said, values.of(said)
+
+
+def _headers(source: Source) -> tuple[dict[str, list[str]], int]:
+    """The columns of each file, those of all values that are to stand in it; and how many messages there are."""
+    found: dict[str, dict[str, None]] = {}
+    count = 0
+    for said, value in _read(source):
+        count += 1
+        if (row := _row(value)) is not None:
+            found.setdefault(_place(said.topic)[1], {}).update(dict.fromkeys(row))
+    return {name: list(columns) for name, columns in found.items()}, count
+
+
+def _place(topic: str) -> tuple[str, str]:
+    """The vehicle that a topic tells of, and the file in which that stands."""
+    vehicle, _, what = topic.partition("/")
+    if what in FILES:
+        return vehicle, FILES[what]
+    taken = what == RADIO or what in FILES.values()
+    return vehicle, f"{what.replace('/', '_')}{'_sensor' if taken else ''}"
+
+
+def _row(value: Any) -> Mapping[str, Any] | None:
+    """The cells of a row by their columns; None: of a kind that has none."""
+    names = getattr(value, "values", None)
+    if isinstance(names, dict):
+        return names
+    columns = COLUMNS.get(type(value))
+    if columns is None:
+        return None
+    return {name: _said(cell) for name, cell in zip(columns, _cells(value), strict=True)}
+
+
+def _said(cell: Any) -> Any:
+    return None if isinstance(cell, float) and math.isnan(cell) else cell
+
+
+def _cells(value: Any) -> Sequence[Any]:
+    match value:
+        case VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w):
+            return (*p, *q, *v, *w)
+        case Odometry(pose=pose, v=v, w=w):
+            return (*pose, v, w)
+        case Imu(acceleration=a, angular_velocity=w, time_ns=at_ns):
+            return (at_ns / SECOND_NS, *a, *w)
+        case Velocity(linear=v, yaw_rate=w):
+            return (*v, w)
+        case Waypoint(position=p, yaw=yaw, speed=speed):
+            return (*p, yaw, speed)
+    place, yaw = value.pose.position, value.yaw
+    sigma_rad = None if yaw is None else value.sigma_rad
+    return (value.timestamp.ns / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, sigma_rad)
+
+
+def _radio(reports: Sequence[FrameReport], source: Source) -> pa.Table:
+    """The run's own table; of a run that was killed before it had written that, what the recording has of it."""
+    path = source.folder / f"{RADIO}.parquet"
+    try:
+        return read_table(path)
+    except FileNotFoundError:
+        why = f"no {path.name} here"
+    except (OSError, ValueError):  # the run was killed while it wrote
+        why = f"{path.name} cannot be read"
+    source.tell(f"{source.folder}: {why}: {RADIO}.csv is without frames of programs, and without routes")
+    facts = RunFacts(scenario=source.scenario, seed=int(source.seed), end_ns=0, vehicles=source.vehicles)
+    return radio_table(reports, facts)
+
+
+def _write_radio(table: pa.Table, path: Path) -> None:
+    """The table of the radio, with times in s."""
+    names = table.column_names
+    columns = [_in_seconds(table[name]) if name.endswith("_ns") else _plain(table[name]) for name in names]
+    headers = [f"{name.removesuffix('_ns')}_s" if name.endswith("_ns") else name for name in names]
+    arrow_csv.write_csv(pa.table(columns, names=headers), path, arrow_csv.WriteOptions(quoting_style="needed"))
+
+
+def _in_seconds(column: Any) -> Any:
+    return pc.divide(column.cast(pa.float64()), float(SECOND_NS))
+
+
+def _plain(column: Any) -> Any:
+    if pa.types.is_floating(column.type):
+        return pc.if_else(pc.is_nan(column), None, column)
+    return column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column

@@ -1,0 +1,134 @@
+"""A run's recording in the formats of others: `export`. Each output is there as a whole or not at all."""
+
+import contextlib
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.recording.recorded_run import FILE, Source
+
+FOLDERS = ("rosbag2", "csv")
+NAMES = {"rosbag2": "rosbag2", "csv": "csv", "mp4": "run.mp4", "layout": "layout.json"}
+"""What the outputs are called unless somebody says otherwise."""
+Progress = Callable[[str, float], None]
+"""Takes what is being written, and how far that is, 0 to 1; the recording is read more than once, and it begins anew then."""
+
+
+def export(
+    run_dir: str | Path,
+    *,
+    rosbag2: str | Path | None = None,
+    csv: str | Path | None = None,
+    mp4: str | Path | None = None,
+    layout: str | Path | None = None,
+    force: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda *_: None,
+) -> list[Path]:
+    """Write what is asked for; of a recording that was cut, what is there.
+
+    Args:
+        run_dir: the folder of a run.
+        rosbag2: folder for a ROS 2 bag, see `cosim.export.rosbag`.
+        csv: folder for tables, see `cosim.export.csv_files`.
+        mp4: file for a film from above.
+        layout: file for a layout of Foxglove and Lichtblick.
+        force: write over what is there; other files in a folder are left alone.
+        tell: takes a line for the user: that the recording is damaged, and how far it goes.
+        progress: see `Progress`.
+
+    Returns:
+        The files and folders, in this order.
+
+    Raises:
+        UsageError: nothing is asked for, there is no recording, or an output cannot be written.
+    """
+    wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
+    paths = {name: Path(path) for name, path in wanted.items() if path is not None}
+    if not paths:
+        raise UsageError("nothing to export: give --rosbag2, --csv, --mp4, --layout, or several of them")
+    folder = Path(run_dir)
+    for name, path in paths.items():
+        _check(name, path, folder, force=force)
+    if len({path.resolve() for path in paths.values()}) < len(paths):
+        raise UsageError("two exports of the same name: give each a file or folder of its own")
+    source = Source(folder, tell)
+    for name, path in paths.items():
+        how_far = _named(progress, name)
+        source.progress = how_far
+        with _whole(path) as place:
+            _write(name, source, place, how_far)
+    return list(paths.values())
+
+
+def _write(name: str, source: Source, place: Path, progress: Callable[[float], None]) -> None:
+    """Write one output; what that takes is loaded here, so that the others do without."""
+    match name:
+        case "rosbag2":
+            from vcmvsp.cosim.export.rosbag import write_bag
+
+            write_bag(source, place)
+        case "csv":
+            from vcmvsp.cosim.export.csv_files import write_csv
+
+            place.mkdir()
+            write_csv(source, place)
+        case "mp4":
+            from vcmvsp.cosim.export.video import write_video
+
+            write_video(source, place, progress)
+        case _:
+            from vcmvsp.cosim.export.foxglove_layout import write_layout
+
+            write_layout(source, place)
+
+
+def _named(progress: Progress, name: str) -> Callable[[float], None]:
+    return lambda part: progress(name, part)
+
+
+def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:
+    """Refuse what cannot be written, or is there already, before anything takes its time."""
+    is_folder = name in FOLDERS
+    if name == "mp4" and path.suffix.lower() != ".mp4":
+        raise UsageError(f"{path}: the name must end in .mp4")
+    if not path.name:
+        raise UsageError(f"{path}: names no {'folder' if is_folder else 'file'} of its own")
+    try:
+        if path.is_dir() and not is_folder:
+            raise UsageError(f"{path}: is a folder, not a file")
+        if path.exists() and not path.is_dir() and is_folder:
+            raise UsageError(f"{path}: is a file, not a folder")
+        if is_folder and path.is_dir() and path.samefile(run_dir):
+            raise UsageError(f"{path}: is the run's own folder; give another one")
+        if path.is_file() and (run_dir / FILE).is_file() and path.samefile(run_dir / FILE):
+            raise UsageError(f"{path}: is the recording itself; give another name")
+        if not force and path.exists() and (not is_folder or any(path.iterdir())):
+            problem = "is not empty" if is_folder else "is there already"
+            raise UsageError(f"{path}: {problem}; give another folder (--out), or --force to overwrite")
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """A place beside the output, of the same name; what is there in the end takes the output's place, if all went well."""
+    beside = path.parent / f".{path.name}.part"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(beside, ignore_errors=True)  # of an export that was killed
+        beside.mkdir()
+        place = beside / path.name
+        try:
+            yield place
+            if place.is_dir():
+                path.mkdir(exist_ok=True)
+                for each in sorted(place.iterdir()):
+                    each.replace(path / each.name)
+            else:
+                place.replace(path)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,197 @@
+"""A layout for Foxglove and Lichtblick that fits one recording: what moves, what is seen, how fast, how far off, how strong.
+
+It is made from the topics that the recording has, so that each panel shows something from the start.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.util.files import to_json
+from vcmvsp.cosim.recording.recorded_run import Source, Values
+from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
+from vcmvsp.cosim.util.palette import color_of
+from vcmvsp.cosim.types import VehicleState
+
+ERRORS = ("error_m", "z1", "z2")  # what followers note of how far they are from their places, m
+WORDS = ("commander", "mode", "status")  # what agents note of what they are doing; the first that there is counts
+DRAWN = ("foxglove.SceneUpdate", "foxglove.LaserScan", "foxglove.PoseInFrame")
+PICTURES = ("foxglove.RawImage", "foxglove.CompressedImage")
+MOST_CURVES, MOST_PICTURES = 24, 4
+LEAST_VIEW_M = 4.0
+
+
+def write_layout(source: Source, path: Path) -> None:
+    """Write the layout into a JSON file."""
+    path.write_text(to_json(layout_of(source)), "utf-8")
+
+
+def layout_of(source: Source) -> dict[str, Any]:
+    """The layout: its panels, and how they lie beside and above one another."""
+    seen = _Seen(source)
+    panels: dict[str, dict[str, Any]] = {"3D!scene": _scene(seen)}
+    pictures = [topic for topic, schema in seen.topics.items() if schema in PICTURES][:MOST_PICTURES]
+    images = {f"Image!{number}": _image(topic, seen) for number, topic in enumerate(pictures, 1)}
+    panels |= images
+    for name, (title, curves) in _plots(seen).items():
+        if curves:
+            panels[f"Plot!{name}"] = _plot(title, curves)
+    if seen.words:
+        paths = [{"value": f"{vehicle}/note.values.{name}", "timestampMethod": "receiveTime"} for vehicle, name in seen.words]
+        panels["StateTransitions!tasks"] = {"paths": paths, "isSynced": True}
+    panels["RosOut!log"] = {"topicToRender": "log", "minLogLevel": 1, "searchTerms": []}
+    left = _stacked(["3D!scene", *(name for name in panels if name.startswith("StateTransitions!"))], "column", 78)
+    above = [_stacked(list(images), "row")] if images else []
+    right = _stacked([*above, *(name for name in panels if name.partition("!")[0] in {"Plot", "RosOut"})], "column")
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {"first": left, "second": right, "direction": "row", "splitPercentage": 58},
+    }
+
+
+class _Seen:
+    """What there is to show."""
+
+    def __init__(self, source: Source) -> None:
+        values, low, high = Values(), np.full(2, np.inf), np.full(2, -np.inf)
+        self.vehicles = source.vehicles
+        self.topics: dict[str, str] = {}
+        noted: dict[str, dict[str, Any]] = {}
+        for said in source:
+            self.topics[said.topic] = said.schema
+            vehicle, _, what = said.topic.partition("/")
+            if what == "note":
+                noted.setdefault(vehicle, {}).update(values.of(said).values)
+            elif what == "state" and isinstance(state := values.of(said), VehicleState):
+                low, high = np.fmin(low, state.position[:2]), np.fmax(high, state.position[:2])
+        self.noted: Mapping[str, Mapping[str, Any]] = noted
+        known = np.isfinite(low).all() and np.isfinite(high).all()
+        self.middle: list[float] = (0.5 * (low + high)).tolist() if known else [0.0, 0.0]
+        self.size_m = max(LEAST_VIEW_M, float((high - low).max())) if known else LEAST_VIEW_M
+        told = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]
+        self.words = [(vehicle, name) for name in told for vehicle in self.vehicles if name in noted.get(vehicle, {})]
+
+    def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+        """Curves of vehicles: who, and the path of the number behind its name."""
+        numbers = {name: number for number, name in enumerate(self.vehicles)}
+        return [
+            {
+                "value": f"{vehicle}/{path}",
+                "label": f"{vehicle} {path.rpartition('.')[2]}",
+                "color": color_of(numbers[vehicle]),
+                "enabled": True,
+                "timestampMethod": "receiveTime",
+                "lineSize": 1.5,
+                "showLine": True,
+            }
+            for vehicle, path in paths[:MOST_CURVES]
+        ]
+
+    def of(self, schema: str) -> list[tuple[str, str]]:
+        """The topics with this schema: vehicle, and the rest of the name. Only one of each vehicle."""
+        found: dict[str, str] = {}
+        for topic, each in self.topics.items():
+            vehicle, _, what = topic.partition("/")
+            if each == schema and vehicle in self.vehicles:
+                found.setdefault(vehicle, what)
+        return list(found.items())
+
+
+def _plots(seen: _Seen) -> dict[str, tuple[str, list[dict[str, Any]]]]:
+    """Title and curves of each plot."""
+    wheels = [(vehicle, f"{what}.v") for vehicle, what in seen.of("vcmvsp.Odometry")]
+    known = {vehicle for vehicle, _ in wheels}
+    flown = [(name, f"state.velocity[{axis}]") for name in seen.vehicles if name not in known for axis in range(2)]
+    errors = [
+        (vehicle, f"note.values.{name}")
+        for vehicle, values in seen.noted.items()
+        for name in ERRORS
+        if isinstance(values.get(name), float | int)
+    ]
+    heard = [(vehicle, f"{what}.rssi_dbm") for vehicle, what in seen.of("vcmvsp.Reception")]
+    return {
+        "speed": ("speed [m/s]", seen.curves([*wheels, *flown])),
+        "formation": ("formation error [m]", seen.curves(errors)),
+        "radio": ("received power [dBm]", seen.curves(heard)),
+    }
+
+
+def _scene(seen: _Seen) -> dict[str, Any]:
+    """The three-dimensional panel, which looks at all ways from above and aside."""
+    topics: dict[str, Any] = {topic: {"visible": True} for topic, schema in seen.topics.items() if schema in DRAWN}
+    for topic, schema in seen.topics.items():
+        if schema == "foxglove.LaserScan":
+            topics[topic] |= {"colorMode": "flat", "flatColor": color_of(seen.vehicles.index(topic.partition("/")[0]))}
+        elif schema == "foxglove.Grid":
+            colors = {"colorMode": "rgba-fields"} if topic.endswith("/mosaic") else {"colorField": "probability"}
+            topics[topic] = {"visible": False, **colors}
+    step_m = 1.0 if seen.size_m < 20.0 else 10.0
+    squares = 2 * math.ceil(seen.size_m / step_m)
+    return {
+        "title": "scene",
+        "followMode": "follow-none",
+        "followTf": "world",
+        "cameraState": {
+            "perspective": True,
+            "distance": 1.6 * seen.size_m,
+            "phi": 40,
+            "thetaOffset": 0,
+            "target": [0, 0, 0],
+            "targetOffset": [*seen.middle, 0],
+            "targetOrientation": [0, 0, 0, 1],
+            "fovy": 45,
+            "near": 0.1,
+            "far": 5000,
+        },
+        "scene": {"transforms": {"showLabel": False, "axisScale": 0.5}},
+        "transforms": {},
+        "topics": topics,
+        "layers": {
+            "grid": {
+                "layerId": "foxglove.Grid",
+                "instanceId": "grid",
+                "label": f"floor, {step_m:g} m",
+                "visible": True,
+                "frameId": "world",
+                "size": step_m * squares,
+                "divisions": squares,
+                "color": "#80808080",
+                "order": 1,
+            }
+        },
+    }
+
+
+def _image(topic: str, seen: _Seen) -> dict[str, Any]:
+    """A panel with the pictures of a topic, and what was recognised in them."""
+    shown = topic.removesuffix(f"/{PICTURE}")
+    marks = {shown: {"visible": True}} if seen.topics.get(shown) == "foxglove.ImageAnnotations" else {}
+    return {"title": topic, "imageMode": {"imageTopic": topic, "annotations": marks}}
+
+
+def _plot(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "title": title,
+        "paths": curves,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+    }
+
+
+def _stacked(parts: Sequence[Any], direction: str, first_percent: float | None = None) -> Any:
+    """Panels, or what consists of panels, beside or above one another, each with its share."""
+    if len(parts) == 1:
+        return parts[0]
+    share = 100.0 / len(parts) if first_percent is None else first_percent
+    rest = _stacked(parts[1:], direction)
+    return {"first": parts[0], "second": rest, "direction": direction, "splitPercentage": round(share, 2)}

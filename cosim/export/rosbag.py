@@ -1,0 +1,176 @@
+"""A recording as a ROS 2 bag (rosbag2, MCAP storage), for RViz, PlotJuggler, Foxglove and one's own nodes.
+
+=============================  ================================  ====================================================
+topic of the recording         topic of the bag                  type
+=============================  ================================  ====================================================
+``/tf``, ``world/moving``      ``/tf``, and ``/clock``           tf2_msgs/TFMessage, rosgraph_msgs/Clock
+``<vehicle>/state``            the same, and ``.../path``        nav_msgs/Odometry, the truth; nav_msgs/Path at the start
+``<vehicle>/estimate``         the same                          nav_msgs/Odometry
+wheel odometry                 the same                          nav_msgs/Odometry
+``<vehicle>/command``          the same; ``.../waypoint``        geometry_msgs/TwistStamped, PoseStamped
+positions                      the same                          geometry_msgs/PoseWithCovarianceStamped
+IMU, scans                     the same                          sensor_msgs/Imu, sensor_msgs/LaserScan
+pictures                       ``.../image_raw``                 sensor_msgs/Image, and ``.../camera_info`` with each
+pictures of sightings          ``.../compressed``                sensor_msgs/CompressedImage
+``<vehicle>/map``              the same                          nav_msgs/OccupancyGrid, in percent
+``world/solids``, ``/scene``   the same                          visualization_msgs/MarkerArray
+``log``                        ``/rosout``                       rcl_interfaces/Log
+mosaics                        none
+all others, ``radio/frame``    the same                          std_msgs/String: the JSON of the recording
+=============================  ================================  ====================================================
+
+Names of topics are those of the recording with ``_`` for what ROS does not allow. The recording does not say how a camera is
+mounted: frames of pictures, ``<vehicle>/<sensor>``, are not in ``/tf``. Nor does it say what flies: the header of a commanded
+velocity names the vehicle's frame, though of one that flies its axes are those of the world. Messages are stamped with when
+they were measured, and stand in the bag at when they arrived.
+"""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.export import ros_messages as ros
+from vcmvsp.cosim.recording.foxglove import messages
+from vcmvsp.cosim.export.ros_markers import markers
+from vcmvsp.cosim.recording.recorded_run import Source, Values
+from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid
+from vcmvsp.cosim.recording.mcap_file import Recorded
+from vcmvsp.cosim.recording.run_mcap import CALIBRATION
+from vcmvsp.cosim.types import Imu, Odometry, VehicleState, Velocity, Waypoint
+
+LATCHED = ("world/solids", "world/scene")  # whoever comes later gets the newest one
+_FOREVER = QosTime(2147483647, 4294967295)
+
+
+class Bag:
+    """Writes one bag.
+
+    Args:
+        writer: open.
+    """
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer, self._values = writer, Values()
+        self._connections: dict[str, tuple[str, Any]] = {}  # by topic of the bag: topic of the recording, connection
+        self._calibrations: dict[str, messages.CameraCalibration] = {}  # by topic of the pictures
+        self._clock_ns = -1
+        self._takers: dict[type, Callable[[Recorded, Any], None]] = {
+            VehicleState: lambda said, value: self._put(said, ros.state(value, _vehicle(said.topic), said.time_ns)),
+            Odometry: lambda said, value: self._put(said, ros.odometry(value, _vehicle(said.topic), said.time_ns)),
+            Velocity: lambda said, value: self._put(said, ros.velocity(value, _vehicle(said.topic), said.time_ns)),
+            Waypoint: lambda said, value: self._put(said, ros.waypoint(value, said.time_ns), "/waypoint"),
+            Imu: lambda said, value: self._put(said, ros.imu(value, _vehicle(said.topic), said.time_ns)),
+            messages.PoseInFrame: lambda said, value: self._put(said, ros.fix(value)),
+            messages.LaserScan: lambda said, value: self._put(said, ros.scan(value)),
+            messages.SceneUpdate: lambda said, value: self._put(said, markers(value, said.time_ns)),
+            messages.FrameTransforms: self._take_transforms,
+            messages.RawImage: self._take_image,
+            messages.CameraCalibration: self._take_calibration,
+            messages.Log: self._take_log,
+            CompressedImage: self._take_compressed,
+            Grid: self._take_grid,
+        }
+
+    def path(self, vehicle: str, places: list[tuple[int, VehicleState]]) -> None:
+        """Put the whole way of a vehicle at the beginning."""
+        self._write(f"{vehicle}/state/path", ros.path(places), 0, latched=True)
+
+    def take(self, said: Recorded) -> None:
+        """Put a message."""
+        value = self._values.of(said)
+        taker = self._takers.get(type(value))
+        if taker is None:
+            self._put(said, ros.string(said.data.decode()))
+        else:
+            taker(said, value)
+
+    def _put(self, said: Recorded, message: Any, more: str = "") -> None:
+        self._write(said.topic + more, message, said.time_ns, latched=said.topic in LATCHED)
+
+    def _write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+        kind, name = message.__msgtype__, ros_name(topic)
+        if name not in self._connections:
+            qos = [_qos()] if latched else []
+            store = ros.store()
+            made = self._writer.add_connection(name, kind, typestore=store, offered_qos_profiles=qos)
+            self._connections[name] = topic, made
+        of, connection = self._connections[name]
+        if of != topic and name not in {"/tf", "/rosout"}:
+            raise UsageError(f"--rosbag2: {of} and {topic} would both be {name}, as ROS has no other signs: rename a vehicle")
+        self._writer.write(connection, time_ns, ros.store().serialize_cdr(message, kind))
+
+    def _take_transforms(self, said: Recorded, value: messages.FrameTransforms) -> None:
+        if said.time_ns != self._clock_ns:
+            self._clock_ns = said.time_ns
+            self._write("clock", ros.clock(said.time_ns), said.time_ns)
+        self._write("tf", ros.transforms(value, said.time_ns), said.time_ns)
+
+    def _take_image(self, said: Recorded, value: messages.RawImage) -> None:
+        picture = ros.image(value, said.topic)
+        self._put(said, picture, "/image_raw")
+        if said.topic in self._calibrations:
+            self._put(said, ros.camera_info(self._calibrations[said.topic], picture), "/camera_info")
+
+    def _take_calibration(self, said: Recorded, value: messages.CameraCalibration) -> None:
+        self._calibrations[said.topic.removesuffix(f"/{CALIBRATION}")] = value
+
+    def _take_log(self, said: Recorded, value: messages.Log) -> None:
+        self._write("rosout", ros.log(value, said.time_ns), said.time_ns)
+
+    def _take_compressed(self, said: Recorded, value: CompressedImage) -> None:
+        self._put(said, ros.compressed_image(value, said.topic), "/compressed")
+
+    def _take_grid(self, said: Recorded, value: Grid) -> None:
+        if value.fields[0].name == "probability":
+            self._put(said, ros.grid(value, said.time_ns))
+
+
+def write_bag(source: Source, folder: Path) -> None:
+    """Write a bag into ``folder``, which must not exist.
+
+    Raises:
+        UsageError: two names become the same in ROS.
+    """
+    values = Values()
+    ways: dict[str, list[tuple[int, VehicleState]]] = {name: [] for name in source.vehicles}
+    for said in source:
+        vehicle, _, what = said.topic.partition("/")
+        if what == "state" and vehicle in ways:
+            ways[vehicle].append((said.time_ns, values.of(said)))
+    writer = Writer(folder, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        bag = Bag(writer)
+        for vehicle, places in ways.items():
+            bag.path(vehicle, places)
+        for said in source:
+            bag.take(said)
+
+
+def ros_name(topic: str) -> str:
+    """A topic's name in ROS: letters, digits and ``_``, no digit first."""
+    parts = (re.sub(r"\W", "_", part, flags=re.ASCII) for part in topic.strip("/").split("/"))
+    return "".join(f"/_{part}" if part[:1].isdigit() else f"/{part}" for part in parts)
+
+
+def _vehicle(topic: str) -> str:
+    return topic.partition("/")[0]
+
+
+def _qos() -> Qos:
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        _FOREVER,
+        _FOREVER,
+        QosLiveliness.AUTOMATIC,
+        _FOREVER,
+        avoid_ros_namespace_conventions=False,
+    )

@@ -1,0 +1,282 @@
+"""A run as a film: the world from above with vehicles, their trails, and the links on which frames were lost.
+
+It is drawn from the recording alone. Short runs take as long as they took; of long ones there are `MOST_FRAMES` pictures, and
+the film says how much quicker it is.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.frames import yaw_of
+from vcmvsp.cosim.recording.recorded_run import Source, Values
+from vcmvsp.cosim.recording.foxglove.messages import (
+    FrameTransforms,
+    SceneEntity,
+    SceneUpdate,
+    TriangleListPrimitive,
+)
+from vcmvsp.cosim.util.palette import rgb_of
+from vcmvsp.cosim.tables.schema import NOT_LOST
+from vcmvsp.cosim.types import Array, FrameReport, VehicleState
+
+FPS = 20
+MOST_FRAMES = 1800
+LONGER_PX, MARGIN_PX, CAPTION_PX = 960, 40, 28
+LEAST_M = 2.0  # of the world along each side
+TRAIL_NS = 20 * SECOND_NS
+LOST_NS = SECOND_NS // 2  # for so long a lost frame is shown
+MOST_LINKS = 150  # at a time; of more the newest
+NAMED = 30  # vehicles at most that have their names beside them
+PAPER, DARK, FAINT = (245, 245, 245), (45, 45, 45), (200, 200, 200)  # blue, green, red, as OpenCV has it
+LOST = (31, 18, 193)
+PALE = 0.5  # how far the world's colours are on the way to the paper's: what moves is to stand out
+FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
+
+
+def write_video(source: Source, path: Path, progress: Callable[[float], None]) -> None:
+    """Write an MP4 file (MPEG-4 part 2).
+
+    Args:
+        source: the recording.
+        path: of the file, ending in ``.mp4``.
+        progress: called with the part of the film that is done, 0 to 1.
+
+    Raises:
+        UsageError: the recording shows no vehicle, or this OpenCV writes no films.
+    """
+    import cv2
+
+    film = _Film(source)
+    writer: Any = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, film.size)
+    if not writer.isOpened():
+        problem = "this OpenCV writes no MPEG-4 films"
+        raise UsageError(f"--mp4: {problem}; install one that does: pip install opencv-python-headless")
+    try:
+        for number, frame in enumerate(film.frames(), 1):
+            writer.write(frame)
+            progress(number / film.count)
+    finally:
+        writer.release()
+
+
+class _Ways:
+    """Where each vehicle was when."""
+
+    def __init__(self) -> None:
+        self.time_ns: list[int] = []
+        self.poses: list[tuple[float, float, float]] = []  # x, y m, yaw rad
+
+    def add(self, time_ns: int, state: VehicleState) -> None:
+        self.time_ns.append(time_ns)
+        self.poses.append((*state.position[:2], state.yaw))
+
+
+class _Film:
+    """The pictures of one recording."""
+
+    def __init__(self, source: Source) -> None:
+        self._vehicles = source.vehicles
+        self._ways: dict[str, _Ways] = {}
+        self._lost: list[tuple[int, str, str]] = []  # when, sender, receiver
+        self._obstacles: list[tuple[int, FrameTransforms]] = []
+        self._outlines: dict[str, Array] = {}  # of obstacles in their own frames, (k, 2) m
+        self._corners: Array = np.empty((0, 3, 3))  # of triangles, (t, 3, 3) m
+        self._colors: Array = np.empty((0, 3), np.uint8)
+        self._end_ns = 0
+        self._read(source)
+        self._arrays = {name: (way.time_ns, np.array(way.poses)) for name, way in self._ways.items()}
+        if not any(np.isfinite(poses).any() for _, poses in self._arrays.values()):
+            raise UsageError("--mp4: the recording shows no vehicle")
+        self.step_ns = max(SECOND_NS // FPS, -(-self._end_ns // MOST_FRAMES))
+        self.count = self._end_ns // self.step_ns + 1
+        self._lay_out()
+        self._base = self._ground()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, px."""
+        return self._width, self._height
+
+    def frames(self) -> Iterator[Array]:
+        """The pictures, one after another: (height, width, 3) uint8, blue, green, red."""
+        for number in range(self.count):
+            yield self._at(number * self.step_ns)
+
+    def _read(self, source: Source) -> None:
+        values = Values()
+        for said in source:
+            self._end_ns = max(self._end_ns, said.time_ns)
+            vehicle, _, what = said.topic.partition("/")
+            if what == "state" and vehicle in self._vehicles:
+                self._ways.setdefault(vehicle, _Ways()).add(said.time_ns, values.of(said))
+            elif said.topic == "radio/frame":
+                self._take_frame(values.of(said))
+            elif said.topic == "world/moving":
+                self._obstacles.append((said.time_ns, values.of(said)))
+            elif said.topic == "world/solids":
+                self._take_solids(values.of(said))
+        self._lost.sort()
+
+    def _take_frame(self, report: FrameReport) -> None:
+        for receiver, outcome in zip(report.receivers, report.outcome, strict=True):
+            if outcome not in NOT_LOST:
+                self._lost.append((report.sent_ns, report.sender, receiver))
+
+    def _take_solids(self, scene: SceneUpdate) -> None:
+        """What stands still, the lowest first, so that what is above is drawn later; and the outlines of obstacles."""
+        self._outlines = {entity.frame_id: _outline(entity) for entity in scene.entities if entity.cubes or entity.cylinders}
+        parts = [part for entity in scene.entities for part in entity.triangles]
+        if parts:
+            corners, colors = (np.concatenate([of(part) for part in parts]) for of in (_corners, _colors))
+            order = np.argsort(corners[:, :, 2].max(axis=1), kind="stable")
+            self._corners, self._colors = corners[order], colors[order]
+
+    def _lay_out(self) -> None:
+        """The scale of the pictures, in which all ways and the world have room."""
+        room = max((float(np.hypot(*outline.T).max()) for outline in self._outlines.values()), default=0.0)
+        there = [(each.translation.x, each.translation.y) for _, said in self._obstacles for each in said.transforms]
+        met = [(x + side * room, y + side * room) for x, y in there for side in (-1.0, 1.0)]
+        ways = [poses[:, :2] for _, poses in self._arrays.values()]
+        places = np.concatenate([*ways, self._corners[..., :2].reshape(-1, 2), np.array(met).reshape(-1, 2)])
+        places = places[np.isfinite(places).all(axis=1)]
+        low, high = places.min(axis=0), places.max(axis=0)
+        middle, extent = 0.5 * (low + high), np.maximum(high - low, LEAST_M)
+        self._scale = (LONGER_PX - 2 * MARGIN_PX) / float(extent.max())  # px/m
+        width, height = (extent * self._scale + 2 * MARGIN_PX).tolist()
+        self._width, self._height = 2 * round(0.5 * width), 2 * round(0.5 * height) + CAPTION_PX  # even, as films want it
+        self._middle = middle
+
+    def _px(self, places: Array) -> Array:
+        """Where places (..., 2) m lie in the picture, px."""
+        along = (places - self._middle) * self._scale * (1.0, -1.0)  # rows count downwards
+        along += (0.5 * self._width, 0.5 * (self._height + CAPTION_PX))
+        rounded: Array = np.nan_to_num(along, nan=-1e4).clip(-1e4, 1e4).round().astype(np.int32)
+        return rounded
+
+    def _ground(self) -> Array:
+        """The world without what moves."""
+        import cv2
+
+        picture = np.full((self._height, self._width, 3), PAPER, np.uint8)
+        for corners, color in zip(self._px(self._corners[..., :2]), self._colors.tolist(), strict=True):
+            cv2.fillConvexPoly(picture, corners, color, cv2.LINE_AA)
+        length_m = _round(self._width / self._scale / 5)
+        left, row = MARGIN_PX // 2, self._height - 12
+        right = left + round(length_m * self._scale)
+        cv2.line(picture, (left, row), (right, row), DARK, 2)
+        _write(picture, f"{length_m:g} m", (right + 8, row + 4))
+        return picture
+
+    def _at(self, now_ns: int) -> Array:
+        import cv2
+
+        picture = self._base.copy()
+        self._draw_obstacles(picture, now_ns)
+        places = {name: self._place(name, now_ns) for name in self._arrays}
+        for (sender, receiver), strength in self._lost_at(now_ns).items():
+            if sender in places and receiver in places:
+                color = [round(strength * part + (1.0 - strength) * back) for part, back in zip(LOST, PAPER, strict=True)]
+                cv2.line(picture, self._point(places[sender]), self._point(places[receiver]), color, 1, cv2.LINE_AA)
+        for name in places:
+            self._draw_vehicle(picture, name, now_ns)
+        cv2.rectangle(picture, (0, 0), (self._width, CAPTION_PX), FAINT, -1)
+        quicker = self.step_ns * FPS / SECOND_NS
+        pace = "" if self.step_ns == SECOND_NS // FPS else f"   {quicker:.3g} x as fast as it was"
+        _write(picture, f"{now_ns / SECOND_NS:.1f} s{pace}   red: lost frames", (10, 19), 0.5)
+        return picture
+
+    def _lost_at(self, now_ns: int) -> dict[tuple[str, str], float]:
+        """The links on which a frame was lost a moment ago, the newest last, and how fresh that is, 0 to 1."""
+        span_ns, found = max(LOST_NS, self.step_ns), dict[tuple[str, str], float]()
+        for number in range(bisect_right(self._lost, now_ns, key=lambda each: each[0]) - 1, -1, -1):
+            sent_ns, sender, receiver = self._lost[number]
+            if sent_ns <= now_ns - span_ns or len(found) == MOST_LINKS:
+                break
+            found.setdefault((sender, receiver), 1.0 - 0.8 * (now_ns - sent_ns) / span_ns)
+        return dict(reversed(found.items()))
+
+    def _place(self, name: str, now_ns: int) -> Array:
+        """The newest pose, x, y, yaw."""
+        time_ns, poses = self._arrays[name]
+        place: Array = poses[max(0, bisect_right(time_ns, now_ns) - 1)]
+        return place
+
+    def _draw_vehicle(self, picture: Array, name: str, now_ns: int) -> None:
+        """Its trail, and a triangle that points ahead."""
+        import cv2
+
+        time_ns, poses = self._arrays[name]
+        number, color = self._vehicles.index(name), _bgr(rgb_of(self._vehicles.index(name)))
+        first, last = bisect_right(time_ns, now_ns - TRAIL_NS), bisect_right(time_ns, now_ns)
+        trail = poses[first:last, :2]
+        cv2.polylines(picture, [self._px(trail[np.isfinite(trail).all(axis=1)])], False, color, 1, cv2.LINE_AA)
+        x, y, yaw = self._place(name, now_ns).tolist()
+        if not np.isfinite([x, y, yaw]).all():
+            return
+        middle = self._px(np.array([x, y]))
+        c, s = np.cos(yaw), np.sin(yaw)
+        body = np.array([(11.0, 0.0), (-8.0, 6.0), (-8.0, -6.0)]) @ np.array([(c, -s), (-s, -c)])
+        cv2.fillConvexPoly(picture, (middle + body).round().astype(np.int32), color, cv2.LINE_AA)
+        if len(self._vehicles) <= NAMED or number == 0:
+            _write(picture, name, (int(middle[0]) + 10, int(middle[1]) - 8))
+
+    def _draw_obstacles(self, picture: Array, now_ns: int) -> None:
+        import cv2
+
+        newest = bisect_right(self._obstacles, now_ns, key=lambda each: each[0]) - 1
+        for each in self._obstacles[newest][1].transforms if newest >= 0 else ():
+            at, turn = np.array([each.translation.x, each.translation.y]), each.rotation
+            yaw = yaw_of((turn.w, turn.x, turn.y, turn.z))
+            c, s = math.cos(yaw), math.sin(yaw)
+            outline = at + self._outlines.get(each.child_frame_id, np.zeros((1, 2))) @ np.array([(c, s), (-s, c)])
+            cv2.fillConvexPoly(picture, self._px(outline), FAINT, cv2.LINE_AA)
+            cv2.polylines(picture, [self._px(outline)], True, DARK, 1, cv2.LINE_AA)
+            x, y = self._point(at)
+            _write(picture, each.child_frame_id.partition("/")[2], (x + 10, y + 4))
+
+    def _point(self, place: Array) -> tuple[int, int]:
+        x, y = self._px(place[:2]).tolist()
+        return x, y
+
+
+def _outline(entity: SceneEntity) -> Array:
+    """A box or a cylinder from above, (k, 2) m."""
+    if entity.cubes:
+        size = entity.cubes[0].size
+        return 0.5 * np.array([(size.x, size.y), (-size.x, size.y), (-size.x, -size.y), (size.x, -size.y)])
+    angles = np.arange(24) * (math.tau / 24)
+    return 0.5 * entity.cylinders[0].size.x * np.column_stack((np.cos(angles), np.sin(angles)))
+
+
+def _corners(part: TriangleListPrimitive) -> Array:
+    points = np.array([(point.x, point.y, point.z) for point in part.points])
+    corners: Array = points[np.array(part.indices)].reshape(-1, 3, 3)
+    return corners
+
+
+def _colors(part: TriangleListPrimitive) -> Array:
+    color = (1.0 - PALE) * np.array(_bgr((part.color.r, part.color.g, part.color.b))) + PALE * np.array(PAPER)
+    return np.tile(color.astype(np.uint8), (len(part.indices) // 3, 1))
+
+
+def _round(length: float) -> float:
+    """The next smaller of 1, 2, 5, 10, ..."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(step for step in (1, 2, 5) if step * power <= length) * power)
+
+
+def _write(picture: Array, words: str, place: tuple[int, int], size: float = 0.42) -> None:
+    import cv2
+
+    cv2.putText(picture, words, place, FONT, size, DARK, 1, cv2.LINE_AA)
+
+
+def _bgr(color: tuple[float, ...]) -> tuple[int, ...]:
+    return tuple(round(255 * part) for part in reversed(color))

@@ -1,0 +1,1 @@
+"""Hosts of agents: in this process, in child processes, and on other machines."""

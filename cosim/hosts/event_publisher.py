@@ -1,0 +1,248 @@
+"""What a run shows to those who watch: every event as JSON under its key, and answers to who asks what run this is.
+
+The wire format is described in ``README.md`` beside this file. Nothing here can change a run: an event that nobody listens to
+costs a look into a dictionary, and what a slow observer does not take is dropped.
+"""
+
+import contextlib
+import struct
+import time
+from base64 import b64encode
+from collections.abc import Mapping
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.transport import key_names
+from vcmvsp.cosim.hosts import protocol as wire
+from vcmvsp.cosim.types import Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Keys
+
+ECHO = b"echo"
+"""The question that the hub answers on a topic, too: ``echo/NAME``."""
+
+stamp = struct.Struct("<Q")
+"""The attachment of a sample: simulated time, ns."""
+
+
+class You(msgspec.Struct, frozen=True):
+    """What the one who asks is to the run."""
+
+    name: str
+    role: str | None = None  # "host" or "observer"; None: the run asks for no certificates
+    vehicles: tuple[str, ...] = ()  # whose agents the certificate is for
+
+
+class About(msgspec.Struct, frozen=True, kw_only=True):
+    """The answer to ``vcmvsp/about/NAME``."""
+
+    version: str  # of vcmvsp
+    protocol: int
+    scenario: str = ""
+    seed: int | None = None
+    duration_s: float | None = None
+    vehicles: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()  # vehicles whose agents have not joined, or are lost
+    time_ns: int | None = None  # simulated; None: it has not begun
+    wall_ns: int  # the hub's wall clock when it answered, since 1970
+    you: You
+
+
+class Topics:
+    """Shows a run on the hub's session: an observer of the kernel, beside the recording.
+
+    Args:
+        session: the hub's.
+        about: ``scenario``, ``seed``, ``duration_s``, ``vehicles`` and ``missing`` of `About`. A callable is called at each
+            answer, in a thread of Zenoh's.
+        keys: the certificates of those who may come, for `You`.
+    """
+
+    def __init__(self, session: zenoh.Session, about: Mapping[str, Any], keys: "Keys | None" = None) -> None:
+        self._session, self._about, self._keys = session, about, keys
+        self._version = metadata.version("vcmvsp")
+        self._now_ns: int | None = None
+        self._heard: dict[str, bool] = {}  # whether anybody listens, by key
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._each: tuple[tuple[str, ...], tuple[str, ...]] = (), ()  # vehicles, and the keys of their states
+        self._queryable = session.declare_queryable(key_names.ABOUT, Callback(self._on_question, indirect=False))
+
+    def on(self, event: Event) -> None:
+        """Take an event at its own time."""
+        self._now_ns = event.time_ns
+        heard = self._heard.get(event.key)
+        if heard or (heard is None and self._declare(event.key)):
+            self._publish(event.key, event.time_ns, event.value)
+        if type(event.value) is States:
+            self._on_states(event.time_ns, event.value)
+
+    def close(self) -> None:
+        """Show no more."""
+        handles: list[Any] = [self._queryable, *self._publishers.values()]
+        for handle in handles:
+            with contextlib.suppress(zenoh.ZError):  # the session has been closed before
+                handle.undeclare()
+
+    def _declare(self, key: str) -> bool:
+        """Declare a topic when its key first appears; whether anybody listens."""
+        self._heard[key] = False
+
+        def on_matching(status: zenoh.MatchingStatus) -> None:
+            self._heard[key] = status.matching
+
+        if set(key).isdisjoint("*$?#"):  # of a part of the user's own
+            with contextlib.suppress(zenoh.ZError):
+                publisher = self._session.declare_publisher(
+                    key_names.TOPIC + key,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.DATA_LOW,
+                )
+                self._publishers[key] = publisher
+                publisher.declare_matching_listener(Callback(on_matching, indirect=False))
+        return self._heard[key]
+
+    def _on_states(self, time_ns: int, states: States) -> None:
+        """The state of each vehicle under a key of its own, as in the recording."""
+        if self._each[0] != states.names:
+            self._each = states.names, tuple(f"{name}/state" for name in states.names)
+        columns: list[Any] = []
+        for row, key in enumerate(self._each[1]):
+            heard = self._heard.get(key)
+            if heard or (heard is None and self._declare(key)):
+                columns = columns or [
+                    column.tolist() for column in (states.position, states.velocity, states.attitude, states.angular_velocity)
+                ]
+                p, v, q, w = (column[row] for column in columns)
+                self._publish(key, time_ns, VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w))
+
+    def _publish(self, key: str, time_ns: int, value: Any) -> None:
+        tag, payload = _encoded(value)
+        self._publishers[key].put(payload, encoding=f"application/json;{tag}", attachment=stamp.pack(time_ns))
+
+    def _on_question(self, query: zenoh.Query) -> None:
+        speaker = key_names.speaker(str(query.key_expr))
+        with query:
+            if speaker is not None:
+                query.reply(query.key_expr, msgspec.json.encode(self._answer(speaker[0])), encoding="application/json;about")
+                if query.payload is not None and query.payload.to_bytes() == ECHO:
+                    self._session.put(
+                        f"{key_names.TOPIC}echo/{speaker[0]}",
+                        b'{"type":"echo"}',
+                        encoding="application/json;echo",
+                        attachment=stamp.pack(self._now_ns or 0),
+                        congestion_control=zenoh.CongestionControl.DROP,
+                    )
+
+    def _answer(self, name: str) -> dict[str, Any]:
+        entry = None if self._keys is None else self._keys.index.find(name)
+        facts = {key: value() if callable(value) else value for key, value in self._about.items()}
+        own = {
+            "version": self._version,
+            "protocol": wire.PROTOCOL,
+            "time_ns": self._now_ns,
+            "wall_ns": time.time_ns(),
+            "you": You(name) if entry is None else You(name, entry.role, entry.vehicles),
+        }
+        return facts | own
+
+
+class _Picture(Value, frozen=True, kw_only=True, tag="image"):
+    """An `Image` as JSON has it: numbers in bytes, as base64."""
+
+    width: int
+    height: int
+    pixels: str  # rows from top to bottom, 3 bytes a pixel: red, green, blue
+    time_ns: int
+    focal_px: float
+    depth_m: str | None  # rows likewise, little-endian float32
+
+
+class _Map(Value, frozen=True, kw_only=True, tag="map"):
+    """A `ProbabilityMap` likewise."""
+
+    left: float
+    bottom: float
+    cell_m: float
+    columns: int
+    rows: int
+    probability: str  # rows from south to north, a byte a cell
+    seen: str  # likewise, 0 or 1
+
+
+class _Mosaic(Value, frozen=True, kw_only=True, tag="mosaic"):
+    """A `Mosaic` likewise."""
+
+    left: float
+    bottom: float
+    cell_m: float
+    columns: int
+    rows: int
+    pixels: str  # rows from south to north, 3 bytes a cell
+
+
+class _Unreadable(Value, frozen=True, kw_only=True, tag="error"):
+    """In place of a value that cannot be shown."""
+
+    message: str
+
+
+def _encoded(value: Any) -> tuple[str, bytes]:
+    """The tag and the JSON of a value; that something cannot be shown is no reason to end the run."""
+    try:
+        if isinstance(value, Later):
+            value = value.get()
+        if isinstance(value, Image):
+            value = _picture(value)
+        elif isinstance(value, ProbabilityMap | Mosaic):
+            value = _cells(value)
+        return str(type(value).__struct_config__.tag), _encode(value)
+    except Exception as error:
+        return "error", _encode(_Unreadable(message=f"{type(error).__name__}: {error}"))
+
+
+def _picture(image: Image) -> _Picture:
+    height, width, _ = image.pixels.shape
+    return _Picture(
+        width=width,
+        height=height,
+        pixels=_base64(image.pixels),
+        time_ns=image.time_ns,
+        focal_px=image.focal_px,
+        depth_m=None if image.depth_m is None else _base64(image.depth_m.astype("<f4", copy=False)),
+    )
+
+
+def _cells(shown: ProbabilityMap | Mosaic) -> _Map | _Mosaic:
+    cells = shown.pixels if isinstance(shown, Mosaic) else shown.probability
+    rows, columns = cells.shape[:2]
+    grid: dict[str, Any] = {
+        "left": shown.left,
+        "bottom": shown.bottom,
+        "cell_m": shown.cell_m,
+        "columns": columns,
+        "rows": rows,
+    }
+    if isinstance(shown, Mosaic):
+        return _Mosaic(**grid, pixels=_base64(cells))
+    return _Map(**grid, probability=_base64(cells), seen=_base64(shown.seen))
+
+
+def _base64(array: Array) -> str:
+    return b64encode(array.tobytes()).decode()
+
+
+def _plain(value: Any) -> Any:
+    """NumPy arrays and numbers as JSON writes them."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"a {type(value).__name__} cannot be shown")
+
+
+_encode = msgspec.json.Encoder(enc_hook=_plain).encode

@@ -1,0 +1,211 @@
+"""The host's end of Eclipse Zenoh: dial in, join a run, answer its questions until it ends."""
+
+import queue
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.errors import FederateError, UsageError
+from vcmvsp.cosim.transport import tls_diagnosis, key_names, access_control
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.server import Desk
+from vcmvsp.cosim.transport.zenoh_session import common_names, opened, threads
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Bundle
+
+JOIN_S = 3.0  # a run that has just begun to listen may not have opened its door yet, where its machine is busy
+_NO_TIMEOUT_S = 1e6  # a host may wait for its run as long as its user likes
+_DIAL_S = 0.1
+_LOOK_S = 1.0
+_READS = "(rx: (handover: app))"
+"""Of Zenoh's threads in a host, that which waits for the socket also reads what comes, and calls back: as Zenoh has it, it
+would wake another one for each message, a tenth of an exchange. Callbacks of a host only hand over, so that nothing blocks it.
+Another one writes, so that the link lives while a callback waits for an agent that holds Python's lock."""
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
+
+
+def serve(
+    hello: Callable[[str], protocol.Hello],
+    desk: Desk,
+    endpoint: str,
+    *,
+    bundle: "Bundle | None" = None,
+    login: tuple[str, str] | None = None,
+    on_state: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
+
+    Args:
+        hello: makes the greeting, given the host's own id.
+        desk: answers the questions.
+        endpoint: of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet.
+        bundle: certificate of this host; None: plain TCP.
+        login: name and password of a host that the run itself has started.
+        on_state: told what is being waited for.
+
+    Raises:
+        UsageError: the endpoint is none, or the hub refuses this host.
+        FederateError: an agent of this host failed, or the run is gone.
+    """
+    name = key_names.OPEN if bundle is None else bundle.name
+    with threads(_READS):
+        session = dial(endpoint, bundle, on_state, login)
+    with session:
+        host = str(session.zid())
+        questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
+        key = key_names.host_key(name, host, "ask")
+        hears = session.declare_subscriber(key, Callback(questions.put, indirect=False))
+        says = session.declare_publisher(key_names.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
+        token = session.liveliness().declare_token(key_names.host_key(name, host, "alive"))
+
+        def on_hub(sample: zenoh.Sample) -> None:
+            questions.put(sample.kind == zenoh.SampleKind.PUT)
+
+        listens = Callback(on_hub, indirect=False)
+        watch = session.liveliness().declare_subscriber(key_names.HUB_ALIVE, listens, history=True)
+        welcome = _join(session, name, hello(host))
+        on_state("joined; waiting for the run to begin")
+        try:
+            _answer(questions, desk, says, session, welcome.patience_s, on_state)
+            if desk.failure is not None:
+                raise desk.failure
+            return desk.ended or ""
+        finally:
+            desk.close()
+            for handle in (watch, token, hears, says):
+                handle.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _answer(
+    questions: "queue.SimpleQueue[zenoh.Sample | bool]",
+    desk: Desk,
+    says: zenoh.Publisher,
+    session: zenoh.Session,
+    patience_s: float,
+    on_state: Callable[[str], None],
+) -> None:
+    """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again.
+
+    Its last answer may be cut off, too: it stays until the run waits for none any more, or does not come back.
+    """
+    answers = _Answers(desk)
+    hub = hub_of(session)
+    there = True
+    while not answers.known:
+        question = _next(questions, _LOOK_S if there and desk.ended is None else patience_s)
+        if question is None and desk.ended is not None:
+            return
+        if question is None and not there:
+            raise FederateError("the run", "is gone: its process ended or the connection broke")
+        if question is None or isinstance(question, bool):
+            # Whether the hub is there; a host that was stopped for a while may have missed that.
+            was, there = there, hub_of(session) != "" if question is None else question
+            if was and not there and desk.ended is None:
+                on_state(f"the run is out of reach; waiting for at most {patience_s:g} s")
+            if there and desk.ended is None and hub_of(session) not in (hub, ""):
+                raise FederateError("the run", "is gone: another one listens there now; start this host again")
+        elif answer := answers.to(question.payload.to_bytes()):
+            says.put(answer)
+
+
+class _Answers:
+    """The answers of a desk: to questions in order, and again where they are asked again.
+
+    A question that was cut off may come after the one that followed it. That one then gets no answer, and the run asks both
+    again, in order.
+
+    Attributes:
+        known: the run has the last of them, or does not want it.
+    """
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._kept: dict[int, bytes] = {}  # those that the run may ask for again
+        self._last = 0
+        self.known = False
+
+    def to(self, content: bytes) -> bytes | None:
+        """The answer; None: there is none to be given."""
+        if len(content) < protocol.numbers.size:
+            return None  # nothing that a run asks
+        number, oldest = protocol.numbers.unpack_from(content)
+        while self._kept and next(iter(self._kept)) < oldest:
+            del self._kept[next(iter(self._kept))]
+        if self._desk.ended is not None:
+            self.known = oldest > self._last
+        elif number == self._last + 1:
+            self._kept[number] = protocol.number.pack(number) + self._desk.handle(memoryview(content)[protocol.numbers.size :])
+            self._last = number
+        return self._kept.get(number)
+
+
+def _next(questions: "queue.SimpleQueue[zenoh.Sample | bool]", seconds: float) -> "zenoh.Sample | bool | None":
+    """What comes within so long; None: nothing."""
+    try:
+        return questions.get(timeout=seconds)
+    except queue.Empty:
+        return None
+
+
+def hub_of(session: zenoh.Session) -> str:
+    """The id of the hub's session; empty: it is out of reach."""
+    return "".join(str(each) for each in session.info.routers_zid()[:1])
+
+
+def dial(
+    endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None], login: tuple[str, str] | None = None
+) -> zenoh.Session:
+    """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
+    connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
+    own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
+    secure = {} if bundle is None else access_control.machine_security(bundle)
+    if login is not None:
+        secure = access_control.child_security(*login)
+    told = ""
+    while True:
+        try:
+            session = opened(own, secure, f"cannot connect to '{endpoint}'")
+            break
+        except UsageError as error:
+            if "Unable to connect" not in str(error):
+                raise
+        refusal = tls_diagnosis.diagnose(endpoint, bundle)
+        if refusal is not None and refusal.final:
+            raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
+        waits = f"waiting for a run at {endpoint}" + (f": {refusal.why}" if refusal else "")
+        if waits != told:
+            on_state(waits)
+            told = waits
+        time.sleep(_DIAL_S)
+    if bundle is not None:
+        try:
+            access_control.check_hub(common_names(session))
+        except UsageError:
+            session.close()  # type: ignore[no-untyped-call]
+            raise
+    return session
+
+
+def _join(session: zenoh.Session, name: str, hello: protocol.Hello) -> protocol.Welcome:
+    """Greet the hub until it answers."""
+    greeting = protocol.encode(hello)
+    if len(greeting) > access_control.MAX_JOIN:
+        raise UsageError(f"the greeting is too long ({len(greeting)} bytes; at most {access_control.MAX_JOIN}): fewer --set")
+    last = time.monotonic() + JOIN_S
+    while True:
+        for reply in session.get(key_names.join_key(name), payload=greeting, timeout=_NO_TIMEOUT_S):
+            if reply.ok is not None:
+                welcome = protocol.welcomes.decode(reply.ok.payload.to_bytes())
+                if welcome.refused:
+                    raise UsageError(f"the run refuses this host: {welcome.refused}")
+                return welcome
+        if time.monotonic() > last:
+            break
+        time.sleep(_DIAL_S)
+    if name == key_names.OPEN:
+        raise FederateError("the run", "ended before it let this host in")
+    raise UsageError(access_control.silence(name))

@@ -1,0 +1,200 @@
+"""The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients."""
+
+import contextlib
+import json
+import queue
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.hosts import answer_checks, protocol
+from vcmvsp.cosim.transport import key_names, access_control
+from vcmvsp.cosim.hosts.host_link import ZenohLink
+from vcmvsp.cosim.hosts.protocol import Machine
+from vcmvsp.cosim.transport.zenoh_session import opened, threads
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Keys
+
+LOOPBACK = "tcp/127.0.0.1:0"
+"""A free port of this machine."""
+
+_READS = "(rx: (handover: acc))"
+"""Of Zenoh's threads in a hub for children, that which waits for their sockets also reads what comes, and calls back: as Zenoh
+has it, it would wake another one for each message. Where strangers knock, it has them to deal with, and others read."""
+
+QUEUES: dict[str, Any] = {
+    "transport": {
+        "link": {
+            "tx": {
+                "queue": {
+                    "size": {"data_low": 16},  # 64 KiB each: room for one picture
+                    "congestion_control": {"drop": {"max_wait_before_drop_fragments": 5000}},  # us that it may wait for more
+                }
+            }
+        }
+    }
+}
+"""Of the hub, so that an observer that takes no more pictures holds the run up for 5 ms, not 50."""
+_DOOR = 64  # who may wait at the door
+
+
+class Hub:
+    """The kernel's end: listens, admits hosts, and gives a link to each.
+
+    Args:
+        endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one.
+        keys: the certificates of those who may come; None: anybody may.
+        children: names and passwords of those who may come, where they are this process's own; None: others may.
+        patience_s: wall-clock seconds for which hosts are to wait for a run that they are cut off from.
+
+    Raises:
+        UsageError: nothing can listen there.
+    """
+
+    def __init__(
+        self,
+        endpoint: str = LOOPBACK,
+        keys: "Keys | None" = None,
+        *,
+        children: Mapping[str, str] | None = None,
+        patience_s: float = 2.0,
+    ) -> None:
+        config = {"mode": "router", "listen": {"endpoints": [endpoint]}, **QUEUES}
+        config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
+        if keys is not None:
+            zenoh.init_log_from_env_or(access_control.LOG)
+        secure = access_control.LIMITS if keys is None else access_control.hub_security(keys)
+        self._strangers = children is None
+        with contextlib.ExitStack() as meanwhile:
+            meanwhile.enter_context(threads("()" if self._strangers else _READS))
+            if children is not None:
+                folder = meanwhile.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))
+                secure = access_control.merge(secure, access_control.children_security(children, Path(folder)))
+            self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
+        self.endpoint = self._locator()
+        self._keys, self._patience_s = keys, patience_s
+        self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
+        self._missing = True  # the run has no host yet for one of its agents, or has lost one
+        self.gone: dict[Machine, float] = {}  # hosts whose token has gone, and when
+        self._links: dict[Machine, ZenohLink] = {}
+        session = self.session
+        self._watch = session.liveliness().declare_subscriber(key_names.ALIVE, Callback(self._on_token, indirect=False))
+        self._door = session.declare_queryable(key_names.JOIN, Callback(self._on_join, indirect=False))
+        self._token = session.liveliness().declare_token(key_names.HUB_ALIVE)
+
+    def next_hello(self, timeout_s: float) -> "Knock | None":
+        """The next host that knocks, and how to answer it: with why it is refused, or None to let it in."""
+        try:
+            query = self._joins.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        speaker = key_names.speaker(str(query.key_expr))
+        try:
+            hello = protocol.hellos.decode(query.payload.to_bytes() if query.payload else b"")
+            machine = speaker[0] if speaker else "", hello.host
+            key = key_names.host_key(*machine, "ask")
+            answer_checks.greeting(hello)
+        except ValueError:
+            self._reply(query, "that was no greeting of a vcmvsp host")
+            return None
+
+        denied = None
+        if hello.protocol != protocol.PROTOCOL:
+            denied = f"this run speaks protocol {protocol.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
+        elif self._keys is not None:
+            from vcmvsp.cosim.security import certificates
+
+            current = certificates.load(self._keys.folder)  # somebody may have been shut out since the run began to listen
+            denied = access_control.admission(current, machine[0], hello.vehicles)
+
+        def answer(refused: str | None) -> ZenohLink | None:
+            self._reply(query, denied or refused)
+            return None if denied or refused else self._linked(machine, key)
+
+        return Knock(hello, machine, denied, answer)
+
+    def open(self) -> None:
+        """Somebody is missing: let those who come wait to be heard (`next_hello`)."""
+        self._missing = True
+
+    def shut(self) -> None:
+        """Nobody is missing any more: refuse whoever comes while all are within reach."""
+        self._missing = False
+        self._send_away()
+
+    def close(self) -> None:
+        """Leave; hosts see the hub's token go."""
+        self.session.close()  # type: ignore[no-untyped-call]
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        speaker = key_names.speaker(str(sample.key_expr))
+        if speaker is None:
+            return
+        there = sample.kind == zenoh.SampleKind.PUT
+        if there:
+            self.gone.pop(speaker, None)
+        else:
+            self.gone[speaker] = time.monotonic()
+        link = self._links.get(speaker)
+        if link is None:
+            return
+        if not link.leaving:
+            link.there(there)
+            self._send_away()
+        elif there:
+            link.repeat()
+
+    def _linked(self, machine: Machine, key: str) -> ZenohLink:
+        link = self._links[machine] = ZenohLink(self.session, key, stranger=self._strangers)
+        return link
+
+    def _is_open(self) -> bool:
+        """Whether somebody may be needed: who is out of reach may have been killed, and be back under another id."""
+        gone = (self._links.get(machine) for machine in list(self.gone))
+        return self._missing or any(link is not None and not link.leaving for link in gone)
+
+    def _send_away(self) -> None:
+        """Refuse those who wait, if nobody is needed."""
+        with contextlib.suppress(queue.Empty):
+            while not self._is_open():
+                self._refuse(self._joins.get_nowait())
+
+    def _on_join(self, query: zenoh.Query) -> None:
+        if not self._is_open():
+            self._refuse(query)
+        elif self._joins.qsize() < _DOOR:
+            self._joins.put(query)
+        else:
+            self._reply(query, "too many knock at once; try again")
+
+    def _refuse(self, query: zenoh.Query) -> None:
+        self._reply(query, "it has begun, and nobody is missing")
+
+    def _reply(self, query: zenoh.Query, refused: str | None) -> None:
+        with query:
+            query.reply(query.key_expr, protocol.encode(protocol.Welcome(refused=refused, patience_s=self._patience_s)))
+
+    def _locator(self) -> str:
+        """Where the session really listens (the admin space knows the port that 0 became)."""
+        for reply in self.session.get(f"@/{self.session.zid()}/router"):
+            if reply.ok is not None:
+                locators: list[str] = json.loads(reply.ok.payload.to_string())["locators"]
+                if locators:
+                    return locators[0]
+        raise UsageError("the Zenoh session does not say where it listens")
+
+
+class Knock(NamedTuple):
+    """A host that wants to join."""
+
+    hello: protocol.Hello
+    machine: Machine
+    denied: str | None  # why its version or its certificate does not let it; None: they do
+    answer: Callable[[str | None], ZenohLink | None]  # with why it is refused, or None to let it in

@@ -1,0 +1,245 @@
+"""Where agents run: in this process, in child processes, or in hosts that somebody starts elsewhere."""
+
+import contextlib
+import secrets
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vcmvsp.cosim.hosts import admission
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
+from vcmvsp.cosim.hosts.listener import Entrance, indispensable, knocking, patience_s
+from vcmvsp.cosim.errors import AgentError, ScenarioError
+from vcmvsp.cosim.federate import Federate
+from vcmvsp.cosim.scenario.schema import AgentsTable
+from vcmvsp.cosim.util.text import Tell
+from vcmvsp.cosim.hosts.session import Crew, Link, MemoryLink
+from vcmvsp.cosim.hosts.server import Desk, HostFederate
+from vcmvsp.cosim.hosts.remote_host import RemoteHost
+from vcmvsp.cosim.hosts.protocol import Built, Machine
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.hosts.host_link import ZenohLink
+
+HOST_PROCESS = "vcmvsp.agents.host_process"
+GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
+
+
+class Hosts:
+    """All hosts of a run; closing it lets go of processes and sockets.
+
+    Args:
+        agents: the scenario's ``[agents]``.
+        tell: takes lines for the user, such as how to start a host by hand.
+        keys: folder with the certificates of those who may come from elsewhere.
+        insecure: let anybody come from elsewhere.
+        watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
+        about: of the run, for those who watch (`cosim.hosts.event_publisher.About`).
+    """
+
+    def __init__(
+        self,
+        agents: AgentsTable,
+        tell: Tell,
+        *,
+        keys: Path | None = None,
+        insecure: bool = False,
+        watch: Callable[[], str | None] | None = None,
+        about: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._about = {**(about or {}), "missing": self._absent}
+        self._agents, self._tell, self._keys, self._insecure, self._watch = agents, tell, keys, insecure, watch
+        self._stack = contextlib.ExitStack()
+        self.entrance: Entrance | None = None  # where those who are elsewhere, or only watch, dial in
+        self.federates: list[Federate] = []
+        self.infos: list[AgentInfo] = []
+        self.kinds: dict[str, str] = {}  # vehicle -> class that a host brought along instead of the scenario's
+        self._links: list[tuple[str, ZenohLink]] = []
+        self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
+        self._specs: dict[str, AgentSpec] = {}  # of those, as their hosts have them
+        self._wanted: dict[str, AgentSpec] = {}  # ... as the scenario has them
+        self._waiting: dict[str, AgentSpec] = {}  # who has not joined before the run began
+
+    def close(self) -> None:
+        """Let go of them all."""
+        self._stack.close()
+
+    @property
+    def cuts_s(self) -> dict[str, list[float]]:
+        """For how long each host was out of reach, each time that the run waited for it, by its vehicles."""
+        cuts: dict[str, list[float]] = {}
+        for vehicles, link in self._links:
+            if link.cuts_s:
+                cuts.setdefault(vehicles, []).extend(link.cuts_s)
+        return cuts
+
+    def listen(self, specs: Sequence[AgentSpec] = ()) -> Entrance:
+        """Let machines dial in that host these agents, or only watch."""
+        self.entrance = Entrance(self._agents, specs, self._tell, keys=self._keys, insecure=self._insecure, about=self._about)
+        self._stack.callback(self.entrance.close)
+        return self.entrance
+
+    def run_here(self, specs: Sequence[AgentSpec], objects: Mapping[str, Agent]) -> None:
+        """Host agents in this process."""
+        builder: Callable[..., HostFederate] = registry.piece("agent host")
+        self._add(builder("agents", specs, objects))
+
+    def run_encoded(self, specs: Sequence[AgentSpec]) -> None:
+        """Host agents in this process, but behind the same bytes as over a wire (for tests of the wire)."""
+        desk = Desk(registry.piece("agent host"))
+        self._stack.callback(desk.close)
+        crew = self._crew(MemoryLink(desk.handle), specs)
+        self._add(RemoteHost("agents", [crew], [crew.build()]))
+
+    def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
+        """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
+        from vcmvsp.cosim.hosts.hub import Hub
+        from vcmvsp.cosim.processes.child_process import HostProcess
+
+        count = min(self._agents.processes or len(specs), len(specs))
+        groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
+        # With passwords: whoever else is on this machine can neither ask the children anything nor answer in their place.
+        passwords = {group[0].vehicle: token for token, group in groups.items()}
+        hub = Hub(children=passwords, patience_s=patience_s(self._agents, specs))
+        self._stack.callback(hub.close)
+        children: dict[str, HostProcess] = {}
+        for token, group in groups.items():
+            children[token] = HostProcess(HOST_PROCESS, hub.endpoint, [spec.vehicle for spec in group], token)
+            self._stack.callback(children[token].close)
+        links: dict[str, ZenohLink] = {}
+        for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):
+            token = knock.hello.token
+            if link := knock.answer(None if token in groups and token not in links else "this run starts its own hosts"):
+                link.why_lost = children[token].why_ended
+                link.released = children[token].close
+                links[token] = link
+        hub.shut()
+        self._add_remote([(links[token], group) for token, group in groups.items()])
+
+    def await_by_hand(self, specs: Sequence[AgentSpec]) -> None:
+        """Wait until hosts that somebody starts have joined for all these agents, as far as the run cannot begin without."""
+        entrance, wanted = self.listen(specs), {spec.vehicle: spec for spec in specs}
+        hub, waiting = entrance.hub, dict(wanted)
+        self._waiting = waiting
+        if self._watch is None:  # nobody else starts them
+            entrance.tell_how(specs)
+        joined: dict[Machine, tuple[ZenohLink, list[AgentSpec]]] = {}
+
+        def give_up(hosts: Collection[Machine]) -> None:
+            for host in sorted(hosts):
+                for left in joined.pop(host)[1]:
+                    waiting[left.vehicle] = wanted[left.vehicle]
+                    self.kinds.pop(left.vehicle, None)
+                    self._tell(f"the host of {left.vehicle} has left; waiting for another")
+
+        def missing() -> list[str]:
+            last = time.monotonic() - self._agents.deadline_s  # until then it may come back
+            gone = {host: since for host, since in list(hub.gone.items()) if host in joined}
+            give_up({host for host, since in gone.items() if since < last})
+            if self._watch is not None and (why := self._watch()):
+                raise AgentError(tuple(waiting), "host", why)
+            return [*waiting, *(spec.vehicle for host in gone if host in joined for spec in joined[host][1])]
+
+        timeout_s, needed = self._agents.join_timeout_s, lambda vehicle: indispensable(wanted[vehicle])
+        for knock in knocking(hub, timeout_s, missing, self._tell, needed):
+            hello = knock.hello
+            # Whoever comes in place of one that is out of reach need not wait until that is given up.
+            give_up({host for host in hub.gone.keys() & joined.keys() if _runs(joined[host][1], hello.vehicles)})
+            if link := entrance.let_in(knock, admission.refusal(hello, waiting, wanted)):
+                specs_of = [admission.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
+                joined[knock.machine] = link, specs_of
+                self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
+        self._waiting, self._wanted = {}, wanted
+        self._specs = {**wanted, **{spec.vehicle: spec for _, group in joined.values() for spec in group}}
+        if not waiting:
+            hub.shut()
+        self._add_remote(list(joined.values()), list(waiting.values()))
+
+    # --- who is there -------------------------------------------------------------------------------------------------------
+
+    def _add_remote(self, joined: Sequence[tuple["ZenohLink", Sequence[AgentSpec]]], late: Sequence[AgentSpec] = ()) -> None:
+        crews = []
+        for link, specs in joined:
+            self._stack.callback(link.close)
+            crews.append(self._crew_at(link, specs))
+        for crew in crews:
+            try:
+                self._add_host([crew], crew.build())
+            except (AgentError, ScenarioError) as error:
+                asked_for = [self._wanted.get(vehicle) for vehicle in crew.vehicles]
+                if not all(spec is not None and not indispensable(spec) for spec in asked_for):
+                    for other in crews:
+                        other.release(f"the run cannot begin: {error}")
+                    raise
+                self._tell(f"{error}; the run begins without")
+                crew.dismiss(str(error))
+                late = [*late, *(spec for spec in asked_for if spec is not None)]
+                for vehicle in crew.vehicles:
+                    self.kinds.pop(vehicle, None)
+                    self._specs[vehicle] = self._wanted[vehicle]
+        if late:  # what they will be is known without them: the scenario names their classes
+            local: Any = registry.piece("agent host")("late", late)
+            self._add_host([], Built(local.agents, local.reads, local.latest), late)
+
+    def _add_host(self, crews: Sequence[Crew], built: Built, missing: Sequence[AgentSpec] = ()) -> None:
+        name = f"agents-{len(self.federates)}"
+        host = RemoteHost(name, crews, [built], missing=missing, door=self._answer_door, tell=self._tell)
+        if self.entrance is not None:
+            self._elsewhere.append(host)
+        self._add(host)
+
+    def _crew(self, link: Link, specs: Sequence[AgentSpec]) -> Crew:
+        return Crew(link, specs, deadline_s=self._agents.deadline_s, build_s=self._agents.join_timeout_s)
+
+    def _crew_at(self, link: "ZenohLink", specs: Sequence[AgentSpec]) -> Crew:
+        who = ", ".join(spec.vehicle for spec in specs)
+        self._links.append((who, link))
+        link.cut_deadline_s = max(self._agents.deadline_s, GONE_S)
+        if (entrance := self.entrance) is not None:  # of a child that is gone, the run knows more
+            link.noticed = lambda there: entrance.note(f"the host of {who} is {'back' if there else 'out of reach'}")
+        return self._crew(link, specs)
+
+    def _add(self, host: HostFederate) -> None:
+        self.federates.append(host)
+        self.infos.extend(host.agents)
+
+    def _absent(self) -> list[str]:
+        """Who has no agent at the moment, as Zenoh's thread may ask at any time."""
+        return list(dict.fromkeys((*self._waiting, *self._lost())))
+
+    def _lost(self) -> list[str]:
+        """Who may have another host."""
+        return [vehicle for vehicle in list(self._specs) if any(each.wants(vehicle) for each in list(self._elsewhere))]
+
+    def _answer_door(self) -> None:
+        """While somebody is away, a host that knocks may take its place."""
+        if self.entrance is None:
+            return
+        hub, lost = self.entrance.hub, self._lost()
+        if lost:
+            hub.open()
+        else:
+            hub.shut()
+        if knock := hub.next_hello(0.0):  # one a tick: nobody can keep the run at the door
+            hello = knock.hello
+            places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
+            link = self.entrance.let_in(knock, admission.late_refusal(hello, self._specs, lost, together=bool(places)))
+            if link is not None:
+                self._tell(f"{', '.join(hello.vehicles)} joined")
+                specs = [admission.at_its_place(self._specs[vehicle], hello) for vehicle in hello.vehicles]
+                places[0].welcome(self._crew_at(link, specs))
+
+
+def _runs(specs: Sequence[AgentSpec], vehicles: Collection[str]) -> bool:
+    return any(spec.vehicle in vehicles for spec in specs)
+
+
+def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:
+    """Vehicles whose child has not joined yet; a child that has ended never will."""
+    for token, group in groups.items():
+        if token not in links and not children[token].running:
+            cause = f"its process {children[token].why_ended()} before it joined"
+            raise AgentError(tuple(spec.vehicle for spec in group), group[0].kind, cause)
+    return [spec.vehicle for token, group in groups.items() if token not in links for spec in group]

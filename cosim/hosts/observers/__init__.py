@@ -1,0 +1,1 @@
+"""Observers of a run from elsewhere: watching it, and checking that it can be reached."""

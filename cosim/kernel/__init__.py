@@ -1,0 +1,1 @@
+"""Logical time: the kernel and the event bus."""

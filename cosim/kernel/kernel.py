@@ -1,0 +1,279 @@
+"""The kernel: one SimPy environment, one logical time, and the order in which federates step (see `cosim.federate`).
+
+Each instant at which something is due holds up to five slots; a slot is one SimPy event whose priority it is. In a slot
+
+1. answers that fall due now are collected from remote federates with a lookahead,
+2. events whose time has come are published: recorded and put into the inboxes of those who read them,
+3. all remote federates that are due are asked, the local ones are stepped, the answers awaited,
+4. what they gave is published; of one key what came from elsewhere first.
+
+Events are published in an order of their own (`cosim.kernel.event_bus`). Nothing in either order depends on where a federate runs or
+on how long it takes, which is why a run gives the same bytes in one process and in many.
+"""
+
+import contextlib
+import gc
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+import simpy
+from threadpoolctl import threadpool_limits
+
+from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, WallClock
+from vcmvsp.cosim.errors import FederateError, VcmvspError
+from vcmvsp.cosim.kernel.event_bus import Exchange, Observer
+from vcmvsp.cosim.federate import (
+    Event,
+    Federate,
+    Polled,
+    Prompted,
+    Releasable,
+    RemoteFederate,
+    RunInfo,
+    Slot,
+    Waiting,
+)
+from vcmvsp.cosim.util.polling import readable
+
+T = TypeVar("T")
+
+
+class Kernel:
+    """Runs federates from time 0 to ``run.duration_ns``.
+
+    Agents act at 0 <= t < duration; at the duration itself the world publishes once more and the run ends.
+
+    Args:
+        run: what every federate is told.
+        federates: with names that differ.
+        clock: what paces the run; default: as fast as possible.
+        tolerance_ns: an instant that begins later than this on the wall clock is too late; None: none is.
+        strict: what is too late ends the run; else the run slips against the wall clock.
+    """
+
+    def __init__(
+        self,
+        run: RunInfo,
+        federates: Sequence[Federate],
+        *,
+        clock: Clock | None = None,
+        tolerance_ns: int | None = None,
+        strict: bool = False,
+    ) -> None:
+        self.run_info, self.now_ns = run, 0
+        self.late_ns: list[int] = []  # how late instants began at which agents act, and others that were too late, in order
+        self._has_agents = any(each.slot is Slot.AGENT for each in federates)
+        self._federates = sorted(federates, key=lambda each: each.name)
+        self._blames = [_blame(each) for each in self._federates]
+        self._remote = {i: each for i, each in enumerate(self._federates) if isinstance(each, RemoteFederate)}
+        self._waiting = frozenset(i for i, each in enumerate(self._federates) if isinstance(each, Waiting) and each.waits)
+        self._polled: list[tuple[int, Polled]] = [
+            (i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)
+        ]
+        self._clock, self._tolerance_ns, self._strict = clock or SimClock(), tolerance_ns, strict
+        self._events = Exchange(self._federates, self._wake)
+        self._released, self._parted = False, list[VcmvspError]()  # what went wrong when federates were let go of
+        self.waiting = False  # for the clock or for an answer: an interruption may strike at once
+        self.stop = False  # set it to have the run end, as by Ctrl-C, before the next slot
+        self._env = simpy.Environment(initial_time=0)
+        self._due: dict[tuple[int, Slot], dict[int, bool]] = {}  # (time, slot) -> {federate: woken by an event?}
+        self._next: list[int | None] = [None] * len(self._federates)
+        self._open: dict[tuple[int, Slot], list[int]] = {}  # (time, slot) -> whose answers are awaited there
+
+    def start(self) -> None:
+        """Start all federates: everything that can be wrong with how they are set up comes out here."""
+        for index, federate in enumerate(self._federates):
+            with self._blames[index]:
+                self._schedule(index, self._await(lambda: federate.start(self.run_info)))  # noqa: B023  called at once
+
+    def run(self, observe: Observer, *, on_instant: Callable[[int], None] | None = None) -> None:
+        """Step the started federates until the end; closing them is left to the caller (`close`).
+
+        Args:
+            observe: called with every event, in the order of publication (the recording).
+            on_instant: called with the time before each instant (progress).
+        """
+        self._events.observe = observe
+        with threadpool_limits(1), _seldom_collected():  # of linear algebra: sums are the same on any number of cores
+            self._run(on_instant)
+
+    def _run(self, on_instant: Callable[[int], None] | None) -> None:
+        self._clock.start()
+        self._listen()
+        last, end_ns = -1, self.run_info.duration_ns
+        while (now := self._env.peek()) <= end_ns:
+            if now != last:
+                last = self._wait_until(last, int(now))
+                if on_instant:
+                    on_instant(last)
+                for index, federate in self._polled:
+                    with self._blames[index]:
+                        wanted = federate.poll(last)
+                    if wanted:
+                        self._schedule(index, last)
+            if self.stop:
+                raise KeyboardInterrupt
+            if self._env.peek() <= last:  # else it was woken for nothing
+                self._env.step()
+        self.now_ns = end_ns
+        self._events.publish(end_ns, Slot.RADIO)
+
+    def _listen(self) -> None:
+        """Have the clock woken by those to whom somebody may come."""
+        doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]
+        open_ = [each for each in doors if each >= 0]
+        if open_ and isinstance(self._clock, WallClock):
+            self._clock.sleep = lambda seconds: bool(readable(open_, seconds))
+
+    def _wait_until(self, last: int, when: int) -> int:
+        """Wait for the next instant; the answer is its time, which is earlier if somebody comes before."""
+        late_ns = self._await(lambda: self._clock.wait_until(when))
+        if late_ns < 0:
+            self.now_ns = max(last + 1, when + late_ns)
+            return self.now_ns
+        self.now_ns = when
+        self._note_late(when, late_ns)
+        return when
+
+    def _note_late(self, when: int, late_ns: int) -> None:
+        too_late = self._tolerance_ns is not None and late_ns > self._tolerance_ns
+        if self._clock.speed is not None and (too_late or self._is_tick(when)):
+            self.late_ns.append(late_ns)
+        if too_late and not self._strict:
+            self._clock.slip(late_ns)
+        elif too_late:
+            late = f"{when / SECOND_NS:.3f} s began {late_ns / SECOND_NS:.3f} s late, more than clock.tolerance_s"
+            raise FederateError("clock", f"{late}; use fewer or quicker agents, a quicker machine, or clock.late = 'slip'")
+
+    def _is_tick(self, when: int) -> bool:
+        """Whether agents act at this instant, where there are any."""
+        return not self._has_agents or ((when, Slot.AGENT) in self._due and when < self.run_info.duration_ns)
+
+    def _await(self, wait: Callable[[], T]) -> T:
+        self.waiting = True
+        try:
+            return wait()
+        finally:
+            self.waiting = False
+
+    def close(self) -> None:
+        """Close every federate, even if one of them fails; the first failure is raised at the end."""
+        self.release()
+        for federate in self._federates:
+            self._part(federate, federate.close)
+        if self._parted:
+            raise self._parted[0]
+
+    def release(self) -> None:
+        """Let all know that the run is over that have something elsewhere: a robot stops before a file is written."""
+        if not self._released:
+            self._released = True
+            for federate in self._federates:
+                if isinstance(federate, Releasable):
+                    self._part(federate, federate.release)
+
+    def _part(self, federate: Federate, farewell: Callable[[], None]) -> None:
+        try:
+            with _blame(federate):
+                farewell()
+        except VcmvspError as error:
+            self._parted.append(error)
+
+    # --- what is due when -------------------------------------------------------------------------------------------------
+
+    def _schedule(self, index: int, when: int | None) -> None:
+        """Note a federate's own next wake-up; it replaces the one noted before."""
+        self._next[index] = when
+        if when is not None:
+            self._slot(when, self._federates[index].slot).setdefault(index, False)
+
+    def _slot(self, when: int, slot: Slot) -> dict[int, bool]:
+        """The entry of a slot; the first to ask for it has it put into SimPy's queue."""
+        entry = self._due.get((when, slot))
+        if entry is None:
+            entry = self._due[when, slot] = {}
+            event = simpy.Event(self._env)
+            event._ok, event._value = True, None  # noqa: SLF001  triggered, as simpy.Timeout does it
+            event.callbacks.append(lambda _: self._run_slot(when, slot))
+            self._env.schedule(event, priority=slot, delay=when - self._env.now)  # type: ignore[arg-type]  # any integer sorts
+        return entry
+
+    def _wake(self, index: int, when: int) -> None:
+        """Have a federate stepped at the instant of an event."""
+        self._slot(when, self._federates[index].wake_slot)[index] = True
+
+    def _run_slot(self, now: int, slot: Slot) -> None:
+        entry = self._due.pop((now, slot))
+        if now == self.run_info.duration_ns and slot >= Slot.AGENT:
+            return  # the end belongs to the world alone
+        self._collect(now, slot)
+        self._events.publish(now, slot)
+        due = sorted([index for index, woken in entry.items() if woken or self._next[index] == now])
+        for index in due if self._remote else ():
+            if index in self._remote:
+                self._ask(index, now)
+        given = [(index, self._step(index, now)) for index in due if index not in self._remote]
+        self._collect(now, slot)  # before what was given here, as who is elsewhere in one run may be here in another
+        for index, events in given:
+            self._events.give(index, events, now, slot)
+        self._events.publish(now, slot)
+
+    # --- stepping -----------------------------------------------------------------------------------------------------------
+
+    def _step(self, index: int, now: int) -> Sequence[Event]:
+        with self._blames[index]:
+            federate, inbox = self._federates[index], self._events.inbox(index)
+            step = self._await(lambda: federate.step(now, inbox)) if index in self._waiting else federate.step(now, inbox)
+        self._schedule_next(index, step.next_ns, now)
+        return step.events
+
+    def _ask(self, index: int, now: int) -> None:
+        federate = self._remote[index]
+        with self._blames[index]:
+            next_ns = federate.ask(now, self._events.inbox(index))
+        self._open.setdefault((now + federate.lookahead_ns, federate.slot), []).append(index)
+        if federate.lookahead_ns:
+            self._slot(now + federate.lookahead_ns, federate.slot)
+        self._schedule_next(index, next_ns, now)
+
+    def _schedule_next(self, index: int, when: int | None, now: int) -> None:
+        if when is not None and when <= now:
+            raise FederateError(self._federates[index].name, f"asked at {now} ns to be stepped next at {when} ns")
+        self._schedule(index, when)
+
+    def _collect(self, now: int, slot: Slot) -> None:
+        """Await all answers that fall due in this slot."""
+        for index in sorted(self._open.pop((now, slot), ())) if self._open else ():
+            with self._blames[index]:
+                events = self._await(self._remote[index].answer)
+            self._events.give(index, events, now, slot)
+
+
+@contextlib.contextmanager
+def _seldom_collected() -> Iterator[None]:
+    """Let Python look for cycles less often: events hold none, and thousands of them wait at a time."""
+    before = gc.get_threshold()
+    gc.set_threshold(max(before[0], _COLLECTED), *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+_COLLECTED = 50_000  # objects made and still there
+
+
+class _blame:  # noqa: N801  reads as a word: with _blame(federate)
+    """Names the federate in whatever goes wrong inside, unless the error is one of ours already."""
+
+    def __init__(self, federate: Federate) -> None:
+        self._name = federate.name
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, _: object) -> None:
+        if error is not None and not isinstance(error, VcmvspError | KeyboardInterrupt):
+            details = "".join(traceback.format_exception(error))
+            raise FederateError(self._name, f"{type(error).__name__}: {error}", details=details) from error

@@ -1,0 +1,139 @@
+"""How well followers keep their places, each against its own leader.
+
+Places lie in the plane: a vehicle in the air that is too high or too low counts as in place.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.metrics.noted_changes import Noted, change_metrics, leaders, led_by, reformed_s
+from vcmvsp.cosim.metrics.motion import Motion
+from vcmvsp.cosim.metrics.step_responses import response
+from vcmvsp.cosim.metrics.team_shape import shape_metrics
+from vcmvsp.cosim.metrics.window import Window, between, followers, stretches, window_ns
+from vcmvsp.cosim.tables.schema import Placement
+from vcmvsp.cosim.types import Array, Follows
+
+SETTLED_M = 0.05  # a follower this near to its place has settled
+ROUNDING_M = 1e-6  # errors below it are rounding, which nobody passes on from link to link
+
+
+def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, Array]:
+    """``|z|`` (m,) in m of every follower, in the order of the run's vehicles; NaN before it follows anyone."""
+    return {name: _length(_offsets(moved, name, follows)) for name in followers(moved.names, follows)}
+
+
+def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Window, noted: Noted, end_ns: int) -> dict[str, Any]:
+    """The ``formation`` part: RMS, mean, maximum, gain and shape over the window, the rest over the whole run."""
+    begin, end = window_ns(window)
+    inside = (moved.time_ns >= begin) & (moved.time_ns <= end)
+    offsets = {name: _offsets(moved, name, follows) for name in followers(moved.names, follows)}
+    errors = {name: _length(offset) for name, offset in offsets.items()}
+    leads = {name: led_by(name, follows) for name in errors}
+
+    def settled(names: Iterable[str]) -> float | None:
+        chosen = [errors[name] for name in names]
+        return _settling_s(moved.time_ns, np.array(chosen).reshape(len(chosen), len(moved.time_ns)))
+
+    def changed(names: Collection[str], tellers: Iterable[str]) -> dict[str, Any]:
+        teams = dict.fromkeys(leads[name] for name in names)
+        when = {leader: settled(name for name in names if leads[name] == leader) for leader in teams}
+        return {**change_metrics(noted, names, tellers, end_ns), "reformed_s": reformed_s(noted, when)}
+
+    each = {}
+    for name, error in errors.items():
+        turned = offsets[name] * np.exp(-1j * moved.yaw[:, moved.column(name)])  # into the follower's frame
+        steps = [(moved.time_ns[span], turned[span]) for span, _ in _parts(moved, name, follows)]
+        overshoot, rate = response(steps, SETTLED_M)
+        each[name] = {
+            **_summary(error[np.newaxis], inside),
+            "settling_s": settled([name]),
+            "overshoot": overshoot,
+            "convergence_1_s": rate,
+            "hop_gain": _hop_gain(error, _of_leader(moved, name, follows, errors), inside),
+            **changed([name], [name]),
+        }
+    together = np.array(list(errors.values())).reshape(len(errors), len(moved.time_ns))
+    return {
+        **_summary(together, inside),
+        "settling_s": settled(errors),
+        "overshoot": max(_known(each, "overshoot"), default=None),
+        "convergence_1_s": min(_known(each, "convergence_1_s"), default=None),
+        "hop_gain": max(_known(each, "hop_gain"), default=None),
+        **changed(errors, leaders(moved.names, follows)),
+        "shape": shape_metrics(moved, follows, inside),
+        "per_follower": each,
+    }
+
+
+def _parts(moved: Motion, name: str, follows: Sequence[Placement]) -> list[tuple[slice, Follows]]:
+    """The recorded instants of each of a follower's stretches in which it follows somebody."""
+    spans = [(between(moved.time_ns, begin, end), placed) for begin, end, placed in stretches(name, follows)]
+    return [(span, placed) for span, placed in spans if placed.leader is not None and span.start < span.stop]
+
+
+def _offsets(moved: Motion, name: str, follows: Sequence[Placement]) -> Array:
+    """``r - h`` (m,) of a follower in the world, m: x + iy; NaN while it follows nobody."""
+    x, y, _ = moved.position
+    offset = np.full(len(moved.time_ns), np.nan, np.complex128)
+    f = moved.column(name)
+    for span, placed in _parts(moved, name, follows):
+        leader, (slot_x, slot_y), ell = moved.column(str(placed.leader)), placed.slot, placed.handle_m
+        th_l, th_f = moved.yaw[span, leader], moved.yaw[span, f]
+        cos, sin, ahead = np.cos(th_l), np.sin(th_l), slot_x + ell
+        offset.real[span] = x[span, leader] + cos * ahead - sin * slot_y - x[span, f] - ell * np.cos(th_f)
+        offset.imag[span] = y[span, leader] + sin * ahead + cos * slot_y - y[span, f] - ell * np.sin(th_f)
+    return offset
+
+
+def _length(offset: Array) -> Array:
+    return np.asarray(np.hypot(offset.real, offset.imag))
+
+
+def _of_leader(moved: Motion, name: str, follows: Sequence[Placement], errors: dict[str, Array]) -> Array:
+    """The error (m,) of the leader that a follower has at the time; NaN while that follows nobody."""
+    error = np.full(len(moved.time_ns), np.nan)
+    for span, placed in _parts(moved, name, follows):
+        if placed.leader in errors:
+            error[span] = errors[placed.leader][span]
+    return error
+
+
+def _hop_gain(own: Array, leaders: Array, inside: Array) -> float | None:
+    """RMS of a link's error over that of its leader's link, where both are measured; None where there is no such."""
+    both = inside & np.isfinite(own) & np.isfinite(leaders)
+    below, above = np.sqrt(np.sum(own[both] ** 2)), np.sqrt(np.sum(leaders[both] ** 2))
+    return float(below / above) if above > ROUNDING_M * np.sqrt(both.sum()) else None
+
+
+def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
+    """Of errors (followers, m): root mean square, mean and maximum in the window, and the greatest at the last instant."""
+    chosen = errors[:, inside]
+    chosen = chosen[np.isfinite(chosen)]
+    final = errors[:, -1:]
+    final = final[np.isfinite(final)]
+    return {
+        "rms_m": float(np.sqrt(np.mean(chosen**2))) if chosen.size else None,
+        "mean_m": float(np.mean(chosen)) if chosen.size else None,
+        "max_m": float(np.max(chosen)) if chosen.size else None,
+        "final_m": float(np.max(final)) if final.size else None,
+    }
+
+
+def _settling_s(time_ns: Array, errors: Array) -> float | None:
+    """The earliest recorded instant from which no error exceeds `SETTLED_M` any more; one that ends stays as it was."""
+    measured = np.any(np.isfinite(errors), axis=0)
+    instants = np.arange(errors.shape[1])
+    last = np.maximum.accumulate(np.where(np.isfinite(errors), instants, 0), axis=1)  # the newest that was measured
+    held = np.take_along_axis(errors, last, axis=1)
+    unsettled = np.flatnonzero(np.any(held[:, measured] > SETTLED_M, axis=0))
+    times = time_ns[measured]
+    since = unsettled[-1] + 1 if unsettled.size else 0
+    return float(times[since] / SECOND_NS) if since < len(times) else None
+
+
+def _known(each: dict[str, dict[str, Any]], key: str) -> list[float]:
+    return [summary[key] for summary in each.values() if summary[key] is not None]

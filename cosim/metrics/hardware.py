@@ -1,0 +1,67 @@
+"""How real vehicles were known and driven: ages, errors of prediction, stops."""
+
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.metrics.radio import Receptions, quantiles
+from vcmvsp.cosim.types import Incident, RealStatus
+
+SPREAD = ("p50", "p99", "max")
+
+
+def hardware_metrics(
+    statuses: Mapping[str, Sequence[tuple[int, RealStatus]]],
+    incidents: Sequence[tuple[str, Incident]],
+    fixes: Mapping[str, int],
+    got: Receptions,
+) -> dict[str, Any]:
+    """Of each real vehicle, what `cosim.metrics` lists under ``hardware``.
+
+    Args:
+        statuses: of each real vehicle: when, and how things stood.
+        incidents: vehicle and what befell it, in order.
+        fixes: positions that came, by vehicle.
+        got: frames that were received.
+    """
+    return {
+        vehicle: _of_one(
+            told, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(got, vehicle)
+        )
+        for vehicle, told in sorted(statuses.items())
+    }
+
+
+def _of_one(told: Sequence[tuple[int, RealStatus]], incidents: Sequence[Incident], fixes: int, delays_s: Any) -> dict[str, Any]:
+    statuses = [status for _, status in told]
+    ages_s = _numbers([each.age_s for each in statuses])
+    limited_ns = sum(after - now for (now, status), (after, _) in itertools.pairwise(told) if status.causes)
+    latency_s = float(np.median(ages_s)) if ages_s.size else None
+    return {
+        "age_s": quantiles(ages_s, SPREAD),
+        "fix_age_s": quantiles(_numbers([each.fix_age_s for each in statuses]), SPREAD),
+        "sigma_m": quantiles(_numbers([each.sigma_m for each in statuses]), SPREAD),
+        "prediction_m": quantiles(_numbers([each.prediction_m for each in statuses]), SPREAD),
+        "fixes": fixes,
+        "gated": max((each.gated for each in statuses), default=0),
+        "reconnects": max(0, max((each.link for each in statuses), default=0) - 1),
+        "stops": dict(sorted(Counter(each.cause for each in incidents if each.what == "stopped").items())),
+        "limited_s": limited_ns / SECOND_NS,
+        "frames_too_early": None if latency_s is None else int(np.count_nonzero(delays_s < latency_s)),
+    }
+
+
+def _delays_s(got: Receptions, sender: str) -> Any:
+    """Of the receptions of a vehicle's frames."""
+    if sender not in got.senders:
+        return np.empty(0)
+    own = got.by == got.senders.index(sender)
+    return (got.received_ns[own] - got.sent_ns[own]) / SECOND_NS
+
+
+def _numbers(values: Sequence[float | None]) -> Any:
+    return np.array([each for each in values if each is not None and np.isfinite(each)])

@@ -1,0 +1,214 @@
+"""What a reconnaissance found, followed and saw, from what its agents noted and from where the targets truly were.
+
+Agents note who commands (``commander``), what their task is (``task``) and after which target (``target``), what they confirmed
+and where (``found``, ``found_x``, ``found_y``), and how many bytes of maps they have sent (``map_bytes``). A target or a place
+without a name is ``""``: it may be any. A vehicle whose agent has failed (``status``) or is lost has none of the first three.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain, pairwise
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.metrics.motion import Motion
+from vcmvsp.cosim.types import Array, Mosaic, ProbabilityMap, Sightings
+
+NEAR_M = 3.0  # nearer to a target than this is at the target, in the plane
+TRACKED_NS = 10 * SECOND_NS  # so long a vehicle stays near a target that it tracks
+KEPT = ("commander", "task", "target")  # of these every change counts
+MARKS = ("commander", "task", "found")  # who notes one of these is on a mission
+COUNTED = frozenset({*KEPT, *MARKS, "map_bytes"})
+
+
+class Target(Protocol):
+    """Something on the ground that is searched for."""
+
+    @property
+    def name(self) -> str:
+        """It is called so by those who search for it."""
+
+    @property
+    def size_m(self) -> float:
+        """Its edge, or its diameter."""
+
+    def place(self, time_s: float) -> tuple[float, float]:
+        """Where its middle is, m, world."""
+
+    def yaw(self, time_s: float) -> float:
+        """How it is turned, rad."""
+
+
+class Found(NamedTuple):
+    """What a vehicle confirmed for itself."""
+
+    time_ns: int
+    vehicle: str
+    name: str  # "": it cannot tell
+    place: tuple[float, float]  # m
+
+
+class Mission:
+    """Collects what counts as a run goes on."""
+
+    def __init__(self) -> None:
+        self._histories: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        self._left: dict[tuple[str, str], str] = {}  # what it was when an agent was lost
+        self._map_bytes: dict[str, list[float]] = {}  # of each of its agents: one that takes another's place begins at 0
+        self._maps: dict[str, ProbabilityMap] = {}
+        self._marked = False
+        self.found: list[Found] = []
+
+    def __bool__(self) -> bool:
+        return self._marked
+
+    def take(self, vehicle: str, time_ns: int, values: Mapping[str, Any]) -> None:
+        """What an agent noted at a time."""
+        if COUNTED.isdisjoint(values) and values.get("status") != "failed":
+            return  # most
+        self._marked = self._marked or any(mark in values for mark in MARKS)
+        for name in KEPT:
+            if name in values:
+                history = self._histories.setdefault((vehicle, name), [])
+                if not history or history[-1][1] != str(values[name]):
+                    history.append((time_ns, str(values[name])))
+        if values.get("status") == "failed":
+            self.leave(vehicle, time_ns)
+        if "map_bytes" in values:
+            sent = _number(values["map_bytes"])
+            counts = self._map_bytes.setdefault(vehicle, [sent])
+            counts[-1:] = [counts[-1], sent] if sent < counts[-1] else [sent]
+        if "found" in values:
+            place = _number(values.get("found_x")), _number(values.get("found_y"))
+            self.found.append(Found(time_ns, vehicle, str(values["found"]), place))
+
+    def leave(self, vehicle: str, time_ns: int) -> None:
+        """A vehicle is without its agent from now on."""
+        for name in KEPT:
+            history = self._histories.get((vehicle, name))
+            if history and history[-1][1]:
+                self._left[vehicle, name] = history[-1][1]
+                history.append((time_ns, ""))
+
+    def come_back(self, vehicle: str, time_ns: int) -> None:
+        """Its agent is there again, and goes on as before, if it has not noted otherwise."""
+        for name in KEPT:
+            before = self._left.pop((vehicle, name), "")
+            if before and not (history := self._histories[vehicle, name])[-1][1]:
+                history.append((time_ns, before))
+
+    def see(self, vehicle: str, shown: ProbabilityMap | Sightings | Mosaic) -> None:
+        """What an agent showed; of maps the newest counts. Who shows something is on a mission, though it may find nothing."""
+        self._marked = True
+        if isinstance(shown, ProbabilityMap):
+            self._maps[vehicle] = shown
+
+    def of(self, vehicle: str, name: str) -> Sequence[tuple[int, str]]:
+        """When (ns) a vehicle noted which commander, task or target: each unlike the one before it; ``""``: none."""
+        return self._histories.get((vehicle, name), ())
+
+    def lost(self, vehicle: str) -> list[tuple[int, str]]:
+        """When (ns) a vehicle gave up tracking, and which target."""
+        tasks = self.of(vehicle, "task")
+        ends = [end for (_, task), (end, following) in pairwise(tasks) if task == "track" and following]
+        return [(end, next((name for at, name in reversed(self.of(vehicle, "target")) if at < end), "")) for end in ends]
+
+    def metrics(self, moved: Motion, targets: Sequence[Target]) -> dict[str, Any] | None:
+        """The ``mission`` part (`cosim.metrics`); None where there are no targets, and nobody is on a mission."""
+        if not (self._marked or targets):
+            return None
+        first_s: dict[str, float | None] = {target.name: None for target in targets}
+        false_finds = 0
+        for found in self.found:
+            target = target_at(targets, found)
+            if target is None:
+                false_finds += 1
+            elif first_s[target.name] is None:
+                first_s[target.name] = found.time_ns / SECOND_NS
+        return {
+            "targets_found": sum(time_s is not None for time_s in first_s.values()),
+            "targets_tracked": sum(self._tracked(moved, target) for target in targets),
+            "found_s": first_s,
+            "false_finds": false_finds,
+            "area_seen_ratio": seen_ratio(self._maps.values()),
+            "map_bytes_sent": int(sum(filter(math.isfinite, chain.from_iterable(self._map_bytes.values())))),
+            "switches": sum(_switches(changes) for (_, name), changes in self._histories.items() if name == "commander"),
+        }
+
+    def _tracked(self, moved: Motion, target: Target) -> bool:
+        """Whether a vehicle tracked it, and stayed near it, for long enough on end, as far as it was recorded."""
+        places = np.array([target.place(time_s) for time_s in (moved.time_ns / SECOND_NS).tolist()]).reshape(-1, 2)
+        for column, vehicle in enumerate(moved.names):
+            x, y, _ = moved.position[:, :, column]
+            if self.of(vehicle, "task"):
+                follows = self._was(moved, vehicle, "task", ("track",)) & self._was(moved, vehicle, "target", ("", target.name))
+            else:  # it has but one task
+                follows = self._was(moved, vehicle, "target", (target.name,))
+            if _longest_ns(moved.time_ns, follows & (np.hypot(x - places[:, 0], y - places[:, 1]) <= NEAR_M)) >= TRACKED_NS:
+                return True
+        return False
+
+    def _was(self, moved: Motion, vehicle: str, name: str, values: Sequence[str]) -> Array:
+        """At which recorded instants what a vehicle noted was one of these values; before it noted anything, ``""``."""
+        history = [(-1, ""), *self.of(vehicle, name)]
+        newest = np.searchsorted([time_ns for time_ns, _ in history], moved.time_ns, side="right") - 1
+        return np.array([value in values for _, value in history])[newest]
+
+
+def target_at(targets: Sequence[Target], found: Found) -> Target | None:
+    """The nearest target that was near what was found then, and may have the name that it was given."""
+    time_s = found.time_ns / SECOND_NS
+    away = [(math.dist(target.place(time_s), found.place), target) for target in targets if found.name in ("", target.name)]
+    near = [pair for pair in away if pair[0] <= NEAR_M]
+    return min(near, key=lambda pair: pair[0])[1] if near else None
+
+
+def seen_ratio(maps: Iterable[ProbabilityMap]) -> float | None:
+    """Share of the area of these maps that one vehicle or another has seen; None without maps.
+
+    Where their grids differ, the middles of all cells count, each for the area of its cell, shared by the maps that it is in.
+    """
+    grids: dict[tuple[float, ...], Array] = {}
+    for each in maps:
+        grid = each.left, each.bottom, each.cell_m, *each.seen.shape
+        grids[grid] = each.seen | grids[grid] if grid in grids else each.seen
+    area = seen_area = 0.0
+    for left, bottom, cell_m, rows, columns in grids:
+        x, y = left + cell_m * (np.arange(columns) + 0.5), bottom + cell_m * (np.arange(rows) + 0.5)
+        covered, seen = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)), np.bool_)
+        for other, seen_there in grids.items():
+            inside, there = _looked_up(other, seen_there, x, y)
+            covered += inside
+            seen |= there
+        area += float((cell_m**2 / covered).sum())
+        seen_area += float((cell_m**2 / covered)[seen].sum())
+    return seen_area / area if area else None
+
+
+def _looked_up(grid: tuple[float, ...], seen: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """Which of these points, (len(y), len(x)), are in a grid, and which have been seen there."""
+    left, bottom, cell_m, *_ = grid
+    (rows, columns), (i, j) = seen.shape, (np.floor((each - edge) / cell_m) for each, edge in ((y, bottom), (x, left)))
+    up, along = (i >= 0) & (i < rows), (j >= 0) & (j < columns)
+    inside, there = up[:, None] & along, np.zeros((len(y), len(x)), np.bool_)
+    there[inside] = seen[np.ix_(i[up].astype(int), j[along].astype(int))].ravel()
+    return inside, there
+
+
+def _switches(history: Sequence[tuple[int, str]]) -> int:
+    """How often one took over from another, with nobody between them or not."""
+    return sum(one != other for one, other in pairwise(name for _, name in history if name))
+
+
+def _number(noted: Any) -> float:
+    """What an agent noted, which may be anything."""
+    return float(noted) if isinstance(noted, int | float) else math.nan
+
+
+def _longest_ns(time_ns: Array, holds: Array) -> int:
+    """The longest time from the first to the last of instants on end at which something holds."""
+    changes = np.diff(np.concatenate(([False], holds, [False])).astype(np.int8))
+    first, last = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1) - 1
+    return int((time_ns[last] - time_ns[first]).max(initial=-1))

@@ -1,0 +1,118 @@
+"""What the network layer did: how many hops messages took, what that cost, and whose information a frame carried.
+
+With routing a frame is sent by whoever passes a message on. So the table of frames says in five columns more what was in it:
+``origin``, the vehicle whose message it is; ``origin_sent_ns`` and ``origin_number``, when that had it and which of its own it
+is; ``destination``, the only one meant, empty for a broadcast; and ``message``, whether that was ``under way`` when the run
+ended or ``over``. A frame that tells of routes has an empty origin and no number, and so has one whose message was under way
+when a run broke off.
+"""
+
+from array import array
+from collections.abc import Mapping, Sequence
+from itertools import compress
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.tables.columns import column, name_column, names_of, nulls, numbers
+from vcmvsp.cosim.metrics.radio import quantiles
+from vcmvsp.cosim.types import Array, Routed
+
+COLUMNS = ("origin", "destination", "origin_sent_ns", "origin_number", "message")
+FATES = ("", "over", "under way")
+_NOBODY = 0, 0, 0  # in place of when, which and its fate
+
+
+class Routing:
+    """Takes what the network layer tells of messages.
+
+    Args:
+        vehicles: of the run, in its order.
+    """
+
+    def __init__(self, vehicles: Sequence[str]) -> None:
+        self._names = (*vehicles, "")
+        self._code: Mapping[str, int] = {name: code for code, name in enumerate(self._names)}
+        self._messages = array("q")  # origin, destination, sent_ns, number, fate of each
+        self._frames = array("q")  # of each, and the place of its message
+        self._arrivals = array("q")  # hops, delay ns of each
+        self._counts = dict.fromkeys(("messages", "decided", "forwarded", "no_route", "control_frames", "control_bytes"), 0)
+
+    def __bool__(self) -> bool:
+        """Whether there was anything to tell."""
+        return bool(self._frames or self._counts["messages"])
+
+    def take(self, routed: Routed) -> None:
+        """A message that is under way no more, or was when the run ended."""
+        counts, code, frames = self._counts, self._code, len(routed.frames)
+        origin, to, fate = ("", "", "") if routed.update else (routed.origin, routed.to or "", FATES[1 + routed.under_way])
+        for frame in routed.frames:
+            self._frames.extend((frame, len(self._messages) // 5))
+        self._messages.extend((code[origin], code[to], routed.sent_ns, routed.number, FATES.index(fate)))
+        if routed.update:
+            counts["control_frames"] += frames
+            counts["control_bytes"] += frames * routed.frame_bytes
+            return
+        counts["messages"] += 1
+        counts["forwarded"] += max(0, frames - 1)
+        counts["no_route"] += not frames
+        came = [routed.to in (None, receiver) for receiver in routed.receivers]
+        for hops, received_ns in compress(zip(routed.hops, routed.received_ns, strict=True), came):
+            self._arrivals.extend((hops, received_ns - routed.sent_ns))
+        meant = len(self._names) - 2 if routed.to is None else 1
+        counts["decided"] += sum(came) if routed.under_way else meant
+
+    def metrics(self) -> dict[str, Any]:
+        """The ``routing`` part, of the whole run. Where a message may still arrive when that ends, it has neither failed to."""
+        counts = dict(self._counts)
+        hops, delays = np.array(self._arrivals, np.int64).reshape(-1, 2).T
+        decided = counts.pop("decided")
+        return {
+            "messages": counts.pop("messages"),
+            "arrivals": len(hops),
+            "delivery_ratio": len(hops) / decided if decided else None,
+            "hops_mean": float(hops.mean()) if len(hops) else None,
+            "hops_max": int(hops.max()) if len(hops) else None,
+            "delay_s": quantiles(delays / SECOND_NS, ("mean", "p50", "p95", "p99", "max")),
+            **counts,
+        }
+
+    def told(self, radio: pa.Table) -> pa.Table:
+        """The table of frames with `COLUMNS`."""
+        nothing = len(self._names) - 1
+        messages = np.append(np.array(self._messages, np.int64), (nothing, nothing, *_NOBODY)).reshape(-1, 5).T
+        known, frames = np.array(self._frames, np.int64).reshape(-1, 2), numbers(radio, "frame")
+        place = np.full(1 + max(known[:, 0].max(initial=-1), frames.max(initial=-1)), -1)
+        place[known[:, 0]] = known[:, 1]
+        of = place[frames]  # -1: of a run that broke off, some were not told of
+        origin, to, fate = (messages[row][of].astype(np.int32) for row in (0, 1, 4))
+        columns = (
+            name_column(self._names, origin),
+            name_column(self._names, to),
+            column(np.where(of < 0, numbers(radio, "sent_ns"), messages[2][of])),
+            column(messages[3][of], valid=origin != nothing),
+            name_column(FATES, fate),
+        )
+        for name, each in zip(COLUMNS, columns, strict=True):
+            radio = radio.append_column(name, each)
+        return radio
+
+
+def unreached_s(radio: pa.Table, receiver: str, origin: str) -> Array:
+    """When messages were sent that were meant for a vehicle and came to it over nobody, s."""
+    (origins, by), (destinations, to) = names_of(radio, "origin"), names_of(radio, "destination")
+    (receivers, at), (fates, fate) = names_of(radio, "receiver"), names_of(radio, "message")
+    own, its = by == _code(origins, origin), (to == _code(destinations, "")) | (to == _code(destinations, receiver))
+    meant = own & its & (fate == _code(fates, "over"))
+    came = own & (at == _code(receivers, receiver)) & ~nulls(radio, "received_ns")
+    number, sent_ns = numbers(radio, "origin_number", null=-1), numbers(radio, "origin_sent_ns")
+    lost_ns = np.full(1 + number.max(initial=-1), -1)  # by number
+    lost_ns[number[meant]] = sent_ns[meant]
+    lost_ns[number[came]] = -1
+    return np.asarray(np.sort(lost_ns[lost_ns >= 0]) / SECOND_NS)
+
+
+def _code(names: Sequence[str], name: str) -> int:
+    return names.index(name) if name in names else -1

@@ -1,0 +1,1 @@
+"""Figures of runs, studies, missions and calibrations as PNG and SVG."""

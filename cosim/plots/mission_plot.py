@@ -1,0 +1,279 @@
+"""The figures of a reconnaissance: who commanded when and what was found, the map as it filled, the mosaic, the detections."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
+from matplotlib.patheffects import withStroke
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
+from vcmvsp.cosim.metrics import Motion, Target, target_at
+from vcmvsp.cosim.recording.mission_log import MissionLog, surest_map
+from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, color_of
+from vcmvsp.cosim.plots.run_plots import draw_vehicle
+from vcmvsp.cosim.plots.style import ABOVE, GREY, MAP, style
+from vcmvsp.cosim.types import Array, Sighting, Sightings
+
+INSTANTS = 4  # at which the map is shown, evenly to the end of the run
+SHEET = 12  # pictures with detections, at most
+HATCHES = {"search": "", "formation": "\\\\\\\\", "track": "..", "avoid1": "////", "avoid2": "xxxx"}
+HATCH = "#ffffff80"
+EDGE = "0.15"  # of a target's mark
+COLORS = LinearSegmentedColormap.from_list("probability", PROBABILITY)
+MARKED: dict[str, Any] = {
+    "marker": "*",
+    "markersize": 12.0,
+    "markerfacecolor": TARGET,
+    "markeredgecolor": EDGE,
+    "linestyle": "",
+}
+FALSE: dict[str, Any] = {"marker": "X", "markersize": 8.0, "color": "white", "markeredgecolor": EDGE, "linestyle": ""}
+GIVEN_UP: dict[str, Any] = {**FALSE, "marker": "v", "markersize": 7.0}
+DOT: dict[str, Any] = {"marker": "o", "markersize": 4.0, "markeredgecolor": "white", "markeredgewidth": 0.6, "linestyle": ""}
+
+
+def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> Figure:
+    """Above, who commanded each vehicle when; below, the surest of the vehicles' maps at `INSTANTS` instants, and their tracks.
+
+    Stars are finds, crosses finds where no such target was, triangles targets that were given up; on the maps, stars are true
+    places.
+    """
+    with style(MAP):
+        heights = 1.1 + 0.3 * len(log.vehicles), 0.9 + 2.35 * _slenderness(log)  # inches
+        figure = Figure(figsize=(11.0, sum(heights)), layout="constrained")
+        figure.suptitle("Who commanded each vehicle, and the map of the search")
+        above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights).flat
+        _timeline(above.add_subplot(), log, targets)
+        _maps(below, log, moved, targets, outlines)
+    return figure
+
+
+def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
+    """The ground as all vehicles together saw it, their tracks, where they recognised what, and true places at the end."""
+    with style(MAP):
+        figure = Figure(figsize=(7.0, 7.2), layout="constrained")
+        figure.suptitle("The ground as the vehicles saw it")
+        axes = figure.add_subplot()
+        axes.set_facecolor("0.25")
+        for each in log.mosaics.values():
+            seen = np.uint8(255) * each.pixels.any(axis=2)
+            axes.imshow(np.dstack((each.pixels, seen)), **_extent(each.left, each.bottom, each.cell_m, each.pixels))
+        for index, name in enumerate(log.vehicles):
+            _track(axes, moved, name, index, log.end_ns, halo=True)
+            places = np.array([found.place for _, seen in log.sightings.get(name, ()) for found in seen.found]).reshape(-1, 2)
+            axes.plot(*places.T, color=color_of(index), **DOT)
+        _true_places(axes, targets, log.end_ns, named=True)
+        _square(axes)
+        dots = Line2D([], [], color=GREY, label="recognised here", **DOT)
+        _vehicles_legend(figure, log, [dots, Line2D([], [], label="target, at the end", **MARKED)])
+    return figure
+
+
+def detections(log: MissionLog) -> Figure:
+    """A contact sheet of up to `SHEET` pictures in which targets were recognised (`chosen_pictures`)."""
+    import cv2
+
+    with style(MAP):
+        chosen = chosen_pictures(log)
+        columns = min(len(chosen), 4) or 1
+        rows = -(-len(chosen) // columns) or 1
+        figure = Figure(figsize=(3.0 * columns, 2.55 * rows + 0.3), layout="constrained")
+        figure.suptitle("Targets that were recognised")
+        for axes, (time_ns, name, seen) in zip(figure.subplots(rows, columns, squeeze=False).flat, chosen, strict=False):
+            pixels = cv2.imdecode(np.frombuffer(seen.jpeg, np.uint8), cv2.IMREAD_COLOR)
+            if pixels is not None:
+                axes.imshow(pixels[..., ::-1], extent=(-0.5, seen.width - 0.5, seen.height - 0.5, -0.5))
+            _boxes(axes, seen)
+            axes.set_title(f"{name}, {time_ns / SECOND_NS:.1f} s", color=color_of(log.vehicles.index(name)))
+        for axes in figure.axes:
+            axes.set_axis_off()
+    return figure
+
+
+def chosen_pictures(log: MissionLog) -> list[tuple[int, str, Sightings]]:
+    """Time (ns), vehicle and sightings of the pictures for the contact sheet, in order of time.
+
+    Of each vehicle and target the first, and then those in which it lies in other places, as far apart as can be.
+    """
+    pairs: dict[tuple[str, str], list[tuple[int, str, Sightings]]] = {}
+    for name, shown in log.sightings.items():
+        for time_ns, seen in shown:
+            if seen.jpeg and seen.found:
+                pairs.setdefault((name, _best(seen).target), []).append((time_ns, name, seen))
+    groups = sorted(pairs.values(), key=lambda group: group[0][:2])[:SHEET]
+    chosen = [each for group in groups for each in _apart(group, SHEET // len(groups))]
+    return sorted(chosen, key=lambda each: each[:2])
+
+
+def _best(seen: Sightings) -> Sighting:
+    return max(seen.found, key=lambda each: each.score)
+
+
+def _apart(group: Sequence[tuple[int, str, Sightings]], count: int) -> list[tuple[int, str, Sightings]]:
+    """The first, and one by one those that are furthest from all before them, by where the target is in the picture."""
+    places = np.array([_best(seen).centre_px for _, _, seen in group])
+    away = np.full(len(group), np.inf)
+    chosen, newest = [0], 0
+    while len(chosen) < min(count, len(group)):
+        away = np.minimum(away, np.hypot(*(places - places[newest]).T))
+        away[chosen] = -1.0
+        newest = int(away.argmax())
+        chosen.append(newest)
+    return [group[number] for number in chosen]
+
+
+def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
+    end_s = log.end_ns / SECOND_NS
+    told: set[str] = set()
+    for row, name in enumerate(log.vehicles):
+        changes = [*log.noted.of(name, "commander"), (log.end_ns, "")]
+        for (begin, commander), (end, _) in pairwise(changes):
+            if not commander:  # its agent has failed, or is lost
+                continue
+            told.add(commander)
+            span = begin / SECOND_NS, (end - begin) / SECOND_NS
+            axes.broken_barh([span], (row - 0.3, 0.6), **_band(commander))
+        for time_ns, target in log.noted.lost(name):
+            axes.plot(time_ns / SECOND_NS, row, zorder=5, **GIVEN_UP)
+            _say(axes, time_ns / SECOND_NS, row + 0.42, target, "top")
+    _finds(axes, log, targets)
+    axes.set_yticks(range(len(log.vehicles)), log.vehicles)
+    for index, label in enumerate(axes.get_yticklabels()):  # in the colours of the tracks below
+        label.set_color(color_of(index))
+    axes.set_ylim(len(log.vehicles) - 0.2, -0.8)
+    axes.set_xlim(0.0, max(end_s, 1e-3))
+    axes.set_xlabel("time [s]")
+    for side in ("left", "top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(axis="y", length=0.0)
+    shown: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in told]
+    shown += [Patch(**_band("other"), label="other")] if told - COMMANDERS.keys() else []
+    for mark, words in ((MARKED, "found"), (FALSE, "no target there"), (GIVEN_UP, "given up")):
+        shown.append(Line2D([], [], label=words, **mark))
+    axes.legend(handles=shown, ncols=len(shown), **ABOVE)
+
+
+def _band(commander: str) -> dict[str, Any]:
+    """Colour of the time of a commander, and a pattern for those who see no difference of colours."""
+    return {
+        "facecolor": COMMANDERS.get(commander, GREY),
+        "hatch": HATCHES.get(commander, "--"),
+        "edgecolor": HATCH,
+        "linewidth": 0.0,
+    }
+
+
+def _finds(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
+    """A mark for each find; the name at the first of a vehicle and target."""
+    known: set[tuple[str, str]] = set()
+    for found in log.noted.found:
+        if found.vehicle not in log.vehicles:
+            continue
+        row, target = log.vehicles.index(found.vehicle), target_at(targets, found)
+        axes.plot(found.time_ns / SECOND_NS, row, zorder=6, **(MARKED if target else FALSE))
+        name = target.name if target else found.name
+        if (found.vehicle, name) not in known:
+            known.add((found.vehicle, name))
+            _say(axes, found.time_ns / SECOND_NS, row - 0.36, name, "bottom")
+
+
+def _say(axes: Axes, time_s: float, height: float, words: str, where: str) -> None:
+    axes.annotate(words, (time_s, height), ha="center", va=where, fontsize="small", zorder=7)
+
+
+def _maps(figure: Any, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
+    shown, image = figure.subplots(1, INSTANTS, sharex=True, sharey=True), None
+    for number, axes in enumerate(shown, start=1):
+        now = log.end_ns * number // INSTANTS
+        grids, surest = surest_map(log, now)
+        if grids is not None:
+            extent = _extent(grids.left, grids.bottom, grids.cell_m, surest)
+            image = axes.imshow(surest / 255.0, cmap=COLORS, vmin=0.0, vmax=1.0, **extent)
+        solids = PolyCollection(outlines, facecolor="none", edgecolor="0.35", linewidth=0.7, zorder=2)
+        axes.add_collection(solids, autolim=False)
+        for index, name in enumerate(log.vehicles):
+            _track(axes, moved, name, index, now)
+        _true_places(axes, targets, now, named=number == 1)
+        _square(axes)
+        axes.set_title(f"{now / SECOND_NS:g} s")
+        axes.label_outer()
+    if image is not None:
+        figure.colorbar(image, ax=shown, shrink=0.7, pad=0.01, label="P(target) [1]")
+
+
+def _slenderness(log: MissionLog) -> float:
+    """How much taller than wide the maps are drawn."""
+    shapes = [shown.seen.shape for maps in log.maps.values() for _, shown in maps[:1]]
+    rows, columns = shapes[0] if shapes else (1, 1)
+    return float(np.clip(rows / max(columns, 1), 0.4, 2.5))
+
+
+def _track(axes: Axes, moved: Motion, name: str, index: int, now_ns: int, *, halo: bool = False) -> None:
+    """The way of a vehicle up to now, and the vehicle."""
+    if name not in moved.names:
+        return
+    until, column = int(np.searchsorted(moved.time_ns, now_ns, side="right")), moved.column(name)
+    x, y, _ = moved.position[:, :until, column]
+    effects = [withStroke(linewidth=2.6, foreground="white", alpha=0.7)] if halo else []
+    axes.plot(x, y, color=color_of(index), linewidth=1.0, zorder=3, path_effects=effects)
+    if until:
+        draw_vehicle(axes, (x[-1], y[-1], moved.yaw[until - 1, column]), color_of(index), 10.0)
+
+
+def _true_places(axes: Axes, targets: Sequence[Target], now_ns: int, *, named: bool) -> None:
+    for target in targets:
+        x, y = target.place(now_ns / SECOND_NS)
+        axes.plot(x, y, zorder=4, **MARKED)
+        if named:
+            halo = [withStroke(linewidth=2.0, foreground="white")]
+            beside, side = (8.0, "left") if x < np.mean(axes.get_xlim()) else (-8.0, "right")
+            axes.annotate(target.name, (x, y), (beside, -3.0), textcoords="offset points", ha=side, zorder=7, path_effects=halo)
+
+
+def _boxes(axes: Axes, seen: Sightings) -> None:
+    """Each target that was recognised in a picture, its upper edge thick, with name and score."""
+    for each in seen.found:
+        corners = np.array(corners_of(each))
+        axes.add_patch(Polygon(corners, fill=False, edgecolor=EDGE, linewidth=3.0))
+        axes.add_patch(Polygon(corners, fill=False, edgecolor=TARGET, linewidth=1.4))
+        axes.plot(*corners[:2].T, color=TARGET, linewidth=3.0)
+        middle = float(np.clip(each.centre_px[0], 0.14 * seen.width, 0.86 * seen.width))  # so that the words stay within
+        place, low = (middle, corners[:, 1].min() - 4.0), corners[:, 1].min() > 0.12 * seen.height
+        axes.annotate(
+            label_of(each),
+            place if low else (place[0], corners[:, 1].max() + 4.0),
+            ha="center",
+            va="bottom" if low else "top",
+            color=TARGET,
+            path_effects=[withStroke(linewidth=2.0, foreground=EDGE)],
+            annotation_clip=True,
+        )
+    axes.set_xlim(-0.5, seen.width - 0.5)
+    axes.set_ylim(seen.height - 0.5, -0.5)
+
+
+def _extent(left: float, bottom: float, cell_m: float, cells: Array) -> dict[str, Any]:
+    """Where a grid lies, for `Axes.imshow`."""
+    rows, columns = cells.shape[:2]
+    edges = (left, left + cell_m * columns, bottom, bottom + cell_m * rows)
+    return {"extent": edges, "origin": "lower", "interpolation": "nearest", "zorder": 1}
+
+
+def _square(axes: Axes) -> None:
+    axes.set_aspect("equal")
+    axes.set_xlabel("x east [m]")
+    axes.set_ylabel("y north [m]")
+
+
+def _vehicles_legend(figure: Figure, log: MissionLog, more: Sequence[Line2D]) -> None:
+    lines = [Line2D([], [], color=color_of(index), label=name) for index, name in enumerate(log.vehicles)]
+    figure.legend(handles=[*lines, *more], loc="outside lower left", ncols=6, frameon=False)

@@ -1,0 +1,244 @@
+"""A reconnaissance as a film: the map from above with vehicles, trails and what they look at; beside it what they see."""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
+from vcmvsp.cosim.metrics import Motion, Target
+from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, surest_map
+from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, rgb, rgb_of
+from vcmvsp.cosim.types import Array, ProbabilityMap, Sightings
+
+FPS = 10.0
+QUICKER = 4  # simulated seconds in one of the film, or more: it has no more than `FRAMES` frames
+MAP_PX, SIDE_PX = 640, 480  # width of the map, which is square, and of the pictures beside it
+MARGIN_PX = 30
+GLIMPSE_NS = 3 * SECOND_NS  # what was seen within this time is tinted: where the vehicle looks
+MOST_PICTURES = 6
+DARK, PALE, LINE = (45, 45, 45), (255, 255, 255), (110, 110, 110)
+FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
+
+Color = tuple[int, ...]  # blue, green, red, as OpenCV has it
+
+
+def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> bool:
+    """Write an MP4 file (MPEG-4 part 2); False, and no file: this OpenCV cannot."""
+    import cv2
+
+    film: Any = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (MAP_PX + SIDE_PX, MAP_PX))
+    if not film.isOpened():
+        return False
+    try:
+        for frame in frames(log, moved, targets, outlines):
+            film.write(frame)
+    finally:
+        film.release()
+    return True
+
+
+def frames(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> Iterator[Array]:
+    """The pictures of the film, one after another: (MAP_PX, MAP_PX + SIDE_PX, 3) uint8, blue, green, red."""
+    step_ns = max(round(QUICKER / FPS * SECOND_NS), -(-log.end_ns // (FRAMES - 1)))
+    above, beside = _Above(log, moved, targets, outlines), _Beside(log)
+    for now_ns in range(0, log.end_ns + 1, step_ns):
+        yield np.hstack((above.at(now_ns), beside.at(now_ns)))
+
+
+class _Above:
+    """The map."""
+
+    def __init__(self, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
+        self._log, self._moved, self._targets = log, moved, targets
+        self._low, self._scale = _frame_of(log, moved)
+        self._outlines = [self._px(outline) for outline in outlines]
+        self._trails = self._px(np.moveaxis(moved.position[:2], 0, -1))  # (m, n, 2)
+        self._there: Array = np.isfinite(moved.position[:2].sum(axis=0))
+        self._base = _paper()
+        self._base_of: tuple[int, ...] | None = None  # how many maps of each vehicle were known then
+
+    def at(self, now_ns: int) -> Array:
+        import cv2
+
+        picture = self._ground(now_ns).copy()
+        until = bisect_right(self._moved.time_ns, now_ns)
+        for target in self._targets:
+            place = self._point(self._px(np.array(target.place(now_ns / SECOND_NS))))
+            cv2.circle(picture, place, 7, DARK, -1, cv2.LINE_AA)
+            cv2.circle(picture, place, 5, _bgr(rgb(TARGET)), -1, cv2.LINE_AA)
+            _say(picture, target.name, (place[0] + 14, place[1] + 4), DARK)  # clear of a vehicle above it
+        for name in self._log.vehicles:
+            if name in self._moved.names and until:
+                self._vehicle(picture, name, until)
+        _say(picture, f"{now_ns / SECOND_NS:.1f} s", (10, 20), DARK, 0.6)
+        return picture
+
+    def _vehicle(self, picture: Array, name: str, until: int) -> None:
+        """Its trail, and a triangle that points ahead."""
+        import cv2
+
+        column, color = self._moved.column(name), _bgr(rgb_of(self._log.vehicles.index(name)))
+        trail = self._trails[:until, column][self._there[:until, column]]
+        if not len(trail):
+            return
+        cv2.polylines(picture, [trail], False, color, 1, cv2.LINE_AA)
+        yaw = self._moved.yaw[until - 1, column]
+        if np.isfinite(yaw):
+            c, s = np.cos(yaw), np.sin(yaw)
+            body = np.array([(11.0, 0.0), (-8.0, 6.0), (-8.0, -6.0)]) @ np.array([(c, -s), (-s, -c)])  # rows count downwards
+            cv2.fillConvexPoly(picture, (trail[-1] + body).round().astype(np.int32), color, cv2.LINE_AA)
+        x, y = trail[-1].tolist()
+        _say(picture, name, (x + 10, y - 8), color)
+
+    def _ground(self, now_ns: int) -> Array:
+        """Map, what is looked at, buildings; drawn again when there is a newer map."""
+        import cv2
+
+        newest = tuple(bisect_right(maps, now_ns, key=lambda each: each[0]) for maps in self._log.maps.values())
+        if newest != self._base_of:
+            self._base_of, self._base = newest, _paper()
+            grid, surest = surest_map(self._log, now_ns)
+            if grid is not None:
+                self._paint(grid, self._tinted(PROBABILITY_BGR[surest], now_ns, surest.shape))
+            cv2.polylines(self._base, self._outlines, True, LINE, 1, cv2.LINE_AA)
+        return self._base
+
+    def _tinted(self, cells: Array, now_ns: int, shape: tuple[int, ...]) -> Array:
+        """The cells that each vehicle saw a moment ago first, in its colour."""
+        for name, maps in self._log.maps.items():
+            before, now = (_newest(maps, time_ns) for time_ns in (now_ns - GLIMPSE_NS, now_ns))
+            if now is not None and now.seen.shape == shape and (before is None or before.seen.shape == shape):
+                fresh = now.seen if before is None else now.seen & ~before.seen
+                color = np.array(_bgr(rgb_of(self._log.vehicles.index(name))))
+                cells[fresh] = (0.65 * cells[fresh] + 0.35 * color).astype(np.uint8)
+        return cells
+
+    def _paint(self, grid: ProbabilityMap, cells: Array) -> None:
+        """Enlarge cells to where they lie."""
+        import cv2
+
+        rows, columns = cells.shape[:2]
+        west, north = self._point(self._px(np.array([grid.left, grid.bottom + rows * grid.cell_m])))
+        east, south = self._point(self._px(np.array([grid.left + columns * grid.cell_m, grid.bottom])))
+        large = cv2.resize(cells[::-1], (max(east - west, 1), max(south - north, 1)), interpolation=cv2.INTER_NEAREST)
+        top, left = max(north, 0), max(west, 0)
+        part = large[top - north : MAP_PX - north, left - west : MAP_PX - west]
+        self._base[top : top + part.shape[0], left : left + part.shape[1]] = part
+
+    def _px(self, places: Array) -> Array:
+        """Where places (m, world) lie in the picture, px."""
+        along = MARGIN_PX + (places - self._low) * self._scale
+        along[..., 1] = MAP_PX - along[..., 1]
+        return np.nan_to_num(along, nan=-1e4).clip(-1e4, 1e4).round().astype(np.int32)
+
+    def _point(self, place: Array) -> tuple[int, int]:
+        x, y = place.tolist()
+        return x, y
+
+
+class _Beside:
+    """The newest picture of each vehicle; where there is not room for all, those without pictures give way."""
+
+    def __init__(self, log: MissionLog) -> None:
+        self._log = log
+        taken = {name: [each for each in log.sightings.get(name, ()) if each[1].jpeg] for name in log.vehicles}
+        chosen = sorted(taken, key=lambda name: not taken[name])[:MOST_PICTURES]
+        self._shown = {name: shown for name, shown in taken.items() if name in chosen}
+        count = len(self._shown)
+        self._columns = 1 if count <= 2 else 2
+        self._height, self._width = MAP_PX // -(-max(count, 1) // self._columns), SIDE_PX // self._columns
+        self._kept: dict[str, tuple[int, Array]] = {}
+
+    def at(self, now_ns: int) -> Array:
+        picture = np.full((MAP_PX, SIDE_PX, 3), 20, np.uint8)
+        for place, (name, shown) in enumerate(self._shown.items()):
+            top, left = place // self._columns * self._height, place % self._columns * self._width
+            cell = picture[top : top + self._height, left : left + self._width]
+            newest = bisect_right(shown, now_ns, key=lambda each: each[0]) - 1
+            if newest >= 0:
+                small = self._picture(name, newest, shown[newest][1])
+                y, x = 24 + (cell.shape[0] - 24 - small.shape[0]) // 2, (cell.shape[1] - small.shape[1]) // 2
+                cell[y : y + small.shape[0], x : x + small.shape[1]] = small
+            self._caption(cell, name, now_ns)
+        return picture
+
+    def _caption(self, cell: Array, name: str, now_ns: int) -> None:
+        changes = self._log.noted.of(name, "commander")
+        count = bisect_right(changes, now_ns, key=lambda each: each[0])
+        commander = changes[count - 1][1] if count else ""
+        color = _bgr(rgb(COMMANDERS[commander])) if commander in COMMANDERS else PALE
+        _say(cell, f"{name}  {commander}", (6, 17), color, 0.5)
+
+    def _picture(self, name: str, number: int, seen: Sightings) -> Array:
+        """A picture that fits its place, with boxes around what was recognised; decoded once."""
+        import cv2
+
+        if self._kept.get(name, (-1,))[0] != number:
+            scale = min((self._width - 4) / seen.width, (self._height - 28) / seen.height)
+            quick = cv2.IMREAD_REDUCED_COLOR_2 if scale < 0.75 else cv2.IMREAD_COLOR
+            pixels: Any = cv2.imdecode(np.frombuffer(seen.jpeg, np.uint8), quick)
+            size = max(int(seen.width * scale), 1), max(int(seen.height * scale), 1)
+            small = np.zeros((size[1], size[0], 3), np.uint8) if pixels is None else cv2.resize(pixels, size)
+            for each in seen.found:
+                corners = ((np.array(corners_of(each)) + 0.5) * scale).round().astype(np.int32)
+                cv2.polylines(small, [corners], True, DARK, 3, cv2.LINE_AA)
+                cv2.polylines(small, [corners], True, _bgr(rgb(TARGET)), 1, cv2.LINE_AA)
+                (x, y), low = corners.min(axis=0).tolist(), int(corners[:, 1].max())
+                _say(small, label_of(each), (max(x, 2), y - 5 if y > 17 else low + 14), _bgr(rgb(TARGET)), shade=DARK)
+            self._kept[name] = number, small
+        return self._kept[name][1]
+
+
+def _paper() -> Array:
+    return np.full((MAP_PX, MAP_PX, 3), 235, np.uint8)
+
+
+def _frame_of(log: MissionLog, moved: Motion) -> tuple[Array, float]:
+    """The south-west corner (m) and the scale (px/m) of a picture that has all maps and all ways in it."""
+    corners = [moved.position[:2].reshape(2, -1).T]
+    for maps in log.maps.values():
+        for _, each in maps[:1]:
+            low, size = np.array([each.left, each.bottom]), each.cell_m * np.array(each.seen.shape[::-1])
+            corners.append(np.array([low, low + size]))
+    places = np.concatenate(corners)
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        return np.zeros(2), 1.0
+    low, high = places.min(axis=0), places.max(axis=0)
+    side = max(float((high - low).max()), 1e-3)
+    return 0.5 * (low + high - side), (MAP_PX - 2 * MARGIN_PX) / side
+
+
+def _newest(maps: Sequence[tuple[int, ProbabilityMap]], now_ns: int) -> ProbabilityMap | None:
+    count = bisect_right(maps, now_ns, key=lambda each: each[0])
+    return maps[count - 1][1] if count else None
+
+
+def _say(
+    picture: Array, words: str, place: tuple[int, int], color: Color, size: float = 0.42, shade: Color | None = None
+) -> None:
+    import cv2
+
+    x, y = place
+    if shade is not None:  # the same strokes all around: thicker ones would be spaced otherwise
+        for right, down in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)):
+            cv2.putText(picture, words, (x + right, y + down), FONT, size, shade, 1, cv2.LINE_AA)
+    cv2.putText(picture, words, place, FONT, size, color, 1, cv2.LINE_AA)
+
+
+def _bgr(color: tuple[float, ...]) -> Color:
+    return tuple(round(255 * part) for part in reversed(color))
+
+
+def _ramp() -> Array:
+    """The colours of 0 to 255 of a map."""
+    stops = np.array([_bgr(rgb(code)) for code in PROBABILITY])
+    at = np.linspace(0.0, 255.0, len(stops))
+    return np.stack([np.interp(np.arange(256), at, part) for part in stops.T], axis=1).round().astype(np.uint8)
+
+
+PROBABILITY_BGR = _ramp()

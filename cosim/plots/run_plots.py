@@ -1,0 +1,266 @@
+"""The figures of a run, from its tables alone: `trajectory` seen from above and `formation_error` over time.
+
+How any figure becomes a file is here, too. Figure objects are used and no global state, and the same run gives the same bytes.
+"""
+
+import re
+from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.collections import Collection, PolyCollection, QuadMesh
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
+from matplotlib.lines import Line2D
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.metrics import (
+    ROUNDING_M,
+    SETTLED_M,
+    Motion,
+    Window,
+    formation_errors,
+    links,
+    motion,
+    unreached_s,
+)
+from vcmvsp.cosim.util.palette import color_of
+from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, SVG, line_of, style, styled
+from vcmvsp.cosim.tables.schema import NOT_LOST, Placement
+from vcmvsp.cosim.types import Array
+
+SNAPSHOTS = 5  # instants at which the formation is drawn, start and end among them
+NAMED = 8  # rows of lost messages, each a line of text high: more of them have no names
+DENSE = 1000  # marks of a curve, or pieces of a collection: more than this are a picture within a drawing
+FINE = 100  # cells of a grid, likewise: between finer ones seams would show
+
+
+@styled
+def trajectory(states: pa.Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
+    """Where the vehicles went, seen from above: a marker where each starts, arrowheads on its way, a larger one at its end.
+
+    At a few instants thin lines join followers and leaders, so that the shape of the formation shows. ``outlines``, (k, 2) m
+    each, are what stood about.
+    """
+    moved = motion(states)
+    x, y, _ = moved.position
+    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    figure.suptitle("Where the vehicles went")
+    axes = figure.add_subplot()
+    solids = PolyCollection(outlines, facecolor="0.88", edgecolor="0.72", linewidth=0.5, zorder=1)
+    axes.add_collection(solids, autolim=False)  # the paths say how much of the world is shown
+    last = len(moved.time_ns) - 1
+    shown: list[int] = np.unique(np.linspace(0, last, SNAPSHOTS).round().astype(int)).tolist() if last > 0 else []
+    for instant in shown:
+        _draw_formation(axes, moved, follows, instant)
+    for i, name in enumerate(moved.names):
+        axes.plot(x[:, i], y[:, i], **{**line_of(i), "markevery": [0]}, label=name, zorder=3)
+        for instant in shown[1:]:
+            pose = x[instant, i], y[instant, i], moved.yaw[instant, i]
+            draw_vehicle(axes, pose, color_of(i), 14.0 if instant == shown[-1] else 9.0)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.06)
+    axes.set_xlabel("x east [m]")
+    axes.set_ylabel("y north [m]")
+    if moved.names:
+        _legend(axes)
+    return figure
+
+
+@styled
+def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placement], window: Window | None = None) -> Figure:
+    """Formation error of every follower over time; below, with radio, the age of what it knows of its leader, and losses.
+
+    The window (s) that the metrics are taken over is shaded; the dashed line is the 5 cm at which a follower has settled.
+    """
+    moved = motion(states)
+    errors = formation_errors(moved, follows)
+    if radio.num_rows and errors:
+        figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+        rows = min(0.3 + 0.12 * len(errors), 1.5)
+        above, middle, below = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.8, rows))
+        _draw_ages(middle, moved, radio, follows, list(errors))
+        _draw_losses(below, moved, radio, follows, list(errors))
+    else:
+        figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+        above = figure.add_subplot()
+        above.set_xlabel("time [s]")
+    figure.suptitle("How well the formation is kept")
+    time = moved.time_ns / SECOND_NS
+    for name, error in errors.items():
+        above.plot(time, error, **line_of(moved.column(name)), label=name, zorder=3)
+    above.axhline(SETTLED_M, **LEVEL, zorder=2, label="settled: 5 cm")
+    above.set_ylabel("formation error |z| [m]")
+    _choose_scale(above, list(errors.values()))
+    if len(time):
+        above.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
+    if window is not None and len(time):
+        begin, end = window
+        above.axvspan(begin, time[-1] if end is None else end, color="0.95", zorder=0, label="evaluated")
+    if errors:
+        _legend(above)
+    else:
+        above.annotate("no vehicle follows another", (0.5, 0.5), xycoords="axes fraction", ha="center")
+    return figure
+
+
+def save_png(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG: no date, no library version inside."""
+    with style():
+        canvas = _laid_out(figure)
+        canvas.print_png(str(path), metadata={"Software": None})
+
+
+def save_svg(figure: Figure, path: str | Path) -> None:
+    """Write a figure as SVG: the same bytes for the same figure."""
+    Path(path).write_text(svg(figure), "utf-8")
+
+
+def svg(figure: Figure) -> str:
+    """A figure as the text of an SVG file: the same for the same figure, text as text, of dense parts a picture."""
+    with style(SVG):
+        _laid_out(figure)
+        _make_light(figure)
+        stream = StringIO()
+        dpi, figure.dpi = figure.dpi, SVG["savefig.dpi"]  # as savefig does, which draws everything twice
+        canvas: Any = FigureCanvasSVG(figure)
+        canvas.print_svg(stream, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+        figure.dpi = dpi
+    return _PATH.sub(_shorter, stream.getvalue())
+
+
+def save(figure: Figure, stem: Path) -> list[Path]:
+    """Write ``stem``.png and ``stem``.svg."""
+    png, drawing = (stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg"))
+    save_png(figure, png)
+    save_svg(figure, drawing)
+    return [png, drawing]
+
+
+def draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size: float) -> None:
+    """A slender triangle that points ahead, of a size in points, so that it is seen at any scale."""
+    x, y, yaw = pose
+    if np.isnan(yaw):
+        return
+    triangle = np.array([(1.0, 0.0), (-0.8, 0.55), (-0.8, -0.55), (1.0, 0.0)])
+    turn = np.array([(np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))])
+    axes.plot(
+        x, y, marker=triangle @ turn, color=color, markersize=size, markeredgecolor="white", markeredgewidth=0.6, zorder=5
+    )
+
+
+def _draw_formation(axes: Axes, moved: Motion, follows: Sequence[Placement], instant: int) -> None:
+    """Thin lines from each follower to the leader that it has at this instant."""
+    now = moved.time_ns[instant]
+    leader_of = {placement.vehicle: placement.follows.leader for placement in follows if placement.time_ns <= now}
+    for follower, leader in leader_of.items():
+        if leader is None:
+            continue
+        pair = [moved.column(follower), moved.column(leader)]
+        axes.plot(*moved.position[:2, instant, pair], color=GREY, linewidth=0.7, zorder=2)
+
+
+def _choose_scale(axes: Axes, errors: list[Array]) -> None:
+    """A logarithmic scale where errors span decades, so that what remains after settling is seen."""
+    values = np.concatenate([np.empty(0), *errors])
+    values = values[np.isfinite(values) & (values > 0)]
+    if values.max(initial=0.0) > ROUNDING_M and np.percentile(values, 95) > 20 * np.percentile(values, 20):
+        axes.set_yscale("log")
+        axes.set_ylim(max(ROUNDING_M, 0.5 * np.percentile(values, 5)), 2.0 * values.max())
+    else:
+        axes.set_ylim(0.0, 1.05 * max(values.max(initial=0.0), 1.2 * SETTLED_M))
+
+
+def _draw_ages(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
+    """Per follower, the age of the newest message of its leader at the recorded instants."""
+    heard = links(radio)
+    for name in followers:
+        for leader in _leaders(name, follows):
+            if (name, leader) in heard:
+                at = moved.time_ns[np.searchsorted(moved.time_ns, heard[name, leader].received_ns[0]) :]
+                age = heard[name, leader].age_ns(at) / SECOND_NS
+                axes.plot(at / SECOND_NS, age, **{**line_of(moved.column(name)), "marker": ""}, linewidth=0.9, zorder=3)
+    axes.set_ylabel("age of\ninformation [s]")
+    axes.set_ylim(bottom=0.0)
+
+
+def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
+    """A row of ticks per follower: its leader's frames that it lost, at the times when they were sent."""
+    lost = [np.concatenate([_lost_s(radio, name, leader) for leader in _leaders(name, follows)]) for name in followers]
+    colors = [color_of(moved.column(name)) for name in followers]
+    if followers:
+        axes.eventplot(lost, colors=colors, lineoffsets=list(range(len(lost))), linelengths=0.75, linewidths=0.7)
+    axes.set_ylim(len(lost) - 0.5, -0.5)
+    named = followers if len(followers) <= NAMED else []
+    axes.set_yticks(range(len(named)), named, fontsize="small")
+    axes.tick_params(axis="y", length=0.0)
+    axes.grid(visible=False)
+    axes.spines["left"].set_visible(False)
+    axes.set_ylabel("lost", rotation="horizontal", ha="right", va="center")
+    axes.set_xlabel("time [s]")
+
+
+def _leaders(name: str, follows: Sequence[Placement]) -> list[str]:
+    of_name = (placement.follows.leader for placement in follows if placement.vehicle == name)
+    return list(dict.fromkeys(leader for leader in of_name if leader is not None))
+
+
+def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
+    """When frames of this link were sent that were lost, s; with routing messages that came over nobody."""
+    if "origin" in radio.column_names:
+        return unreached_s(radio, receiver, sender)
+    (receivers, to), (senders, by), (words, outcome) = (names_of(radio, name) for name in ("receiver", "sender", "outcome"))
+    if receiver not in receivers or sender not in senders:
+        return np.empty(0)
+    not_lost = [number for number, word in enumerate(words) if word in NOT_LOST]
+    lost = (to == receivers.index(receiver)) & (by == senders.index(sender)) & ~np.isin(outcome, not_lost)
+    return np.asarray(numbers(radio, "sent_ns")[lost] / SECOND_NS)
+
+
+def _legend(axes: Axes) -> None:
+    """Names above the plot, where they hide nothing; of very many vehicles only the first."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles[:18], labels[:18], ncols=6, **ABOVE)
+    if len(labels) > 18:
+        axes.set_title(f"and {len(labels) - 18} more", loc="right", fontsize="small")
+
+
+def _laid_out(figure: Figure) -> Any:
+    """A canvas for a figure that is drawn in the style of now, its layout worked out once: then nothing is left to chance."""
+    canvas: Any = FigureCanvasAgg(figure)
+    engine = figure.get_layout_engine()
+    if engine is not None and not isinstance(engine, PlaceHolderLayoutEngine):
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+        for axes in figure.axes:  # the last bit of a position differs from time to time
+            left, bottom, width, height = (round(edge, 6) for edge in axes.get_position().bounds)
+            axes.set_position((left, bottom, width, height))
+    for line in figure.findobj(Line2D):
+        line.recache(always=True)
+    return canvas
+
+
+def _make_light(figure: Figure) -> None:
+    """Let what is dense be a picture within a drawing."""
+    for line in figure.findobj(Line2D):
+        line.set_rasterized(np.size(line.get_xdata()) > DENSE and line.get_marker() not in ("", "None"))
+    for collection in figure.findobj(Collection):
+        most = FINE if isinstance(collection, QuadMesh) else DENSE
+        collection.set_rasterized(len(collection.get_paths()) > most)
+
+
+_PATH = re.compile(r'(<path [^>]*?\bd=")([^"]*)')
+_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+
+
+def _shorter(found: re.Match[str]) -> str:
+    """A path with coordinates to the hundredth of a point."""
+    numbers = _NUMBER.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), found[2])
+    return f"{found[1]}{numbers}"

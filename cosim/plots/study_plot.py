@@ -1,0 +1,292 @@
+"""The figures of a study: each metric over what was varied, with its band; and a map where two numbers were varied.
+
+They are drawn from the summary (`cosim.studies.summary`) alone, in the style of a run's figures.
+"""
+
+import contextlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from vcmvsp.cosim.tables.labels import label_of
+from vcmvsp.cosim.util.palette import color_of
+from vcmvsp.cosim.plots.style import MAP, marker_of, style
+from vcmvsp.cosim.types import Array
+
+MAP_COLORS = "cividis"  # keeps its order in grey and under every common form of colour blindness
+ANNOTATED_CELLS = 60  # a map of more cells has no numbers in them
+MOST_WORDS = 48  # along a side of a map, which then grows no more
+NAME_INCHES = 0.175  # of a legend's rows
+DECADES = 30.0  # a metric whose means span more than this is drawn on a logarithmic scale
+
+
+class Table(NamedTuple):
+    """A summary, and which of its columns are what."""
+
+    columns: Mapping[str, list[Any]]
+    numeric: tuple[str, ...]  # varied keys with two or more numbers
+    named: tuple[str, ...]  # all other varied keys
+
+
+def lines(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str], title: str = "") -> Figure:
+    """A panel for each metric: its mean and band over the first key with numbers, a line for each combination of the others.
+
+    Where no key has numbers: points with error bars over the values of the first.
+    """
+    table = _sorted(summary, keys)
+    x_key = table.numeric[0] if table.numeric else next(iter(table.named), "")
+    others = [key for key in (*table.named, *table.numeric) if key != x_key]
+    with style():
+        across = min(len(metrics), 2)
+        down = math.ceil(len(metrics) / across)
+        wide = 6.4 if across == 1 else 9.6
+        figure = Figure(figsize=(wide, 0.9 + 3.1 * down), layout="constrained")
+        panels = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
+        groups = _groups(table, others)
+        for axes, metric in zip(panels, metrics, strict=False):
+            for index, (label, rows) in enumerate(groups.items()):
+                look = _look(index, len(groups), ordered=len(others) == 1 and others[0] in table.numeric)
+                if table.numeric:
+                    _line(axes, table, (x_key, metric), rows, {**look, "label": label})
+                else:
+                    spread = 0.5 * ((index + 0.5) / len(groups) - 0.5)
+                    _bars(axes, table, (x_key, metric), rows, spread, {**look, "label": label})
+            axes.set_ylabel(label_of(metric))
+            _scale(axes, table, metric)
+        _axis(panels, len(metrics), table, x_key)
+        _legend(figure, panels[0], others)
+        if title:
+            figure.suptitle(title)
+        return figure
+
+
+def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "") -> Figure | None:
+    """A metric over the first two keys with numbers, a panel for each combination of the others; None if there are no two.
+
+    Every cell is equally large, whatever the steps between values; the number in it is the mean.
+    """
+    table = _sorted(summary, keys)
+    if len(table.numeric) < 2:
+        return None
+    x_key, y_key = table.numeric[:2]
+    groups = _groups(table, (*table.named, *table.numeric[2:]))
+    xs, ys = (sorted(_distinct(table.columns[key])) for key in (x_key, y_key))
+    with style(MAP):
+        across = min(len(groups), 2)
+        down = math.ceil(len(groups) / across)
+        cell = 0.62 if len(xs) * len(ys) <= ANNOTATED_CELLS else 0.25
+        wide, high = (cell * min(len(values), MOST_WORDS) for values in (xs, ys))
+        size = (1.0 + across * (0.6 + max(3.0, wide)), 0.8 + down * (0.6 + max(2.2, 0.5 * high / 0.62)))
+        figure = Figure(figsize=size, layout="constrained")
+        panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+        norm = _norm(table, metric)
+        for axes, (label, rows) in zip(panels.ravel(), groups.items(), strict=False):
+            image = axes.pcolormesh(
+                np.arange(len(xs) + 1) - 0.5,
+                np.arange(len(ys) + 1) - 0.5,
+                _field(table, (x_key, y_key, metric), rows),
+                cmap=MAP_COLORS,
+                norm=norm,
+                edgecolor="white",
+                linewidth=0.8 if cell > 0.5 else 0.0,
+            )
+            if len(xs) * len(ys) <= ANNOTATED_CELLS:
+                _numbers(axes, image, _field(table, (x_key, y_key, metric), rows))
+            for axis, values in ((axes.xaxis, xs), (axes.yaxis, ys)):
+                every = math.ceil(len(values) / MOST_WORDS)
+                axis.set_ticks(range(0, len(values), every), _labels(values)[::every])
+            axes.tick_params(length=0)
+            axes.set_title(label)
+        for axes in panels.ravel()[len(groups) :]:
+            axes.set_visible(False)
+        bar = figure.colorbar(image, ax=panels, label=label_of(metric), pad=0.02)
+        if isinstance(norm, LogNorm):
+            _name_decades(bar.ax.yaxis, *image.get_clim())
+        figure.supxlabel(label_of(x_key), fontsize=9)
+        figure.supylabel(label_of(y_key), fontsize=9)
+        if title:
+            figure.suptitle(title)
+        return figure
+
+
+# --- panels ------------------------------------------------------------------------------------------------------------------
+
+
+def _line(axes: Axes, table: Table, what: tuple[str, str], rows: list[int], look: dict[str, Any]) -> None:
+    """Mean as a line, band as a shade; a point without a value leaves a gap."""
+    x, mean, low, high = _values(table, *what, rows)
+    axes.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0.0, zorder=2)
+    axes.plot(x, mean, markersize=3.5, zorder=3, **look)
+
+
+def _bars(axes: Axes, table: Table, what: tuple[str, str], rows: list[int], spread: float, look: dict[str, Any]) -> None:
+    """Means as points beside each other over the names of the first key."""
+    key, metric = what
+    shown = _distinct(table.columns[key]) if key else [""]
+    places = [shown.index(table.columns[key][row]) + spread if key else spread for row in rows]
+    _, mean, low, high = _values(table, "", metric, rows)
+    error = np.nan_to_num(np.array([mean - low, high - mean]))
+    axes.errorbar(places, mean, error, **{**look, "linestyle": ""}, capsize=3, markersize=5, zorder=3)
+
+
+def _values(table: Table, key: str, metric: str, rows: list[int]) -> tuple[Array, Array, Array, Array]:
+    parts = (table.columns[f"{metric}.{part}"] for part in ("mean", "low", "high"))
+    mean, low, high = (np.array([part[row] for row in rows], float) for part in parts)
+    x = np.array([table.columns[key][row] if key else 0.0 for row in rows], float)
+    return x, mean, low, high
+
+
+def _scale(axes: Axes, table: Table, metric: str) -> None:
+    values = np.array(table.columns[f"{metric}.mean"], float)
+    values = values[np.isfinite(values)]
+    if not len(values):
+        axes.annotate("no run has a value", (0.5, 0.5), xycoords="axes fraction", ha="center", color="0.4")
+    elif values.min() > 0.0 and values.max() > DECADES * values.min():
+        axes.set_yscale("log")
+        _name_decades(axes.yaxis, values.min(), values.max())
+    elif values.min() >= 0.0:
+        axes.set_ylim(bottom=0.0)
+
+
+def _axis(panels: Any, shown: int, table: Table, key: str) -> None:
+    """The horizontal axis: named under the lowest panel of each column; names of a key without numbers are its ticks."""
+    columns = min(shown, 2)
+    for index, axes in enumerate(panels):
+        axes.set_visible(index < shown)
+        if index + columns >= shown:
+            axes.set_xlabel(label_of(key) if key else "")
+            axes.tick_params(labelbottom=True)
+        if not table.numeric:
+            names = _labels(_distinct(table.columns[key])) if key else ["all runs"]
+            axes.set_xticks(range(len(names)), names)
+            axes.set_xlim(-0.5, len(names) - 0.5)
+            axes.grid(visible=False, axis="x")
+
+
+def _legend(figure: Figure, axes: Axes, others: Sequence[str]) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    if not others:
+        return
+    title = ", ".join(label_of(key) for key in others)
+    if len(labels) <= 6:
+        figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), title=title, alignment="left")
+    else:
+        room = int((figure.get_figheight() - 0.6) / NAME_INCHES)
+        if len(labels) > room:
+            handles = [*handles[: room - 1], Line2D([], [], linestyle="")]
+            labels = [*labels[: room - 1], f"and {len(labels) - room + 1} more"]
+        figure.legend(handles, labels, loc="outside right upper", title=title, alignment="left")
+
+
+def _look(index: int, count: int, *, ordered: bool) -> dict[str, Any]:
+    """Colour and marker of a line: from dark to light where the lines have an order, else as vehicles are told apart."""
+    if ordered:
+        shade = mpl.colormaps["viridis"](0.9 * index / max(1, count - 1))
+        return {"color": shade, "marker": marker_of(index)}
+    return {"color": color_of(index), "marker": marker_of(index)}
+
+
+def _field(table: Table, what: tuple[str, str, str], rows: list[int]) -> Array:
+    """Means as a grid, NaN where there is none."""
+    x_key, y_key, metric = what
+    xs, ys = (sorted(_distinct(table.columns[key])) for key in (x_key, y_key))
+    field = np.full((len(ys), len(xs)), np.nan)
+    for row in rows:
+        mean = table.columns[f"{metric}.mean"][row]
+        field[ys.index(table.columns[y_key][row]), xs.index(table.columns[x_key][row])] = math.nan if mean is None else mean
+    return field
+
+
+def _name_decades(axis: Axis, low: float, high: float) -> None:
+    """Numbers instead of powers, between the decades as well where these are few."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1e3 * low else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _norm(table: Table, metric: str) -> Normalize:
+    values = np.array(table.columns[f"{metric}.mean"], float)
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return Normalize(0.0, 1.0)
+    if values.min() > 0.0 and values.max() > DECADES * values.min():
+        return LogNorm(values.min(), values.max())
+    return Normalize(min(0.0, values.min()), values.max() or 1.0)
+
+
+def _numbers(axes: Axes, image: Any, field: Array) -> None:
+    for (row, column), value in np.ndenumerate(field):
+        if np.isfinite(value):
+            red, green, blue, _ = image.cmap(image.norm(value))
+            dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+            color = "white" if dark else "black"
+            axes.annotate(f"{value:.2g}", (column, row), ha="center", va="center", fontsize=7, color=color)
+
+
+# --- tables ------------------------------------------------------------------------------------------------------------------
+
+
+def _sorted(summary: pa.Table, keys: Sequence[str]) -> Table:
+    """Rows in the order of all numbers, names in the order in which they come; keys of a single value are left out."""
+    columns = summary.to_pydict()
+    varied = [key for key in keys if len(_distinct(columns[key])) > 1]
+    numeric = tuple(key for key in varied if all(_is_number(value) for value in columns[key]))
+    order = sorted(range(summary.num_rows), key=lambda row: [columns[key][row] for key in numeric])
+    names = {key: _distinct(columns[key]) for key in varied if key not in numeric}
+    order.sort(key=lambda row: [names[key].index(columns[key][row]) for key in names])
+    return Table({name: [values[row] for row in order] for name, values in columns.items()}, numeric, tuple(names))
+
+
+def _groups(table: Table, others: Sequence[str]) -> dict[str, list[int]]:
+    """Which rows belong to which combination of the other keys."""
+    found: dict[str, list[int]] = {}
+    columns = [table.columns[key] for key in others]
+    words = [dict(zip(values, _labels(values), strict=True)) for values in map(_distinct, columns)]
+    for row in range(len(table.columns["n"])):
+        found.setdefault(", ".join(own[column[row]] for own, column in zip(words, columns, strict=True)), []).append(row)
+    return found
+
+
+def _distinct(values: Sequence[Any]) -> list[Any]:
+    """Each value once, in the order in which they come."""
+    found: list[Any] = []
+    for value in values:
+        if value not in found:
+            found.append(value)
+    return found
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _labels(values: Sequence[Any]) -> list[str]:
+    """How values that differ are named: tables by their kinds, numbers by six digits, as far as these differ."""
+    kinds = [kind for value in values if isinstance(kind := _kind(value), str)]
+    short = [_short(value) for value in values]
+    return next((names for names in (kinds, short) if len(set(names)) == len(values)), [str(value) for value in values])
+
+
+def _kind(value: Any) -> Any:
+    """What a table says it is."""
+    with contextlib.suppress(ValueError):  # a text may begin like a table
+        if isinstance(value, str) and value.startswith("{"):
+            return json.loads(value).get("kind")
+    return None
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, int | float) else str(value)

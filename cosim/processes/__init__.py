@@ -1,0 +1,1 @@
+"""Processes of this machine: child processes, local links, a pool of workers."""

@@ -1,0 +1,222 @@
+"""A function called many times on this machine, in processes: one that dies costs one call.
+
+Workers are started afresh, each by itself, and a thread waits for each. They are interpreters of their own rather than children
+of `multiprocessing`, which would import the caller's script once more in each of them. Functions, what they are given and what
+they give travel as pickles.
+"""
+
+import contextlib
+import json
+import os
+import pickle
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing.connection import Connection
+from typing import Any
+
+from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.processes.child_process import BOOT
+
+ATTEMPTS = 2
+READY = "ready"
+Asked = tuple[Any, Any]  # the caller's name for a call, and what the function is given
+Answered = tuple[Any, Any]  # the same name, and what the function gave
+
+
+class WorkerDiedError(Exception):
+    """The process ended in the middle of a call."""
+
+
+class Worker:
+    """A process that makes one call after the other.
+
+    Args:
+        call: a function of a module, or a `functools.partial` of one.
+    """
+
+    def __init__(self, call: Callable[[Any], Any]) -> None:
+        # The worker looks for modules where this process does. A group of its own keeps Ctrl-C away from it.
+        command = [sys.executable, "-P", "-c", BOOT.format(module="vcmvsp.cosim.processes.worker_pool")]
+        try:
+            ours, theirs = socket.socketpair()
+            self._pipe: Connection[Any, Any] = Connection(ours.detach())
+            with theirs:
+                self._process = subprocess.Popen(command, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, process_group=0)
+            os.write(self._pipe.fileno(), json.dumps(sys.path).encode() + b"\n")
+        except OSError as error:
+            raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
+        try:
+            ready = self.run(call)
+        except WorkerDiedError:
+            ready = None
+        if ready != READY:
+            self.close()
+            if self._process.returncode == -signal.SIGKILL:  # somebody else's doing: like one that is killed later
+                raise WorkerDiedError
+            raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
+
+    def run(self, given: Any) -> Any:
+        """What the function gives, or raises.
+
+        Raises:
+            WorkerDiedError: the process was killed, or crashed.
+        """
+        asked = pickle.dumps(given)
+        try:
+            self._pipe.send_bytes(asked)
+            answer = self._pipe.recv_bytes()
+        except (EOFError, OSError) as error:
+            raise WorkerDiedError from error
+        raised, value = pickle.loads(answer)  # noqa: S301  by a process of our own
+        if raised:
+            raise value
+        return value
+
+    def close(self) -> None:
+        """End it, whatever it is doing; hosts of agents that it has started end by themselves then."""
+        self._process.kill()
+        self._process.wait()
+        self._pipe.close()
+
+    def kill(self) -> None:
+        """End it while another thread waits for its answer."""
+        self._process.kill()
+
+
+class Pool:
+    """Workers of this machine. Use it as a context manager: leaving it ends them.
+
+    Args:
+        call: a function of a module, or a `functools.partial` of one.
+        jobs: how many calls are made at once.
+        died: what a call gives whose worker died, twice; an error is raised.
+    """
+
+    def __init__(self, call: Callable[[Any], Any], jobs: int, *, died: Any) -> None:
+        self._call, self._jobs, self._died = call, jobs, died
+        self._lock, self._stopped = threading.Lock(), False
+        self._threads: list[threading.Thread] = []
+        self._workers: set[Worker] = set()
+        self._answers: queue.SimpleQueue[Answered | BaseException] = queue.SimpleQueue()
+
+    def __enter__(self) -> "Pool":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._stopped = True
+            for worker in self._workers:
+                worker.kill()
+        for thread in self._threads:
+            thread.join()
+
+    def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
+        """What these ``count`` calls give, in the order in which it becomes known; the first that raises ends it."""
+        source = iter(asked)
+        for _ in range(min(self._jobs, count)):
+            self._threads.append(threading.Thread(target=self._serve, args=(source,), daemon=True))
+            self._threads[-1].start()
+        for _ in range(count):
+            answer = self._answers.get()
+            if isinstance(answer, BaseException):
+                raise answer
+            yield answer
+
+    def _serve(self, source: Iterator[Asked]) -> None:
+        """Keep one worker busy until nothing is left."""
+        worker: Worker | None = None
+        try:
+            while (each := self._next(source)) is not None:
+                name, given = each
+                answer = self._died
+                for _ in range(ATTEMPTS):
+                    try:
+                        worker = worker or self._started()
+                        answer = worker.run(given)
+                        break
+                    except WorkerDiedError:
+                        self._left(worker)
+                        worker = None
+                self._answers.put(answer if isinstance(answer, BaseException) else (name, answer))
+        except BaseException as error:  # for the main thread to raise
+            self._answers.put(error)
+        finally:
+            self._left(worker)
+
+    def _next(self, source: Iterator[Asked]) -> Asked | None:
+        with self._lock:
+            return None if self._stopped else next(source, None)
+
+    def _started(self) -> Worker:
+        if self._stopped:
+            raise WorkerDiedError
+        worker = Worker(self._call)
+        with self._lock:
+            self._workers.add(worker)
+            if self._stopped:
+                worker.kill()
+        return worker
+
+    def _left(self, worker: Worker | None) -> None:
+        if worker is not None:
+            with self._lock:
+                self._workers.discard(worker)
+            worker.close()
+
+
+def cores() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+# --- in the worker ----------------------------------------------------------------------------------------------------------
+
+
+def main() -> int:
+    """Entry point of a worker process: a function comes in first, then what it is to be given, again and again."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's to handle; it ends its workers
+    pipe: Connection[Any, Any] = Connection(os.dup(0))
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # nothing that a call starts holds our end, or reads from it
+    lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(pipe, lines), daemon=True).start()
+    call = pickle.loads(lines.get())  # noqa: S301  from the process that started us
+    pipe.send_bytes(pickle.dumps((False, READY)))
+    while True:
+        pipe.send_bytes(_answer(call, lines.get()))
+
+
+def _read(pipe: "Connection[Any, Any]", lines: "queue.SimpleQueue[bytes]") -> None:
+    """Take calls; leave at once, in the middle of one too, when the caller's process is gone: its end of the pipe closes."""
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            lines.put(pipe.recv_bytes())
+    os._exit(0)
+
+
+def _answer(call: Callable[[Any], Any], given: bytes) -> bytes:
+    try:
+        return pickle.dumps((False, call(pickle.loads(given))))  # noqa: S301
+    except Exception as error:
+        return pickle.dumps((True, _portable(error)))
+
+
+def _portable(error: Exception) -> Exception:
+    """The error, where it can be sent; what it says otherwise."""
+    if not isinstance(error, VcmvspError):
+        error.add_note("".join(traceback.format_exception(error)))
+    try:
+        pickle.loads(pickle.dumps(error))  # noqa: S301
+    except Exception:  # an error need not be made for it, nor what it holds
+        kind = "" if isinstance(error, VcmvspError) else f"{type(error).__name__}: "
+        return VcmvspError(f"{kind}{error}")
+    return error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,247 @@
+"""What is kept of a run for its two tables, its numbers and its digest; nothing of it is written while the run goes on.
+
+A value is taken by its type (`Kept.takers`). What is in neither table counts in the digest as MessagePack, in the order in
+which it came: most types just as they are (`PACKED`), arrays by their bytes.
+"""
+
+import functools
+import hashlib
+import math
+import struct
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.federate import RunInfo
+from vcmvsp.cosim import metrics
+from vcmvsp.cosim.recording.digest import digest
+from vcmvsp.cosim.tables.radio_frames import Frames
+from vcmvsp.cosim.tables.schema import Placement, RunFacts, radio_table, states_table, write_table
+from vcmvsp.cosim.types import (
+    Changed,
+    Contact,
+    Fix,
+    Follows,
+    FrameReport,
+    Halted,
+    Image,
+    Imu,
+    Incident,
+    Looks,
+    Measured,
+    Message,
+    Mosaic,
+    Moved,
+    Note,
+    Odometry,
+    Outage,
+    Presence,
+    ProbabilityMap,
+    Pushed,
+    RealStatus,
+    Routed,
+    Scan,
+    Sightings,
+    States,
+    Traffic,
+    Velocity,
+    Waypoint,
+)
+
+Take = Callable[[str, int, Any], None]
+"""What is done with a value, given its key and its time (ns)."""
+PACKED = (
+    *(Changed, Contact, Fix, Follows, Halted, Imu, Incident, Measured, Message, Moved, Note, Odometry, Outage, Presence),
+    *(RealStatus, Velocity, Waypoint),
+)
+"""Types that count in the digest as they are: whoever takes events adds these to `Kept.packed`, as key, time and value."""
+HASHED_BYTES = 1 << 16  # so many are hashed together
+_COMMAND = struct.Struct("<5d").pack  # time ns, velocity m/s, yaw rate rad/s: an array's own `extend` takes twice as long
+
+
+class Kept:
+    """Collects as a run goes on; tables and numbers are made once it is over.
+
+    Args:
+        run: what the federates are told of the run.
+        agents: whose ticks the age of information is measured at.
+        world: what the vehicles move in; None: nothing is told of how near they came to it.
+    """
+
+    def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: Any = None) -> None:
+        self._run, self._world = run, world
+        self._ticks = {agent.vehicle: agent.ticks for agent in agents}
+        self._rows: list[tuple[int, States]] = []
+        self._frames = Frames(run.vehicles)
+        self.follows: list[Placement] = []  # who means to keep which place, and from when on
+        self._noted, self._mission = metrics.Noted(), metrics.Mission()
+        self._routing = metrics.Routing(run.vehicles)
+        self._commands = {name: bytearray() for name in run.vehicles}  # `_COMMAND`, one behind the other
+        self._presences: list[tuple[str, Presence]] = []
+        self._statuses: dict[str, list[tuple[int, RealStatus]]] = {}  # of real vehicles
+        self._incidents: list[tuple[str, Incident]] = []
+        self._fixes: Counter[str] = Counter()
+        self._collisions = 0
+        self.packed = bytearray()  # what is in no table, since it was hashed last
+        self._others = hashlib.sha256()  # of all before
+        self._tables: tuple[pa.Table, pa.Table] | None = None
+        self.takers: dict[type, Take] = {
+            FrameReport: self._take_frame,
+            Traffic: self._take_traffic,
+            Routed: self._take_routed,
+            Follows: self._take_follows,
+            Note: self._take_note,
+            Velocity: self._take_velocity,
+            Waypoint: self._take_waypoint,
+            Contact: self._take_contact,
+            Presence: self._take_presence,
+            RealStatus: self._take_status,
+            Incident: self._take_incident,
+            Fix: self._take_fix,
+            Scan: self._take_scan,
+            Pushed: self._take_pushed,
+            Image: self._take_image,
+            Looks: self._take_cells,
+            **dict.fromkeys((ProbabilityMap, Sightings, Mosaic), self._take_shown),
+        }
+
+    def take_states(self, time_ns: int, states: States) -> None:
+        """The true states of an instant that is recorded."""
+        self._rows.append((time_ns, states))
+
+    def hash_much(self) -> None:
+        """Hash what is packed, if that is much: for little at a time it takes as long again as to pack it."""
+        if len(self.packed) > HASHED_BYTES:
+            self._hash()
+
+    def facts(self, end_ns: int) -> RunFacts:
+        """What the tables do not say of a run that lasted until ``end_ns``."""
+        run = self._run
+        return RunFacts(scenario=run.scenario, seed=run.seed, end_ns=end_ns, vehicles=run.vehicles, follows=tuple(self.follows))
+
+    def tables(self, end_ns: int) -> tuple[pa.Table, pa.Table]:
+        """True states and frames (`cosim.tables.schema`) of a run that is over; what they are made of is given up."""
+        if self._tables is None:
+            facts = self.facts(end_ns)
+            self._tables = states_table(self._rows, facts), radio_table(self._frames, facts)
+            self._rows.clear()
+            if self._routing:
+                self._tables = self._tables[0], self._routing.told(self._tables[1])
+        return self._tables
+
+    def write_tables(self, folder: Path, end_ns: int) -> None:
+        """Write ``states.parquet`` and ``radio.parquet``."""
+        for table, name in zip(self.tables(end_ns), ("states", "radio"), strict=True):
+            write_table(table, folder / f"{name}.parquet")
+
+    def metrics(self, window: metrics.Window, end_ns: int) -> dict[str, Any]:
+        """The numbers of a run that is over (`cosim.metrics`)."""
+        states, radio = self.tables(end_ns)
+        self._hash()
+        moved, got = metrics.motion(states), metrics.receptions(radio)
+        vehicles, follows, targets = self._run.vehicles, self.follows, () if self._world is None else self._world.targets
+        ages = metrics.age_metrics(metrics.informed(radio, got), follows, self._ticks, window, end_ns)
+        hardware = metrics.hardware_metrics(self._statuses, self._incidents, self._fixes, got)
+        mission = self._mission.metrics(moved, targets)
+        commands = {name: np.frombuffer(rows).reshape(-1, 5) for name, rows in self._commands.items()}
+        return {
+            "schema": metrics.SCHEMA,
+            "scenario": self._run.scenario,
+            "seed": self._run.seed,
+            "duration_s": end_ns / SECOND_NS,
+            "formation": metrics.formation_metrics(moved, follows, window, self._noted, end_ns),
+            "radio": metrics.radio_metrics(radio, ages, end_ns),
+            **({"routing": self._routing.metrics()} if self._routing else {}),
+            "control": metrics.control_metrics(commands, vehicles, window, end_ns),
+            "connectivity": metrics.connectivity_metrics(got, vehicles, window, end_ns),
+            "agents": metrics.agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
+            **({"hardware": hardware} if self._statuses else {}),
+            "safety": metrics.safety_metrics(moved, self._collisions, self._world),
+            **({} if mission is None else {"mission": mission}),
+            "digest": digest([states, radio], self._others.digest()),
+        }
+
+    def _take_frame(self, key: str, time_ns: int, report: FrameReport) -> None:
+        self._frames.extend((report,))
+
+    def _take_traffic(self, key: str, time_ns: int, traffic: Traffic) -> None:
+        self._frames.extend(traffic.reports)
+
+    def _take_routed(self, key: str, time_ns: int, routed: Routed) -> None:
+        """Whose message each frame carried is in the table of frames."""
+        self._routing.take(routed)
+
+    def _take_follows(self, key: str, time_ns: int, follows: Follows) -> None:
+        vehicle = vehicle_of(key)
+        if follows.leader is not None and follows.leader not in self._run.vehicles:
+            known = ", ".join(self._run.vehicles)
+            raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is no vehicle of this run ({known})")
+        self.follows.append(Placement(time_ns, vehicle, follows))
+
+    def _take_note(self, key: str, time_ns: int, note: Note) -> None:
+        vehicle = vehicle_of(key)
+        self._noted.take(vehicle, time_ns, note.values)
+        self._mission.take(vehicle, time_ns, note.values)
+
+    def _take_velocity(self, key: str, time_ns: int, command: Velocity) -> None:
+        x, y, z = command.linear
+        rows = self._commands[vehicle_of(key)]
+        rows += _COMMAND(time_ns, x, y, z, command.yaw_rate)
+
+    def _take_waypoint(self, key: str, time_ns: int, command: Waypoint) -> None:
+        """No velocity is commanded from now on."""
+        rows = self._commands[vehicle_of(key)]
+        rows += _COMMAND(time_ns, math.nan, math.nan, math.nan, math.nan)
+
+    def _take_contact(self, key: str, time_ns: int, contact: Contact) -> None:
+        self._collisions += 1
+
+    def _take_presence(self, key: str, time_ns: int, presence: Presence) -> None:
+        vehicle = vehicle_of(key)
+        self._presences.append((vehicle, presence))
+        (self._mission.come_back if presence.state == "back" else self._mission.leave)(vehicle, time_ns)
+
+    def _take_status(self, key: str, time_ns: int, status: RealStatus) -> None:
+        self._statuses.setdefault(vehicle_of(key), []).append((time_ns, status))
+
+    def _take_incident(self, key: str, time_ns: int, incident: Incident) -> None:
+        self._incidents.append((vehicle_of(key), incident))
+
+    def _take_fix(self, key: str, time_ns: int, fix: Fix) -> None:
+        self._fixes[vehicle_of(key)] += 1
+
+    def _take_scan(self, key: str, time_ns: int, scan: Scan) -> None:
+        self.packed += encode((key, time_ns, scan.time_ns)) + scan.ranges.tobytes()
+
+    def _take_pushed(self, key: str, time_ns: int, pushed: Pushed) -> None:
+        self.packed += encode((key, time_ns)) + pushed.position.tobytes() + pushed.attitude.tobytes()
+
+    def _take_image(self, key: str, time_ns: int, image: Image) -> None:
+        self.packed += encode((key, time_ns, image.time_ns)) + image.pixels.tobytes()
+        self.hash_much()
+
+    def _take_cells(self, key: str, time_ns: int, value: Looks | ProbabilityMap | Sightings | Mosaic) -> None:
+        self.packed += encode((key, time_ns, value))  # the bytes of arrays and pictures
+        self.hash_much()
+
+    def _take_shown(self, key: str, time_ns: int, value: ProbabilityMap | Sightings | Mosaic) -> None:
+        self._take_cells(key, time_ns, value)
+        self._mission.see(vehicle_of(key), value)
+
+    def _hash(self) -> None:
+        self._others.update(self.packed)
+        self.packed.clear()
+
+
+@functools.cache
+def vehicle_of(key: str) -> str:
+    """Whose key it is."""
+    return key.partition("/")[0]

@@ -1,0 +1,112 @@
+"""What came into a run from outside, kept so that the run can be made again: ``hardware.mcap``.
+
+Real vehicles and programs outside make a run unlike any other: what they did is not to be had from scenario and seed. So
+everything that they told is kept here, at its time and to the last bit, as MessagePack (`cosim.util.codec`) in an MCAP file.
+``run.mcap`` is for people and viewers; this file is for `cosim.runs.replay`.
+
+=======================  ==========================================================================================
+``<vehicle>/<topic>``    an event that the vehicle gave: its estimate, odometry, fixes, readings, how it stands
+``<vehicle>/reflected``  how physics was told that it moves, at each instant that physics asked (`cosim.kernel.external_vehicles`)
+``bridge/sent``          what programs handed to radios: numbers, sizes and times (`Datagrams`)
+=======================  ==========================================================================================
+"""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.codec import Decoder, encode
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.recording.encoding import Form, Schema
+from vcmvsp.cosim.recording.mcap_file import McapLog, messages
+from vcmvsp.cosim.types import AnyValue, Later
+
+FILE = "hardware.mcap"
+REFLECTED = "reflected"  # the topic of what physics was told
+LOST_NS = SECOND_NS  # what the file of a killed process lacks at most
+
+Input = tuple[str, int, AnyValue]
+"""Key, time (ns) and value."""
+
+
+def schema_of(kind: type) -> Schema:
+    """The fields of a value and their types, in words."""
+    fields = "\n".join(f"{name}: {_words(hint)}" for name, hint in get_type_hints(kind).items() if not name.startswith("__"))
+    text = f"A MessagePack map of these fields and 'type'; an array is [dtype of NumPy, shape, bytes].\n{fields}\n"
+    return Schema(f"vcmvsp.{kind.__name__}", "x-text", text.encode())
+
+
+def encode_into(value: AnyValue, buffer: bytearray, place: int) -> None:
+    """Have the buffer end with the value's bytes, which begin at or behind its present end."""
+    data = encode(value)
+    buffer += bytes(place - len(buffer)) + data
+
+
+MSGPACK = Form("msgpack", encode_into, schema_of)
+
+
+class InputLog:
+    """Writes the file as the run goes on: a crash takes the last second with it, and no more.
+
+    Args:
+        stream: an open binary stream, which stays its owner's; None: keep it in memory (`content`).
+    """
+
+    def __init__(self, stream: BinaryIO | None) -> None:
+        self._memory = io.BytesIO() if stream is None else None
+        self._log = McapLog(stream or self._memory, {"content": "inputs"}, MSGPACK)  # type: ignore[arg-type]  # one is there
+        self._due_ns, self._open = LOST_NS, True
+
+    def on(self, key: str, time_ns: int, value: AnyValue) -> None:
+        """Keep a value; times never decrease."""
+        if time_ns >= self._due_ns:
+            self._log.flush()
+            self._due_ns = time_ns + LOST_NS
+        self._log.write(key, time_ns, value.get() if isinstance(value, Later) else value)
+
+    def close(self) -> None:
+        """Finish the file. May be called again."""
+        if self._open:
+            self._log.finish()
+            self._open = False
+
+    @property
+    def content(self) -> bytes:
+        """The file, where it is kept in memory."""
+        return b"" if self._memory is None else self._memory.getvalue()
+
+
+def read_inputs(path: str | Path, *, tell: Callable[[str], None] = lambda _: None) -> list[Input]:
+    """Everything that such a file holds, in its order; of a damaged one what comes before the damage.
+
+    Args:
+        path: of the file.
+        tell: takes a line for the user: that it is damaged, and how far it goes.
+
+    Raises:
+        UsageError: there is no such file, or nothing in it can be read.
+    """
+    decoder: Decoder[Any] = Decoder(AnyValue)
+    inputs: list[Input] = []
+    try:
+        with Path(path).open("rb") as stream:
+            for key, time_ns, data in messages(stream):
+                inputs.append((key, time_ns, decoder.decode(data)))
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+    except ValueError as error:
+        if not inputs:
+            raise UsageError(f"{path}: nothing in it can be read ({error})") from error
+        tell(f"{path} is damaged ({error}): what it tells ends at {inputs[-1][1] / SECOND_NS:.3f} s")
+    return inputs
+
+
+def _words(hint: Any) -> str:
+    """A type as it is written."""
+    if "ndarray" in str(hint):
+        return "array" if get_origin(hint) is np.ndarray else "array | None"
+    return hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint).replace("typing.", "")

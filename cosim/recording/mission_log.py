@@ -1,0 +1,145 @@
+"""What a reconnaissance showed, read back from its ``run.mcap``: for pictures that are drawn after the run.
+
+Read back and not kept, a run costs no memory for pictures that nobody may want, and a saved one can be drawn again. What is
+held here is bounded, however long the run: of maps and camera pictures no more than `FRAMES` of each vehicle, evenly in time.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.recording.recorded_run import Noted
+from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid, ImageAnnotations
+from vcmvsp.cosim.recording.mcap_file import messages
+from vcmvsp.cosim.metrics import Mission
+from vcmvsp.cosim.types import Array, Mosaic, Presence, ProbabilityMap, Sightings
+
+FRAMES = 450
+
+_read_grid = msgspec.json.Decoder(Grid).decode
+_read_sightings = msgspec.json.Decoder(ImageAnnotations).decode
+_read_picture = msgspec.json.Decoder(CompressedImage).decode
+_read_note = msgspec.json.Decoder(Noted).decode
+_read_presence = msgspec.json.Decoder(Presence).decode
+
+
+@dataclass
+class MissionLog:
+    """What the vehicles showed and noted; times are those at which they did, ns.
+
+    Attributes:
+        vehicles: of the run, in its order.
+        end_ns: how long it lasted.
+        noted: who commanded when, and what was found.
+        maps: by vehicle, the newest in each of `FRAMES` parts of the run.
+        sightings: by vehicle: all in which something was recognised, and those with a picture. Of the pictures there is one in
+            each part of the run: the last that shows something recognised, or the last.
+        mosaics: the newest of each vehicle.
+    """
+
+    vehicles: tuple[str, ...]
+    end_ns: int
+    noted: Mission = field(default_factory=Mission)
+    maps: dict[str, list[tuple[int, ProbabilityMap]]] = field(default_factory=dict)
+    sightings: dict[str, list[tuple[int, Sightings]]] = field(default_factory=dict)
+    mosaics: dict[str, Mosaic] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.noted or self.maps or self.sightings or self.mosaics)
+
+    def part(self, time_ns: int) -> int:
+        """In which part of the run a time lies."""
+        return time_ns * FRAMES // max(self.end_ns + 1, FRAMES)
+
+
+def read_mission(stream: BinaryIO, vehicles: tuple[str, ...], end_ns: int) -> MissionLog:
+    """What is in a recording; of a damaged one what comes before the damage."""
+    log = MissionLog(vehicles, end_ns)
+    for topic, time_ns, data in _undamaged(stream):
+        vehicle, _, what = topic.partition("/")
+        if vehicle in vehicles:
+            _take(log, vehicle, what, time_ns, data)
+    for vehicle, seen in log.sightings.items():
+        log.sightings[vehicle] = [each for each in seen if each[1].found or each[1].jpeg]
+    return log
+
+
+def surest_map(log: MissionLog, now_ns: int) -> tuple[ProbabilityMap | None, Array]:
+    """Of each cell, the probability that is furthest from one half among the vehicles' maps of that time, in 255ths.
+
+    The maps of one grid, that of the first vehicle that has a map; and that map, which says where it lies.
+    """
+    newest = [[shown for time_ns, shown in maps if time_ns <= now_ns][-1:] for maps in log.maps.values()]
+    maps = [shown for each in newest for shown in each]
+    if not maps:
+        return None, np.zeros((0, 0), np.uint8)
+    same = [each for each in maps if _grid_of(each) == _grid_of(maps[0])]
+    values = np.stack([each.probability for each in same])
+    sure = np.abs(2 * values.astype(int) - 255).argmax(axis=0)
+    return maps[0], np.take_along_axis(values, sure[None], axis=0)[0]
+
+
+def _undamaged(stream: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
+    with contextlib.suppress(ValueError):
+        yield from messages(stream)
+
+
+def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -> None:
+    match what:
+        case "note":
+            log.noted.take(vehicle, time_ns, _read_note(data).values)
+        case "host":
+            back = _read_presence(data).state == "back"
+            (log.noted.come_back if back else log.noted.leave)(vehicle, time_ns)
+        case "map":
+            _take_map(log, vehicle, time_ns, data)
+        case "mosaic":
+            grid = _read_grid(data)
+            log.mosaics[vehicle] = Mosaic(**_place(grid), pixels=grid.cells[..., :3])
+        case "sightings":
+            _take_sightings(log, vehicle, time_ns, data)
+        case "sightings/picture":
+            _take_picture(log, vehicle, data)
+
+
+def _take_map(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
+    grid, maps = _read_grid(data), log.maps.setdefault(vehicle, [])
+    if maps and log.part(maps[-1][0]) == log.part(time_ns):
+        maps.pop()
+    values = grid.cells
+    shown = ProbabilityMap(**_place(grid), probability=values[..., 0], seen=values[..., 1] != 0)
+    maps.append((time_ns, shown))
+
+
+def _take_sightings(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
+    said, seen = _read_sightings(data), log.sightings.setdefault(vehicle, [])
+    if seen and not (seen[-1][1].found or seen[-1][1].jpeg):  # nothing to show
+        seen.pop()
+    value = Sightings(sensor=said.sensor, time_ns=said.time_ns, width=said.width, height=said.height, found=said.found)
+    seen.append((time_ns, value))
+
+
+def _take_picture(log: MissionLog, vehicle: str, data: bytes) -> None:
+    """The picture of the newest sightings, unless a better one of the same part of the run is there; a worse one goes."""
+    seen = log.sightings[vehicle]
+    time_ns, newest = seen[-1]
+    for place in range(len(seen) - 2, -1, -1):
+        before_ns, before = seen[place]
+        if log.part(before_ns) != log.part(time_ns):
+            break
+        if before.jpeg and before.found and not newest.found:
+            return
+        seen[place] = before_ns, msgspec.structs.replace(before, jpeg=b"")
+    seen[-1] = time_ns, msgspec.structs.replace(newest, jpeg=_read_picture(data).data)
+
+
+def _place(grid: Grid) -> dict[str, float]:
+    return {"left": grid.pose.position.x, "bottom": grid.pose.position.y, "cell_m": grid.cell_size.x}
+
+
+def _grid_of(shown: ProbabilityMap) -> tuple[float, ...]:
+    return shown.left, shown.bottom, shown.cell_m, *shown.probability.shape

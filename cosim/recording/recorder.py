@@ -1,0 +1,195 @@
+"""The recorder: sees every event of a run once, in order of time, and keeps what the run leaves.
+
+An event is handled by the type of its value. It is taken for tables, numbers and digest (`cosim.recording.accumulators`), and it becomes
+a message of ``run.mcap`` under its key (`cosim.recording.run_mcap`), with these differences, which make the file small and a viewer
+useful:
+
+- ``world/states`` is kept at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
+- ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
+- ``world/scene`` draws a body per vehicle, the place that each follower means to keep and, once a second, the world's targets;
+  ``world/solids`` all that stands still, ``world/moving`` the frames of obstacles;
+- maps, mosaics and sightings become grids and annotated pictures (`cosim.recording.foxglove.agent_displays`).
+
+An event of a type that nobody knows is written as it is.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import msgspec
+import pyarrow as pa
+
+from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim import metrics
+from vcmvsp.cosim.recording import event_text
+from vcmvsp.cosim.recording.foxglove.messages import to_json
+from vcmvsp.cosim.recording.accumulators import PACKED, Kept, Take, vehicle_of
+from vcmvsp.cosim.tables.schema import Placement, RunFacts
+from vcmvsp.cosim.recording.run_mcap import Viewer
+from vcmvsp.cosim.types import Changed, Contact, Halted, Incident, Later, Moved, Outage, Presence, States
+
+
+class Way(NamedTuple):
+    """What is done with values of a type, in this order."""
+
+    take: Take | None  # for tables and numbers
+    is_packed: bool  # for the digest
+    write: Take  # into ``run.mcap``
+
+
+class Recorder:
+    """Keeps the tables and, where a stream is given, the MCAP file of one run.
+
+    Args:
+        run: what the federates are told of the run.
+        record_ticks: when true states are recorded; the run's end always is.
+        mcap: an open binary stream for the MCAP file, or None. It stays the caller's to close.
+        agents: whose ticks the age of information is measured at.
+        radius_m: radius of each vehicle's body, for drawing.
+        sensors: whose readings are recorded although they are worked out on demand, by name; ``*``: all.
+        world: what the vehicles move in; None: nothing is told of how near they came to it.
+        tell: takes lines for the user: which agent was lost, and which is back.
+    """
+
+    def __init__(
+        self,
+        run: RunInfo,
+        *,
+        record_ticks: Ticks,
+        mcap: BinaryIO | None,
+        agents: Sequence[AgentInfo],
+        radius_m: Mapping[str, float],
+        sensors: Sequence[str] = (),
+        world: Any = None,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._tell, self._record_ticks, self._sensors = tell, record_ticks, frozenset(sensors)
+        self._now, self._is_closed = 0, False
+        self._latest: tuple[int, States] | None = None
+        self._kept = Kept(run, agents, world)
+        self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world)
+        self._write: Take = _nowhere if self._viewer is None else self._viewer.write
+        self._pack = msgspec.msgpack.Encoder(enc_hook=to_json).encode_into
+        self._packed = self._kept.packed
+        self._as_it_is = Way(None, False, self._write)
+        takers = self._kept.takers | {States: self._take_states}
+        writers: dict[type, Take] = {
+            **({} if self._viewer is None else self._viewer.putters),
+            States: _nowhere,
+            Later: self._write_later,
+            Contact: self._write_contact,
+            Presence: self._write_presence,
+            Incident: self._write_incident,
+            **dict.fromkeys((Outage, Halted, Moved, Changed), self._write_intervention),
+        }
+        self._ways = {
+            kind: Way(takers.get(kind), kind in PACKED, writers.get(kind, self._write)) for kind in (*takers, *PACKED, *writers)
+        }
+
+    def on(self, event: Event) -> None:
+        """Take an event at its own time; times never decrease."""
+        key, time_ns, value = event.key, event.time_ns, event.value
+        if time_ns != self._now:
+            self._advance(time_ns)
+        take, is_packed, write = self._ways.get(type(value), self._as_it_is)
+        if take is not None:
+            take(key, time_ns, value)
+        if is_packed:
+            self._pack(event, self._packed, -1)
+        write(key, time_ns, value)
+
+    def log(self, level: str, text: str, time_ns: int) -> None:
+        """Write a line into the recording: ``debug``, ``info``, ``warning``, ``error`` or ``fatal``, e.g. why the run ended."""
+        if time_ns != self._now:
+            self._advance(time_ns)
+        if self._viewer is not None:
+            self._viewer.say(level, text, time_ns)
+
+    def close(self, end_ns: int) -> None:
+        """Finish the recording of a run that lasted until ``end_ns``. May be called again."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._advance(end_ns)
+        if self._latest is not None and self._latest[0] == end_ns and not self._record_ticks.hits(end_ns):
+            self._record_states(*self._latest)
+        if self._viewer is not None:
+            self._viewer.finish()
+
+    @property
+    def follows(self) -> tuple[Placement, ...]:
+        """Who means to keep which place, and from when on."""
+        return tuple(self._kept.follows)
+
+    @property
+    def facts(self) -> RunFacts:
+        """What the tables do not say of the run."""
+        return self._kept.facts(self._now)
+
+    @property
+    def states(self) -> pa.Table:
+        """The true states (`cosim.tables.schema.STATES_SCHEMA`)."""
+        return self._kept.tables(self._now)[0]
+
+    @property
+    def radio(self) -> pa.Table:
+        """The frames at their receivers (`cosim.tables.schema.RADIO_SCHEMA`)."""
+        return self._kept.tables(self._now)[1]
+
+    def metrics(self, *, window: metrics.Window) -> dict[str, Any]:
+        """The numbers of the run (schema ``vcmvsp.metrics/1``); all but counts within the window (s)."""
+        return self._kept.metrics(window, self._now)
+
+    def write_tables(self, folder: Path) -> None:
+        """Write ``states.parquet`` and ``radio.parquet``."""
+        self._kept.write_tables(folder, self._now)
+
+    def _take_states(self, key: str, time_ns: int, states: States) -> None:
+        self._latest = time_ns, states
+        if self._record_ticks.hits(time_ns):
+            self._record_states(time_ns, states)
+
+    def _record_states(self, time_ns: int, states: States) -> None:
+        self._kept.take_states(time_ns, states)
+        if self._viewer is not None:
+            self._viewer.put_states(time_ns, states)
+
+    def _write_later(self, key: str, time_ns: int, later: Later) -> None:
+        """A reading that was worked out on demand, if it is one to be recorded."""
+        if "*" in self._sensors or key.partition("/")[2] in self._sensors:
+            self.on(Event(key, time_ns, later.get()))
+
+    def _write_contact(self, key: str, time_ns: int, contact: Contact) -> None:
+        self._write(key, time_ns, contact)
+        self.log(*event_text.of_contact(contact), time_ns)
+
+    def _write_presence(self, key: str, time_ns: int, presence: Presence) -> None:
+        self._write(key, time_ns, presence)
+        self._tell_of(time_ns, *event_text.of_presence(vehicle_of(key), presence))
+
+    def _write_incident(self, key: str, time_ns: int, incident: Incident) -> None:
+        self._write(key, time_ns, incident)
+        self._tell_of(time_ns, *event_text.of_incident(vehicle_of(key), incident))
+
+    def _write_intervention(self, key: str, time_ns: int, done: event_text.Intervention) -> None:
+        self._write(key, time_ns, done)
+        self._tell_of(time_ns, *event_text.of_intervention(done, time_ns))
+
+    def _tell_of(self, time_ns: int, level: str, text: str) -> None:
+        """Say in the log and on the terminal what happened."""
+        self.log(level, text, time_ns)
+        self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
+
+    def _advance(self, time_ns: int) -> None:
+        """The present instant is over."""
+        if self._viewer is not None:
+            self._viewer.end_instant(self._now, self._latest)
+        self._kept.hash_much()
+        self._now = time_ns
+
+
+def _nowhere(*_: Any) -> None:
+    """Without an MCAP file, an event leaves what is taken of it."""

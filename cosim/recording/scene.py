@@ -1,0 +1,151 @@
+"""The drawing of a run in a 3D viewer: body, heading and name of each vehicle, the place that each follower keeps, targets.
+
+What stands about is drawn once for all (`solids`), what keeps to a time-table in a frame of its own (`moving_frames`). Bodies
+that can be pushed are not drawn: a recording does not say where they are.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.recording.foxglove.messages import (
+    ArrowPrimitive,
+    Color,
+    CubePrimitive,
+    CylinderPrimitive,
+    Duration,
+    FrameTransform,
+    FrameTransforms,
+    LinePrimitive,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SceneEntityDeletion,
+    SceneUpdate,
+    TextPrimitive,
+    Time,
+    TriangleListPrimitive,
+    Vector3,
+)
+from vcmvsp.cosim.metrics import Target
+from vcmvsp.cosim.util.palette import TARGET, rgb, rgb_of
+from vcmvsp.cosim.types import Array, Follows, Pushed
+
+TARGET_HEIGHT_M = 0.05
+DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known
+MOST_TRIANGLES = 200_000  # of a world that is drawn: more are some 30 MB of JSON, before compression
+DIGITS = 4  # of coordinates, m: a tenth of a millimetre
+OBSTACLE_OPACITY = 0.9
+_RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
+
+
+def scene(
+    vehicles: Sequence[str],
+    radius_m: Mapping[str, float],
+    places: Mapping[str, Follows],
+    time_ns: int,
+    targets: Sequence[Target] = (),
+) -> SceneUpdate:
+    """The whole scene: entities move with the frames of their vehicles, and stay until the next scene takes their place."""
+    now, entities = Time.of(time_ns), []
+    for index, name in enumerate(vehicles):
+        color, radius = Color(*rgb_of(index)), radius_m.get(name, DEFAULT_RADIUS_M)
+        entities.append(_body(name, radius, color, now))
+        if name in places and places[name].leader is not None:
+            entities.append(_place(name, places[name], radius, color, now))
+    entities += [_target(target, now, time_ns / SECOND_NS) for target in targets]
+    return SceneUpdate(entities, [SceneEntityDeletion(now)])
+
+
+def solids(world: Any) -> SceneUpdate | None:
+    """What a world consists of: its solids by their colours, and obstacles with a time-table in their own frames.
+
+    None: there is nothing, or more than `MOST_TRIANGLES`, which no viewer would like.
+    """
+    vertices, triangles = world.mesh()
+    if len(triangles) > MOST_TRIANGLES:
+        return None
+    now, entities = Time(0, 0), []
+    if len(triangles):
+        parts = _by_color(np.round(vertices, DIGITS), triangles, registry.piece("mesh colors")(world))
+        entities.append(SceneEntity(now, "world", "solids", Duration(), False, triangles=parts))
+    entities += [_obstacle(each, now) for each in (*world.movables, *world.moving)]
+    return SceneUpdate(entities) if entities else None
+
+
+def moving_frames(world: Any, pushed: Pushed | None, time_ns: int) -> FrameTransforms:
+    """Where the obstacles are that may move: those with a time-table, and those that can be pushed."""
+    standing = [(each.name, (*each.solid.center, getattr(each.solid, "yaw_rad", 0.0))) for each in world.movables]
+    driven = [(each.name, each.pose(time_ns / SECOND_NS)) for each in world.moving]
+    upright = [*driven, *(standing if pushed is None else ())]
+    placed: list[tuple[str, Sequence[float], Sequence[float]]] = [
+        (name, (x, y, z), quaternion_from_yaw(yaw)) for name, (x, y, z, yaw) in upright
+    ]
+    if pushed is not None:
+        placed += zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True)
+    now, transforms = Time.of(time_ns), []
+    for name, place, (qw, qx, qy, qz) in placed:
+        transforms.append(FrameTransform(now, "world", _frame_of(name), Vector3(*place), Quaternion(qx, qy, qz, qw)))
+    return FrameTransforms(transforms)
+
+
+def _frame_of(name: str) -> str:
+    return f"obstacle/{name}"
+
+
+def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[TriangleListPrimitive]:
+    """A list of triangles for each colour, with those points that it needs."""
+    found, which = np.unique(colors, axis=0, return_inverse=True)
+    parts = []
+    for number, (red, green, blue) in enumerate(found.tolist()):
+        used, indices = np.unique(triangles[which.ravel() == number], return_inverse=True)
+        points = [Vector3(*point) for point in vertices[used].tolist()]
+        color = Color(red / 255, green / 255, blue / 255)
+        parts.append(TriangleListPrimitive(Pose(), points, color, indices.ravel().tolist()))
+    return parts
+
+
+def _obstacle(moving: Any, now: Time) -> SceneEntity:
+    """A box or a cylinder in its own frame, and its name."""
+    hull = registry.piece("hull")(moving.solid)
+    red, green, blue = (part / 255 for part in hull.color)
+    color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(*hull.size), _frame_of(moving.name)
+    text = TextPrimitive(Pose(Vector3(0.0, 0.0, hull.size[2])), True, 14.0, True, color, moving.name)
+    cubes = [CubePrimitive(Pose(), size, color)] if hull.kind == "box" else []
+    cylinders = [] if cubes else [CylinderPrimitive(Pose(), size, 1.0, 1.0, color)]
+    return SceneEntity(now, frame, frame, Duration(), True, cubes=cubes, cylinders=cylinders, texts=[text])
+
+
+def _body(name: str, radius: float, color: Color, now: Time) -> SceneEntity:
+    """A cylinder about the vehicle's centre with an arrow ahead and the name above."""
+    cylinder = CylinderPrimitive(
+        Pose(), Vector3(2 * radius, 2 * radius, radius), 1.0, 1.0, Color(color.r, color.g, color.b, 0.8)
+    )
+    ahead = Pose(Vector3(0.0, 0.0, 0.5 * radius))
+    arrow = ArrowPrimitive(ahead, 1.2 * radius, 0.2 * radius, 0.5 * radius, 0.5 * radius, color)
+    text = TextPrimitive(Pose(Vector3(0.0, 0.0, 1.6 * radius)), True, 14.0, True, color, name)
+    return SceneEntity(now, name, name, Duration(), True, arrows=[arrow], cylinders=[cylinder], texts=[text])
+
+
+def _place(name: str, follows: Follows, radius: float, color: Color, now: Time) -> SceneEntity:
+    """A thin line from the leader to the follower's place, and the follower's outline there."""
+    x, y = follows.slot
+    line = LinePrimitive(0, Pose(), 1.5, True, [Vector3(), Vector3(x, y)], color)
+    ring = [Vector3(x + radius * c, y + radius * s) for c, s in _RING]
+    outline = LinePrimitive(1, Pose(), 1.5, True, ring, color)
+    return SceneEntity(now, str(follows.leader), f"{name}/place", Duration(), True, lines=[line, outline])
+
+
+def _target(target: Target, now: Time, time_s: float) -> SceneEntity:
+    """A sheet on the ground, and its name above it."""
+    (x, y), half = target.place(time_s), 0.5 * target.yaw(time_s)
+    pose = Pose(Vector3(x, y), Quaternion(z=math.sin(half), w=math.cos(half)))
+    color = Color(*rgb(TARGET), 0.6)
+    sheet = CubePrimitive(pose, Vector3(target.size_m, target.size_m, TARGET_HEIGHT_M), color)
+    text = TextPrimitive(Pose(Vector3(x, y, target.size_m)), True, 14.0, True, color, target.name)
+    return SceneEntity(now, "world", f"target/{target.name}", Duration(), True, cubes=[sheet], texts=[text])

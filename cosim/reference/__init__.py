@@ -1,0 +1,1 @@
+"""The reference of scenario keys, written from the code."""

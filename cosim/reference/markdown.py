@@ -1,0 +1,260 @@
+"""The reference of worlds, vehicles, sensors and the radio, written from the code: ``python -m vcmvsp.cosim.reference.markdown --write``.
+
+Between two comments of ``scenarios/README.md`` stand the tables that this module makes of what the code says of keys
+(`cosim.reference.describe`): what a key means is said where its type and default are, and nowhere else.
+"""
+
+import argparse
+import inspect
+import math
+import sys
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from vcmvsp.cosim.config import builtin_kinds, registry, binding
+from vcmvsp.cosim.config.param_docs import summary
+from vcmvsp.cosim.reference.describe import (
+    about,
+    common_of,
+    default_of,
+    first_meanings,
+    keys,
+    markdown,
+    said,
+    toml,
+    type_of,
+)
+from vcmvsp.cosim.reference.radio_range import RANGE_BYTES, params, reach_m
+from vcmvsp.cosim.scenario.loader import BUILT_IN
+from vcmvsp.cosim.scenario.schema import ClockTable, SafetyTable, SocketsTable
+
+PAGE = BUILT_IN / "README.md"
+UPDATE = "python -m vcmvsp.cosim.reference.markdown --write"
+
+VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
+    "Vehicles that are points": [["kinematic", "lag", "inertial"]],
+    "Robots with two driven wheels and a caster": [["p2dx", "amigobot"]],
+    "Vehicles that fly": [["quadrotor"], ["point"]],
+    "Vehicles of your own, from URDF": [["urdf"], ["urdf-quadrotor"]],
+}
+"""Kinds of vehicles that stand in one table, by the headings over them."""
+
+ABSENT = "–"  # this kind takes no such key
+
+
+# --- the page -----------------------------------------------------------------------------------------------------------------
+
+
+def updated(page: str) -> str:
+    """The page with the present reference between each ``<!-- generated: NAME -->`` and the next ``<!-- end -->``."""
+    for name, write in BLOCKS.items():
+        before, begin, rest = page.partition(f"<!-- generated: {name} -->\n")
+        _, end, after = rest.partition("<!-- end -->\n")
+        if not end:
+            raise ValueError(f"the page has no block '<!-- generated: {name} -->' ... '<!-- end -->'")
+        page = f"{before}{begin}\n{write()}\n\n{end}{after}"
+    return page
+
+
+def main(arguments: Sequence[str] | None = None, page: Path = PAGE) -> None:
+    """Bring the page up to date, or say that it is not."""
+    parser = argparse.ArgumentParser(prog="python -m vcmvsp.cosim.reference.markdown", description="The reference of keys, from the code.")
+    parser.add_argument("--write", action="store_true", help="update the page instead of checking it")
+    write: bool = parser.parse_args(arguments).write
+    old = page.read_text("utf-8")
+    new = updated(old)
+    if write:
+        page.write_text(new, "utf-8")
+    elif new != old:
+        sys.exit(f"{page} is not what the code says; update it: {UPDATE}")
+
+
+# --- blocks -------------------------------------------------------------------------------------------------------------------
+
+
+def physics() -> str:
+    """What both kinds of physics take."""
+    return parameter_table({"bullet, kinematic": registry.find("physics", "bullet")})
+
+
+def vehicles() -> str:
+    """Tables of parameters under headings."""
+    parts = []
+    for heading, tables in VEHICLES.items():
+        parts.append(f"#### {heading}")
+        for names in tables:
+            classes = {kind: registry.find("vehicle", kind) for kind in names}
+            parts.append(kinds(classes, registry.find("vehicle", "quadrotor") if names == ["urdf-quadrotor"] else None))
+    return "\n\n".join(parts)
+
+
+def families(group: str) -> str:
+    """What the kinds of a group have in common, then each kind and those that it comes from, then the tables that they hold."""
+    classes = {kind: registry.find(group, kind) for kind in builtin_kinds.KINDS[group]}
+    common = common_of(classes.values())
+    alike: dict[Any, dict[str, Any]] = {}
+    for kind, each in classes.items():
+        line = each.__mro__
+        alike.setdefault(line[line.index(common) - 1] if common in line else each, {})[kind] = each
+    parts = [parameter_table({"default": common}), *(kinds(each, common) for each in alike.values())]
+    return "\n\n".join([*parts, *lists([common, *classes.values()])])
+
+
+def radio() -> str:
+    """Layers, presets, and a table of parameters for each layer."""
+    presets = registry.piece("radio presets")
+    parts = [_layers(presets.LAYERS), _presets(presets)]
+    for layer in presets.LAYERS:
+        classes = {kind: registry.find(layer, kind) for kind in builtin_kinds.KINDS[layer]}
+        parts += [f"#### `[radio.{layer}]`", kinds(classes), *lists(classes.values())]
+    return "\n\n".join(parts)
+
+
+def vehicle_radio() -> str:
+    """The parameters of a vehicle's own radio."""
+    return parameter_table({"default": registry.piece("vehicle radio")})
+
+
+def agents(*names: str) -> str:
+    """The parameters of kinds of agents."""
+    return kinds({name: registry.find("agent", name) for name in names})
+
+
+def apart(group: str) -> str:
+    """The kinds of a group that have little in common: a table each, and the tables that they hold."""
+    classes = {kind: registry.find(group, kind) for kind in builtin_kinds.KINDS[group]}
+    return "\n\n".join([*(kinds({kind: each}) for kind, each in classes.items()), *lists(classes.values())])
+
+
+def own(piece: str) -> str:
+    """The parameters of something that there is one of, and the tables that it holds."""
+    target = registry.piece(piece)
+    return "\n\n".join([parameter_table({"default": target}), *lists([target])])
+
+
+def team() -> str:
+    """The tables that agents of a team hold."""
+    return "\n\n".join(lists([registry.find("agent", "leader_follower")]))
+
+
+BLOCKS: Mapping[str, Callable[[], str]] = {
+    "physics": physics,
+    "world": lambda: families("world"),
+    "radio": radio,
+    "sensors": lambda: families("sensor"),
+    "vehicle radio": vehicle_radio,
+    "vehicle kinds": vehicles,
+    "leaders": lambda: agents("trajectory", "route", "teleop"),
+    "followers": lambda: agents("leader_follower"),
+    "consensus": lambda: agents("consensus"),
+    "team": team,
+    "patrol": lambda: agents("patrol"),
+    "aerial": lambda: agents("aerial_route", "aerial_follower"),
+    "avoid": lambda: agents("avoid"),
+    "mission": lambda: agents("mission"),
+    "search": lambda: agents("search"),
+    "track": lambda: agents("track"),
+    "watching": lambda: "\n\n".join(lists([registry.find("agent", "track")])),
+    "drivers": lambda: apart("driver"),
+    "localisation": lambda: apart("localisation"),
+    "fusion": lambda: own("fusion"),
+    "safety": lambda: parameter_table({"default": SafetyTable}),
+    "clock": lambda: parameter_table({"default": ClockTable}),
+    "routing": lambda: apart("routing"),
+    "doors": lambda: apart("door"),
+    "sockets": lambda: parameter_table({"default": SocketsTable}),
+}
+
+
+def _layers(layers: Sequence[str]) -> str:
+    """What each layer is about: the first words of the module that defines its first kind."""
+    rows = []
+    for layer in layers:
+        kinds_of = builtin_kinds.KINDS[layer]
+        about = inspect.getmodule(registry.find(layer, next(iter(kinds_of))))
+        rows.append([f"`{layer}`", markdown(summary(about)), ", ".join(f"`{kind}`" for kind in kinds_of)])
+    return grid(["layer", "what it is about", "kinds"], rows)
+
+
+def _presets(presets: Any) -> str:
+    """What each preset sets beyond the defaults of its kinds, and how far it reaches."""
+    tables = {name: presets.preset(name) for name in presets.PRESETS}
+    first = tables[presets.PRESETS[0]]
+    alike = [layer for layer in presets.LAYERS if all(each[layer] == first[layer] for each in tables.values())]
+    differ = [layer for layer in presets.LAYERS if layer not in alike]
+    rows = []
+    for name, content in tables.items():
+        rows.append([f"`{name}`", *(_setting(layer, content[layer]) for layer in differ), _length(reach_m(content))])
+    same = "; ".join(f"{layer.replace('_', ' ')} is {_setting(layer, first[layer])}" for layer in alike)
+    return (
+        f"{grid(['preset', *(layer.replace('_', ' ') for layer in differ), 'range'], rows)}\n\n"
+        f"What is not said is the kind's default. In all presets {same}. The range is the distance over which half of all "
+        f"frames with {RANGE_BYTES} bytes are received where nothing but distance weakens them and nobody else sends."
+    )
+
+
+def _setting(layer: str, content: Mapping[str, Any]) -> str:
+    known = binding.parameters(registry.find(layer, content["kind"]))
+    own = {name: value for name, value in params(content).items() if known[name].required or known[name].default != value}
+    return ", ".join([f"`{content['kind']}`", *(f"`{name} = {toml(value)}`" for name, value in own.items())])
+
+
+def _length(metres: float) -> str:
+    if not math.isfinite(metres):
+        return ABSENT if math.isnan(metres) else "unlimited"
+    return f"{metres:.1f} m" if metres < 1000.0 else f"{metres / 1000.0:.1f} km"
+
+
+# --- tables of parameters -----------------------------------------------------------------------------------------------------
+
+
+def kinds(classes: Mapping[str, Any], common: Any = None) -> str:
+    """What each kind is, and the parameters of them all, but for those that are as in a common class."""
+    lines = [f"- `{kind}`: {about(each)}" for kind, each in classes.items()]
+    with_keys = {kind: each for kind, each in classes.items() if keys(each, common)}
+    return "\n".join(lines) + (f"\n\n{parameter_table(with_keys, common)}" if with_keys else "")
+
+
+def lists(classes: Iterable[Any]) -> list[str]:
+    """For each parameter that is a table or a list of tables, the keys of such a table; those within tables too."""
+    holders: dict[Any, dict[str, str]] = {}  # kind of table -> how the keys that hold it are spoken of
+    for each in (waiting := list(classes)):
+        for name, parameter in keys(each).items():
+            for item in binding.structs(parameter.annotation):
+                waiting += [] if item in holders else [item]
+                listed = typing.get_origin(parameter.annotation) is tuple
+                holders.setdefault(item, {})[name] = f"each of the `{name}`" if listed else f"`{name}`"
+    columns: dict[str, dict[str, Any]] = {}  # of each table: what it is of, and the kinds that it may be
+    for item, spoken in holders.items():
+        config = item.__struct_config__
+        by, column = (f", by `{config.tag_field}`", config.tag) if config.tag_field else ("", item.__name__.lower())
+        columns.setdefault(f"Of {', '.join(spoken.values())}{by}:", {})[column] = item
+    return [f"{of}\n\n{parameter_table(kinds)}" for of, kinds in columns.items()]
+
+
+def parameter_table(columns: Mapping[str, Any], common: Any = None) -> str:
+    """Key, type, default for each class, meaning; a key that means different things has several rows."""
+    rows: dict[tuple[str, str, str], dict[str, str]] = {}
+    for column, target in columns.items():
+        means = first_meanings(target)
+        for name, parameter in keys(target, common).items():
+            if name not in means:
+                raise ValueError(f"{target.__name__}.{name}: say what it means, in a comment behind it or under Args")
+            words, without = said(parameter, means[name])
+            row = name, type_of(name, parameter.annotation), markdown(words)
+            rows.setdefault(row, {})[column] = default_of(parameter, without)
+    cells = [
+        [f"`{name}`", kind, *(row.get(each, ABSENT) for each in columns), means] for (name, kind, means), row in rows.items()
+    ]
+    return grid(["key", "type, unit", *columns, "meaning"], cells)
+
+
+def grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(row)} |" for row in [heads, *rows]).replace("\n", f"\n|{'---|' * len(heads)}\n", 1)
+
+
+if __name__ == "__main__":
+    main()

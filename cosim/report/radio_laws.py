@@ -1,0 +1,174 @@
+"""Laws of the radio: what a layer of losses takes, how long a delay is, and how old information gets.
+
+With period T, delay d and independent losses p, messages that arrive are G periods apart, G geometric. The age rises from d by
+one second per second, so its mean over time is ``d + T E[G^2] / (2 E[G]) = d + T (1 + p) / (2 (1 - p))``, and that of its peaks
+``d + T E[G]`` (`cosim.metrics.age_of_information`).
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.analysis.links import RECEIVED
+from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.report.theory_table import NORMAL_95, Expected, Seen
+from vcmvsp.cosim.types import Array
+
+CAUSES = {"bernoulli": "random loss", "gilbert_elliott": "burst"}
+_BEHIND = ("script", "trace", "delivery")  # layers that lose what `loss` has let pass
+_EVEN = 0.001  # share of a period by which the sending of a vehicle may be off
+_LONGEST = 100_000  # periods: the sums over G end there
+
+
+def laws(seen: Seen) -> Iterator[Expected]:
+    """Those that the scenario's radio obeys."""
+    yield from _losses(seen)
+    yield from _delay(seen)
+    if "routing" not in seen.scenario:  # messages that are passed on have more than one chance
+        yield from _age(seen)
+
+
+def _losses(seen: Seen) -> Iterator[Expected]:
+    loss = seen.radio["loss"]
+    cause = CAUSES.get(loss["kind"])
+    if cause is None or any(seen.radio[layer]["kind"] != "none" for layer in _BEHIND):
+        return
+    lost = seen.links.losses.get(cause, np.zeros_like(seen.links.sent))
+    passed = int(np.count_nonzero(_received(seen)))  # also those that arrive after the end
+    n = passed + int(lost.sum())
+    if not n:
+        return
+    measured = float(lost.sum()) / n
+    if loss["kind"] == "bernoulli":
+        p = float(loss["probability"])
+        if p > 0.0:
+            spread = NORMAL_95 * math.sqrt(p * (1.0 - p) / n)
+            yield Expected(
+                "share of frames lost by chance", p, measured, "p", f"radio.loss takes each of {n} on its own", "", spread
+            )
+        return
+    to_bad, to_good, bad, good = (float(loss[key]) for key in ("to_bad_per_s", "to_good_per_s", "bad_loss", "good_loss"))
+    rate, share = to_bad + to_good, to_bad / (to_bad + to_good)
+    p = share * bad + (1.0 - share) * good
+    times = rate * float(seen.metrics["duration_s"])  # how often the state is drawn anew
+    states = share * (1.0 - share) * (bad - good) ** 2 * 2.0 / times * (1.0 - (1.0 - math.exp(-times)) / times)
+    frames = (share * bad * (1.0 - bad) + (1.0 - share) * good * (1.0 - good)) / n
+    reached = seen.links.received + lost
+    uneven = float(((reached / reached.sum()) ** 2).sum())  # 1 over the number of links, where all carry as much
+    yield Expected(
+        "share of frames lost in bursts",
+        p,
+        measured,
+        "(p bad_loss + r good_loss) / (p + r)",
+        f"links are bad and good by turns, each of {int((reached > 0).sum())} on its own",
+        "",
+        NORMAL_95 * math.sqrt(states * uneven + frames),
+    )
+
+
+def _delay(seen: Seen) -> Iterator[Expected]:
+    bounds, measured = _bounds_s(seen), seen.metrics["radio"]["delay_s"]["mean"]
+    if bounds is None or measured is None:
+        return
+    low, high = bounds
+    spread = NORMAL_95 * (high - low) / math.sqrt(12.0 * int(seen.links.received.sum()))
+    law = "seconds" if low == high else "the middle of the range"
+    yield Expected("delay, mean", 0.5 * (low + high), measured, law, "no frame waits so long for the air", "s", spread or None)
+
+
+def _age(seen: Seen) -> Iterator[Expected]:
+    period_s, ages, d = _sending_period_s(seen), seen.metrics["radio"]["age_s"], seen.metrics["radio"]["delay_s"]["mean"]
+    loss, links = seen.radio["loss"], _counted(seen)
+    if period_s is None or d is None or loss["kind"] not in ("bernoulli", "none") or ages.get("time_average") is None:
+        return
+    p = float(loss.get("probability", 0.0))
+    others = sum(int(lost[links].sum()) for cause, lost in seen.links.losses.items() if cause != CAUSES["bernoulli"])
+    range_s = _range_s(seen)
+    if others or p >= 1.0 or range_s is None or range_s[1] - range_s[0] > period_s:  # messages may overtake each other
+        return
+    begin, end = seen.window
+    lasted = min(math.inf if end is None else end, seen.metrics["duration_s"]) - begin
+    n = max(1.0, lasted / period_s * (1.0 - p)) * int(links.sum())  # receptions in the window, about
+    mean_gap, area_sd, gap_sd = _renewal(p)
+    holds = f"each sends every {period_s:g} s, and only chance takes messages; d is the measured mean delay"
+    spread = [NORMAL_95 * sd * period_s / math.sqrt(n) or None for sd in (area_sd, gap_sd)]
+    mean = d + period_s * (1.0 + p) / (2.0 * (1.0 - p))
+    yield Expected(
+        "age of information, over all time", mean, ages["time_average"], "d + T (1 + p) / (2 (1 - p))", holds, "s", spread[0]
+    )
+    yield Expected(
+        "age of information, peaks", d + period_s * mean_gap, ages["peak"], "d + T / (1 - p)", "as above", "s", spread[1]
+    )
+
+
+def _renewal(p: float) -> tuple[float, float, float]:
+    """Of the gaps G in periods: their mean; n times the variance of the mean of n of them, and of the mean age, as roots."""
+    g = np.arange(1.0, min(_LONGEST, 2.0 + (40.0 / -math.log(p) if p > 0.0 else 0.0)))
+    share = (1.0 - p) * p ** (g - 1.0)
+    mean, square = float(share @ g), float(share @ g**2)
+    area = 0.5 * g**2 - 0.5 * square / mean * g  # the mean age is a ratio of sums: the delta method
+    return mean, math.sqrt(float(share @ area**2)) / mean, math.sqrt(max(0.0, square - mean**2))
+
+
+def _range_s(seen: Seen) -> tuple[float, float] | None:
+    """Between which times the delay layer draws evenly; None: it does something else, or a script or a trace delays, too."""
+    scripted = any("delay_s" in change for change in seen.radio["script"].get("changes", ()))
+    if scripted or seen.radio["trace"]["kind"] != "none":
+        return None
+    delay = seen.radio["delay"]
+    if delay["kind"] == "none":
+        return 0.0, 0.0
+    if delay["kind"] == "fixed":
+        return float(delay["seconds"] - delay["jitter_s"]), float(delay["seconds"] + delay["jitter_s"])
+    return (float(delay["from_s"]), float(delay["to_s"])) if delay["kind"] == "uniform" else None
+
+
+def _bounds_s(seen: Seen) -> tuple[float, float] | None:
+    """The same, where the delay layer alone decides when frames arrive."""
+    range_s = _range_s(seen)
+    if range_s is None:
+        return None
+    radio, got = seen.recording.radio, _received(seen)
+    spent = sum(numbers(radio, name)[got] for name in ("queue_ns", "access_ns", "air_time_ns"))
+    behind = seen.radio["delivery"]["kind"] != "none"
+    if behind or not got.any() or range_s[0] * SECOND_NS < np.max(np.asarray(spent)):
+        return None
+    return range_s
+
+
+def _received(seen: Seen) -> Array:
+    """Which rows of the table of frames were received, some of them after the run's end."""
+    outcomes, outcome = names_of(seen.recording.radio, "outcome")
+    return np.asarray(outcome == outcomes.index(RECEIVED)) if RECEIVED in outcomes else np.zeros(len(outcome), np.bool_)
+
+
+def _counted(seen: Seen) -> Array:
+    """The links (n, n) whose ages count: from leaders to followers; without followers all to vehicles with an agent."""
+    names = seen.links.names
+    chosen = np.zeros((len(names), len(names)), np.bool_)
+    if not seen.recording.follows:
+        chosen[:, [names.index(each) for each in seen.metrics["agents"]]] = True
+        return np.asarray(chosen & (seen.links.sent > 0))
+    for each in seen.steady:
+        chosen[names.index(str(each.follows.leader)), names.index(each.vehicle)] = True
+    return chosen
+
+
+def _sending_period_s(seen: Seen) -> float | None:
+    """The period at which all whose messages count send; None where they do not keep one."""
+    links, radio = _counted(seen), seen.recording.radio
+    names, by = names_of(radio, "sender")
+    times, periods = numbers(radio, "sent_ns"), set()
+    for sender in np.flatnonzero(links.any(axis=1)).tolist():
+        name = seen.links.names[sender]
+        sent = np.unique(times[by == names.index(name)]) if name in names else np.empty(0)
+        if len(sent) < 3:
+            return None
+        gaps = np.diff(sent)
+        period = float(np.median(gaps))
+        if np.abs(gaps - period).max() > _EVEN * period:
+            return None
+        periods.add(round(period / SECOND_NS, 6))
+    return periods.pop() if len(periods) == 1 else None

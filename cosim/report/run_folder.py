@@ -1,0 +1,129 @@
+"""What a run has left in its folder: as much of it as is there and can be read."""
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pyarrow.parquet as pq
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.analysis.links import NUMBERS
+from vcmvsp.cosim.recording.foxglove.messages import LEVELS
+from vcmvsp.cosim.recording.mcap_file import about, messages, of_topic
+from vcmvsp.cosim.tables.schema import Recording, load_tables
+from vcmvsp.cosim.report.link_counts import Links, links_of
+
+FILES = {
+    "scenario.toml": "what was run, how to repeat it, and what theory expects",
+    "states.parquet": "where the vehicles went",
+    "radio.parquet": "what became of frames",
+    "metrics.json": "the numbers",
+    "run.mcap": "what befell agents and robots, and what was seen in a mission",
+    "about.json": "whether the run came to its end, and the machine that it ran on",
+}
+"""What a run leaves, and what cannot be told without it."""
+_LEVELS = {number: name for name, number in LEVELS.items()}
+
+
+class _Line(msgspec.Struct):
+    """A line of the recording's log."""
+
+    level: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Left:
+    """A run as its folder tells of it."""
+
+    folder: Path
+    scenario_toml: str = ""
+    scenario: dict[str, Any] = field(default_factory=dict)
+    recording: Recording | None = None
+    links: Links | None = None
+    metrics: dict[str, Any] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
+    told: Sequence[tuple[float, str, str]] = ()  # s, level, text: the log of the recording
+    missing: Sequence[tuple[str, str]] = ()  # file, and why it is not shown
+    head: Mapping[str, str] = field(default_factory=dict)  # of the recording: scenario, seed, vehicles
+    recorded_s: float | None = None  # how far the recording of a run goes that has left no tables
+
+
+def left_in(folder: Path) -> Left:
+    """Read what a run has left.
+
+    Raises:
+        UsageError: it has left nothing there.
+    """
+    if not any((folder / name).is_file() for name in FILES):
+        raise UsageError(f"{folder}: no run or study has left anything here; name its folder (runs/<name>-<seed> or its --out)")
+    missing = {name: "is not there" for name in FILES if not (folder / name).is_file()}
+
+    def read(name: str, reader: Callable[[Path], Any], otherwise: Any) -> Any:
+        if name in missing:
+            return otherwise
+        try:
+            return reader(folder / name)
+        except (ValueError, OSError, msgspec.MsgspecError) as error:
+            missing[name] = f"cannot be read: {' '.join(str(error).split())}".replace(f"{folder}/", "")
+            return otherwise
+
+    text = read("scenario.toml", lambda path: path.read_text("utf-8"), "")
+    recording = None
+    schemas = [read(name, pq.read_schema, None) for name in ("states.parquet", "radio.parquet")]
+    if None not in schemas:
+        recording = read("states.parquet", lambda path: load_tables(path.parent), None)
+    links = None if recording is None else read("radio.parquet", lambda _: _links(recording), None)
+    return Left(
+        folder,
+        text,
+        read("scenario.toml", lambda _: tomllib.loads(text), {}),
+        recording,
+        links,
+        read("metrics.json", lambda path: _json(path, "vcmvsp.metrics/1"), {}),
+        read("about.json", lambda path: _json(path, "vcmvsp.about/1"), {}),
+        read("run.mcap", _told, ()),
+        list(missing.items()),
+        read("run.mcap", _head, {}),
+        None if recording is not None or "run.mcap" in missing else _recorded_s(folder / "run.mcap"),
+    )
+
+
+def _json(path: Path, schema: str) -> dict[str, Any]:
+    found = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    if found.get("schema") != schema:
+        raise ValueError(f"its schema is not {schema}: it was written by another version")
+    return found
+
+
+def _links(recording: Recording) -> Links:
+    if absent := [name for name in NUMBERS if name not in recording.radio.column_names]:
+        raise ValueError(f"it has no {absent[0]}: it was written by another version")
+    return links_of(recording.radio, recording.facts.vehicles, recording.facts.end_ns)
+
+
+def _told(path: Path) -> list[tuple[float, str, str]]:
+    with path.open("rb") as stream:
+        lines = [(time_ns, msgspec.json.decode(data, type=_Line)) for time_ns, data in of_topic(stream, "log")]
+    return [(time_ns / SECOND_NS, _LEVELS.get(line.level, "info"), line.message) for time_ns, line in lines]
+
+
+def _head(path: Path) -> dict[str, str]:
+    with path.open("rb") as stream:
+        return about(stream)
+
+
+def _recorded_s(path: Path) -> float:
+    """The time of the last message before the damage."""
+    last = 0
+    with path.open("rb") as stream:
+        try:
+            for _, time_ns, _ in messages(stream):
+                last = max(last, time_ns)
+        except ValueError:  # it ends there
+            pass
+    return last / SECOND_NS

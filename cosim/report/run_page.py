@@ -1,0 +1,162 @@
+"""``report.html`` of a run: all that its folder tells, in one file. What of the folder is gone is said, not guessed.
+
+The page of equal runs is equal but for its last section, which is about the machine, as ``about.json`` is.
+"""
+
+import shlex
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from vcmvsp.cosim.report.theory_table import expectation_table
+from vcmvsp.cosim.report.summary import lead_of, title_of
+from vcmvsp.cosim.report.run_folder import FILES, Left, left_in
+from vcmvsp.cosim.report.radio_section import link_table, loss_table
+from vcmvsp.cosim.report.metric_tables import fault_table, number_tables
+from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, page
+from vcmvsp.cosim.report.vehicle_table import vehicle_table
+
+FILE = "report.html"
+MACHINE = "Machine"  # the title of the only section that differs between equal runs
+FIGURES = {
+    "trajectory": "Seen from above: a mark where each starts, arrowheads on the way, thin lines from followers to leaders.",
+    "formation_error": "How far followers were off their places, the age of what they knew of leaders, and what was lost.",
+    "mission": "Who commanded each vehicle when, what was found, and the shared map at four instants.",
+    "mosaic": "The ground as all have seen it together, and where targets were recognised.",
+    "detections": "Pictures in which something was recognised.",
+}
+HOST = {"name": "host", "system": "system", "python": "python"}
+LATENESS = {
+    "speed": "simulated seconds per second",
+    "instants": "instants at which agents acted",
+    "p50_s": "median [s]",
+    "p99_s": "99th percentile [s]",
+    "max_s": "latest [s]",
+    "over_one_period": "late by more than a period",
+    "slipped_s": "the run slipped by [s]",
+}
+BRIDGE = {
+    **LATENESS,
+    "delivered": "deliveries to programs",
+    "lost": "lost on the way: datagrams that did not reach a vehicle, for each that they were meant for",
+    "over_1ms": "late by more than 1 ms",
+}
+TOLD = 500  # lines of the log that are shown
+
+
+def write(folder: Path, drawings: Mapping[str, str], out: Path | None = None) -> Path:
+    """Write the page of a run into its folder.
+
+    Args:
+        folder: that the run has left.
+        drawings: its figures as the text of SVG files, by name.
+        out: write there instead.
+
+    Raises:
+        UsageError: no run has left anything in the folder.
+    """
+    path = out or folder / FILE
+    path.write_text(run_page(left_in(folder), drawings), "utf-8")
+    return path
+
+
+def run_page(left: Left, drawings: Mapping[str, str]) -> str:
+    """The page as HTML."""
+    nobody_follows = left.recording is not None and not left.recording.follows
+    shown = {name: svg for name, svg in drawings.items() if not (nobody_follows and name == "formation_error")}
+    figures = [Figure(svg, FIGURES.get(name, name)) for name, svg in shown.items()]
+    sections = [
+        Section("What is missing", _missing(left)),
+        Section("Figures", figures),
+        Section("Expected and measured", expectation_table(left)),
+        *(Section(title, parts) for title, parts in number_tables(left.metrics)),
+        Section("Vehicles", vehicle_table(left)),
+        Section("Links", [] if left.links is None else link_table(left.links)),
+        Section("What was lost, and why", [] if left.links is None else loss_table(left.links, left.folder)),
+        Section("Agents and incidents", list(_incidents(left))),
+        Section("Again", list(_again(left))),
+        Section("Scenario", [Code(left.scenario_toml, folded="with everything filled in")] if left.scenario_toml else []),
+        Section(MACHINE, list(_machine(left.about))),
+    ]
+    return page(title_of(left), lead_of(left), [each for each in sections if each.parts])
+
+
+def _missing(left: Left) -> list[Part]:
+    if not left.missing:
+        return []
+    rows = [[name, why, FILES[name]] for name, why in left.missing]
+    parts: list[Part] = [Rows(["file", "", "what it would tell"], rows)]
+    if left.recorded_s is not None:
+        cut = "The run was cut before its tables were written, or they are gone."
+        parts.append(Words(f"{cut} Its recording, run.mcap, goes to {left.recorded_s:g} s."))
+    return parts
+
+
+def _incidents(left: Left) -> Iterator[Part]:
+    """Faults of agents, and what the recording's log says."""
+    if "agents" in left.metrics:
+        yield from fault_table(left.metrics["agents"])
+    if error := left.about.get("error"):
+        yield Words(f"What ended the run: {error['message']}")
+        if error.get("details"):
+            yield Code(error["details"], folded="details")
+    if left.told:
+        yield Rows(["time [s]", "", "what"], [[time_s, level, text] for time_s, level, text in left.told[:TOLD]])
+        if len(left.told) > TOLD:
+            yield Words(f"And {len(left.told) - TOLD} more lines, in run.mcap.")
+
+
+def _again(left: Left) -> Iterator[Part]:
+    """How to repeat the run and look closer, from its own folder."""
+    if not left.scenario_toml:
+        return
+    yield Words("In this folder:")
+    same = "the same run: the digest is the same" if not left.about.get("error") else "from the start"
+    lines = [f"vcmvsp run scenario.toml --out again    # {same}"]
+    if (left.folder / "hardware.mcap").is_file():
+        lines = ["vcmvsp replay .    # what happened, again; no real vehicle moves"]
+    if left.links is not None and left.links.losses:
+        a, b = next(pair for pair in left.links.pairs if left.links.lost_to(*pair))
+        link = shlex.quote(f"{left.links.names[a]}/{left.links.names[b]}")
+        lines.append(f"vcmvsp radio . --link {link} --frame lost    # why a frame was lost")
+    yield Code("\n".join(lines))
+    if "digest" in left.metrics:
+        window = left.scenario.get("metrics", {})
+        until = f"to {window['to_s']:g} s" if "to_s" in window else "to the end"
+        yield Facts(
+            [
+                ("seed", left.metrics.get("seed")),
+                ("digest of all that was recorded", left.metrics["digest"]),
+                ("window of the numbers", f"{window.get('from_s', 0.0):g} s {until}"),
+            ]
+        )
+
+
+def _machine(about: Mapping[str, Any]) -> Iterator[Part]:
+    """Host, versions, wall time and lateness."""
+    if not about:
+        return
+    host, late = about.get("host", {}), about.get("lateness")
+    facts: list[tuple[str, Any]] = [("started", about.get("started"))]
+    if about.get("simulating_s"):
+        took_s, simulated_s = about["simulating_s"], about["simulated_s"]
+        facts.append(("took", f"{took_s:.3g} s for {simulated_s:g} s simulated, {simulated_s / took_s:.3g}x real time"))
+    facts += [(words, host[name]) for name, words in HOST.items() if name in host]
+    for where in sorted(set(about.get("agents", {}).values())):
+        names = [name for name, place in about["agents"].items() if place == where]
+        facts.append((f"agents: {where}", ", ".join(names)))
+    facts += [(name, version) for name, version in about.get("versions", {}).items()]
+    yield Facts(facts)
+    if late:
+        yield Words("How late instants began on the wall clock:")
+        yield Facts([(LATENESS.get(name, name), value) for name, value in late.items()])
+    if carried := about.get("bridge"):
+        yield Words("What the bridge carried for programs outside, and how late it left:")
+        numbers = {name: value for name, value in carried.items() if name != "counts"}
+        yield Facts([(BRIDGE.get(name, name), value) for name, value in numbers.items()])
+        rows = [[name, what, number] for name, counts in carried["counts"].items() for what, number in counts.items()]
+        if rows:
+            yield Rows(["vehicle", "not carried", "datagrams"], rows)
+    if about.get("cuts_s"):
+        yield Words("How long hosts of agents were cut off, s:")
+        yield Facts([(name, str(value)) for name, value in about["cuts_s"].items()])

@@ -1,0 +1,1 @@
+"""Published figures and laws, measured again: figures and validation."""

@@ -1,0 +1,1 @@
+"""Figures of obstacle avoidance: potential fields, gaps, passages."""

@@ -1,0 +1,121 @@
+"""Figure 54: a team among the furniture of a laboratory, `lab-formation` as it is.
+
+Three AmigoBots, bodies in Bullet, keep a wedge of 0.7 m through two turns, and a column in an aisle that is too narrow for the
+wedge and in which two things were left. A demonstration: nobody touches anything, and at the end they are a wedge again.
+
+What is in place then is the points ahead of the followers that the law looks after. They themselves come into place while
+the leader drives on, which it does for only 4 s after the last call: they stand 0.54 m from each other and 0.65 m from it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vcmvsp.cosim.scenario import loader
+from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.reproduction.figures.figure import (
+    Curve,
+    Figure,
+    Job,
+    Panel,
+    Row,
+    Runner,
+    absolute,
+    at_least,
+    at_most,
+)
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.formation import formation_errors
+from vcmvsp.cosim.types import Array
+
+SCENARIO = "lab-formation"
+NAMES = ("car1", "car2", "car3")
+PAIRS = (("car1", "car2"), ("car1", "car3"), ("car2", "car3"))
+SEEDS = (1, 2, 3)
+SPACING_M, BODY_M, NEAR_M = 0.7, 0.18, 0.05  # of the wedge; radius of a robot; in place
+EVERY_S, STILL_M = 6.0, 0.02  # how often the team is drawn; so near to where it ends, the heading of a track says nothing
+SMALL_M = 0.1  # legs, and backs of chairs: below or above something larger
+
+
+@dataclass(frozen=True)
+class Toured:
+    """What is kept of a run."""
+
+    time_s: Array  # (m,)
+    place: Array  # (m, 3, 2) m, of the robots
+    error: Array  # (m, 2) m, |z| of the followers
+    wide: Array  # (m,) bool: the slots are those of the wedge
+    contacts: int
+    clearance_m: float  # of any robot's middle to anything
+    apart_m: float  # of two robots' middles
+
+    @property
+    def sides_m(self) -> Array:
+        """How far the two of each of `PAIRS` are apart, (m, 3) m."""
+        i, j = np.array([[NAMES.index(name) for name in pair] for pair in PAIRS]).T
+        return np.asarray(np.hypot(*np.moveaxis(self.place[:, i] - self.place[:, j], -1, 0)))
+
+
+def toured(result: Result) -> Toured:
+    """What is kept of a run."""
+    moved = motion(result.states)
+    columns = [moved.column(name) for name in NAMES]
+    errors, safety = formation_errors(moved, result.follows), result.metrics["safety"]
+    wide = np.zeros(len(moved.time_ns), bool)
+    for each in result.follows:
+        if each.vehicle == NAMES[1]:
+            wide[moved.time_ns >= each.time_ns] = each.follows.slot[1] != 0.0
+    return Toured(
+        moved.time_ns / 1e9,
+        np.stack([moved.position[axis][:, columns] for axis in (0, 1)], axis=-1),
+        np.stack([errors[name] for name in NAMES[1:]], axis=-1),
+        wide,
+        int(safety["collisions"]),
+        float(safety["min_clearance_m"]),
+        float(safety["min_separation_m"]),
+    )
+
+
+def fig_54(runner: Runner) -> Figure:
+    """Tracks among the furniture, the shape, and the errors; the numbers of three seeds."""
+    table = loader.table_of(loader.path_of(SCENARIO))
+    runs = runner([Job(table, toured, seed=seed) for seed in SEEDS])
+    rows = [row for seed, seen in zip(SEEDS, runs, strict=True) for row in _rows(f"seed {seed}", seen)]
+    seen = runs[0]
+    errors = [Curve(seen.time_s, seen.error[:, i], name, i + 2) for i, name in enumerate(NAMES[1:])]
+    sides = [Curve(seen.time_s, seen.sides_m[:, i], f"{a} - {b}", i + 1) for i, (a, b) in enumerate(PAIRS)]
+    panels = [
+        _map(seen),
+        Panel("Formation error", "time [s]", "|z| [m]", errors, levels={"5 cm": NEAR_M}),
+        Panel("Shape", "time [s]", "distance of two robots [m]", sides, levels={"wedge": SPACING_M}),
+    ]
+    return Figure("Fig. 54: a team among the furniture of a laboratory", panels, rows, columns=3)
+
+
+def _rows(case: str, seen: Toured) -> list[Row]:
+    rows = [
+        absolute(f"{case}: contacts", 0.0, seen.contacts, 0.0),
+        at_least(f"{case}: least clearance of a robot's middle, m", BODY_M, seen.clearance_m),
+        at_least(f"{case}: two robots' middles apart, m", 2.0 * BODY_M, seen.apart_m),
+        absolute(f"{case}: a wedge at the end", 1.0, seen.wide[-1], 0.0),
+    ]
+    for i, name in enumerate(NAMES[1:]):
+        rows.append(at_most(f"{case}: |z| of {name} at the end, m", NEAR_M, seen.error[-1, i]))
+    return rows
+
+
+def _map(seen: Toured) -> Panel:
+    """The room, tracks, and the team every few seconds."""
+    world, _ = worlds.world_of(SCENARIO, {})
+    solids = [each for each in worlds.outlines(world) if np.ptp(each, axis=0).min() >= SMALL_M]
+    closed = [np.vstack([each, each[:1]]) for each in solids]
+    around = [Curve(each[:, 0], each[:, 1], style="thin") for each in closed]
+    step = round(EVERY_S / float(seen.time_s[1] - seen.time_s[0]))
+    teams = [Curve(each[:, 0], each[:, 1], style="thin") for each in seen.place[::step, [0, 1, 2, 0]]]
+    tracks = []
+    for color, track in enumerate(np.moveaxis(seen.place, 1, 0), 1):
+        moves = np.hypot(*(track - track[-1]).T) > STILL_M
+        tracks.append(Curve(track[moves, 0], track[moves, 1], "", color, "pose"))
+    title = "car1 blue, car2 red, car3 green; the team every 6 s"
+    return Panel(title, "x east [m]", "y north [m]", [*around, *teams, *tracks], equal=True)

@@ -1,0 +1,1 @@
+"""Figures of formations: circles, steps, delay, loss, chains, consensus."""

@@ -1,0 +1,158 @@
+"""Figures 24 to 26: the triangle on a circle; exact, with inertia, with noise of positioning. And the proof of convergence."""
+
+import math
+from functools import partial
+
+import numpy as np
+
+from vcmvsp.cosim.analysis import closed_forms
+from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, at_most
+from vcmvsp.cosim.reproduction.figures.scenarios import (
+    AHEAD,
+    ASIDE,
+    LEFT_BEHIND,
+    RIGHT_BEHIND,
+    UNLIMITED,
+    R,
+    T,
+    Tracks,
+    V,
+    W,
+    fleet,
+    track,
+    tracks,
+)
+from vcmvsp.cosim.types import Array
+
+NAMES = ("leader", "follower 1", "follower 2")
+SIDES = (ASIDE, -ASIDE)
+GAIN, SPAN_S = 1.0, 0.5  # of the proof: k1 = k2, 1/s; its runs
+STARTS, PARTS = 200, 4  # its starts, over as many runs
+
+
+def fig_24(runner: Runner) -> Figure:
+    """The triangle on a circle of 2 m: every error ends at zero, and the followers' circles are those of the closed forms."""
+    short = [{**place, "handle": 0.3} for place in (RIGHT_BEHIND, LEFT_BEHIND)]
+    starts = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
+    shown, handle, *proofs = runner(
+        [track(fleet(90.0, starts)), track(fleet(90.0, short)), *(_proof(part) for part in range(PARTS))]
+    )
+    rows = [absolute("|z| after 90 s, m", 0.0, shown.error[-1].max(), 1e-6), *_on_circle(shown)]
+    for number, side in enumerate(SIDES):
+        expected = closed_forms.circle_distance(R, V, side, AHEAD, 0.3)
+        rows.append(absolute(f"rho of follower {number + 1} with handle 0.3 m, m", expected, _rho(handle)[number], 1e-4))
+    time_s, v2 = proofs[0][0], np.concatenate([each[1] for each in proofs], axis=1)
+    decay = np.exp(-GAIN * time_s)[:, np.newaxis]
+    off = np.abs(np.sqrt(v2 / v2[0]) / decay - 1.0).max()
+    rows += [
+        at_most(
+            "proof: 200 random starts at T = 1 ms, largest rise of V in a period, m2", 1e-9, 0.5 * np.diff(v2, axis=0).max()
+        ),
+        absolute("proof: |z| over |z(0)| exp(-k t), largest share off", 0.0, off, 1e-3),
+    ]
+    picked = np.linspace(0, v2.shape[1] - 1, 40).astype(int)
+    lines = [Curve(time_s, np.sqrt(v2[:, i]), "40 of 200 random starts", 1, "thin") for i in picked]
+    proof = Panel(
+        "Proof, T = 1 ms, k1 = k2 = 1 1/s",
+        "time [s]",
+        "|z| [m]",
+        [*lines, Curve(time_s, 2.0 * decay[:, 0], "2 m exp(-k t)", 2, "dashed")],
+        log_y=True,
+    )
+    return Figure("Fig. 24: leader-follower triangle on a circle of 2 m", [*_panels(shown), proof], rows, columns=3)
+
+
+def fig_25(runner: Runner) -> Figure:
+    """The same with limited accelerations and lags: commands are constant on a circle, so no error remains."""
+    places = [{**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)}]
+    (shown,) = runner([track(fleet(90.0, places, kind="inertial"))])
+    late = shown.error[shown.time_s >= 60.0]
+    rows = [at_most("|z| from 60 s on, m", 1e-3, late.max()), *_on_circle(shown, 1e-3)]
+    return Figure("Fig. 25: the triangle on a circle of 2 m, inertial vehicles", _panels(shown), rows)
+
+
+def fig_26(runner: Runner) -> Figure:
+    """The same where all poses that are used come from positioning, with independent errors of every fix."""
+    rows, seen = [], []
+    noises = ((0.15, 0.05, (0.06, 0.01), (0.03, 0.005)), (0.05, 0.02, (0.018, 0.002), (0.008, 0.0015)))
+    jobs = []
+    for sigma_m, sigma_rad, _, _ in noises:
+        sensor = {"rate_hz": 10.0, "sigma_m": sigma_m, "sigma_rad": sigma_rad}
+        vehicles = {"pose_source": "positioning", "positioning": sensor}
+        jobs.append(track(fleet(120.0, [RIGHT_BEHIND, LEFT_BEHIND] * 10, vehicles=vehicles), seed=1))
+    seen = runner(jobs)
+    for (sigma_m, sigma_rad, rms, spread), each in zip(noises, seen, strict=True):
+        late = each.time_s >= 20.0
+        case = f"sigma {sigma_m:g} m, {sigma_rad:g} rad"
+        radial = _radius(each)[late]
+        rows += [
+            absolute(f"{case}: RMS |z| of 20 followers, m", rms[0], np.sqrt((each.error[late] ** 2).mean()), rms[1]),
+            absolute(f"{case}: radial deviation of followers, m", spread[0], radial[:, 1:].std(axis=0).mean(), spread[1]),
+            absolute(f"{case}: leader off its circle, m", 0.0, np.abs(radial[:, 0] - R).max(), 1e-9),
+        ]
+    first = Tracks(seen[0].time_s, seen[0].pose[:, :3], seen[0].z[:, :2])
+    return Figure(
+        "Fig. 26: the triangle on a circle of 2 m, positioning noise of 0.15 m and 0.05 rad", _panels(first, log=False), rows
+    )
+
+
+def _panels(seen: Tracks, *, log: bool = True) -> list[Panel]:
+    """The tracks from above, and the errors."""
+    paths = [Curve(seen.pose[:, i, 0], seen.pose[:, i, 1], name, i, "pose") for i, name in enumerate(NAMES)]
+    errors = [Curve(seen.time_s, seen.error[:, i], name, i + 1) for i, name in enumerate(NAMES[1:])]
+    return [
+        Panel("Tracks; follower 1 at +30°, 2 at -30°", "x east [m]", "y north [m]", paths, equal=True),
+        Panel("Formation error", "time [s]", "|z| [m]", errors, log_y=log, y_limits=(1e-9, 2.0) if log else None),
+    ]
+
+
+def _radius(seen: Tracks) -> Array:
+    """Distance of all vehicles to the middle of the circle that the leader ends on, (m, vehicles)."""
+    x, y, yaw = seen.pose[-1, 0]
+    return np.asarray(np.hypot(seen.pose[..., 0] - x + R * math.sin(yaw), seen.pose[..., 1] - y - R * math.cos(yaw)))
+
+
+def _rho(seen: Tracks) -> Array:
+    """Distance of the followers to their leader at the end, m."""
+    return np.asarray(np.hypot(*(seen.pose[-1, 1:, :2] - seen.pose[-1, :1, :2]).T))
+
+
+def _on_circle(seen: Tracks, tolerance: float = 1e-5) -> list[Row]:
+    """Radius, distance and speed of both followers at the end, against the closed forms."""
+    chord = np.hypot(*(seen.pose[-1, 1:, :2] - seen.pose[-2, 1:, :2]).T)
+    speed = chord / (T * np.sinc(W * T / 2.0 / math.pi))  # along the arc
+    rows = []
+    for number, side in enumerate(SIDES):
+        radius, rho, v = closed_forms.circle(R, V, side, AHEAD)
+        of = f"of follower {number + 1}"
+        rows += [
+            absolute(f"radius {of}, m", radius, _radius(seen)[-1, number + 1], tolerance),
+            absolute(f"rho {of}, m", rho, _rho(seen)[number], tolerance),
+            absolute(f"speed {of}, m/s", v, speed[number], tolerance),
+        ]
+    return rows
+
+
+def _proof(part: int) -> Job:
+    """A share of the random starts, at T = 1 ms, behind a leader of its own yaw rate."""
+    draws = np.random.Generator(np.random.PCG64(part))
+    rate, middle = (-0.15, -0.05, 0.05, 0.15)[part], np.array([-AHEAD, 0.0])
+    followers = [
+        {
+            **(RIGHT_BEHIND, LEFT_BEHIND)[number % 2],
+            **UNLIMITED,
+            "k1": GAIN,
+            "k2": GAIN,
+            "pose": (*(middle + draws.uniform(-1.0, 1.0, 2)).tolist(), float(draws.uniform(-math.pi, math.pi))),
+        }
+        for number in range(STARTS // PARTS)
+    ]
+    scenario = fleet(SPAN_S, followers, leader={"yaw_rate": rate}, agents={"period_s": 0.001}, record={"period_s": 0.001})
+    return Job(scenario, partial(_squares, scenario=scenario))
+
+
+def _squares(result: Result, scenario: dict[str, object]) -> tuple[Array, Array]:
+    """Times from the first report on, s, and |z|^2 (m, followers), m2: twice V."""
+    seen = tracks(result, scenario)
+    return seen.time_s[1:] - seen.time_s[1], seen.error[1:] ** 2

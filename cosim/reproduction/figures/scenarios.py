@@ -1,0 +1,165 @@
+"""The scenarios of the figures, in the product's own vocabulary, and what is read of their runs.
+
+Standard triangle: car2 keeps 1 m to its leader at +30 degrees (right-behind), car3 at -30 degrees, so that L = 0.866 m,
+L' = +-0.5 m; gains k1 = 0.8, k2 = 0.5 1/s; the leader drives at 0.3 m/s. The thesis gives none of these but the triangle.
+
+The error z of a follower is worked out here from true poses and from where the *scenario* says its place is, not from what the
+agent believes: ``z = Rot(-th_f) (p_l + Rot(th_l) (slot + (ell, 0)) - p_f - ell (cos th_f, sin th_f))`` (Toh 2012, 3-31, 3-34).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.reproduction.figures.figure import Job
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.types import Array
+
+T, V, W, R = 0.1, 0.3, 0.15, 2.0  # s; the leader's m/s, rad/s and m
+K1, K2 = 0.8, 0.5  # 1/s
+AHEAD, ASIDE = math.cos(math.radians(30.0)), 0.5  # L, L' of car2, m
+RIGHT_BEHIND, LEFT_BEHIND = {"bearing_deg": 30.0}, {"bearing_deg": -30.0}
+TRIANGLE = (RIGHT_BEHIND, LEFT_BEHIND)
+UNLIMITED = {"max_reverse": 1e9, "timeout_s": 1e9, "horizon_s": 1e9}  # closed forms know no such limits
+IDEAL: Mapping[str, Any] = {"preset": "ideal"}
+STEP = "vcmvsp.cosim.reproduction.figures.formation.step_agent:StepFollower"
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """True poses of the m recorded instants, and the error of every follower."""
+
+    time_s: Array  # (m,)
+    pose: Array  # (m, vehicles, 3): x m, y m, yaw rad
+    z: Array  # (m, followers, 2) m: forward and left of each follower
+
+    @property
+    def error(self) -> Array:
+        """``|z|`` (m, followers) in m."""
+        return np.hypot(self.z[..., 0], self.z[..., 1])
+
+
+def fleet(
+    duration_s: float,
+    followers: Sequence[Mapping[str, Any]] = TRIANGLE,
+    *,
+    path: str = "circle",
+    leader: Mapping[str, Any] | None = None,
+    kind: str = "kinematic",
+    vehicles: Mapping[str, Any] | None = None,
+    **tables: Any,
+) -> dict[str, Any]:
+    """A scenario: car1 leads from the origin, car2, car3, ... follow it.
+
+    Args:
+        duration_s: how long.
+        followers: the agent's parameters of each; ``leader`` among them is another car than car1, and ``pose`` where it
+            starts, by default in its place.
+        path: of the leader.
+        leader: further parameters of the leader's agent.
+        kind: of all vehicles.
+        vehicles: further defaults for all vehicles.
+        tables: other tables of the scenario, such as ``radio``; by default an ideal radio.
+    """
+    cars: list[dict[str, Any]] = [{"name": "car1", "agent": {"kind": "trajectory", "path": path, **(leader or {})}}]
+    starts = {"car1": (0.0, 0.0, 0.0)}
+    for number, given in enumerate(followers, 2):
+        name = f"car{number}"
+        agent = {"kind": "leader_follower", "leader": "car1", **{key: value for key, value in given.items() if key != "pose"}}
+        x, y, _ = starts[agent["leader"]]
+        slot_x, slot_y, _ = place_of(agent)
+        starts[name] = given.get("pose", (x + slot_x, y + slot_y, 0.0))
+        cars.append({"name": name, "pose": starts[name], "agent": agent})
+    return {
+        "name": "figure",
+        "duration_s": duration_s,
+        "physics": {"kind": "kinematic"},
+        "vehicles": {"kind": kind, **(vehicles or {})},
+        "vehicle": cars,
+        "radio": IDEAL,
+        **tables,
+    }
+
+
+def lossy(probability: float = 0.0, delay_s: float = 0.0) -> dict[str, Any]:
+    """A radio without range or bandwidth, that loses each message on its own and delays all alike."""
+    return {
+        "preset": "ideal",
+        "loss": {"kind": "bernoulli", "probability": probability},
+        "delay": {"kind": "fixed", "seconds": delay_s},
+    }
+
+
+def place_of(agent: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Where a follower's parameters put it in its leader's frame, x and y in m, and the length of its handle, m.
+
+    Of a follower that steps, the place after the step.
+    """
+    table = {**agent, **agent.get("after", {})}
+    bearing, distance = math.radians(table.get("bearing_deg", 0.0)), table.get("distance", 1.0)
+    ahead, aside = distance * math.cos(bearing), distance * math.sin(bearing)
+    return -ahead, -aside, table.get("handle", ahead)
+
+
+def step_follower(at_s: float, behind: float = 0.0, left: float = 0.0, **law: Any) -> dict[str, Any]:
+    """A follower that drives steadily behind and to the left of the place of car2, and is sent there at ``at_s``.
+
+    So the step begins with all vehicles at the same speed, and with the newest report in use.
+    """
+    x, y = -AHEAD - behind, -ASIDE + left
+    before = {"distance": math.hypot(x, y), "bearing_deg": math.degrees(math.atan2(-y, -x))}
+    return {
+        "kind": STEP,
+        "at_s": at_s,
+        "before": before,
+        "after": {**RIGHT_BEHIND, "distance": 1.0, **UNLIMITED, **law},
+        "pose": (x, y, 0.0),
+    }
+
+
+def tracks(result: Result, scenario: Mapping[str, Any]) -> Tracks:
+    """Poses and errors of a run of `fleet`."""
+    moved = motion(result.states)
+    x, y, _ = moved.position
+    z = []
+    for car in scenario["vehicle"][1:]:
+        slot_x, slot_y, handle = place_of(car["agent"])
+        of, lead = moved.column(car["name"]), moved.column(car["agent"]["leader"])
+        turn, own = np.exp(1j * moved.yaw[:, lead]), np.exp(1j * moved.yaw[:, of])
+        point = x[:, lead] + 1j * y[:, lead] + turn * (slot_x + handle + 1j * slot_y)
+        error = (point - x[:, of] - 1j * y[:, of]) / own - handle
+        z.append(np.stack([error.real, error.imag], axis=-1))
+    return Tracks(moved.time_ns / 1e9, np.stack([x, y, moved.yaw], axis=-1), np.stack(z, axis=1))
+
+
+def track(scenario: Mapping[str, Any], **more: Any) -> Job:
+    """A job that gives `Tracks`."""
+    return Job(scenario, partial(tracks, scenario=scenario), **more)
+
+
+def errors_from(result: Result, scenario: Mapping[str, Any], from_s: float) -> Array:
+    """Root mean square of ``|z|`` from ``from_s`` on, m, of each follower, (followers,)."""
+    seen = tracks(result, scenario)
+    return np.asarray(np.sqrt((seen.error[seen.time_s >= from_s] ** 2).mean(axis=0)))
+
+
+def rms(scenario: Mapping[str, Any], from_s: float = 20.0, **more: Any) -> Job:
+    """A job that gives the root mean square error of each follower, m."""
+    return Job(scenario, partial(errors_from, scenario=scenario, from_s=from_s), **more)
+
+
+def overshoot(z: Array) -> float:
+    """How far a step response (m,) goes beyond zero, as a share of its start."""
+    return float(max(0.0, (-z / z[0]).max()))
+
+
+def settling_s(time_s: Array, z: Array, band_m: float) -> float:
+    """The first instant, from the first on, from which ``|z|`` (m,) stays within the band; NaN: it does not, to the end."""
+    outside = np.flatnonzero(np.abs(z) > band_m)
+    since = int(outside[-1]) + 1 if outside.size else 0
+    return float(time_s[since] - time_s[0]) if since < len(z) else math.nan

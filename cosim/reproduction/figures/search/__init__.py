@@ -1,0 +1,1 @@
+"""Figures of search: shared maps, recognition, reconnaissance."""

@@ -1,0 +1,221 @@
+"""How those who search together share their map, and what loss of messages makes of it; figure 45: their map over time.
+
+Two targets in 100 x 100 m, two or four vehicles; the search is over when every vehicle's map is sure of both. All exchanges get
+the same searches, since vehicles comb the same lanes and their detectors err alike. Two targets take long in one search and
+little in another: medians of eight, as those of the independent simulation are, spread by 30 %, of twenty-four by half as much.
+The ledger must come out as there; an exchange that loses evidence, or spreads it thinly, must be slower than the ledger, and no
+slower than there: how well it does depends on when its evidence is decided on.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
+    CELL_M,
+    EDGE_M,
+    SURE,
+    Searched,
+    places,
+    searched,
+)
+from vcmvsp.cosim.reproduction.figures.figure import (
+    Curve,
+    Figure,
+    Heat,
+    Panel,
+    Row,
+    Runner,
+    absolute,
+    at_most,
+    relative,
+)
+from vcmvsp.cosim.types import Array, ProbabilityMap
+
+COUNTS = (2, 4)
+LIMITS_S = {2: 600.0, 4: 500.0}
+LOSSES = (0.0, 0.3, 0.6, 0.9)
+SEEDS = 24
+ALONE = 8  # seeds of those who exchange nothing: all of them search in vain until the limit
+KINDS = ("ledger", "delta", "consensus")
+
+# An independent simulation: medians of eight searches, s; of those of which many are not over within the limit, their share.
+REFERENCE: Mapping[int, Mapping[str, tuple[float, ...]]] = {
+    2: {
+        "ledger": (95.0, 100.0, 102.0, 116.0),
+        "delta": (95.0, 220.0, 348.0, math.nan),
+        "consensus": (208.0, 220.0, 192.0, 233.0),
+    },
+    4: {
+        "ledger": (49.5, 50.0, 52.0, 61.5),
+        "delta": (49.5, 88.0, 205.0, math.nan),
+        "consensus": (154.0, 170.0, 185.0, 191.0),
+    },
+}
+NOT_OVER: Mapping[int, Mapping[tuple[str, float], float]] = {2: {("delta", 0.9): 1.0}, 4: {("delta", 0.9): 0.75}}
+SHARE = 0.15
+FALSE_CELLS = 0.6  # 0.4 to 0.8 of 2500, a map, when both targets are found: the price of speed
+SEQUENTIAL = {0.9: (3, 0.00137, 3.740), 0.8: (4, 0.00389, 6.615)}  # p: net hits, wrong decisions, looks at a cell
+
+
+# --- the study ---
+
+
+def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] = LOSSES) -> Figure:
+    """How long it takes until all know both targets, by exchange and loss."""
+    cases = [(count, kind, loss) for count in COUNTS for kind in KINDS for loss in losses]
+    tries = dict.fromkeys(cases, seeds) | {(count, "none", 0.0): min(seeds, ALONE) for count in COUNTS}
+    jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case, most in tries.items() for seed in range(most)]
+    answers = iter(runner(jobs))
+    seen: dict[tuple[int, str, float], list[Searched]] = {
+        case: [next(answers) for _ in range(most)] for case, most in tries.items()
+    }
+    rows: list[Row] = sequential_rows()
+    for count in COUNTS:
+        rows += _rows(count, seen, losses)
+    panels = [
+        *(_times(count, seen, losses) for count in COUNTS),
+        *(_bytes(count, seen, losses) for count in COUNTS),
+    ]
+    return Figure("Search for two targets: until all know both (medians; infinite ones not drawn)", panels, rows)
+
+
+def _rows(count: int, seen: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> list[Row]:
+    """Medians beside those of the independent simulation, and beside the ledger's; who is never over."""
+    rows, reference, best = [], REFERENCE[count], _median(seen[count, "ledger", losses[0]])
+    for kind in KINDS:
+        for loss in losses:
+            found, must = seen[count, kind, loss], reference[kind][LOSSES.index(loss)]
+            case = f"N = {count}, {kind}, loss {loss:g}"
+            if (kind, loss) in NOT_OVER[count]:
+                rows.append(absolute(f"{case}: share not over", NOT_OVER[count][kind, loss], _unfinished(found), 0.25))
+            elif kind == "ledger":
+                rows.append(relative(f"{case}: median, s", must, _median(found), SHARE))
+                ratio = must / reference["ledger"][0]
+                if loss > 0.0:
+                    rows.append(relative(f"{case}: median over that without loss", ratio, _median(found) / best, SHARE))
+            else:
+                rows.append(at_most(f"{case}: median, s", (1.0 + SHARE) * must, _median(found)))
+                quicker = _median(seen[count, "ledger", loss]) - _median(found)
+                rows.append(at_most(f"{case}: the ledger's median is greater by, s", 0.0, quicker))
+    if losses[0] == 0.0:
+        rows.append(absolute(f"N = {count}, delta over ledger, no loss", 1.0, _median(seen[count, "delta", 0.0]) / best, 0.0))
+    rows.append(absolute(f"N = {count}, none: share not over", 1.0, _unfinished(seen[count, "none", 0.0]), 0.2))
+    over = [each.false_cells for loss in losses for each in seen[count, "ledger", loss] if math.isfinite(each.done_s)]
+    false = float(np.mean(over)) if over else math.nan
+    rows.append(absolute(f"N = {count}, ledger: false cells of a map", FALSE_CELLS, false, 0.3))
+    return rows
+
+
+def sequential_rows() -> list[Row]:
+    """The test of a single cell, exactly: from the evidence of the platform's own map, as a walk from decision to decision."""
+    rows = []
+    for p, (net, wrong, looks) in SEQUENTIAL.items():
+        found_net, found_wrong, found_looks = sequential(p)
+        rows += [
+            absolute(f"one cell, p = {p:g}: net hits to decide", net, found_net, 0.0),
+            absolute(f"one cell, p = {p:g}: wrong decisions", wrong, found_wrong, 5e-6),
+            absolute(f"one cell, p = {p:g}: looks", looks, found_looks, 5e-4),
+        ]
+    return rows
+
+
+def sequential(p: float) -> tuple[int, float, float]:
+    """Net hits until a cell with a target is decided, share of wrong decisions, mean looks, for q = 1 - p and a prior of 0.5.
+
+    A walk from state to state, one step up with p and down with 1 - p, until a decision: its fundamental matrix tells all.
+    """
+    maps = registry.piece("reconnaissance")
+    evidence = maps.Sensor(p, 1.0 - p).evidence(np.array([1]), np.array([0]))[0]
+    net = next(hits for hits in range(1, 100) if maps.decisions(np.array([hits * evidence]))[0] == 1)
+    states = 2 * net - 1  # -net + 1 to net - 1
+    steps = np.diag(np.full(states - 1, p), 1) + np.diag(np.full(states - 1, 1.0 - p), -1)
+    visits = np.linalg.inv(np.eye(states) - steps)[net - 1]  # from the middle
+    return net, float(visits[0] * (1.0 - p)), float(visits.sum())
+
+
+def _median(found: Sequence[Searched]) -> float:
+    return float(np.median([each.done_s for each in found]))
+
+
+def _unfinished(found: Sequence[Searched]) -> float:
+    return float(np.mean([math.isinf(each.done_s) for each in found]))
+
+
+def _times(count: int, seen: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
+    curves = []
+    for color, kind in enumerate(KINDS, 1):
+        at = [LOSSES.index(loss) for loss in losses]
+        x, must = np.array(losses), np.array(REFERENCE[count][kind])[at]
+        got = np.array([_median(seen[count, kind, loss]) for loss in losses])
+        curves += [
+            Curve(x[np.isfinite(got)], got[np.isfinite(got)], kind, color, "both"),
+            Curve(x[np.isfinite(must)], must[np.isfinite(must)], "independent" if color == 1 else "", color, "hollow"),
+        ]
+        each = [(loss, one.done_s) for loss in losses for one in seen[count, kind, loss] if math.isfinite(one.done_s)]
+        curves.append(
+            Curve(np.array([a + 0.008 * (color - 2) for a, _ in each]), np.array([b for _, b in each]), "", color, "dots")
+        )
+    return Panel(f"{count} vehicles", "probability of loss", "until all know both [s]", curves, log_y=True)
+
+
+def _bytes(count: int, seen: Mapping[tuple[int, str, float], list[Searched]], losses: Sequence[float]) -> Panel:
+    curves = []
+    for color, kind in enumerate(KINDS, 1):
+        rates = [
+            float(np.mean([each.bytes_sent / each.seconds / count / 1000.0 for each in seen[count, kind, loss]]))
+            for loss in losses
+        ]
+        curves.append(Curve(np.array(losses), np.array(rates), kind, color, "both"))
+    title = f"{count} vehicles: messages"
+    return Panel(title, "probability of loss", "sent by a vehicle [kB/s]", curves)
+
+
+# --- figure 45 ---
+
+SHOWN_SEED, SHOWN_LOSS, SHOWN_S = 4, 0.3, (20.0, 50.0, 80.0, 160.0)
+
+
+def fig_45(runner: Runner) -> Figure:
+    """The maps of two vehicles at four instants, three messages in ten lost."""
+    limit_s = SHOWN_S[-1] + 2.0
+    (found,) = runner([partial(searched, 2, "ledger", SHOWN_LOSS, SHOWN_SEED, limit_s, keep_s=SHOWN_S)])
+    targets = places(SHOWN_SEED)
+    cells = {(int(y / CELL_M), int(x / CELL_M)) for x, y in targets}
+    rows, panels = [], []
+    for name in found.tracks:
+        last = found.maps[-1][name].probability
+        rows += [
+            absolute(f"{name}: targets that its map is sure of", 2.0, sum(last[cell] > SURE for cell in cells), 0.0),
+            at_most(f"{name}: false cells", 2.0, float((last > SURE).sum() - sum(last[cell] > SURE for cell in cells))),
+            absolute(f"{name}: share of the cells that are decided", 1.0, _decided(last), 0.2),
+        ]
+        panels += [_map(name, at_s, each[name], found, targets) for at_s, each in zip(SHOWN_S, found.maps, strict=True)]
+    apart = [np.abs(_plain(each["uav1"]) - _plain(each["uav2"])).mean() for each in found.maps]
+    rows.append(at_most("the two maps differ by, mean of all cells and instants", 0.05, float(np.mean(apart))))
+    rows.append(at_most("all know both after, s", SHOWN_S[-1], found.done_s))
+    return Figure("Fig. 45: probability of a target, ledger, three messages in ten lost", panels, rows, columns=len(SHOWN_S))
+
+
+def _decided(probability: Array) -> float:
+    return float(((probability > SURE) | (probability < 255.0 - SURE)).mean())
+
+
+def _plain(shown: ProbabilityMap) -> Array:
+    return np.asarray(shown.probability / 255.0)
+
+
+def _map(name: str, at_s: float, shown: ProbabilityMap, found: Searched, targets: Sequence[tuple[float, float]]) -> Panel:
+    middles = CELL_M * (np.arange(shown.probability.shape[0]) + 0.5)
+    x, y = np.array(targets).T
+    named = at_s == SHOWN_S[0]  # a legend in each would hide too much
+    curves = [Curve(x, y, "target" if named else "", 2, "hollow")]
+    for color, (other, track) in zip((4, 3), found.tracks.items(), strict=True):
+        so_far = track[track[:, 0] <= at_s]
+        curves.append(Curve(so_far[:, 1], so_far[:, 2], other if named else "", color))
+    ends = (0.0, EDGE_M)
+    heat = Heat(middles, middles, _plain(shown), "P(target) [1]", "map")
+    return Panel(f"{name} after {at_s:g} s", "x east [m]", "y north [m]", curves, heat=heat, x_limits=ends, y_limits=ends)

@@ -1,0 +1,131 @@
+"""Recognition of targets from 10 to 40 m: how many are found, how many of the answers are right, and what each stage adds.
+
+On made-up ground, and in pictures that a camera of the platform takes over a town with the same target and likenesses.
+"""
+
+import math
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo, Row, Runner, absolute
+from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
+    SIZE_M,
+    Tally,
+    box,
+    made_up,
+    photographed,
+    tallied,
+    target,
+    together,
+    town,
+)
+from vcmvsp.cosim.analysis.recognition import Rates
+from vcmvsp.cosim.analysis.snapshots import Snapshots
+
+HEIGHTS = (10.0, 15.0, 20.0, 30.0, 40.0)  # m
+FRAMES = 60  # at each height
+PARTS = 3  # jobs for each height
+TOWNS = (1, 2, 3)  # seeds
+PHOTO = (8, 20)  # number of the picture of a town that is shown, and of how many
+STAGES = ("colour", "and rings", "and match")
+SHOWN = ((10.0, 1), (40.0, 2))  # heights and numbers of the pictures that are shown
+REFERENCE = (0.05, 0.44, 1.0)  # an independent implementation's precision with one, two and three stages
+PRECISION, RECALL, ANGLE_DEG, PLACE = 0.95, 0.90, 1.0, 0.05  # what is asked for
+
+
+def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
+    """Precision and recall by height, with one, two and three stages; examples."""
+    parts = [np.arange(frames)[part::PARTS].tolist() for part in range(PARTS)]
+    towns = [partial(photographed, height, frames // len(TOWNS), TOWNS) for height in HEIGHTS]
+    answers = iter(runner([*(partial(tallied, height, part) for height in HEIGHTS for part in parts), *towns]))
+    by_height = [_joined([next(answers) for _ in parts]) for _ in HEIGHTS]
+    rows: list[Row] = []
+    for height, (*_, each) in zip(HEIGHTS, by_height, strict=True):
+        rows += [
+            absolute(f"made-up ground, {height:g} m: precision", 1.0, each.precision, 1.0 - PRECISION),
+            absolute(f"made-up ground, {height:g} m: recall", 1.0, each.recall, 1.0 - RECALL),
+            absolute(f"made-up ground, {height:g} m: median error of the angle, deg", 0.0, _degrees(each), ANGLE_DEG),
+            absolute(f"made-up ground, {height:g} m: median error of the place, sides", 0.0, _sides(each), PLACE),
+        ]
+    of_stages = _joined(by_height)
+    cameras: list[Rates] = list(answers)
+    for height, seen in zip(HEIGHTS, cameras, strict=True):
+        degrees, sides = math.degrees(np.median(seen.angles)), float(np.median(seen.places)) / SIZE_M
+        rows += [
+            absolute(f"town, {height:g} m: precision", 1.0, seen.precision.value, 1.0 - PRECISION),
+            absolute(f"town, {height:g} m: recall, unoccluded", 1.0, seen.unoccluded.value, 1.0 - RECALL),
+            absolute(f"town, {height:g} m: median error of the angle, deg", 0.0, degrees, ANGLE_DEG),
+            absolute(f"town, {height:g} m: median error of the place, sides", 0.0, sides, PLACE),
+        ]
+    rows += [
+        absolute(f"stage {name}: precision", must, tally.precision, 0.15)
+        for name, must, tally in zip(STAGES, REFERENCE, of_stages, strict=True)
+    ]
+    rows.append(absolute("stage and rings: recall", 1.0, of_stages[1].recall, 1.0 - RECALL))
+    panels = [
+        _shares("Precision", by_height, cameras, PRECISION),
+        _shares("Recall", by_height, cameras, RECALL),
+        _errors([each[-1] for each in by_height]),
+        *(_example(*each) for each in SHOWN),
+        _photo(),
+    ]
+    return Figure("Recognition in three stages, one target and five likenesses of it in each picture", panels, rows, columns=3)
+
+
+def _joined(parts: list[Any]) -> list[Tally]:
+    """By stages, what was tallied in parts."""
+    return [together(each) for each in zip(*parts, strict=True)]
+
+
+def _degrees(each: Tally) -> float:
+    return math.degrees(np.median(each.angles)) if each.angles else math.nan
+
+
+def _sides(each: Tally) -> float:
+    return float(np.median(each.places)) if each.places else math.nan
+
+
+def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], asked: float) -> Panel:
+    x, name = np.array(HEIGHTS), title.lower()
+    curves = [
+        Curve(x, np.array([getattr(each[stage], name) for each in by_height]), STAGES[stage], 1 + stage, "both")
+        for stage in range(3)
+    ]
+    shares = [each.precision if name == "precision" else each.unoccluded for each in cameras]
+    curves.append(Curve(x, np.array([each.value for each in shares]), "camera over a town", 0, "hollow"))
+    return Panel(title, "height [m]", name, curves, levels={"asked for": asked}, y_limits=(0.0, 1.05))
+
+
+def _errors(tallies: list[Tally]) -> Panel:
+    """Medians, in parts of what is asked for."""
+    x = np.array(HEIGHTS)
+    curves = [
+        Curve(x, np.array([_degrees(each) / ANGLE_DEG for each in tallies]), f"angle, in {ANGLE_DEG:g} deg", 1, "both"),
+        Curve(x, np.array([_sides(each) / PLACE for each in tallies]), f"place, in {PLACE:g} sides", 2, "both"),
+    ]
+    return Panel("Median errors", "height [m]", "error", curves, levels={"asked for": 1.0}, y_limits=(0.0, 1.5))
+
+
+def _example(height_m: float, number: int) -> Panel:
+    """A picture with what is in it and what was found."""
+    frame = made_up(height_m, number)
+    detector = registry.piece("recognition").Detector([target()])
+    found = detector.detect(frame.image, height_m, frame.seen.focal_px)
+    alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
+    right = [box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in found]
+    missed = [] if found else [box(one.u, one.v, 1.6 * frame.side_px, 0.0, "missed", 2) for one in frame.seen.truths]
+    title = f"From {height_m:g} m: a side has {frame.side_px:g} px"
+    return Panel(title, "u [px]", "v [px]", [*alike, *right, *missed], photo=Photo(frame.image))
+
+
+def _photo() -> Panel:
+    """What a camera of the platform sees of a town, and what was recognised."""
+    with tempfile.TemporaryDirectory() as folder:
+        taken = Snapshots(town(Path(folder), 20.0, TOWNS[-1])).take(*PHOTO)
+    found = [box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in taken.sightings]
+    return Panel("A camera over a town, from 20 m", "u [px]", "v [px]", found, photo=Photo(taken.pixels))

@@ -1,0 +1,236 @@
+"""Figures 46 and 47: what each stage of recognition sees, in made-up pictures of the ground (Toh 2012, 5.3)."""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.reproduction.figures.figure import (
+    Curve,
+    Figure,
+    Panel,
+    Photo,
+    Row,
+    Runner,
+    absolute,
+    at_least,
+    at_most,
+    relative,
+)
+from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import KINDS, SIZE_M, box, made_up, target
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Array
+
+HEIGHTS = (10.0, 20.0, 30.0, 40.0)  # m
+FRAMES = 25  # at each height
+SHOWN = (20.0, 4)  # height and number of the picture that is shown
+HUES = (1, 2, 3, 4)  # the most frequent ones that count
+PEAKS = 16  # at most
+COLOUR, RINGS, MATCH = 0.55, 0.88, 0.75  # thresholds of the stages
+TURNS_DEG = tuple(range(0, 181, 5))
+SHIFTS_PX = tuple(range(8))  # of the patch, which has 48 a side
+# of an independent implementation: the least of targets in stages 2 and 3, the most of likenesses in 3, the mirrored in 2
+TARGET_RINGS, TARGET_MATCH, ALIKE_MATCH, MIRRORED_RINGS = 0.97, 0.96, 0.65, 0.99
+UPRIGHT = {0: 0.985, 20: 0.52}  # degrees: correlation without turning back; below 0.75 beyond 10
+COLORS = dict(zip(KINDS, (2, 1, 3, 4, 5, 6), strict=True))
+
+
+# --- the first stage ---
+
+
+def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
+    """Where the target's colours are: by the most frequent one alone, and by up to four of them."""
+    ranks = _gathered(runner, _ranks, frames)
+    shares = registry.piece("recognition ground").glyph().reshape(-1, 3)
+    counted = np.unique(shares, axis=0, return_counts=True)[1] / len(shares)
+    hues = target().template(48).hues.shares
+    middle = {hues: float(np.median(ranks[:, i])) for i, hues in enumerate(HUES)}
+    rows = [
+        relative("most frequent colour, in the blurred template: share", counted.max(), hues[0], 0.15),
+        relative("next colour, in the blurred template: share", np.sort(counted)[-2], hues[1], 0.15),
+        absolute("share of the targets that have a peak of the score", 1.0, float((ranks[:, -1] <= PEAKS).mean()), 0.03),
+        at_most("median rank of the target among the peaks, four colours", 3.0, middle[4]),
+        at_least("median rank of the target, one colour over four", 1.5, middle[1] / middle[4]),
+    ]
+    panels = [*_maps(), _reached(ranks), _hues(hues)]
+    return Figure("Fig. 46: first stage: the target's colours in about its shares", panels, rows, columns=3)
+
+
+def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
+    """Of pictures: the place of the target in the list of peaks, from 1, by so many hues; infinite: it is not in it."""
+    colours = registry.piece("recognition inspection").colour_map
+    ranks = np.full((len(numbers), len(HUES)), np.inf)
+    for row, number in enumerate(numbers):
+        frame = made_up(height_m, number)
+        (truth,) = frame.seen.truths
+        for column, hues in enumerate(HUES):
+            peaks = colours(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues).peaks
+            near = np.flatnonzero(np.hypot(peaks[:, 0] - truth.u, peaks[:, 1] - truth.v) < 0.5 * frame.side_px)
+            ranks[row, column] = near[0] + 1 if near.size else np.inf
+    return ranks
+
+
+def _maps() -> list[Panel]:
+    """A picture, and the score of all its places, by one colour and by four."""
+    height_m, number = SHOWN
+    frame = made_up(height_m, number)
+    (truth,) = frame.seen.truths
+    here = box(truth.u, truth.v, 1.5 * frame.side_px, 0.0, "target", 2)
+    alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
+    axes = "u [px]", "v [px]"
+    panels = [Panel(f"The picture, from {height_m:g} m", *axes, [here, *alike], photo=Photo(frame.image))]
+    for hues, name in ((1, "the most frequent colour"), (4, "all colours")):
+        found = registry.piece("recognition inspection").colour_map(
+            target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues
+        )
+        peaks = Curve(found.peaks[:, 0], found.peaks[:, 1], f"{len(found.peaks)} peaks", 1, "hollow")
+        photo = Photo(_enlarged(found.score, frame.image.shape[:2]))
+        panels.append(Panel(f"Score by {name}", *axes, [here, peaks], photo=photo))
+    return panels
+
+
+def _enlarged(score: Array, shape: Sequence[int]) -> Array:
+    """A map as large as the picture: white 0, black all of the target's colours."""
+    rows, columns = ((np.arange(n) * m // n) for n, m in zip(shape, score.shape, strict=True))
+    grey = 255 - score[np.ix_(rows, columns)]
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+def _reached(ranks: Array) -> Panel:
+    x = np.arange(1, PEAKS + 1)
+    curves = [
+        Curve(x, (ranks[:, i, None] <= x).mean(axis=0), f"{hues} colour{'s' * (hues > 1)}", 1 + i, "both")
+        for i, hues in enumerate(HUES)
+    ]
+    return Panel("Targets among the best peaks", "number of peaks", "share of the targets", curves, y_limits=(0.0, 1.05))
+
+
+def _hues(shares: Sequence[float]) -> Panel:
+    x = np.arange(1, len(shares) + 1)
+    curve = Curve(x, np.array(shares), "", 1, "both")
+    return Panel("The target's colours", "from the most frequent one", "share of the target", [curve], y_limits=(0.0, 0.7))
+
+
+# --- the later stages ---
+
+
+class Judged(NamedTuple):
+    """What the stages say of places in a picture."""
+
+    scores: dict[str, Any]  # by kind
+    angle: float  # rad, of the target
+
+
+def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
+    """What turning changes and what it does not; scores of targets and of their likenesses; estimated angles."""
+    seen: list[Judged] = _gathered(runner, _judged, frames)
+    turned, shifted = runner([partial(_turned, TURNS_DEG), partial(_shifted, SHIFTS_PX)])
+    rings, match = (
+        {kind: np.array([getattr(each.scores[kind], name) for each in seen]) for kind in KINDS} for name in ("rings", "match")
+    )
+    errors = np.degrees([abs(wrap(each.scores["target"].angle - each.angle)) for each in seen])
+    least = "least correlation"
+    rows: list[Row] = [
+        absolute("target, stage 2: least score", 1.0, rings["target"].min(), 1.0 - TARGET_RINGS),
+        absolute("target, stage 3: least score", 1.0, match["target"].min(), 1.0 - TARGET_MATCH),
+        *(at_most(f"{kind}, stage 3: largest score", ALIKE_MATCH, match[kind].max()) for kind in KINDS[1:]),
+        absolute("mirrored, stage 2: median score", MIRRORED_RINGS, float(np.median(rings["mirrored"])), 0.01),
+        at_most("all other likenesses, stage 2: largest score", RINGS, max(rings[kind].max() for kind in KINDS[2:])),
+        absolute("angle that stage 2 estimates: median error, deg", 0.0, float(np.median(errors)), 1.0),
+        *(absolute(f"turned by {at} deg, not turned back: correlation", must, turned[TURNS_DEG.index(at)].upright, 0.08)
+          for at, must in UPRIGHT.items()),
+        at_most("turned by 15 deg, not turned back: correlation", MATCH, turned[TURNS_DEG.index(15)].upright),
+        absolute(f"turned by any angle, turned back: {least}", 1.0, min(each.match for each in turned), 1.0 - TARGET_MATCH),
+        absolute(f"told up to 7 px off: {least}", 1.0, min(each.match for each in shifted), 1.0 - TARGET_MATCH),
+    ]  # fmt: skip
+    panels = [_likenesses(), _by_turn(turned), _by_shift(shifted), _scores(rings, match), *_angles(seen, errors)]
+    return Figure("Fig. 47: later stages: what turning does not change, then correlation", panels, rows, columns=3)
+
+
+def _judged(height_m: float, numbers: Sequence[int]) -> list[Judged]:
+    inspect = registry.piece("recognition inspection").inspect
+    found = []
+    for number in numbers:
+        frame = made_up(height_m, number)
+        (truth,) = frame.seen.truths
+        places = {"target": (truth.u, truth.v), **{name: (u, v) for name, u, v in frame.likenesses}}
+        scores = {kind: inspect(target(), frame.image, height_m, frame.seen.focal_px, at) for kind, at in places.items()}
+        found.append(Judged(scores, truth.angle))
+    return found
+
+
+def _alone(degrees: float, off_px: float = 0.0) -> Any:
+    """What the stages say of a target alone, 40 px a side, turned by so much; its place is told so many px of the patch off."""
+    ground, place = registry.piece("recognition ground"), (319.5, 239.5)
+    frame = ground.frame(
+        np.random.default_rng(5), 20.0, places=[place], angles=[math.radians(degrees)], distractors=False, light=1.0
+    )
+    told = place[0] + off_px * frame.side_px / 48.0, place[1]
+    inspect = registry.piece("recognition inspection").inspect
+    return inspect(target(), frame.image, 20.0, frame.seen.focal_px, told)
+
+
+def _turned(degrees: Sequence[float]) -> list[Any]:
+    return [_alone(each) for each in degrees]
+
+
+def _shifted(shifts_px: Sequence[float]) -> list[Any]:
+    return [_alone(30.0, each) for each in shifts_px]
+
+
+def _likenesses() -> Panel:
+    """The target and what resembles it, side by side."""
+    ground = registry.piece("recognition ground")
+    pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(1))]
+    edge = np.full((pictures[0].shape[0], 12, 3), 255, np.uint8)
+    upper, lower = (np.hstack([part for each in pictures[i : i + 3] for part in (each, edge)]) for i in (0, 3))
+    between = np.full((24, upper.shape[1], 3), 255, np.uint8)
+    pixels = np.vstack([upper, between, lower])
+    first = box(63.5, 63.5, 132.0, 0.0, "", 0)  # a legend would hide one of them
+    return Panel(f"A target of {SIZE_M:g} m, framed, and its likenesses", "u [px]", "v [px]", [first], photo=Photo(pixels))
+
+
+def _by_turn(turned: Sequence[Any]) -> Panel:
+    x = np.array(TURNS_DEG, float)
+    kinds = (("rings", "stage 2"), ("match", "stage 3, turned back"), ("upright", "stage 3, not turned back"))
+    curves = [
+        Curve(x, np.array([getattr(each, name) for each in turned]), label, 1 + i) for i, (name, label) in enumerate(kinds)
+    ]
+    return Panel("A turned target", "turned by [deg]", "score", curves, levels={"threshold of stage 3": MATCH})
+
+
+def _by_shift(shifted: Sequence[Any]) -> Panel:
+    x = np.array(SHIFTS_PX, float)
+    kinds = (("rings", "stage 2"), ("match", "stage 3"), ("fixed", "correlation at the told place"))
+    curves = [
+        Curve(x, np.array([getattr(each, name) for each in shifted]), label, 1 + i) for i, (name, label) in enumerate(kinds)
+    ]
+    return Panel("A shifted target", "told place off by [px of 48]", "score", curves, levels={"threshold of stage 3": MATCH})
+
+
+def _scores(rings: dict[str, Array], match: dict[str, Array]) -> Panel:
+    curves = [Curve(rings[kind], match[kind], kind, COLORS[kind], "markers") for kind in KINDS]
+    curves.append(Curve(np.array([RINGS, RINGS]), np.array([-0.3, 1.0]), "thresholds", 0, "dotted"))
+    curves.append(Curve(np.array([0.1, 1.0]), np.array([MATCH, MATCH]), "", 0, "dotted"))
+    return Panel("Scores of targets and likenesses", "score of stage 2", "score of stage 3", curves)
+
+
+def _angles(seen: Sequence[Judged], errors: Array) -> list[Panel]:
+    truth = np.degrees([each.angle for each in seen])
+    told = np.degrees([each.scores["target"].angle for each in seen])
+    ends = np.array([-180.0, 180.0])
+    curves = [Curve(truth, told, "estimated", 2, "markers"), Curve(ends, ends, "", 0, "thin")]
+    share = np.arange(1, len(errors) + 1) / len(errors)
+    return [
+        Panel("The angle of the target", "true [deg]", "estimated [deg]", curves),
+        Panel("Error of the angle", "error [deg]", "share of the targets", [Curve(np.sort(errors), share, "", 1)]),
+    ]
+
+
+def _gathered(runner: Runner, work: Any, frames: int) -> Any:
+    """What is made of pictures, from all heights one after the other."""
+    answers = runner([partial(work, height, range(frames)) for height in HEIGHTS])
+    return np.concatenate(answers) if isinstance(answers[0], np.ndarray) else [one for each in answers for one in each]

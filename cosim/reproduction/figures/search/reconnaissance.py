@@ -1,0 +1,115 @@
+"""Figures 49 to 51: two quadrotors with cameras search a town for two targets, `recon-urban` as it is, but for longer.
+
+Bodies in Bullet, pictures that are really recognised, maps over 802.11g with loss: the whole mission. Each seed has a town of
+its own. Both targets are found and tracked, each by one vehicle, and nobody touches anything.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vcmvsp.cosim.scenario import loader
+from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, at_least
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.types import Array
+
+SCENARIO = "recon-urban"
+NAMES = ("uav1", "uav2")
+SEEDS = (1, 2, 3)
+DURATION_S = 300.0  # who has a target leaves the rest of the town to the other, who begins it anew
+BODY_M = 0.5  # two vehicles are further apart than that, and each from what stands there: it flies at their height, too
+SPEED, SEEN_M = 4.0, 24.0  # m/s; about how wide a strip a camera sees
+SLOW = 3.5  # times as long as it takes to fly over all of the town once: turns, what is in the way, what was hidden
+ON_IT_M, LAST_S = 1.0, 10.0  # who tracks is that near to its target, over the last seconds
+
+
+@dataclass(frozen=True)
+class Scouted:
+    """What is kept of a run."""
+
+    time_s: Array  # (m,)
+    place: Array  # (m, 2, 2) m, of the vehicles, from above
+    found_s: dict[str, float]  # by target; NaN: never
+    tracked: int
+    false_finds: int
+    seen: float  # share of the area
+    contacts: int
+    clearance_m: float
+    apart_m: float
+
+
+def scouted(result: Result) -> Scouted:
+    """What is kept of a run."""
+    moved = motion(result.states)
+    columns = [moved.column(name) for name in NAMES]
+    mission, safety = result.metrics["mission"], result.metrics["safety"]
+    return Scouted(
+        moved.time_ns / 1e9,
+        np.stack([moved.position[axis][:, columns] for axis in (0, 1)], axis=-1),
+        {name: float("nan") if at_s is None else at_s for name, at_s in mission["found_s"].items()},
+        mission["targets_tracked"],
+        mission["false_finds"],
+        mission["area_seen_ratio"],
+        int(safety["collisions"]),
+        float(safety["min_clearance_m"]),
+        float(safety["min_separation_m"]),
+    )
+
+
+def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
+    """Tracks through three towns, and how near the vehicles come to the targets."""
+    table = loader.table_of(loader.path_of(SCENARIO))
+    runs: list[Scouted] = runner([Job(table, scouted, {"duration_s": DURATION_S}, seed) for seed in seeds])
+    rows: list[Row] = []
+    tracks, distances = [], []
+    for seed, seen in zip(seeds, runs, strict=True):
+        world, _ = worlds.world_of(SCENARIO, {"seed": seed})
+        targets = {each.name: np.array([each.place(at_s) for at_s in seen.time_s]) for each in world.targets}
+        west, south, east, north = world.bounds
+        once_s = (east - west) * (north - south) / (len(NAMES) * SPEED * SEEN_M)
+        away = {name: np.hypot(*np.moveaxis(seen.place - at[:, None], -1, 0)) for name, at in targets.items()}
+        rows += rows_of(f"town {seed}", seen, once_s, away)
+        tracks.append(_map(f"Town {seed}", world, seen, targets))
+        distances.append(_distances(f"Town {seed}: distance to the nearer target", seen, away))
+    return Figure(
+        "Fig. 51: two quadrotors find and track two targets in a town", [*tracks, *distances], rows, columns=len(seeds)
+    )
+
+
+def rows_of(case: str, seen: Scouted, once_s: float, away: dict[str, Array]) -> list[Row]:
+    """What must come out of a run."""
+    last = float(np.max([*seen.found_s.values()]))  # NaN: one was not
+    late = seen.time_s >= seen.time_s[-1] - LAST_S
+    rows = [
+        absolute(f"{case}: targets found", len(away), sum(np.isfinite(list(seen.found_s.values()))), 0.0),
+        absolute(f"{case}: targets tracked", len(away), seen.tracked, 0.0),
+        absolute(f"{case}: finds of what is no target", 0.0, seen.false_finds, 0.0),
+        absolute(f"{case}: contacts", 0.0, seen.contacts, 0.0),
+        at_least(f"{case}: least clearance, m", BODY_M, seen.clearance_m),
+        at_least(f"{case}: vehicles apart, m", 2.0 * BODY_M, seen.apart_m),
+        absolute(f"{case}: last found, in times of one sweep of {once_s:.0f} s", 0.0, last / once_s, SLOW),
+    ]
+    rows += [
+        absolute(f"{case}: who tracks {name} is off by, mean at the end, m", 0.0, float(each[late].mean(axis=0).min()), ON_IT_M)
+        for name, each in away.items()
+    ]
+    return rows
+
+
+def _map(title: str, world: object, seen: Scouted, targets: dict[str, Array]) -> Panel:
+    """Buildings, targets, tracks with their ends."""
+    closed = [np.vstack([each, each[:1]]) for each in worlds.outlines(world)]
+    around = [Curve(each[:, 0], each[:, 1], style="thin") for each in closed]
+    found = [Curve(at[-1:, 0], at[-1:, 1], "target", 2, "hollow") for at in targets.values()]
+    tracks = [Curve(seen.place[:, i, 0], seen.place[:, i, 1], name, (1, 3)[i], "pose") for i, name in enumerate(NAMES)]
+    return Panel(title, "x east [m]", "y north [m]", [*around, *tracks, *found], equal=True)
+
+
+def _distances(title: str, seen: Scouted, away: dict[str, Array]) -> Panel:
+    nearer = np.min(list(away.values()), axis=0)
+    curves = [Curve(seen.time_s, nearer[:, i], name, (1, 3)[i]) for i, name in enumerate(NAMES)]
+    up = np.array([0.0, float(nearer.max())])
+    curves += [Curve(np.array([at_s, at_s]), up, "found", 2, "dotted") for at_s in seen.found_s.values()]
+    return Panel(title, "time [s]", "distance [m]", curves)

@@ -1,0 +1,165 @@
+"""What a detector makes of made-up pictures of the ground, whose targets and likenesses are known; and of what it sees there.
+
+The pictures: 640 x 480 px, focal length 400 px, textured ground, roads, three to seven roofs, half of them coloured, light from
+0.75 to 1.2, noise of 6 levels; one target of 2 m, any way round, and of its size a mirror image of it, one cut into 16 pieces,
+one of a single colour, one in other hues, and another picture in its colours.
+"""
+
+import math
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.reproduction.figures.figure import Curve
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.analysis.recognition import Rates
+from vcmvsp.cosim.analysis.snapshots import Snapshots
+
+NEAR = 0.25  # sides: a detection that is so near to a target's middle is right
+SIZE_M = 2.0
+KINDS = ("target", "mirrored", "scrambled", "solid", "recoloured", "other")
+
+
+@dataclass
+class Tally:
+    """What a detector made of pictures."""
+
+    targets: int = 0  # in them
+    found: int = 0
+    false: int = 0
+    angles: list[float] = field(default_factory=list)  # errors, rad
+    places: list[float] = field(default_factory=list)  # errors, sides
+
+    def add(self, detections: Sequence[Any], truths: Sequence[Any], side_px: float) -> None:
+        """Count those of a picture; ``truths`` are all targets in it, each of which is found once."""
+        left = list(detections)
+        for truth in truths:
+            right = [one for one in left if one.target == truth.name and _apart(one, truth) < NEAR * side_px][:1]
+            self.targets, self.found = self.targets + 1, self.found + len(right)
+            for one in right:
+                left.remove(one)
+                self.angles.append(abs(wrap(one.angle - truth.angle)))
+                self.places.append(_apart(one, truth) / side_px)
+        self.false += len(left)
+
+    @property
+    def precision(self) -> float:
+        """Share of the detections that are right; NaN: there are none."""
+        return self.found / (self.found + self.false) if self.found + self.false else math.nan
+
+    @property
+    def recall(self) -> float:
+        """Share of the targets that are found."""
+        return self.found / self.targets if self.targets else math.nan
+
+
+def together(tallies: Iterable[Tally]) -> Tally:
+    """Of all pictures."""
+    total = Tally()
+    for each in tallies:
+        total.targets, total.found, total.false = (
+            total.targets + each.targets,
+            total.found + each.found,
+            total.false + each.false,
+        )
+        total.angles += each.angles
+        total.places += each.places
+    return total
+
+
+def target() -> Any:
+    """What is looked for in made-up pictures."""
+    return registry.piece("recognition").Target("glyph", registry.piece("recognition ground").glyph(), SIZE_M)
+
+
+def made_up(height_m: float, number: int) -> Any:
+    """A picture of the ground, always the same for these arguments: ``image``, ``seen``, ``likenesses``, ``side_px``."""
+    return registry.piece("recognition ground").frame(np.random.default_rng([round(10 * height_m), number]), height_m)
+
+
+def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tally]:
+    """With the first stage alone, with two and with all three."""
+    wanted, tallies = target(), (Tally(), Tally(), Tally())
+    detectors = [registry.piece("recognition").Detector([wanted], stages=stages) for stages in (1, 2, 3)]
+    for number in numbers:
+        frame = made_up(height_m, number)
+        for detector, tally in zip(detectors, tallies, strict=True):
+            found = detector.detect(frame.image, height_m, frame.seen.focal_px)
+            tally.add(found, frame.seen.truths, frame.side_px)
+    return tallies
+
+
+def town(folder: Path, height_m: float, seed: int) -> dict[str, Any]:
+    """A town in whose streets a target and its likenesses lie, and a vehicle over it; their pictures are put in a folder."""
+    ground = registry.piece("recognition ground")
+    pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(seed))]
+    for name, picture in zip(KINDS, pictures, strict=True):
+        ground.save(picture, folder / f"{name}.png")
+    files = {name: str(folder / f"{name}.png") for name in KINDS}
+    camera = {
+        "kind": "nadir_camera",
+        "width": 640,
+        "height": 480,
+        "field_of_view": 2.0 * math.atan(320.0 / 400.0),
+        "noise": 3.0,
+    }
+    turns = np.random.default_rng([seed, 1]).uniform(-math.pi, math.pi, len(KINDS)).tolist()
+    return {
+        "name": "town",
+        "duration_s": 60.0,
+        "seed": seed,
+        "world": {
+            "kind": "urban",
+            "size": (62.0, 62.0),
+            "block": 10.0,
+            "street": 8.0,
+            "lots": 1,
+            "height_min": 3.0,
+            "height_max": 8.0,
+            "targets": [
+                {"name": name, "picture": file, "size": SIZE_M, "yaw_rad": turn}
+                for (name, file), turn in zip(files.items(), turns, strict=True)
+            ],
+        },
+        "vehicle": [
+            {
+                "name": "uav1",
+                "kind": "quadrotor",
+                "position": (0.0, 0.0, height_m),
+                "sensors": {"camera": camera},
+                "agent": {
+                    "kind": "track",
+                    "watching": {"targets": [{"name": KINDS[0], "picture": files[KINDS[0]], "size_m": SIZE_M}]},
+                },
+            }
+        ],
+    }
+
+
+def photographed(height_m: float, frames: int, seeds: Sequence[int]) -> Rates:
+    """Of pictures that a camera of the platform takes over towns, its vehicle tilted by up to 5 deg."""
+    rates = Rates()
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in seeds:
+            taken = Snapshots(town(Path(folder), height_m, seed), seed=seed)
+            for number in range(frames):
+                rates.add(taken.take(number, frames))
+    return rates
+
+
+def box(u: float, v: float, side_px: float, angle: float, label: str, color: int) -> Curve:
+    """A square in a picture, turned counter-clockwise as one looks at it."""
+    along, across = np.array([0.5, -0.5, -0.5, 0.5, 0.5]), np.array([0.5, 0.5, -0.5, -0.5, 0.5])
+    c, s = math.cos(angle), math.sin(angle)
+    x, y = side_px * (c * across - s * along), side_px * (s * across + c * along)  # y up
+    return Curve(u + x, v - y, label, color)
+
+
+def _apart(one: Any, truth: Any) -> float:
+    u, v = one.centre_px
+    return math.hypot(u - truth.u, v - truth.v)

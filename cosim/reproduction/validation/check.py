@@ -1,0 +1,66 @@
+"""A check: something that is measured anew whenever it is asked for, and rows that compare it with what must come out."""
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from vcmvsp.cosim.reproduction.figures.figure import Row, Runner
+
+
+@dataclass(frozen=True)
+class Check:
+    """What is measured, and by what it is judged."""
+
+    name: str
+    area: str
+    title: str
+    source: str  # of what is expected
+    measure: str  # "module:function" of this package, which gives a sequence of `Row`
+    seconds: float = 2.0  # about, on one core: the longest begin first
+    settings: Mapping[str, Any] = field(default_factory=dict)  # what the function is given
+    reduced: str = ""  # in which way it is less than it could be
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a check; one that broke off has a problem and no rows."""
+
+    check: Check
+    rows: Sequence[Row] = ()
+    problem: str = ""
+
+    @property
+    def missed(self) -> Sequence[Row]:
+        """Rows that are not within their tolerance."""
+        return [row for row in self.rows if not row.ok]
+
+    @property
+    def ok(self) -> bool:
+        """Whether there are rows, and all came out."""
+        return bool(self.rows) and not self.missed
+
+
+def run_all(checks: Sequence[Check], jobs: int, progress: Callable[[int, int], None]) -> list[Outcome]:
+    """Make checks, in the order in which they are given; several at a time, each in a process of its own.
+
+    Args:
+        checks: what to make.
+        jobs: how many processes; 1: this one.
+        progress: told after every check how many are done, and of how many.
+    """
+    order = sorted(range(len(checks)), key=lambda place: -checks[place].seconds)
+    done = Runner(jobs, progress)([partial(measured, checks[place]) for place in order])
+    found = dict(zip(order, done, strict=True))
+    return [found[place] for place in range(len(checks))]
+
+
+def measured(check: Check) -> Outcome:
+    """Make one. What it raises is its problem: other checks go on."""
+    module, _, function = check.measure.partition(":")
+    try:
+        rows = getattr(importlib.import_module(f"vcmvsp.cosim.reproduction.validation.{module}"), function)(**check.settings)
+    except Exception as error:
+        return Outcome(check, problem=f"{type(error).__name__}: {error}")
+    return Outcome(check, rows, "" if rows else "gave no rows")

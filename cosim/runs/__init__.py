@@ -1,0 +1,1 @@
+"""One run: start, simulation, result, replay, launch with remote hosts, step response."""

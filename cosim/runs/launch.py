@@ -1,0 +1,270 @@
+"""A run here with its hosts on other machines, which are started through ssh and ended with the run (``vcmvsp launch``)."""
+
+import contextlib
+import functools
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import msgspec
+
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.hosts import hosts_file
+from vcmvsp.cosim.config import binding as table
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.util.files import writing
+from vcmvsp.cosim.hosts.hosts_file import HostsTable, HostTable
+from vcmvsp.cosim.scenario.schema import AgentsTable, Scenario
+from vcmvsp.cosim.util.text import Tell
+from vcmvsp.cosim.hosts import ssh
+from vcmvsp.cosim.transport.endpoints import endpoint_rules, is_loopback
+from vcmvsp.cosim.processes.child_process import ending
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Keys
+
+LEAVE_S, ABORT_S = 3.0, 0.5  # for hosts to leave by themselves after a run that went well, and after another
+END_S = ssh.KILL_S + 3.0  # for hosts to be ended
+
+
+def launch(
+    scenario: str | Path | Mapping[str, Any],
+    hosts: str | Path,
+    *,
+    seed: int | None = None,
+    set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
+    listen: str | None = None,
+    keys: str | Path | None = None,
+    insecure: bool = False,
+    tell: Tell = lambda _: None,
+    **options: Any,
+) -> api.Result:
+    """Run a scenario here, and its agents in hosts that are started for it; they are gone when this returns or raises.
+
+    Every agent is to have a host, except those whose own table in the scenario says where they run (``agent.runs``), and which
+    no host names. What hosts say is kept in ``hosts/NAME.log`` beside the results.
+
+    Args:
+        scenario: as of `cosim.run`.
+        hosts: file that says which hosts there are (`cosim.hosts.hosts_file`).
+        seed, set, keys, insecure: as of `cosim.run`.
+        listen: where the run listens; default: the scenario's ``agents.listen`` or, without one, where the hosts dial.
+        tell: takes lines for the user, also what hosts say.
+        options: others of `cosim.run`.
+
+    Raises:
+        ScenarioError: the scenario or the file cannot be used as it is.
+        UsageError: something is missing, such as ssh or a certificate.
+        FederateError: a host ended too early, or whatever else `cosim.run` raises.
+    """
+    path, folder = Path(hosts), None if keys is None else Path(keys)
+    listed = hosts_file.read(path)
+    settings = {"agents.runs": "zenoh", **(set or {})}
+    parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
+    settings |= _placing(path, listed, parsed)
+    listen = listen or _listening(parsed.agents, listed)
+    plans = _plan(path, listed, listen, folder, insecure=insecure, tell=tell)
+    result: api.Result | None = None
+    with Fleet(plans, path.parent, tell) as fleet:
+        try:
+            result = api.run(
+                scenario,
+                seed=seed,
+                set=settings,
+                listen=listen,
+                keys=folder,
+                insecure=insecure,
+                tell=tell,
+                watch=fleet.watch,
+                **options,
+            )
+            fleet.end(LEAVE_S)
+        except VcmvspError as error:
+            result = error.result
+            raise
+        finally:
+            fleet.end(ABORT_S)
+            if result is not None and result.folder is not None:
+                fleet.save(result.folder / "hosts")
+    return result
+
+
+class Plan(msgspec.Struct, frozen=True):
+    """A host that is ready to be started."""
+
+    table: HostTable
+    command: list[str]
+    script: str
+
+
+class Fleet:
+    """The hosts of a run. They are started when it first waits for them, so that they find it.
+
+    Args:
+        plans: what to start.
+        folder: where to start it on this machine.
+        tell: takes what they say.
+    """
+
+    def __init__(self, plans: Sequence[Plan], folder: Path, tell: Tell) -> None:
+        self._plans, self._folder, self._tell = plans, folder, tell
+        self._stack = contextlib.ExitStack()
+        self._logs = {plan.table.called: tempfile.TemporaryFile() for plan in plans}  # noqa: SIM115  the stack closes them
+        for log in self._logs.values():
+            self._stack.enter_context(log)
+        self._started: list[ssh.Far] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._stack.close()
+
+    def watch(self) -> str | None:
+        """Which host will never join, and why; called while the run waits."""
+        for plan in self._plans[len(self._started) :]:
+            name = plan.table.called
+            hear = functools.partial(self._hear, name)
+            self._started.append(ssh.Far(plan.command, plan.script, self._logs[name], hear, self._folder))
+        for plan, far in zip(self._plans, self._started, strict=True):
+            if (code := far.code) is not None:
+                return _why(plan.table, code, far.last)
+        return None
+
+    def end(self, patience_s: float) -> None:
+        """End them all; for so long they may leave by themselves."""
+        self._remaining(patience_s)
+        for far in self._started:
+            far.release()
+        for far in self._remaining(END_S):
+            far.kill()
+
+    def save(self, folder: Path) -> None:
+        """Keep what they said, a file for each."""
+        with writing(folder):
+            folder.mkdir(exist_ok=True)
+            for name, log in self._logs.items():
+                log.seek(0)
+                with (folder / f"{name}.log").open("wb") as kept:
+                    shutil.copyfileobj(log, kept)
+
+    def _remaining(self, seconds: float) -> list[ssh.Far]:
+        last = time.monotonic() + seconds
+        return [far for far in self._started if not far.wait(max(0.0, last - time.monotonic()))]
+
+    def _hear(self, name: str, text: str) -> None:
+        self._tell(f"[{name}] {text}")
+
+
+def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
+    """How a host ended too early, in a line."""
+    how = f"{ending(code)} before the run began"
+    if host.ssh and code == ssh.SSH_FAILED:
+        how = f"ssh cannot reach it, or has lost it (exit code {code})"
+    elif code == ssh.NOT_FOUND:
+        how = f"has no '{host.words[0]}' (exit code {code}; command = in its [[host]] says where it is)"
+    return f"{host.where}: {how}: {' | '.join(last) or 'it said nothing'}"
+
+
+def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]:
+    """The settings by which the run waits for these hosts; whoever is waited for in vain is an error."""
+    agents = {each.name: each.agent for each in parsed.vehicle}
+    named = [vehicle for host in listed.host for vehicle in host.vehicles]
+    for vehicle in named:
+        if vehicle not in agents:
+            raise UsageError(f"{path}: {table.unknown('vehicle', vehicle, agents)}")
+        if agents[vehicle] is None:
+            raise UsageError(f"{path}: '{vehicle}' has no agent in the scenario (agent = {{}} gives it the default one)")
+    remote = [name for name, agent in agents.items() if agent and (agent.runs or parsed.agents.runs) == "zenoh"]
+    if missing := [name for name in remote if name not in named]:
+        hint = "name them in a [[host]] (without ssh = it is a process of this machine)"
+        raise UsageError(f"{path}: no host runs the agents of {', '.join(missing)}: {hint}")
+    return {f"vehicle.{name}.agent.runs": "zenoh" for name in named if name not in remote}
+
+
+def _listening(agents: AgentsTable, listed: HostsTable) -> str:
+    """Where the run listens if nobody has said it: what the scenario says or, if it says nothing, where the hosts dial."""
+    return listed.connect if listed.connect and agents.listen == AgentsTable().listen else agents.listen
+
+
+def _plan(path: Path, listed: HostsTable, listen: str, folder: Path | None, *, insecure: bool, tell: Tell) -> list[Plan]:
+    """The hosts as they are to be started; certificates that are to be sent are made where there are none yet."""
+    keys = None
+    if folder is not None:
+        from vcmvsp.cosim.security import certificates
+
+        keys = certificates.load(folder)
+    endpoint_rules(listen, keys, insecure=insecure)
+    if listen.endswith(":0"):
+        raise UsageError(f"--listen {listen}: hosts cannot know which port that will be: name one")
+    if any(host.ssh for host in listed.host) and shutil.which("ssh") is None:
+        raise UsageError(f"{path}: this machine has no ssh; install the client of OpenSSH")
+    dialled = [_dialled(path, host, host.connect or listed.connect, listen) for host in listed.host]
+    for host, connect in zip(listed.host, dialled, strict=True):
+        _check_dialling(f"{path}: {host.where}", host, connect, listen, keys, insecure=insecure)
+    plans = []
+    for host, connect in zip(listed.host, dialled, strict=True):
+        bundle = _bundle(keys, host, tell) if keys and host.copy else ""
+        command = ssh.ssh(host.ssh, host.ssh_options) if host.ssh else ["sh"]
+        script = ssh.script(
+            host.words,
+            host.arguments(connect, insecure=insecure),
+            last=[] if host.agent is None else [host.agent],
+            folder=host.folder,
+            keys=host.keys,
+            bundle=bundle,
+            name=host.called,
+        )
+        plans.append(Plan(host, command, script))
+    return plans
+
+
+def _dialled(path: Path, host: HostTable, connect: str | None, listen: str) -> str:
+    """Where a host dials this machine."""
+    if connect is not None:
+        return connect
+    protocol, _, rest = listen.partition("/")
+    name, _, port = rest.rpartition(":")
+    everywhere = {"0.0.0.0": "127.0.0.1", "[::]": "localhost"}  # noqa: S104  told apart here, not listened on
+    if not host.ssh:
+        return f"{protocol}/{everywhere.get(name, name)}:{port}"
+    if name in everywhere or is_loopback(name.strip("[]")):
+        example = f'connect = "{protocol}/ADDRESS:{port}"'
+        raise UsageError(f"{path}: {host.where} cannot dial {listen}: say where it reaches this machine, with {example}")
+    return listen
+
+
+def _check_dialling(what: str, host: HostTable, connect: str, listen: str, keys: "Keys | None", *, insecure: bool) -> None:
+    """Raise `UsageError` if this host could not join so."""
+    protocol, used = connect.partition("/")[0], bool(host.keys or host.copy)
+    if protocol != listen.partition("/")[0]:
+        raise UsageError(f"{what} dials {connect}, but the run listens at {listen}")
+    if used and keys is None:
+        raise UsageError(f"{what} has keys, but the run has none: add --keys DIR, or take them away")
+    if keys and not used:
+        raise UsageError(f"{what} has no keys: copy = true sends it some, keys = FILE is a file that it has already")
+    endpoint_rules(connect, keys, insecure=insecure, side="host")
+
+
+def _bundle(keys: "Keys", host: HostTable, tell: Tell) -> str:
+    """The content of a host's file of keys, which is made if its name has none yet."""
+    from vcmvsp.cosim.security import authority, certificates
+
+    path = keys.folder / f"{host.called}{certificates.SUFFIX}"
+    if path.exists():
+        bundle = certificates.load_bundle(path)
+        bundle.speaks_for(host.vehicles)
+    elif keys.index.find(host.called):
+        again = f"vcmvsp keys vehicle {' '.join(host.vehicles)} --as {host.called} --keys {keys.folder} --force"
+        raise UsageError(f"{path}: is not there, though '{host.called}' has a certificate; make it again with: {again}")
+    else:
+        bundle = authority.issue(keys.folder, host.called, host.vehicles)
+        tell(f"{path}: a new certificate for {', '.join(host.vehicles)}, valid until {bundle.until:%Y-%m-%d}")
+    if warning := bundle.check():
+        tell(warning)
+    return path.read_text()

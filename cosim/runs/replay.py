@@ -1,0 +1,100 @@
+"""A recorded run again, in logical time and as fast as possible: unchanged it is the same run, to the byte.
+
+Real vehicles do what they did: their poses, estimates and readings come from the recording, whatever they are commanded now.
+Algorithms run anew, simulated vehicles move anew. So what an algorithm would have done with what it saw can be found out with
+one thing changed; what a robot would have done instead cannot, unless its simulated twin takes its place. Agents whose host
+was lost then are there now.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.recording.external_inputs import FILE
+
+RADIO_FILE = "radio.parquet"
+
+
+def replay(
+    run_dir: str | Path,
+    *,
+    seed: int | None = None,
+    set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
+    agents: Mapping[str, Any] | str | None = None,
+    twin: bool = False,
+    radio: str = "drawn",
+    out: str | Path | None = None,
+    force: bool = False,
+    **options: Any,
+) -> api.Result:
+    """Run again what a run has left.
+
+    Args:
+        run_dir: its folder.
+        seed: instead of the run's.
+        set: keys of its scenario that are changed, as for `cosim.run`.
+        agents: agents as objects, or where all run.
+        twin: simulated vehicles of the same kinds take the place of the real ones.
+        radio: ``"drawn"``: chance and the models say anew what becomes of each frame, with the same seed the same as long as
+            nothing that counts was changed; ``"recorded"``: frames fare as they did, see `netsim.channel.replayed`.
+        out: folder to write into.
+        force: write into a folder that is not empty.
+        options: further arguments of `cosim.run`.
+
+    Raises:
+        UsageError: the folder lacks what a replay needs.
+    """
+    folder = Path(run_dir)
+    _check(folder, out, radio)
+    scenario = folder / "scenario.toml"
+    parsed, _ = scenarios.load(scenario)
+    real = parsed.real
+    settings = {**(parsed.twins if twin else {}), **(set or {})}
+    driven = [name for name in scenarios.load(scenario, settings=settings)[0].real if twin or name not in real]
+    if driven:
+        raise UsageError(
+            f"--set: a replay drives nobody, and {', '.join(driven)} was not real in {folder}: leave its driver out"
+        )
+    if twin and not real:
+        raise UsageError(f"--twin: no vehicle of {folder} was real: leave it out")
+    outside = (() if twin else real) + (("its programs",) if parsed.bridge.doors else ())
+    if outside and not (folder / FILE).is_file():
+        what = f"{folder} has no {FILE}, which says what {', '.join(outside)} did"
+        raise UsageError(f"{what}: replay with simulated ones instead (--twin)" if real and not twin else what)
+    return api.run(
+        scenario,
+        seed=seed,
+        set=settings,
+        agents=agents,  # type: ignore[arg-type]  # it says itself what is wrong with them
+        out=out,
+        force=force,
+        playback=folder if outside else None,
+        recorded_radio=folder / RADIO_FILE if radio == "recorded" else None,
+        **options,
+    )
+
+
+def beside(run_dir: Path) -> Path:
+    """Where a replay goes unless somebody says otherwise: ``NAME-replay`` beside the run ``NAME``."""
+    folder = run_dir.resolve()
+    return (
+        run_dir.parent / f"{run_dir.name}-replay"
+        if run_dir.name not in ("", "..")
+        else folder.with_name(f"{folder.name}-replay")
+    )
+
+
+def _check(folder: Path, out: str | Path | None, radio: str) -> None:
+    """Refuse what is no folder of a run, and to write over what is read."""
+    if not (folder / "scenario.toml").is_file():
+        problem = "there is no such folder" if not folder.is_dir() else "has no scenario.toml"
+        raise UsageError(f"{folder}: {problem}; name the folder that a run left (runs/NAME-SEED, or its --out)")
+    if radio not in ("drawn", "recorded"):
+        raise UsageError(f"--radio {radio}: must be drawn or recorded")
+    if radio == "recorded" and not (folder / RADIO_FILE).is_file():
+        raise UsageError(f"{folder} has no {RADIO_FILE}, which says what became of its frames: replay with --radio drawn")
+    if out is not None and Path(out).resolve() == folder.resolve():
+        raise UsageError(f"--out {out}: is the run that is replayed; give another folder")

@@ -1,0 +1,197 @@
+"""What a run gave, in memory and as files."""
+
+import contextlib
+import io
+import shutil
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tomli_w
+
+from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.util.files import Folder, to_json, writing
+from vcmvsp.cosim.recording.external_inputs import FILE
+from vcmvsp.cosim.metrics import Window, motion
+from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
+from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.tables.schema import Placement, RunFacts, load
+from vcmvsp.cosim.types import Array
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.figure import Figure
+
+
+class Result:
+    """What a run gave.
+
+    Attributes:
+        metrics: the numbers, as in ``metrics.json`` (schema ``vcmvsp.metrics/1``).
+        about: host, versions and wall times; the only part that differs between two equal runs.
+        scenario: the resolved scenario as TOML; running it gives the same result again.
+        folder: where it was written, if it was.
+    """
+
+    folder: Path | None = None
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        metrics: dict[str, Any],
+        about: dict[str, Any],
+        resolved: dict[str, Any],
+        files: Mapping[str, bytes],
+        mcap: io.BytesIO | None,
+        world: Any,
+    ) -> None:
+        self.metrics, self.about = metrics, about
+        self.scenario = tomli_w.dumps(resolved)
+        self._recorder, self._files = recorder, dict(files)
+        self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
+        self._mcap, self._world = mcap, world
+        self._video = resolved["record"].get("video", False)
+
+    @property
+    def states(self) -> "pa.Table":
+        """True states, a row per vehicle and recorded instant."""
+        return self._recorder.states
+
+    @property
+    def radio(self) -> "pa.Table":
+        """Frames, a row per frame and receiver."""
+        return self._recorder.radio
+
+    @property
+    def files(self) -> Mapping[str, bytes]:
+        """Files that the run depends on, as they were used, by the name under which they are kept beside the scenario."""
+        return self._files
+
+    @property
+    def follows(self) -> Sequence[Placement]:
+        """Who meant to keep which place, and from when on."""
+        return self._recorder.follows
+
+    def plot(self) -> "dict[str, Figure]":
+        """The run's figures, by name: ``trajectory``, ``formation_error`` and, with a recording, `mission_figures`."""
+        return self._figures(self._shown())
+
+    def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
+        recorder, outlines = self._recorder, worlds.outlines(self._world)
+        figures = figures_of(recorder.states, recorder.radio, recorder.follows, self._window, outlines)
+        return figures | mission_figures(shown, recorder.states, self._world)
+
+    def _shown(self) -> MissionLog | None:
+        """What agents showed, if they did, and it was recorded."""
+        facts = self._recorder.facts
+        if "mission" not in self.metrics or (self._mcap is None and self.folder is None):
+            return None
+        if self._mcap is not None:
+            return read_mission(io.BytesIO(self._mcap.getvalue()), facts.vehicles, facts.end_ns)
+        assert self.folder is not None  # noqa: S101
+        return mission_log(self.folder, facts)
+
+    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+        """Write everything that a run leaves into a folder."""
+        if self._mcap is None and self.folder is None:
+            raise UsageError("a run with mcap = False cannot be saved: it has no recording")
+        with writing(Path(folder)):
+            path = Folder(Path(folder), force=force).claim()
+            if self._mcap is not None:
+                (path / "run.mcap").write_bytes(self._mcap.getvalue())
+            elif self.folder is not None and not path.samefile(self.folder):
+                if to_json(self.about) != (self.folder / "about.json").read_text("utf-8"):
+                    raise UsageError(f"{self.folder} holds another run by now, and the recording of this one was there")
+                for name in ("run.mcap", FILE):
+                    if (self.folder / name).is_file():
+                        shutil.copyfile(self.folder / name, path / name)
+            self.write(path)
+        return path
+
+    def write(self, folder: Path) -> None:
+        """Everything but the MCAP file, which is written as the run goes on."""
+        from vcmvsp.cosim.plots import run_plots
+        from vcmvsp.cosim.report import run_page as report
+
+        self.folder = folder
+        (folder / "scenario.toml").write_text(self.scenario, "utf-8")
+        for name, content in self._files.items():
+            (folder / name).write_bytes(content)
+        self._recorder.write_tables(folder)
+        (folder / "metrics.json").write_text(to_json(self.metrics), "utf-8")
+        (folder / "about.json").write_text(to_json(self.about), "utf-8")
+        shown = self._shown()
+        figures = self._figures(shown)
+        for name, figure in figures.items():
+            run_plots.save_png(figure, folder / f"{name}.png")
+        if self._video:
+            mission_video(folder / "mission.mp4", shown, self._recorder.states, self._world)
+        report.write(folder, {name: run_plots.svg(figure) for name, figure in figures.items()})
+
+
+def figures_again(run_dir: Path) -> "dict[str, Figure]":
+    """The figures of a run that was saved, by name, from its tables.
+
+    Raises:
+        UsageError: they are not there, or cannot be read.
+    """
+    scenario = run_dir / "scenario.toml"
+    try:
+        recording = load(run_dir)
+        window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
+    except (OSError, ValueError) as error:  # a damaged table or scenario
+        raise UsageError(f"{run_dir} cannot be read: {error}") from error
+    world: Any = None
+    with contextlib.suppress(VcmvspError):  # a world that is not to be had any more is not drawn
+        world = worlds.world_of(str(scenario), {})[0]
+    seen: Sequence[Array] = () if world is None else worlds.outlines(world)
+    within = window.get("from_s", 0.0), window.get("to_s")
+    figures = figures_of(recording.states, recording.radio, recording.follows, within, seen)
+    if "mission" in recording.metrics:
+        figures |= mission_figures(mission_log(run_dir, recording.facts), recording.states, world)
+    return figures
+
+
+def figures_of(
+    states: "pa.Table", radio: "pa.Table", follows: Sequence[Placement], window: Window, outlines: Sequence[Array]
+) -> "dict[str, Figure]":
+    """The figures of a run, by name: ``trajectory`` and ``formation_error``."""
+    from vcmvsp.cosim.plots import run_plots
+
+    return {
+        "trajectory": run_plots.trajectory(states, follows, outlines),
+        "formation_error": run_plots.formation_error(states, radio, follows, window),
+    }
+
+
+def mission_log(folder: Path, facts: RunFacts) -> MissionLog | None:
+    """What agents showed in a run that was saved, if its recording is still there."""
+    with contextlib.suppress(OSError), (folder / "run.mcap").open("rb") as stream:
+        return read_mission(stream, facts.vehicles, facts.end_ns)
+    return None
+
+
+def mission_figures(shown: MissionLog | None, states: "pa.Table", world: Any) -> "dict[str, Figure]":
+    """The figures of a reconnaissance, by name: ``mission``, and ``mosaic`` and ``detections`` where agents showed such."""
+    if not shown:
+        return {}
+    from vcmvsp.cosim.plots import mission_plot
+
+    moved, targets = motion(states), () if world is None else world.targets
+    figures = {"mission": mission_plot.mission(shown, moved, targets, () if world is None else worlds.outlines(world))}
+    if shown.mosaics:
+        figures["mosaic"] = mission_plot.mosaic(shown, moved, targets)
+    if mission_plot.chosen_pictures(shown):
+        figures["detections"] = mission_plot.detections(shown)
+    return figures
+
+
+def mission_video(path: Path, shown: MissionLog | None, states: "pa.Table", world: Any) -> None:
+    """Write the film of a reconnaissance, if there was one."""
+    if shown:
+        from vcmvsp.cosim.plots.mission_video import write_video
+
+        targets, outlines = ((), ()) if world is None else (world.targets, worlds.outlines(world))
+        write_video(path, shown, motion(states), targets, outlines)

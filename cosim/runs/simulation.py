@@ -1,0 +1,278 @@
+"""One run from its first event to its files: kernel, recording, interruption, and what is known of the machine."""
+
+import contextlib
+import functools
+import io
+import platform
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import msgspec
+import numpy as np
+import tomli_w
+
+from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.clock import SECOND_NS, Clock, seconds_to_ns
+from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
+from vcmvsp.cosim.kernel.event_bus import Observer
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.util.files import Folder, finite
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.recording.external_inputs import FILE, InputLog
+from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.tables.schema import write_table
+from vcmvsp.cosim.runs.result import Result
+from vcmvsp.cosim.util.text import Tell, plain
+from vcmvsp.cosim.types import Presence
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.view.live.control import Live
+
+Progress = Callable[[int, int], None]
+ABOUT_SCHEMA = "vcmvsp.about/1"
+DELIVERIES = "bridge.parquet"
+"""What was delivered to programs outside, and how late: on the wall clock, so that it is no part of what a repetition gives."""
+
+
+class Simulation:
+    """One run: kernel and recording, from the first event to the files."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        clock: Clock,
+        folder: Folder | None,
+        progress: Progress | None,
+        tell: Tell,
+        *,
+        mcap: bool,
+        observers: Sequence[Observer] = (),
+        live: "Live | None" = None,
+    ) -> None:
+        self._assembly, self._clock, self._folder = assembly, clock, folder
+        self._observers, self._live = (*observers, *(() if live is None else (live.on,))), live
+        self._progress, self._tell, self._over = progress, tell, False
+        self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
+        run = msgspec.structs.replace(assembly.run_info, paced=clock.speed is not None)
+        self._kernel = Kernel(
+            run, assembly.federates, clock=clock, tolerance_ns=self._tolerance_ns(), strict=assembly.clock.late == "stop"
+        )
+        if live is not None:
+            live.stop, live.tell = self._stop, tell
+        self._mcap = io.BytesIO() if mcap and folder is None else None
+        self._recorder: Recorder | None = None
+        self._kept: InputLog | None = None
+
+    def run(self) -> VcmvspError | None:
+        """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
+        kernel = self._kernel
+        self._assembly.start(kernel)
+        try:
+            with self._recording() as recorder:
+                failure = self._go(recorder)
+        except BaseException:
+            with contextlib.suppress(VcmvspError):
+                kernel.close()
+            raise
+        try:
+            kernel.close()
+        except FederateError as error:
+            failure = failure or error
+        return failure
+
+    @contextlib.contextmanager
+    def calm(self) -> Iterator[None]:
+        """Let Ctrl-C strike only where it breaks nothing: while waiting, or between two slots. A second one strikes at once."""
+        kernel, saved = self._kernel, {}
+
+        def on_signal(number: int, frame: Any) -> None:
+            if kernel.waiting or kernel.stop:
+                signal.default_int_handler(number, frame)
+            kernel.stop = True
+
+        if threading.current_thread() is threading.main_thread():  # elsewhere signals do not arrive
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(number) is signal.default_int_handler:  # else somebody has plans of their own
+                    saved[number] = signal.signal(number, on_signal)
+        try:
+            yield
+        finally:
+            for number, handler in saved.items():
+                signal.signal(number, handler)
+
+    def _go(self, recorder: Recorder) -> VcmvspError | None:
+        kernel = self._kernel
+        failure: VcmvspError | None = None
+        begin = time.monotonic()
+        try:
+            kernel.run(self._observer(recorder), on_instant=self._on_instant())
+        except KeyboardInterrupt:
+            failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
+        except VcmvspError as error:
+            failure = error
+        kernel.release()
+        self._simulating_s, self._over = time.monotonic() - begin, True
+        if isinstance(failure, AgentError):
+            gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
+            for vehicle in failure.vehicles:
+                recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
+        recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
+        recorder.close(kernel.now_ns)
+        if self._live is not None:
+            self._live.close(str(failure or "the run is complete"))
+        return failure
+
+    def _stop(self) -> None:
+        """End the run as Ctrl-C does: while it waits, at once, for where time stands still it would wait for ever."""
+        if self._kernel.waiting:
+            raise KeyboardInterrupt
+        self._kernel.stop = True
+
+    def _on_instant(self) -> Callable[[int], None] | None:
+        """What is told of each instant before it begins: who shows how far the run is, and who listens to those who look on."""
+        progress, live, end_ns = self._progress, self._live, self._assembly.run_info.duration_ns
+        if live is None:
+            return None if progress is None else lambda now: progress(now, end_ns)
+
+        def both(now_ns: int) -> None:
+            live.on_instant(now_ns)
+            if progress is not None:
+                progress(now_ns, end_ns)
+
+        return both
+
+    def _observer(self, recorder: Recorder) -> Observer:
+        """The recording, and behind it all others that look on."""
+        topics = self._assembly.topics
+        others = (*(() if topics is None else (topics.on,)), *self._observers)
+        if not others:
+            return recorder.on
+
+        def on(event: Event) -> None:
+            recorder.on(event)
+            for other in others:
+                other(event)
+
+        return on
+
+    @contextlib.contextmanager
+    def _recording(self) -> Iterator[Recorder]:
+        with contextlib.ExitStack() as stack:
+            stream: BinaryIO | None = self._mcap
+            if self._folder is not None:
+                stream = stack.enter_context((self._folder.claim() / "run.mcap").open("wb" if self._folder.force else "xb"))
+                self._write_scenario(self._folder.path)
+            assembly = self._assembly
+            self._recorder = Recorder(
+                assembly.run_info,
+                record_ticks=assembly.record_ticks,
+                mcap=stream,
+                agents=assembly.infos,
+                radius_m=assembly.radius_m,
+                sensors=assembly.recorded_sensors,
+                world=assembly.world,
+                tell=lambda text: None if self._over else self._tell(text),
+            )
+            with self._inputs(stack):
+                yield self._recorder
+
+    @contextlib.contextmanager
+    def _inputs(self, stack: contextlib.ExitStack) -> Iterator[None]:
+        """Keep what comes from outside, for a replay."""
+        outsiders = self._assembly.outsiders
+        if not outsiders or (self._folder is None and self._mcap is None):
+            yield
+            return
+        stream: BinaryIO | None = None
+        if self._folder is not None:
+            stream = stack.enter_context((self._folder.path / FILE).open("wb" if self._folder.force else "xb"))
+        self._kept = InputLog(stream)
+        for each in outsiders:
+            each.log = self._kept.on
+        try:
+            yield
+        finally:
+            self._kept.close()
+
+    def _write_scenario(self, folder: Path) -> None:
+        """Write the scenario and its files, for those who look at the recording of a run that goes on, or was killed."""
+        (folder / "scenario.toml").write_text(tomli_w.dumps(self._resolved), "utf-8")
+        for name, content in self._assembly.files.items():
+            (folder / name).write_bytes(content)
+
+    def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> Result:
+        """The result, written to the folder if there is one."""
+        assembly, recorder = self._assembly, self._recorder
+        if recorder is None:
+            raise failure or VcmvspError("the run did not begin")
+        resolved = assembly.resolved() if assembly.operator.done else self._resolved  # with what was done live
+        metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
+        wall_s = (datetime.now(UTC) - started).total_seconds()
+        about = {
+            "schema": ABOUT_SCHEMA,
+            "started": started.isoformat(),
+            "wall_s": wall_s,
+            "simulating_s": self._simulating_s,
+            "cpu_s": cpu_s,
+            "simulated_s": self._kernel.now_ns / 1e9,
+            "agents": assembly.where,
+            "lateness": self._lateness(),
+            "cuts_s": assembly.cuts_s,
+            **({} if assembly.bridge is None else {"bridge": assembly.bridge.lateness}),
+            "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
+            "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
+            "versions": _versions(),
+        }
+        files = dict(assembly.files)
+        if self._kept is not None and self._folder is None:
+            files[FILE] = self._kept.content
+        if assembly.bridge is not None:
+            table = io.BytesIO()
+            write_table(assembly.bridge.table(), table)
+            files[DELIVERIES] = table.getvalue()
+        result = Result(recorder, metrics, about, resolved, files, self._mcap, assembly.world)
+        if self._folder is not None:
+            result.write(self._folder.path)
+        return result
+
+    def _tolerance_ns(self) -> int | None:
+        """How late an instant may begin on the wall clock; None: there is no such clock."""
+        if self._clock.speed is None:
+            return None
+        wanted = self._assembly.clock.tolerance_s
+        return seconds_to_ns(self._period_s() if wanted is None else wanted)
+
+    def _period_s(self) -> float:
+        """Of the quickest agent, on the wall clock."""
+        periods = [float(info.ticks.period) / SECOND_NS for info in self._assembly.infos]
+        return min(periods, default=0.1) / (self._clock.speed or 1.0)
+
+    def _lateness(self) -> dict[str, Any] | None:
+        """How late instants began at which agents act, at wall pace."""
+        if self._clock.speed is None or not self._kernel.late_ns:
+            return None
+        late_s = np.maximum(self._kernel.late_ns, 0) / 1e9
+        p50, p99 = np.percentile(late_s, [50, 99])
+        return {
+            "speed": self._clock.speed,
+            "instants": len(late_s),
+            "p50_s": float(p50),
+            "p99_s": float(p99),
+            "max_s": float(late_s.max()),
+            "over_one_period": int((late_s > self._period_s()).sum()),
+            "slipped_s": self._clock.slipped_ns / SECOND_NS,
+        }
+
+
+_PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet", "eclipse-zenoh", "matplotlib")
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
+    return {name: metadata.version(name) for name in _PACKAGES}

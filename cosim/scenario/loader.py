@@ -1,0 +1,280 @@
+"""Scenarios: TOML files parsed once, at the edge, into checked tables (`cosim.scenario.schema`)."""
+
+import copy
+import itertools
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.scenario.expand import names_copy, repeated
+from vcmvsp.cosim.scenario.schema import (
+    AgentsTable,
+    AgentTable,
+    BridgeTable,
+    ClockTable,
+    MetricsTable,
+    RecordTable,
+    SafetyTable,
+    Scenario,
+    SocketsTable,
+    StudyTable,
+    VehicleTable,
+)
+from vcmvsp.cosim.config.provenance import Source
+
+RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
+BUILT_IN = registry.SHIPPED
+T = TypeVar("T")
+
+
+def load(
+    scenario: str | Path | Mapping[str, Any], *, settings: Mapping[str, Any] | None = None, seed: int | None = None
+) -> tuple[Scenario, Source]:
+    """Read, override and check a scenario.
+
+    Args:
+        scenario: a built-in name, the path of a TOML file, or the content of one as a mapping.
+        settings: key path -> value, e.g. ``{"radio.loss.probability": 0.3, "vehicle.car2.kind": "lag"}``.
+        seed: replaces the scenario's.
+
+    Raises:
+        ScenarioError: naming file, key path, and what is allowed.
+    """
+    raw, source = _read(scenario)
+    settings = settings or {}
+    for key in sorted(settings, key=lambda key: names_copy(raw, key)):  # those of one copy after those of all
+        source.note_set(key, f"--set {key}={settings[key]}")
+        _assign(raw, key, settings[key], source)
+    if seed is not None:
+        source.note_set("seed", f"--seed {seed}")
+        raw["seed"] = seed
+    return parse(raw, source), source
+
+
+def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
+    """Check the content of a scenario file."""
+    if (bad := binding.non_finite(raw)) is not None:
+        key = _path_of(raw, bad)
+        raise ScenarioError(f"must be finite, not {bad}", key=key, source=source.of(key))
+    agents = _open_table(AgentsTable, raw.get("agents", {}), "defaults", "agents", source)
+    bridge = _open_table(BridgeTable, raw.get("bridge", {}), "doors", "bridge", source)
+    defaults = _mapping(raw.get("vehicles", {}), "vehicles", source)
+    listed = raw.get("vehicle", [])
+    if not isinstance(listed, list) or not listed:
+        raise ScenarioError("needs at least one [[vehicle]]", key="vehicle", source=source.of("vehicle"))
+    if own := {"name", "pose", "position", "agent", "driver", "localisation"} & {*defaults}:
+        problem = f"may not hold {' or '.join(sorted(own))}, which each vehicle has its own"
+        raise ScenarioError(problem, key="vehicles", source=source.of("vehicles"))
+    listed = repeated(listed, source)
+    vehicles = tuple(_vehicle(each, index, defaults, source) for index, each in enumerate(listed))
+    _unique([each.name for each in vehicles], source)
+    _used(defaults, listed, source)
+    given = {
+        "agents": agents,
+        "bridge": bridge,
+        "vehicle": vehicles,
+        "vehicles": defaults,
+        **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio", "routing") if name in raw},
+        **{
+            name: binding.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
+            for name, kind in (
+                ("sockets", SocketsTable),
+                ("clock", ClockTable),
+                ("safety", SafetyTable),
+                ("record", RecordTable),
+                ("metrics", MetricsTable),
+                ("study", StudyTable),
+            )
+            if name in raw
+        },
+    }
+    rest = {name: value for name, value in raw.items() if name not in given}
+    parsed = binding.call(Scenario, rest, origin=source, given=given, also=binding.parameters(Scenario))
+    _check_window(parsed, source)
+    return parsed
+
+
+def names() -> list[str]:
+    """The built-in scenarios."""
+    return sorted(path.stem for path in BUILT_IN.glob("*.toml"))
+
+
+def first_words(name: str) -> str:
+    """What a built-in scenario says of itself: the first sentence of its opening comment."""
+    text = (BUILT_IN / f"{name}.toml").read_text("utf-8")
+    comment = " ".join(line.lstrip("# ") for line in itertools.takewhile(lambda each: each.startswith("#"), text.splitlines()))
+    return comment.partition(". ")[0].rstrip(".") + "."
+
+
+def path_of(scenario: str | Path) -> Path:
+    """The file of a scenario that is named or given as a path."""
+    text = str(scenario)
+    if text in names():
+        return BUILT_IN / f"{text}.toml"
+    path = Path(scenario)
+    try:
+        if path.is_file():
+            return path
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", source=text) from error
+    if path.suffix == ".toml" or "/" in text:
+        raise ScenarioError("there is no such file" if not path.is_dir() else "is a folder, not a scenario file", source=text)
+    raise ScenarioError(binding.unknown("scenario", text, names()) + "; or give the path of a .toml file")
+
+
+def text_of(scenario: str | Path) -> str:
+    """What stands in the file of a scenario."""
+    path = path_of(scenario)
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError("is not a text file in UTF-8", source=str(path)) from error
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", source=str(path)) from error
+
+
+def table_of(path: Path) -> dict[str, Any]:
+    """What stands in a TOML file, unchecked; nothing if it is none."""
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+
+
+def value_of(text: str) -> Any:
+    """The value that ``--set KEY=text`` gives: TOML if it reads as TOML, else the text itself."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
+    """``--set`` arguments as a mapping."""
+    settings = {}
+    for argument in arguments:
+        key, equals, text = argument.partition("=")
+        if not equals or not key.strip():
+            raise UsageError(f"--set {argument}: write KEY=VALUE, e.g. --set radio.loss.probability=0.3")
+        settings[key.strip()] = value_of(text.strip())
+    return settings
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------------
+
+
+def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Source]:
+    if isinstance(scenario, Mapping):
+        return msgspec.to_builtins(dict(scenario), enc_hook=_number), Source("scenario", Path())
+    path, text = path_of(scenario), text_of(scenario)
+    try:
+        return tomllib.loads(text), Source(str(scenario), path.parent, text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
+
+
+def _number(value: Any) -> Any:
+    """NumPy's numbers and arrays, as a notebook may give them, in plain ones."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which is no value that TOML could say")
+
+
+def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
+    """Set one key path; ``vehicle.NAME`` finds a vehicle by its name."""
+    *parents, last = key.split(".")
+    if key.startswith("vehicle") and (parents[:1] == ["vehicle"] or last == "vehicle"):
+        listed = raw.get("vehicle")
+        if len(parents) < 2 or not isinstance(listed, list):
+            raise ScenarioError("write vehicle.NAME.KEY for a key of one vehicle", key=key, source=source.of(key))
+    here: Any = raw
+    for depth, part in enumerate(parents):
+        if depth == 0 and part == "vehicle":
+            if names_copy(raw, key):
+                raw["vehicle"] = repeated(raw["vehicle"], source)  # one of many is to be unlike the others
+            here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
+        elif depth == 1 and parents[0] == "vehicle" and part not in here:
+            raise ScenarioError(binding.unknown("vehicle", part, here), key=key, source=source.of(key))
+        elif depth == 2 and parents[0] == "vehicle":  # one key of a table that it shares with all others
+            here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
+        else:
+            here = here.setdefault(part, {})
+        if not isinstance(here, dict):
+            raise ScenarioError(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key=key, source=source.of(key))
+    here[last] = copy.deepcopy(value)  # the caller's mapping is not ours to write into
+
+
+# --- checking ---------------------------------------------------------------------------------------------------------------
+
+
+def _mapping(value: Any, key: str, source: Source) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ScenarioError(f"must be a table, not {binding.show(value)}", key=key, source=source.of(key))
+    return value
+
+
+def _open_table(kind: Callable[..., T], raw: Any, rest: str, key: str, source: Source) -> T:
+    """A table whose keys are those of ``kind``; all others go into its field ``rest``."""
+    own = {name for name in binding.parameters(kind) if name != rest}
+    content = _mapping(raw, key, source)
+    others = {name: value for name, value in content.items() if name not in own}
+    return binding.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, given={rest: others})
+
+
+def _vehicle(raw: Any, index: int, defaults: Mapping[str, Any], source: Source) -> VehicleTable:
+    here = f"vehicle.{raw['name']}" if isinstance(raw, dict) and isinstance(raw.get("name"), str) else f"vehicle[{index}]"
+    content = {**defaults, **_mapping(raw, here, source)}
+    agent = None if "agent" not in content else _open_table(AgentTable, content.pop("agent"), "params", f"{here}.agent", source)
+    if "name" not in content:
+        raise ScenarioError("is missing", key=f"{here}.name", source=source.of("vehicle"))
+    if "kind" not in content:
+        raise ScenarioError("is missing, and [vehicles] has no kind for all", key=f"{here}.kind", source=source.of(here))
+    parsed = _open_table(VehicleTable, content, "params", here, source)
+    return msgspec.structs.replace(parsed, agent=agent)
+
+
+def _unique(vehicle_names: Sequence[str], source: Source) -> None:
+    for index, name in enumerate(vehicle_names):
+        if name in RESERVED:
+            key = f"vehicle.{name}.name"
+            raise ScenarioError(
+                f"'{name}' is a topic of its own; call the vehicle something else", key=key, source=source.of(key)
+            )
+        if name in vehicle_names[:index]:
+            key = f"vehicle.{name}.name"
+            raise ScenarioError(
+                f"two vehicles are called '{name}'; every name may be used once", key=key, source=source.of(key)
+            )
+
+
+def _used(defaults: Mapping[str, Any], listed: Sequence[Mapping[str, Any]], source: Source) -> None:
+    for name in defaults:
+        if all(name in each for each in listed):
+            key = f"vehicles.{name}"
+            problem = f"no vehicle takes this default: every one sets its own '{name}' (change vehicle.NAME.{name} instead)"
+            raise ScenarioError(problem, key=key, source=source.of(key))
+
+
+def _check_window(parsed: Scenario, source: Source) -> None:
+    window = parsed.metrics
+    if window.to_s is not None and window.to_s < window.from_s:
+        problem = f"must not be earlier than metrics.from_s ({window.from_s:g}), not {window.to_s:g}"
+        raise ScenarioError(problem, key="metrics.to_s", source=source.of("metrics.to_s"))
+
+
+def _path_of(value: Any, wanted: float, key: str = "") -> str:
+    """Where in a nested value this very object is."""
+    if value is wanted:
+        return key
+    items: Any = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    for name, each in items:
+        label = each["name"] if isinstance(each, dict) and isinstance(name, int) and "name" in each else str(name)
+        if found := _path_of(each, wanted, binding.join(key, label)):
+            return found
+    return ""

@@ -1,0 +1,222 @@
+"""The tables of a scenario: every key stands in a class here, with its default.
+
+Tables that configure one of several kinds (``physics``, ``world``, the layers of ``radio``, a vehicle, an agent, a driver) stay
+mappings: their keys are the constructor parameters of the kind, checked when it is built (`cosim.assembly.federates`).
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from vcmvsp.cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Vec3
+
+Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
+Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # m
+Runs = Literal["inprocess", "process", "zenoh"]
+SIMULATED = "none"  # the kind of a driver, or a localisation, that is left out: without a driver, the simulated twin takes part
+PoseSource = Literal["truth", "odometry", "positioning", "fusion"]
+
+
+class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[agents]``: where agents run and how fast; every other key is a default for agents that take such a parameter."""
+
+    runs: Runs = "inprocess"  # inprocess | process (child processes) | zenoh (hosts that are started by hand)
+    processes: Count | None = None  # with runs = "process": how many share the agents; default: one each
+    listen: str = "tcp/127.0.0.1:7447"  # with runs = "zenoh": the endpoint that hosts dial
+    deadline_s: Period = 2.0  # wall-clock time within which a remote agent must answer
+    join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
+    period_s: Period | None = None  # s between ticks; default: the agent's own period
+    latency_s: Seconds = 0.0  # s from an observation to the effect of the command
+    on_lost: OnLost = "stop"  # when an agent fails or its host is lost: stop (the run) | hold (its last command) | remove (it)
+    hold_s: Seconds = 1.0  # with on_lost = "hold": for so long, then the vehicle stands still
+    defaults: Mapping[str, Any] = {}
+
+
+class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
+    """A vehicle's ``agent``; every key not listed is a parameter of the agent, and wins over ``[agents]``."""
+
+    kind: str | None = None  # short name | module:Class | file.py:Class; default: agents.kind
+    runs: Runs | None = None  # default: agents.runs
+    period_s: Period | None = None
+    latency_s: Seconds | None = None
+    fails_s: Seconds | None = None  # from then on it is dead: its vehicle stands still and sends nothing
+    on_lost: OnLost | None = None  # default: agents.on_lost
+    hold_s: Seconds | None = None  # s; default: agents.hold_s
+    params: Mapping[str, Any] = {}
+
+
+class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
+    """A ``[[vehicle]]``; every key not listed is a parameter of its kind. ``[vehicles]`` holds defaults for all of them."""
+
+    name: Name
+    kind: str
+    pose: tuple[float, float, float] | None = None  # x m, y m, yaw rad; or, in its place:
+    position: Vec3 = (0.0, 0.0, 0.0)  # x, y, z m
+    heading: float = 0.0  # rad, counter-clockwise from east
+    pose_source: PoseSource = "truth"  # what its agent takes for its own pose
+    positioning: Mapping[str, Any] | None = None  # the positioning sensor, if it carries one
+    driver: Mapping[str, Any] | None = None  # of the real vehicle in the place of the simulated one: a table with a kind
+    localisation: Mapping[str, Any] | None = None  # what tells where the real one is: a table with a kind; None: its odometry
+    fusion: Mapping[str, Any] = {}  # how both become a pose
+    safety: Mapping[str, Any] = {}  # keys of [safety] that are this vehicle's own
+    sensors: Mapping[str, Mapping[str, Any]] = {}  # what else it carries, by names of one's own: a table with a kind each
+    radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
+    agent: AgentTable | None = None  # None: it has no agent and stands still
+    params: Mapping[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        if self.pose is not None and (any(self.position) or self.heading):
+            raise ValueError("either pose, or position and heading: not both")
+
+    @property
+    def is_real(self) -> bool:
+        """Whether a real vehicle takes the place of the simulated one."""
+        return self.driver is not None and self.driver.get("kind") != SIMULATED
+
+    @property
+    def start(self) -> tuple[Vec3, float]:
+        """Where it starts: position m, heading rad."""
+        if self.pose is None:
+            return self.position, self.heading
+        x, y, yaw = self.pose
+        return (x, y, 0.0), yaw
+
+
+class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[safety]``: what every real vehicle keeps to, whatever it is told."""
+
+    max_speed: Positive | None = None  # m/s; default: the kind's, and at most 1
+    max_yaw_rate: Positive | None = None  # rad/s; default: the kind's, and at most 2
+    accel: Positive | None = None  # m/s2; default: the kind's, else 0.3
+    decel: Positive | None = None  # m/s2, that it is sure to reach when it brakes; default: the kind's, else 0.3
+    yaw_accel: Positive | None = None  # rad/s2, also of slowing down; default: the kind's, else 1.5
+    max_climb: Positive = 1.0  # m/s, up and down, of what flies
+    radius_m: Positive | None = None  # of a circle around the body; default: around its hull
+    fence: tuple[tuple[float, float], ...] | None = None  # corners (x, y), m: none is left; default: no fence
+    fence_margin_m: NonNegative = 0.1  # between body and fence: for the error of the pose
+    floor_m: float | None = None  # least height of what flies
+    ceiling_m: float | None = None  # and the greatest
+    separation_m: NonNegative = 0.3  # between bodies
+    jump_m: Positive = 1.0  # a position that jumps further, against all odometry, stops it until the run ends
+    reaction_s: Positive = 0.25  # from a command to when the next one acts: with the delays of pose and link
+    operator_s: Positive | None = None  # for how long `vcmvsp operator` may be silent; default: nobody waits for it
+    command_s: Positive | None = None  # for how long there may be no command; default: 0.5, or 2.5 periods of its agent
+    positioning_s: Positive = 1.5  # for how long nothing may tell where it is
+    federation_s: Positive = 0.5  # for how long the run may be silent
+
+
+class ClockTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[clock]``: how a run keeps to the wall clock, with real vehicles or ``--realtime``."""
+
+    late: Literal["slip", "stop"] = "slip"  # when an instant is too late: "slip": so are all after it; "stop": the run ends
+    tolerance_s: Positive | None = None  # later than this is too late; default: one period of the quickest agent
+
+
+class BridgeTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[bridge]``: programs as they are, at wall pace; every other key is a table ``[bridge.KIND]``, a door for them."""
+
+    agents: bool = False  # agents hear the bytes that programs send, and programs what agents send (MessagePack)
+    doors: Mapping[str, Any] = {}
+
+
+class SocketsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[sockets]``: programs that keep the run's own time (`cosim.sockets`); the run waits for them, they for it."""
+
+    vehicles: tuple[Name, ...] = ()  # whose programs take part; each has one
+    listen: str = "tcp/127.0.0.1:7550"  # tcp/HOST:PORT or unix/PATH
+    join_timeout_s: Period = 60.0  # wall-clock time within which all must have come
+    deadline_s: Period | None = None  # wall-clock time within which a program must go on; default: it may take its time
+
+
+class RecordTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[record]``."""
+
+    period_s: Period = 0.1  # s between recorded states
+    sensors: tuple[str, ...] = ()  # names of scanners and cameras whose readings are recorded; "*": all. Others always are
+    video: bool = False  # a film of a mission, mission.mp4: some seconds of work after the run
+
+
+class MetricsTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[metrics]``: the window of the formation error and the age of information."""
+
+    from_s: NonNegative = 0.0
+    to_s: NonNegative | None = None  # default: the end
+
+
+class OutageTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="outage"):
+    """An ``[[intervention]]``: all frames from and to some vehicles are lost for some time."""
+
+    at_s: Seconds  # when
+    for_s: Duration  # for how long
+    vehicles: tuple[str, ...] = ()  # whose; none named: all
+
+
+class HaltTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="halt"):
+    """An ``[[intervention]]``: vehicles stand still whatever their agents command, or go on."""
+
+    at_s: Seconds  # when
+    vehicles: tuple[str, ...] = ()  # which; none named: all
+    halted: bool = True  # false: let them go on
+
+
+class MoveTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="move"):
+    """An ``[[intervention]]``: an obstacle that can be pushed is put somewhere else, and rests there."""
+
+    at_s: Seconds  # when
+    obstacle: str  # its name in the world
+    position: tuple[Coordinate, Coordinate]  # x, y m
+    yaw: Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)] = 0.0  # rad
+
+
+class SetTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="set"):
+    """An ``[[intervention]]``: a number of the layers of loss and delay has another value from then on."""
+
+    at_s: Seconds  # when
+    key: str  # radio.loss.* or radio.delay.*
+    value: float
+
+
+InterventionTable = OutageTable | HaltTable | MoveTable | SetTable
+"""What an operator does during a run; the station's buttons add to these, so that a run can be repeated."""
+
+
+class StudyTable(msgspec.Struct, frozen=True, kw_only=True):
+    """``[study]``: what ``vcmvsp study`` does with this scenario unless told otherwise."""
+
+    vary: Mapping[str, tuple[Any, ...]] = {}  # key path -> its values
+    seeds: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 20  # runs of each combination of values
+    metrics: tuple[str, ...] = ()  # what is drawn and summarised, e.g. "formation.rms_m"
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole scenario. ``duration_s`` is simulated time; agents act at 0 <= t < duration."""
+
+    name: Name
+    duration_s: Duration
+    seed: Seed = 0
+    physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic"
+    world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
+    radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
+    routing: Mapping[str, Any] = {}  # kind = "none" | "flooding" | "static" | "distance_vector"
+    bridge: BridgeTable = BridgeTable()
+    sockets: SocketsTable = SocketsTable()
+    agents: AgentsTable = AgentsTable()
+    clock: ClockTable = ClockTable()
+    safety: SafetyTable = SafetyTable()
+    vehicles: Mapping[str, Any] = {}
+    record: RecordTable = RecordTable()
+    metrics: MetricsTable = MetricsTable()
+    study: StudyTable = StudyTable()
+    intervention: tuple[InterventionTable, ...] = ()
+    vehicle: tuple[VehicleTable, ...]
+
+    @property
+    def real(self) -> tuple[str, ...]:
+        """Names of the vehicles that are real."""
+        return tuple(each.name for each in self.vehicle if each.is_real)
+
+    @property
+    def twins(self) -> dict[str, str]:
+        """Settings that have all of them simulated."""
+        return {f"vehicle.{name}.driver.kind": SIMULATED for name in self.real}

@@ -1,0 +1,1 @@
+"""Certificates of machines: files, authority, X.509."""

@@ -1,0 +1,199 @@
+"""An authority of one's own, which makes, renews and revokes the certificates of machines: ``vcmvsp keys``.
+
+What it writes, and what a certificate means, is in `cosim.security.certificates`.
+"""
+
+import contextlib
+import re
+import socket
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+
+from vcmvsp.cosim.security import x509
+from vcmvsp.cosim.security.certificates import (
+    HUB,
+    INDEX,
+    ROLE,
+    SUFFIX,
+    VEHICLE,
+    Bundle,
+    Entry,
+    Index,
+    Keys,
+    load,
+    load_bundle,
+)
+from vcmvsp.cosim.errors import UsageError
+
+CA_DAYS, HUB_DAYS, HOST_DAYS = 3650, 365, 90
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")  # 64: the longest common name (RFC 5280, ub-common-name)
+_HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
+
+
+def init(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS, force: bool = False) -> Keys:
+    """Make an authority and the hub's certificate.
+
+    Args:
+        folder: a new or empty one; nobody else will be able to read it.
+        names: more host names and addresses under which the hub may be dialled; those that this machine knows of itself come on
+            their own.
+        days: how long the hub's certificate is valid.
+        force: make a new authority although there is one, and so all certificates of the old one void.
+
+    Raises:
+        UsageError: the folder holds something, a name is none, or it cannot be written.
+    """
+    if (folder / INDEX).exists():
+        if not force:
+            raise UsageError(f"{folder}: holds an authority; --force makes a new one, and all certificates of the old one void")
+    elif folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+        raise UsageError(f"{folder}: is not empty; name a new folder")
+    _check_days(days)
+    _check_host_names(names)
+    authority = x509.new_authority(CA_DAYS)
+    with _writing(folder):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+        x509.write(folder / "ca.key", authority.key_pem)
+        x509.write(folder / "ca.pem", authority.certificate_pem)
+        _renew_hub(folder, dict.fromkeys(["localhost", "127.0.0.1", "::1", *_own_names(), *names]), days)
+        _write_index(folder, Index())
+    return load(folder)
+
+
+def renew_hub(folder: Path, names: Sequence[str] = (), *, days: int = HUB_DAYS) -> Keys:
+    """Make the hub's certificate again, for the names that it has, those of this machine, and these.
+
+    Raises:
+        UsageError: the folder is none of an authority, a name is none, or it cannot be written.
+    """
+    keys = load(folder)
+    _check_days(days)
+    _check_host_names(names)
+    with _writing(folder):
+        _renew_hub(folder, dict.fromkeys([*keys.names, *_own_names(), *names]), days)
+    return load(folder)
+
+
+def issue(
+    folder: Path,
+    name: str,
+    vehicles: Sequence[str] = (),
+    *,
+    days: int = HOST_DAYS,
+    out: Path | None = None,
+    force: bool = False,
+) -> Bundle:
+    """Make the file of a machine: of a host of these vehicles' agents or, without vehicles, of an observer.
+
+    Args:
+        folder: of the authority.
+        name: what runs call the machine.
+        vehicles: for which it may speak.
+        days: how long the certificate is valid.
+        out: file, or existing folder, to write to; None: ``<name>.keys`` in ``folder``.
+        force: make it again.
+
+    Raises:
+        UsageError: the name is taken, reserved or revoked, something is no name, or it cannot be written.
+    """
+    keys = load(folder)
+    for each in (name, *vehicles):
+        if not _NAME.fullmatch(each):
+            raise UsageError(f"'{each}' is no name: letters, digits, '_' and '-', at most 64")
+    if name == HUB:
+        raise UsageError(f"'{HUB}' is the name of the run itself: choose another")
+    _check_days(days)
+    entry = Entry(name, "host" if vehicles else "observer", tuple(dict.fromkeys(vehicles)), x509.now())
+    _check_free(keys.index.find(name), entry, force)
+    target = folder / f"{name}{SUFFIX}" if out is None else out / f"{name}{SUFFIX}" if out.is_dir() else out
+    if target.exists() and not force:
+        raise UsageError(f"{target}: exists; --force writes over it")
+    says = [f"{ROLE}{entry.role}", *(f"{VEHICLE}{vehicle}" for vehicle in entry.vehicles)]
+    with _writing(target):
+        signed = x509.sign(_authority(folder), name, says, server=False, days=days)
+        x509.write(target, signed.key_pem + signed.certificate_pem + keys.ca_pem)
+        made = load_bundle(target)
+        _write_index(folder, keys.index.put(msgspec.structs.replace(entry, until=made.until)))
+    return made
+
+
+def revoke(folder: Path, name: str) -> Entry:
+    """Let this name in no more.
+
+    Raises:
+        UsageError: no certificate was given to that name.
+    """
+    keys = load(folder)
+    if (entry := keys.index.find(name)) is None:
+        known = ", ".join(each.name for each in keys.index.issued) or "nobody"
+        raise UsageError(f"{folder}: has given no certificate to '{name}' (but to: {known})")
+    entry = msgspec.structs.replace(entry, revoked=True)
+    with _writing(folder):
+        _write_index(folder, keys.index.put(entry))
+    return entry
+
+
+def _check_days(days: int) -> None:
+    if not 1 <= days <= CA_DAYS:
+        raise UsageError(f"--days {days}: must be from 1 to {CA_DAYS}")
+
+
+def _check_host_names(names: Iterable[str]) -> None:
+    for name in names:
+        if not x509.is_address(name) and not _HOST_NAME.fullmatch(name):
+            raise UsageError(f"--name {name}: must be a host name or an IP address, without protocol and port")
+
+
+def _check_free(had: Entry | None, new: Entry, force: bool) -> None:
+    if had is None:
+        return
+    if had.revoked:
+        raise UsageError(
+            f"'{new.name}' was revoked, and a new certificate would make the old one good again: choose another name"
+        )
+    if (had.role, set(had.vehicles)) != (new.role, set(new.vehicles)):
+        meant = f"is for {', '.join(had.vehicles)}" if had.vehicles else "is an observer's"
+        raise UsageError(f"the certificate of '{new.name}' {meant}: choose another name (for a vehicle with --as)")
+    if not force:
+        raise UsageError(f"'{new.name}' has a certificate until {had.until:%Y-%m-%d}; --force makes another")
+
+
+def _authority(folder: Path) -> x509.Signed:
+    return x509.Signed((folder / "ca.key").read_text(), (folder / "ca.pem").read_text())
+
+
+def _renew_hub(folder: Path, names: Iterable[str], days: int) -> None:
+    signed = x509.sign(_authority(folder), HUB, names, server=True, days=days)
+    x509.write(folder / "hub.key", signed.key_pem)
+    x509.write(folder / "hub.pem", signed.certificate_pem)
+
+
+def _own_names() -> list[str]:
+    """Name and addresses of this machine, as far as it knows them itself."""
+    name = socket.gethostname()
+    found = [name] if _HOST_NAME.fullmatch(name) else []
+    with contextlib.suppress(OSError):
+        found += [str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(name, None)]
+    for family, elsewhere in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):  # RFC 5737, RFC 3849
+        with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((elsewhere, 9))  # a datagram socket sends nothing here, but knows which address it would send from
+            found.append(str(probe.getsockname()[0]))
+    return found
+
+
+def _write_index(folder: Path, index: Index) -> None:
+    x509.write(folder / INDEX, msgspec.json.format(msgspec.json.encode(index)).decode() + "\n")
+
+
+@contextlib.contextmanager
+def _writing(what: Path) -> Iterator[None]:
+    """Whatever goes wrong with files in here is the user's to hear of."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"{what}: cannot be written: {error.strerror}") from error
+    except ValueError as error:
+        raise UsageError(f"{what}: {error}") from error

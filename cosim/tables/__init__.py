@@ -1,0 +1,1 @@
+"""The tables of a run in Arrow and Parquet: states and radio."""

@@ -1,0 +1,64 @@
+"""Arrow columns from NumPy arrays and back, by their buffers.
+
+`pyarrow.array` and ``to_numpy`` would do, but they import pandas wherever it is installed, which takes a second of every run.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from vcmvsp.cosim.types import Array
+
+
+def column(values: Array, valid: Array | None = None) -> Any:
+    """An Arrow array of these numbers, null where they are not valid."""
+    bits = None if valid is None else pa.py_buffer(np.packbits(valid, bitorder="little").tobytes())
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [bits, pa.py_buffer(values.tobytes())])
+
+
+def name_column(names: Sequence[str], codes: Array) -> Any:
+    """An Arrow array in which row i is ``names[codes[i]]``."""
+    encoded = [name.encode() for name in names]
+    offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+    buffers = [None, pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
+    return pa.DictionaryArray.from_arrays(column(codes), pa.Array.from_buffers(pa.string(), len(names), buffers))
+
+
+def numbers(table: pa.Table, name: str, null: float = 0) -> Array:
+    """The numbers of a column, with ``null`` where there is none."""
+    chunks: Any = table[name].chunks
+    return joined([_numbers(chunk, null) for chunk in chunks], (0,), table.schema.field(name).type.to_pandas_dtype())
+
+
+def names_of(table: pa.Table, name: str) -> tuple[tuple[str, ...], Array]:
+    """The names that a column of names may hold, and the number of each row's name among them."""
+    chunks: Any = table[name].unify_dictionaries().chunks
+    names = tuple(str(value) for value in chunks[0].dictionary) if chunks else ()
+    return names, joined([_numbers(chunk.indices, 0) for chunk in chunks], (0,), np.int32)
+
+
+def nulls(table: pa.Table, name: str) -> Array:
+    """Where a column has no value."""
+    chunks: Any = table[name].chunks
+    return joined([~_valid(chunk) for chunk in chunks], (0,), np.bool_)
+
+
+def joined(parts: Sequence[Array], empty: tuple[int, ...], dtype: Any = np.float64) -> Array:
+    """The parts one after another, one alone as it is; of shape ``empty`` where there are none."""
+    whole = parts[0] if len(parts) == 1 else np.concatenate([np.empty(empty, dtype), *parts])
+    return whole.astype(dtype, copy=False)
+
+
+def _numbers(chunk: Any, null: float) -> Array:
+    values = np.frombuffer(chunk.buffers()[1], chunk.type.to_pandas_dtype(), len(chunk) + chunk.offset)[chunk.offset :]
+    return np.where(_valid(chunk), values, np.asarray(null, values.dtype)) if chunk.null_count else values
+
+
+def _valid(chunk: Any) -> Array:
+    bits = chunk.buffers()[0]
+    if bits is None:
+        return np.ones(len(chunk), np.bool_)
+    unpacked = np.unpackbits(np.frombuffer(bits, np.uint8), count=len(chunk) + chunk.offset, bitorder="little")
+    return unpacked[chunk.offset :].astype(np.bool_)

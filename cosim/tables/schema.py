@@ -1,0 +1,150 @@
+"""The two tables of a run, in memory (Arrow) and on disk (Parquet), and a run directory read back.
+
+``states``: a row per recorded instant and vehicle, instants in order, vehicles in the order of the run.
+``radio``: a row per frame and receiver it was meant for, in the order in which frames entered the channel.
+The schema metadata of both carry who ran (`RunFacts`), so that either file can be understood alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.tables.columns import column, joined
+from vcmvsp.cosim.tables.radio_frames import Frames, Names
+from vcmvsp.cosim.types import Follows, FrameReport, States
+
+NAME = pa.dictionary(pa.int32(), pa.string())
+STATE_VALUES = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
+STATES_SCHEMA = pa.schema([("time_ns", pa.int64()), ("vehicle", NAME), *((name, pa.float64()) for name in STATE_VALUES)])
+"""Time ns; position m, attitude (world_from_body), velocity m/s: world; angular velocity rad/s: body."""
+RADIO_SCHEMA = pa.schema(
+    [
+        ("frame", pa.int64()),
+        ("sender", NAME),
+        ("receiver", NAME),
+        ("sent_ns", pa.int64()),
+        ("received_ns", pa.int64()),  # null: lost
+        ("size_bytes", pa.int64()),
+        ("distance_m", pa.float64()),
+        ("rssi_dbm", pa.float64()),
+        ("outcome", NAME),  # "received" or the cause of the loss
+        ("delay_ns", pa.int64()),  # received - sent; null: lost
+        ("copy_ns", pa.int64()),  # when a second copy arrived; null: none did
+        # The link budget; null where it cannot be told, as that of a frame that was never sent.
+        ("snr_db", pa.float64()),  # over noise alone
+        ("sinr_db", pa.float64()),  # over noise and interference, the least while it was on the air
+        ("path_loss_db", pa.float64()),
+        ("walls", pa.int64()),  # how many are crossed
+        ("wall_materials", NAME),
+        ("wall_loss_db", pa.float64()),
+        ("shadowing_db", pa.float64()),  # a loss
+        ("fading_db", pa.float64()),  # a gain
+        ("air_time_ns", pa.int64()),  # 0: it was never sent
+        ("queue_ns", pa.int64()),  # waited behind the sender's earlier frames
+        ("access_ns", pa.int64()),  # waited for the air, earlier attempts included
+    ]
+)
+NOT_LOST = ("received", "under way")  # outcomes
+FACTS = b"vcmvsp.run"
+
+
+class Placement(msgspec.Struct, frozen=True):
+    """From ``time_ns`` on, ``vehicle`` means to keep this place."""
+
+    time_ns: int
+    vehicle: str
+    follows: Follows
+
+
+class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """What the tables do not say of their run."""
+
+    scenario: str
+    seed: int
+    end_ns: int
+    vehicles: tuple[str, ...]
+    follows: tuple[Placement, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run read back from its directory."""
+
+    states: pa.Table
+    radio: pa.Table
+    facts: RunFacts
+    metrics: dict[str, Any]
+
+    @property
+    def follows(self) -> tuple[Placement, ...]:
+        """Who meant to keep which place, and from when on."""
+        return self.facts.follows
+
+
+def states_table(rows: Sequence[tuple[int, States]], facts: RunFacts) -> pa.Table:
+    """The table of the true states at these instants."""
+    vehicles = Names(facts.vehicles)
+    names = [states.names for _, states in rows]
+    times = np.repeat(np.array([time for time, _ in rows], np.int64), [len(each) for each in names])
+    blocks = [
+        joined([getattr(states, name) for _, states in rows], (0, width)).T
+        for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3))
+    ]
+    values = [column(values) for block in blocks for values in block]
+    columns = [column(times), vehicles.column(vehicles.codes(chain.from_iterable(names))), *values]
+    return _table(columns, STATES_SCHEMA, facts)
+
+
+def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts) -> pa.Table:
+    """The table of all frames at all receivers they were meant for; it takes them out of `Frames`."""
+    if not isinstance(frames, Frames):
+        given, frames = frames, Frames(facts.vehicles)
+        frames.extend(given)
+    columns = frames.columns()
+    return _table([columns[name] for name in RADIO_SCHEMA.names], RADIO_SCHEMA, facts)
+
+
+def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
+    """Write Parquet: the same table gives the same bytes (fixed row groups, zstd)."""
+    encodings: dict[str, Any] = {
+        "use_dictionary": [field.name for field in table.schema if pa.types.is_dictionary(field.type)],
+        "use_byte_stream_split": [field.name for field in table.schema if pa.types.is_floating(field.type)],
+    }
+    pq.write_table(table, path, row_group_size=1 << 20, compression="zstd", **encodings)
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read Parquet; `pyarrow.parquet.read_table` would do, but it imports pandas wherever that is installed."""
+    with pq.ParquetFile(path) as file:
+        return file.read()
+
+
+def load(run_dir: str | Path) -> Recording:
+    """Read a run directory back: ``states.parquet``, ``radio.parquet`` and, if it is there, ``metrics.json``."""
+    folder = Path(run_dir)
+    recording, metrics = load_tables(folder), folder / "metrics.json"
+    return replace(recording, metrics=msgspec.json.decode(metrics.read_bytes())) if metrics.is_file() else recording
+
+
+def load_tables(folder: Path) -> Recording:
+    """Both tables of a run directory, without its numbers."""
+    for name in ("states.parquet", "radio.parquet"):
+        if not (folder / name).is_file():
+            raise UsageError(f"{folder}: no {name} here; name the directory that a run left (runs/<name>-<seed> or its --out)")
+    states, radio = (read_table(folder / name) for name in ("states.parquet", "radio.parquet"))
+    facts = (states.schema.metadata or {}).get(FACTS)
+    if facts is None:
+        raise UsageError(f"{folder / 'states.parquet'}: not written by vcmvsp (its schema metadata lacks {FACTS.decode()})")
+    return Recording(states=states, radio=radio, facts=msgspec.json.decode(facts, type=RunFacts), metrics={})
+
+
+def _table(columns: list[Any], schema: pa.Schema, facts: RunFacts) -> pa.Table:
+    return pa.Table.from_arrays(columns, schema=schema.with_metadata({FACTS: msgspec.json.encode(facts)}))

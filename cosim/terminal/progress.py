@@ -1,0 +1,266 @@
+"""What a run shows while it goes on, and in the end: a bar on a terminal, a line every few seconds in a log."""
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from vcmvsp.cosim.clock import SECOND_NS
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.runs.api import Result
+    from vcmvsp.cosim.federate import Event
+    from vcmvsp.cosim.terminal.live_table import Line, LiveTable
+
+LOG_EVERY_S = 5.0
+DRAW_EVERY_S = 0.25
+SHARE = 100.0  # drawing takes at most one part in so many of the time
+MIN_BAR = 8  # columns
+STYLES = {"head": "bold", "bad": "red", "halted": "yellow", "more": "dim"}
+
+
+class Shown:
+    """Something that takes its time, on stderr; drawing is rare.
+
+    Args:
+        quiet: show nothing.
+    """
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet
+        self._screen: Any = None
+        self._bar: Any = None
+        # One that can go back and draw anew; all others are written to like a log file.
+        self._terminal = not quiet and sys.stderr.isatty() and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
+        self._every_s = DRAW_EVERY_S if self._terminal else LOG_EVERY_S
+        self._last = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._screen is not None:
+            with contextlib.suppress(OSError):
+                self._screen.stop()
+
+    def tell(self, text: str) -> None:
+        """Show a line."""
+        if not self._quiet:
+            sys.stderr.write(f"{text}\n")
+            sys.stderr.flush()
+
+    def _is_due(self) -> bool:
+        """Whether it is time to show how far it is."""
+        now = time.monotonic()
+        if self._quiet or now - self._last < self._every_s:
+            return False
+        self._last = now
+        return True
+
+    def _draw(self, completed: float, total: float, words: str) -> None:
+        """Show the bar, on a terminal, and what stands below it."""
+        try:
+            if self._screen is None:
+                self._open_screen()
+            begin = time.monotonic()
+            self._draw_on(self._screen, completed, total, words)
+            self._every_s = min(max(DRAW_EVERY_S, SHARE * (time.monotonic() - begin)), LOG_EVERY_S)
+        except OSError:  # the terminal has gone; what it shows is no part of the work
+            self._quiet = True
+
+    def _draw_on(self, screen: Any, completed: float, total: float, words: str) -> None:
+        from rich.console import Group
+        from rich.text import Text
+
+        width, height = screen.console.size
+        self._bar.update(self._bar.task_ids[0], completed=completed, total=total, description=words[: width - MIN_BAR])
+        below = [
+            Text(each.text, STYLES.get(each.kind, ""), no_wrap=True, overflow="crop") for each in self._below(width, height - 2)
+        ]
+        screen.update(Group(self._bar.get_renderable(), *below), refresh=True)
+
+    def _below(self, width: int, height: int) -> "Sequence[Line]":
+        """What stands below the bar, at most so wide and so high."""
+        return ()
+
+    def _open_screen(self) -> None:
+        from rich.console import Console
+        from rich.live import Live
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        console = Console(stderr=True, color_system=None if os.environ.get("NO_COLOR") else "auto", highlight=False)
+        columns = BarColumn(None, complete_style="cyan", finished_style="green"), TextColumn("{task.description}", markup=False)
+        self._bar = Progress(*columns, console=console, auto_refresh=False, expand=True)
+        self._bar.add_task("")
+        self._screen = Live(console=console, auto_refresh=False, transient=True, vertical_overflow="crop")
+        self._screen.start()
+
+
+class Progress(Shown):
+    """How far a run is, and on a terminal how its vehicles fare. The clock is looked at once an instant."""
+
+    _table: "LiveTable | None" = None
+    _begin: float | None = None
+    _now_ns = 0
+
+    def observer(self, kinds: Callable[[], Mapping[str, str]]) -> "Callable[[Event], None] | None":
+        """What has to see the run's events, so that its vehicles can be shown; None where they are not.
+
+        Args:
+            kinds: says the kind of agent of each vehicle.
+        """
+        if not self._terminal:
+            return None
+        from vcmvsp.cosim.terminal.live_table import LiveTable
+
+        self._table = LiveTable(kinds())
+        return self._table.on
+
+    def on_instant(self, now_ns: int, end_ns: int) -> None:
+        """Note how far the run is."""
+        if self._begin is None:
+            self._begin = time.monotonic()
+        over = now_ns >= end_ns and self._screen is not None  # then the files are written, which takes its time, too
+        if not self._is_due() and not over:
+            return
+        self._now_ns = now_ns
+        taken_s = max(self._last - self._begin, 1e-9)
+        speed = now_ns / SECOND_NS / taken_s
+        left = f", {clock(taken_s * (end_ns - now_ns) / now_ns)} left" if now_ns else ""
+        how_far, pace = f"{now_ns / SECOND_NS:.1f} of {end_ns / SECOND_NS:g} s", _times(speed)
+        if self._terminal:
+            self._draw(now_ns, end_ns, f"{how_far}, {pace}{', writing' if over else left}")
+        else:
+            self.tell(f"{how_far} simulated ({100 * now_ns // end_ns} %, {pace} real time)")
+
+    def _below(self, width: int, height: int) -> "Sequence[Line]":
+        return () if self._table is None else self._table.lines(self._now_ns, width, height)
+
+
+def _times(speed: float) -> str:
+    return f"{speed:.{1 if speed < 10.0 else 0}f}x"
+
+
+def clock(seconds: float) -> str:
+    """A duration as one reads it: ``40 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def summary(result: "Result") -> str:
+    """A finished run in a few lines, what they are about in a column of its own."""
+    metrics, about = result.metrics, result.about
+    places = ", ".join(sorted(set(about["agents"].values())))
+    agents = f"{len(about['agents'])} agents" + (f" ({places})" if places else "")
+    simulated = f"{metrics['duration_s']:g} s simulated in {about['simulating_s']:.1f} s"
+    speed = metrics["duration_s"] / max(about["simulating_s"], 1e-9)
+    lines = {
+        "radio": _of_radio(metrics["radio"]),
+        "routing": _of_routing(metrics["routing"]) if metrics.get("routing") else "",
+        "formation": _of_formation(metrics["formation"]),
+        "mission": _of_mission(metrics["mission"]) if metrics.get("mission") else "",
+        **{name: _of_real(real) for name, real in metrics.get("hardware", {}).items()},
+        "lateness": lateness(about["lateness"]) if about["lateness"] else "",
+        "bridge": _of_bridge(about["bridge"]) if about.get("bridge") else "",
+        "safety": _of_safety(metrics["safety"]),
+        "lost": _of_lost(metrics["agents"]),
+        "results": str(result.folder),
+    }
+    told = {f"{label}:": words for label, words in lines.items() if words}
+    width = max(10, *map(len, told))
+    head = f"{metrics['scenario']}: {agents}, {simulated} ({_times(speed)} real time)"
+    return "".join(f"{line}\n" for line in (head, *(f"{label:<{width}} {words}" for label, words in told.items())))
+
+
+def lateness(late: Mapping[str, Any]) -> str:
+    """How late a run was on the wall clock."""
+    words = (
+        f"{1000 * late['p50_s']:.2f} ms median, {1000 * late['max_s']:.2f} ms at most, "
+        f"{late['over_one_period']} of {late['instants']} ticks late by more than a period"
+    )
+    return words + (f"; the run slipped by {late['slipped_s']:.3f} s" if late["slipped_s"] else "")
+
+
+def _of_bridge(carried: Mapping[str, Any]) -> str:
+    """What crossed the bridge to programs outside, how late it left, and what did not cross it."""
+    words = f"{carried['datagrams']} datagrams, {carried['delivered']} deliveries"
+    if carried["delivered"]:
+        late = f"late by {1000 * carried['p50_s']:.2f} ms median, {1000 * carried['p99_s']:.2f} ms p99"
+        words += f", {late}, {carried['over_1ms']} by more than 1 ms"
+    refused = (f"{number} {what} ({name})" for name, counts in carried["counts"].items() for what, number in counts.items())
+    return "; ".join((words, *refused))
+
+
+def _of_radio(radio: Mapping[str, Any]) -> str:
+    """What became of the frames."""
+    if not radio["frames"]:
+        return ""
+    lost = ", ".join(f"{count} {cause}" for cause, count in radio["losses"].items()) or "none lost"
+    age_s = radio["age_s"]["mean"]
+    ratio = radio["delivery_ratio"]
+    arrived = "all still under way" if ratio is None else f"{100 * ratio:.1f} % delivered ({lost})"
+    words = f"{radio['frames']} frames, {arrived}"
+    return words + ("" if age_s is None else f", age {1000 * age_s:.0f} ms")
+
+
+def _of_routing(routing: Mapping[str, Any]) -> str:
+    """How far messages got over others, and what that cost."""
+    if not routing["messages"]:
+        return ""
+    words, ratio = f"{routing['messages']} messages", routing["delivery_ratio"]
+    words += "" if ratio is None else f", {100 * ratio:.1f} % delivered"
+    if routing["arrivals"]:
+        words += f" over {routing['hops_mean']:.1f} hops ({routing['hops_max']} at most)"
+    words += f", {routing['forwarded']} frames passed on"
+    words += f", {routing['no_route']} without a route" if routing["no_route"] else ""
+    return words + (f", {routing['control_frames']} frames about routes" if routing["control_frames"] else "")
+
+
+def _of_formation(formation: Mapping[str, Any]) -> str:
+    """How well it was kept."""
+    if formation["rms_m"] is None:
+        return ""
+    settled = "not settled" if formation["settling_s"] is None else f"settled after {formation['settling_s']:.1f} s"
+    chain = formation["hop_gain"] is not None  # errors of links add up
+    shape = f", shape {formation['shape']['rms_m']:.4f} m" if chain else ""
+    return f"error {formation['rms_m']:.4f} m RMS, {formation['max_m']:.4f} m at most{shape}, {settled}"
+
+
+def _of_safety(safety: Mapping[str, Any]) -> str:
+    """What went wrong, if anything did."""
+    return f"{safety['collisions']} collisions" if safety["collisions"] else ""
+
+
+def _of_lost(agents: Mapping[str, Mapping[str, Any]]) -> str:
+    """Whose agents were away, and for how long."""
+    return ", ".join(f"{name} for {each['lost_s']:.1f} s" for name, each in agents.items() if each["lost_s"])
+
+
+def _of_mission(mission: Mapping[str, Any]) -> str:
+    """What was found, and when."""
+    times = mission["found_s"]
+    found = ", ".join(f"{name} {'never' if time_s is None else f'{time_s:.1f} s'}" for name, time_s in times.items())
+    words = f"{mission['targets_found']} of {len(times)} targets found ({found}), {mission['targets_tracked']} tracked"
+    seen = mission["area_seen_ratio"]
+    return words + ("" if seen is None else f", {100 * seen:.0f} % of the area seen")
+
+
+def _of_real(real: Mapping[str, Any]) -> str:
+    """How a real vehicle was known and driven, in a line."""
+    age_s, fixes = real["age_s"]["p50"], real["fixes"]
+    words = [f"real, {1000 * age_s:.0f} ms old" if age_s is not None else "real, never heard"]
+    if fixes:
+        words.append(f"{fixes} positions ({real['gated']} did not fit)")
+    if real["limited_s"]:
+        words.append(f"held back for {real['limited_s']:.1f} s")
+    words += [f"stopped {count} x: {cause}" for cause, count in real["stops"].items()]
+    if real["frames_too_early"]:
+        words.append(f"{real['frames_too_early']} frames were received after less than that: no real link is so quick")
+    return ", ".join(words)

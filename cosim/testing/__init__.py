@@ -1,0 +1,246 @@
+"""Conformance checks for what others write: agents, channel layers, federates. One line in a test of theirs proves the laws.
+
+::
+
+    from vcmvsp.cosim.testing import check_agent, check_channel
+    check_agent(lambda: KeepGap(leader="car1"))
+    check_channel(Rain())
+
+Every check raises `AssertionError` that says which law is broken.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.agent import Agent, AgentSpec, Observation
+from vcmvsp.cosim.util.codec import Decoder, encode
+from vcmvsp.cosim.errors import AgentError
+from vcmvsp.cosim.federate import Event, Federate, RunInfo, Step
+from vcmvsp.cosim.util.key_expressions import matches
+from vcmvsp.cosim.types import Message, Reception, VehicleState
+
+SECOND = 1_000_000_000
+_observations: Decoder[Observation] = Decoder(Observation)
+_events: Decoder[list[Event]] = Decoder(list[Event])
+
+
+def check_agent(
+    make: Callable[[], Agent], *, vehicle: str = "car2", others: Sequence[str] = ("car1", "car3"), ticks: int = 40
+) -> None:
+    """Check that agents made by ``make`` keep the contract of `cosim.Agent`.
+
+    The laws: it acts before it has heard anything; it survives messages that it does not understand (other keys, other types,
+    NaN, bytes); what it commands and sends is finite and can be encoded; two of them that see the same say the same; it leaves
+    what it is shown unchanged; seeing it through a wire makes no difference.
+    """
+    shown = [_observation(vehicle, others, tick) for tick in range(ticks)]
+    plain = _play(make(), vehicle, others, shown)
+    _require(plain == _play(make(), vehicle, others, shown), "two agents that saw the same did not do the same")
+    fresh = [_observation(vehicle, others, tick) for tick in range(ticks)]
+    _require(encode(shown) == encode(fresh), "the agent changed what it was shown")
+    wired = [_observations.decode(encode(each)) for each in shown]
+    _require(plain == _play(make(), vehicle, others, wired), "the agent does something else when it runs in another process")
+
+
+def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
+    """Check that a layer of the radio keeps the contract of `netsim.interfaces.layers`, whichever of its verbs it has.
+
+    The laws: one finite answer per receiver, of the right type; the same question gets the same answer; a receiver's answer
+    does not depend on who else listens; a path loss is the same in both directions (unless ``reciprocal`` is false).
+    """
+    verbs = {
+        "loss_db": _check_path_loss,
+        "air_time_ns": _check_phy,
+        "gain_db": _check_drawn,
+        "lost": _check_drawn,
+        "delay_ns": _check_drawn,
+    }
+    found = [verb for verb in verbs if callable(getattr(layer, verb, None))]
+    _require(bool(found), f"{type(layer).__name__} has none of the verbs of a layer: {', '.join(verbs)}")
+    for verb in found:
+        verbs[verb](layer, verb)
+    if "loss_db" in found and reciprocal:
+        paths, rng = registry.piece("radio paths"), np.random.default_rng(3)
+        for a, b in rng.uniform(-300.0, 300.0, (50, 2, 3)):
+            there, back = layer.loss_db(paths.between(a, b[None])), layer.loss_db(paths.between(b, a[None]))
+            _require(
+                there.tolist() == back.tolist(), f"loss from {a} to {b} is {there}, back {back}; pass reciprocal=False if meant"
+            )
+
+
+def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[Event] = ()) -> None:
+    """Check that federates made by ``make`` keep the contract of `cosim.federate.Federate` over a run by themselves.
+
+    The laws: names and slots are declared; every event is in effect no earlier than the step that gave it, has a valid key and
+    can be encoded; the next wake-up lies ahead; two of them that get the same give the same; closing works.
+
+    Args:
+        make: makes a fresh one.
+        run: what it is told.
+        inputs: events that it is given at their time, as far as it reads them.
+    """
+    first, second = _step_through(make(), run, inputs), _step_through(make(), run, inputs)
+    _require(first == second, "two federates that got the same gave different events")
+
+
+# --- agents -----------------------------------------------------------------------------------------------------------------
+
+
+def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Observation]) -> bytes:
+    """Everything that the agent says, encoded."""
+    host: Any = registry.piece("agent host")
+    spec = AgentSpec(
+        vehicle=vehicle,
+        kind=type(agent).__name__,
+        folder="",
+        params={},
+        defaults={},
+        period_s=None,
+        latency_s=0.0,
+        source="",
+    )
+    federate = host("agents", [spec], {vehicle: agent})
+    said = []
+    try:
+        federate.start(RunInfo(scenario="check", seed=1, duration_ns=len(shown) * SECOND, vehicles=(*others, vehicle)))
+        now: int | None = 0
+        for seen in shown:
+            inbox = [Event(f"{vehicle}/estimate", seen.time_ns, seen.state)]
+            inbox += [Event(f"{vehicle}/heard", each.received_ns, each) for each in seen.heard]
+            step = federate.step(now, inbox)
+            said.append(list(step.events))
+            now = step.next_ns
+    except AgentError as error:
+        raise AssertionError(f"{error}\n{error.details}") from error
+    finally:
+        federate.close()
+    return encode(said)
+
+
+def _observation(vehicle: str, others: Sequence[str], tick: int) -> Observation:
+    """What an agent might see: silence at first, then sense and nonsense in turn."""
+    rng = np.random.default_rng(tick)
+    x, y, yaw = rng.uniform(-3.0, 3.0, 3).tolist()
+    now = tick * SECOND // 10
+    return Observation(
+        vehicle=vehicle,
+        time_ns=now,
+        state=VehicleState(position=(x, y, 0.0), attitude=(float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))),
+        readings={},
+        heard=() if tick < 5 else tuple(_nonsense(other, now, tick) for other in others),
+    )
+
+
+def _nonsense(sender: str, now: int, tick: int) -> Reception:
+    nan = float("nan")
+    bodies: list[dict[str, Any] | bytes] = [
+        {"seq": tick, "t_ns": now - SECOND // 10, "x": 0.1 * tick, "y": 0.0, "th": 0.0, "v": 0.3, "w": 0.0},
+        {"seq": tick, "t_ns": now - SECOND // 10, "x": nan, "y": 0.0, "th": 0.0, "v": nan, "w": 0.0},
+        {"seq": "one", "t_ns": None, "x": "far", "y": [1, 2], "th": {}, "v": True, "w": -1},
+        {},
+        b"\x00\xff not a mapping",
+        {"unknown": 1},
+    ]
+    message = Message(sender=sender, body=bodies[tick % len(bodies)], size_bytes=20)
+    return Reception(message=message, rssi_dbm=-60.0, sent_ns=max(0, now - SECOND // 10), received_ns=now)
+
+
+# --- layers of the channel --------------------------------------------------------------------------------------------------
+
+
+def _check_path_loss(layer: Any, verb: str) -> None:
+    paths = registry.piece("radio paths")
+    rng = np.random.default_rng(1)
+    tx, rx = rng.uniform(-300.0, 300.0, 3), rng.uniform(-300.0, 300.0, (20, 3))
+    rx[0] = tx  # two antennas in one place
+    loss = layer.loss_db(paths.between(tx, rx))
+    _require(np.shape(loss) == (20,), f"{verb} gave shape {np.shape(loss)} for 20 receivers")
+    _require(bool(np.isfinite(loss).all()), f"{verb} is not finite: {loss}")
+    _require(np.array_equal(loss, layer.loss_db(paths.between(tx, rx))), f"{verb} answers the same question differently")
+    alone = np.concatenate([layer.loss_db(paths.between(tx, each[None])) for each in rx])
+    _require(np.array_equal(loss, alone), f"{verb} of a receiver depends on who else listens")
+
+
+def _check_phy(layer: Any, verb: str) -> None:
+    times = [layer.air_time_ns(size) for size in range(0, 1500, 7)]
+    _require(all(type(each) is int and each >= 1 for each in times), f"{verb} must be a whole number of ns, at least 1")
+    _require(times == sorted(times), f"{verb} is shorter for a longer payload")
+    levels = (layer.tx_power_dbm, layer.sensitivity_dbm)
+    _require(bool(np.isfinite(levels).all()), f"tx_power_dbm and sensitivity_dbm must be finite, not {levels}")
+
+
+def _check_drawn(layer: Any, verb: str) -> None:
+    rng = np.random.default_rng(2)
+    draws = rng.random((20, 2))
+    names = tuple(f"car{i}" for i in range(20))
+    frame, pick = _frame(rng.uniform(-100.0, 100.0, (20, 3)), names), getattr(layer, verb)
+    answer = pick(frame, lambda: draws)
+    wanted: Any = {"lost": np.bool_, "delay_ns": np.integer, "gain_db": np.floating}[verb]
+    _require(np.shape(answer) == (20,), f"{verb} gave shape {np.shape(answer)} for 20 receivers")
+    _require(bool(np.issubdtype(np.asarray(answer).dtype, wanted)), f"{verb} gave {np.asarray(answer).dtype}")
+    _require(np.array_equal(answer, pick(frame, lambda: draws)), f"{verb} answers the same question differently")
+    order = rng.permutation(20)
+    moved = pick(_frame(frame.paths.rx[order], tuple(names[i] for i in order)), lambda: draws[order])
+    _require(np.array_equal(np.asarray(answer)[order], moved), f"{verb} of a receiver depends on who else listens")
+    if verb == "lost":
+        _require(bool(layer.cause) and layer.cause != "received", "a loss must name its cause")
+    else:
+        _require(bool(np.isfinite(answer).all()), f"{verb} is not finite: {answer}")
+
+
+def _frame(rx: Any, receivers: tuple[str, ...]) -> Any:
+    paths = registry.piece("radio paths").between(np.zeros(3), rx)
+    links = registry.piece("radio links")(1, "sender", receivers)
+    return registry.piece("radio frame")(0, 0, SECOND // 1000, 60, paths, -60.0 - paths.distance_m / 10.0, links)
+
+
+# --- federates --------------------------------------------------------------------------------------------------------------
+
+
+def _step_through(federate: Federate, run: RunInfo, inputs: Sequence[Event]) -> bytes:
+    _require(isinstance(federate, Federate), f"{type(federate).__name__} lacks an attribute or method of Federate")
+    heard = (*federate.reads, *federate.latest)
+    waiting = sorted((event for event in inputs if _any(heard, event.key)), key=lambda event: event.time_ns)
+    given: list[Event] = []
+    try:
+        due = federate.start(run)
+        while True:
+            waking = next((event.time_ns for event in waiting if _any(federate.wakes, event.key)), None)
+            now = min((each for each in (due, waking) if each is not None), default=run.duration_ns + 1)
+            if now > run.duration_ns:
+                return encode(given)
+            inbox = [event for event in waiting if event.time_ns <= now]
+            waiting = waiting[len(inbox) :]
+            step = federate.step(now, inbox)
+            _check_step(step, now)
+            given += step.events
+            due = step.next_ns
+    finally:
+        federate.close()
+
+
+def _check_step(step: Step, now: int) -> None:
+    _require(
+        step.next_ns is None or step.next_ns > now, f"stepped at {now} ns, it wants to be stepped next at {step.next_ns} ns"
+    )
+    for event in step.events:
+        _require(event.time_ns >= now, f"{event.key} of {event.time_ns} ns was given at {now} ns")
+        _require(all(event.key.split("/")) and not set(event.key) & set("*$#?"), f"'{event.key}' is no valid key")
+        try:
+            again = _events.decode(encode([event]))
+        except (msgspec.MsgspecError, TypeError) as error:
+            raise AssertionError(f"the value of {event.key} cannot be sent: {error}") from error
+        _require(encode(again) == encode([event]), f"the value of {event.key} changes on its way")
+
+
+def _any(expressions: Sequence[str], key: str) -> bool:
+    return any(matches(each, key) for each in expressions)
+
+
+def _require(holds: bool, law: str) -> None:
+    if not holds:
+        raise AssertionError(law)

@@ -1,0 +1,1 @@
+"""Helpers without knowledge of simulation: text, files, MessagePack, key expressions, polling, colours."""

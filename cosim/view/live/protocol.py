@@ -1,0 +1,160 @@
+"""Between a run and the process that shows it: messages with their lengths, over a pair of sockets; the run never waits.
+
+The run says `Start` first and then `Shown` after `Shown`; the other end answers with `Up` or `Down`, and then with orders.
+"""
+
+import contextlib
+import select
+import socket
+import struct
+import time
+from collections.abc import Iterator
+
+from vcmvsp.cosim.util import codec
+from vcmvsp.cosim.types import Value
+from vcmvsp.cosim.view.messages import Order, Scenery, Shown
+
+LARGEST = 1 << 28  # bytes of a message: a mosaic of the ground
+_CHUNK = 1 << 20
+_length = struct.Struct("<I")
+
+
+class Start(Value, frozen=True, kw_only=True):
+    """What the viewer's process is told first."""
+
+    scenery: Scenery
+    host: str
+    port: int
+    token: str
+
+
+class Up(Value, frozen=True, kw_only=True, tag="up"):
+    """The page is there."""
+
+    port: int
+
+
+class Down(Value, frozen=True, kw_only=True, tag="down"):
+    """It is not, or not any more."""
+
+    problem: str
+
+
+starts: codec.Decoder[Start] = codec.Decoder(Start)
+shows: codec.Decoder[Shown] = codec.Decoder(Shown)
+answers: codec.Decoder[Up | Down | Order] = codec.Decoder(Up | Down | Order)
+
+
+class Pipe:
+    """One end of the pair. A message goes whole, but not always at once: what has begun is finished before the next.
+
+    Args:
+        sock: connected, a stream; it becomes this object's own.
+    """
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.setblocking(False)
+        self._sock, self._poll = sock, select.poll()
+        self._poll.register(sock, select.POLLOUT)
+        self._left = memoryview(b"")  # of the message that has begun
+        self._got = bytearray()
+        self.open = True  # as far as is known: the other end has not gone
+
+    def push(self) -> bool:
+        """Write on; whether another message can begin now."""
+        while self._left and self.open:
+            try:
+                self._left = self._left[self._sock.send(self._left) :]
+            except BlockingIOError:
+                return False
+            except OSError:
+                self._lose()
+        return self.open and bool(self._poll.poll(0))
+
+    def offer(self, payload: bytes) -> bool:
+        """Begin a message, if there is room and no other has begun; whether it has, and will therefore be whole."""
+        if not self.push():
+            return False
+        self._left = memoryview(_length.pack(len(payload)) + fitting(payload))
+        self.push()
+        return True
+
+    def offer_within(self, payload: bytes, wait_s: float) -> bool:
+        """Write all that has begun, and this message; whether that was done in so much time."""
+        until_s = time.monotonic() + wait_s
+        begun = False
+        while self.open:
+            begun = begun or self.offer(payload)
+            if begun and not self._left:
+                return True
+            left_s = until_s - time.monotonic()
+            if left_s <= 0.0:
+                break
+            self._poll.poll(1e3 * min(left_s, 0.05))  # it tells of some room, not of enough
+            self.push()
+        return False
+
+    def take(self, wait_s: float | None = 0.0) -> list[bytes]:
+        """The messages that have come, oldest first.
+
+        Args:
+            wait_s: for so long, if there is nothing to be read at once; None: until there is, or the other end has gone.
+
+        Raises:
+            ValueError: what comes is not made of messages.
+        """
+        poll = select.poll()
+        poll.register(self._sock, select.POLLIN)
+        if self.open and poll.poll(None if wait_s is None else 1e3 * wait_s):
+            self._read()
+        return list(self._messages())
+
+    def close(self) -> None:
+        """Let the other end know that there is no more."""
+        self.open = False
+        self._sock.close()
+
+    def _read(self) -> None:
+        """All that is there, as far as it makes no more than one of the largest messages."""
+        while len(self._got) < LARGEST:
+            try:
+                data = self._sock.recv(_CHUNK)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self._lose()
+                return
+            self._got += data
+
+    def _messages(self) -> Iterator[bytes]:
+        while len(self._got) >= _length.size:
+            (length,) = _length.unpack_from(self._got)
+            if length > LARGEST:
+                raise ValueError(f"a message of {length} bytes")
+            end = _length.size + length
+            if len(self._got) < end:
+                return
+            message = bytes(memoryview(self._got)[_length.size : end])
+            del self._got[:end]
+            yield message
+
+    def _lose(self) -> None:
+        self.open, self._left = False, memoryview(b"")
+
+
+def fitting(payload: bytes) -> bytes:
+    """The same; what is too long for a message raises a `ValueError`."""
+    if len(payload) > LARGEST:
+        raise ValueError(f"{len(payload)} bytes are too many for the control station")
+    return payload
+
+
+def pair() -> tuple[Pipe, socket.socket]:
+    """Two ends that are connected; the second is for another process."""
+    ours, theirs = socket.socketpair()
+    for each in (ours, theirs):
+        with contextlib.suppress(OSError):
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _CHUNK)
+    return Pipe(ours), theirs

@@ -1,0 +1,183 @@
+"""What passes between a run, or the recording of one, and the control station.
+
+A run tells once what does not change (`Scenery`) and then, some thirty times a second at most, how things stand (`Shown`). The
+station answers with what the one who looks at it wants (`Order`). A recording is shown through the same three.
+"""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from vcmvsp.cosim.types import (
+    Array,
+    Fix,
+    Follows,
+    Image,
+    Mosaic,
+    Presence,
+    ProbabilityMap,
+    RealStatus,
+    Scan,
+    Sightings,
+    States,
+    Value,
+    Vec3,
+)
+
+
+class Craft(Value, frozen=True, kw_only=True):
+    """A vehicle."""
+
+    name: str
+    kind: str  # as the scenario has it
+    size: Vec3  # of its body, m: along, across, up
+    offset: Vec3 = (0.0, 0.0, 0.0)  # of the middle of its body from its reference point, m, in its own frame
+    flies: bool = False
+    real: bool = False
+    agent: str = ""  # kind of its agent; empty: it has none
+    period_s: float | None = None  # between its agent's ticks
+    sensors: Mapping[str, str] = {}  # name -> kind: what can be asked for with `Order.sensors`
+
+
+class Obstacle(Value, frozen=True, kw_only=True):
+    """A solid that can be moved about, or moves by itself."""
+
+    name: str
+    shape: Literal["box", "cylinder"]
+    size: Vec3  # m; of a cylinder: its diameter twice, and its height
+    pose: tuple[float, float, float, float]  # centre x, y, z m, and yaw rad, at the start
+    color: tuple[int, int, int]
+    may_be_moved: bool = False  # by the one who looks
+
+
+class Scenery(Value, frozen=True, kw_only=True):
+    """What does not change during a run."""
+
+    scenario: str
+    seed: int
+    duration_ns: int
+    vehicles: tuple[Craft, ...]
+    vertices: Array  # (v, 3) float32 m, of all that stands still
+    triangles: Array  # (t, 3) uint32, counter-clockwise seen from outside
+    colors: Array  # (t, 3) uint8
+    obstacles: tuple[Obstacle, ...] = ()
+    targets: tuple[tuple[str, float, float], ...] = ()  # name, x m, y m, at the start
+    bounds: tuple[float, float, float, float] | None = None  # west, south, east, north, m
+    live: bool = False  # a run that goes on; else the recording of one
+    may: tuple[str, ...] = ()  # which orders are obeyed: names of the `Order` classes' tags
+    keys: Mapping[str, float] = {}  # keys of the scenario that may be changed at run time, and their present values
+
+
+class Link(Value, frozen=True, kw_only=True):
+    """The newest frame of a sender: what became of it at each receiver."""
+
+    sender: str
+    sent_ns: int
+    receivers: tuple[str, ...]
+    rssi_dbm: Array  # (n,) float64
+    received: Array  # (n,) bool
+    outcome: tuple[str, ...]  # "received" or the cause of the loss
+
+
+class Line(Value, frozen=True, kw_only=True):
+    """A line of the log."""
+
+    time_ns: int
+    level: str  # debug, info, warning, error, fatal
+    text: str
+
+
+class Pace(Value, frozen=True, kw_only=True):
+    """How a run goes on."""
+
+    paused: bool = False
+    speed: float | None = None  # simulated seconds per second that are wanted; None: as fast as it can
+    achieved: float | None = None  # over the last second
+    over: str = ""  # why the run has ended; empty: it goes on
+
+
+class Shown(Value, frozen=True, kw_only=True):
+    """How things stand at an instant. Mappings hold the newest of each key so far; what has not changed may be left out.
+
+    One that is earlier than the one before it begins anew: nothing is left out.
+    """
+
+    time_ns: int
+    states: States | None = None
+    obstacles: Mapping[str, tuple[float, float, float, float]] = {}  # x, y, z m, yaw rad
+    targets: Mapping[str, tuple[float, float]] = {}
+    places: Mapping[str, Follows] = {}  # who means to keep which place
+    notes: Mapping[str, dict[str, float | str | bool]] = {}  # what each agent noted last, by vehicle: "mode" says who commands
+    fixes: Mapping[str, Fix] = {}
+    scans: Mapping[str, Scan] = {}  # by vehicle/sensor
+    images: Mapping[str, Image] = {}  # likewise
+    sightings: Mapping[str, Sightings] = {}  # by vehicle
+    maps: Mapping[str, ProbabilityMap] = {}
+    mosaics: Mapping[str, Mosaic] = {}
+    links: tuple[Link, ...] = ()  # of senders with a frame since the last time
+    sent: Array | None = None  # (n, n) int64: frames of the row's vehicle for the column's, as in `Scenery`
+    received: Array | None = None  # (n, n) int64: of those
+    heard_ns: Mapping[str, int] = {}  # when each vehicle received last
+    presence: Mapping[str, Presence] = {}  # of agents that were lost, or are back
+    real: Mapping[str, RealStatus] = {}
+    halted: tuple[str, ...] = ()  # vehicles that the operator has stopped
+    lines: tuple[Line, ...] = ()  # since the last time
+    pace: Pace = Pace()
+
+
+# --- orders ---
+
+
+class Sensors(Value, frozen=True, kw_only=True, tag="sensors"):
+    """Show these readings, and no others: they cost the run time."""
+
+    names: tuple[str, ...]  # vehicle/sensor
+
+
+class Go(Value, frozen=True, kw_only=True, tag="pace"):
+    """Go on at this pace."""
+
+    paused: bool = False
+    speed: float | None = None  # None: as fast as it can
+    step_ns: int = 0  # paused: go on for so long, then stand again
+
+
+class Seek(Value, frozen=True, kw_only=True, tag="seek"):
+    """Show this instant of a recording."""
+
+    time_ns: int
+
+
+class Halt(Value, frozen=True, kw_only=True, tag="halt"):
+    """Let these vehicles stand still, or go on."""
+
+    vehicles: tuple[str, ...] = ()  # none named: all
+    halted: bool = True
+
+
+class Outage(Value, frozen=True, kw_only=True, tag="outage"):
+    """Let all frames from and to these vehicles be lost."""
+
+    vehicles: tuple[str, ...] = ()  # none named: all
+    for_s: float
+
+
+class Move(Value, frozen=True, kw_only=True, tag="move"):
+    """Put an obstacle somewhere else."""
+
+    obstacle: str
+    position: tuple[float, float]  # x, y m
+    yaw: float = 0.0  # rad
+
+
+class Change(Value, frozen=True, kw_only=True, tag="set"):
+    """Give a key of the scenario another value."""
+
+    key: str
+    value: float
+
+
+class End(Value, frozen=True, kw_only=True, tag="end"):
+    """End the run, as Ctrl-C does."""
+
+
+Order = Sensors | Go | Seek | Halt | Outage | Move | Change | End

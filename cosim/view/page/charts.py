@@ -1,0 +1,152 @@
+"""Curves of the last minutes: speeds, formation errors, and how much of what was sent to each vehicle it received."""
+
+import math
+from collections import deque
+
+import numpy as np
+import viser
+from viser import uplot
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.view.messages import Scenery
+from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.style import Every, css_of
+from vcmvsp.cosim.view.page.formation_slots import places_of
+
+POINTS = 300  # of each curve
+PERIOD_S = 0.5
+CURVES = 7  # as many as there are colours; of more vehicles, the first ones and the chosen one
+WINDOW_NS = 5 * SECOND_NS  # of the delivery
+TITLES = "Speed [m/s]", "Formation error [m]", "Received of the last 5 s [%]"
+HEIGHT_PX = 190
+
+
+class History:
+    """The numbers behind the curves: one row per vehicle and quantity, the newest `POINTS` instants."""
+
+    def __init__(self, scenery: Scenery) -> None:
+        self._count = len(scenery.vehicles)
+        self._times_back = 0
+        self.time_s: deque[float] = deque(maxlen=POINTS)
+        self.numbers: list[deque[Array]] = [deque(maxlen=POINTS) for _ in TITLES]
+        self._counts: deque[tuple[int, Array, Array]] = deque(maxlen=POINTS)
+
+    def sample(self, known: Known) -> bool:
+        """Take in how things stand; whether anything is new: time must have gone on, and where it went back all is new."""
+        if known.times_back != self._times_back:
+            self._times_back = known.times_back
+            self.time_s.clear()
+            self._counts.clear()
+            for numbers in self.numbers:
+                numbers.clear()
+        if self.time_s and known.time_ns / SECOND_NS <= self.time_s[-1]:
+            return False
+        self.time_s.append(known.time_ns / SECOND_NS)
+        places = places_of(known)
+        error = np.full(self._count, np.nan)
+        error[places.row] = places.error_m
+        speed = np.where(np.isfinite(known.position[:, 0]), np.linalg.norm(known.velocity, axis=1), np.nan)
+        for numbers, each in zip(self.numbers, (speed, error, self._delivery(known)), strict=True):
+            numbers.append(each)
+        return True
+
+    def _delivery(self, known: Known) -> Array:
+        """Per vehicle, how much of what was sent to it in the last 5 s it received, in per cent; not a number: nothing was."""
+        if known.sent is None or known.received is None:
+            return np.full(self._count, np.nan)
+        sent, received = known.sent.sum(axis=0), known.received.sum(axis=0)
+        while len(self._counts) > 1 and self._counts[1][0] <= known.time_ns - WINDOW_NS:
+            self._counts.popleft()
+        self._counts.append((known.time_ns, sent, received))
+        _, sent_then, received_then = self._counts[0]
+        new = sent - sent_then
+        return np.where(new > 0, 100.0 * (received - received_then) / np.maximum(new, 1), np.nan)
+
+
+class Chart:
+    """One chart. It is made anew where its frame is another one: a page would carry the old one's axes over to the new data."""
+
+    def __init__(self, server: viser.ViserServer, title: str) -> None:
+        self._gui, self._title = server.gui, title
+        self._place = server.gui.add_folder(None)
+        self._node: viser.GuiUplotHandle | None = None
+        self._frame: tuple[object, ...] = ()
+
+    def draw(self, time_s: Array, curves: Array, names: list[str], strokes: list[str]) -> None:
+        """Draw curves, (k, n), of these names and colours over times, (k,) s; what is not a number is left out."""
+        seen = curves[np.isfinite(curves)]
+        top = round_above(float(seen.max())) if len(seen) else 0.0
+        frame = top, tuple(names), tuple(strokes)
+        data = (time_s, *np.ascontiguousarray(curves.T))
+        if frame == self._frame and self._node is not None:
+            self._node.data = data
+            return
+        if self._node is not None:
+            self._node.remove()
+            self._node = None
+        self._frame = frame
+        if len(seen):
+            with self._place:
+                self._node = self._made(data, top, names, strokes)
+
+    def _made(self, data: tuple[Array, ...], top: float, names: list[str], strokes: list[str]) -> viser.GuiUplotHandle:
+        curves = (
+            uplot.Series(label=name, stroke=stroke, width=1.5, points={"show": False})
+            for name, stroke in zip(names, strokes, strict=True)
+        )
+        return self._gui.add_uplot(
+            data=data,
+            series=(uplot.Series(label="time [s]"), *curves),
+            title=self._title,
+            # The axis of numbers has ends of its own: the page cannot find those of curves that begin with a gap.
+            scales={"x": {"time": False}, "y": {"range": (0.0, top)}},
+            axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 44}),
+            legend={"show": len(names) > 1},
+            height=HEIGHT_PX,
+            padding=(8, 24, 0, 0),
+        )
+
+
+class Charts:
+    """Three charts, told anew twice a second at most. They must be made in the context of their container."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        self._names = [each.name for each in scenery.vehicles]
+        self._history = History(scenery)
+        self._often = Every(PERIOD_S)
+        self._charts = [Chart(server, title) for title in TITLES]
+        self._dark, self._new = False, False
+        self._rows: list[int] = []
+
+    def sample(self, known: Known, now_s: float) -> None:
+        """Take in how things stand, twice a second."""
+        if self._names and self._often.due(now_s):
+            self._new |= self._history.sample(known)
+
+    def draw(self, chosen: int) -> None:
+        """Draw what is new."""
+        rows = self._shown_rows(chosen)
+        if not (self._new or (self._history.time_s and rows != self._rows)):
+            return
+        self._rows, self._new = rows, False
+        time_s = np.array(self._history.time_s)
+        names, strokes = [self._names[row] for row in rows], [css_of(row, dark=self._dark) for row in rows]
+        for chart, numbers in zip(self._charts, self._history.numbers, strict=True):
+            chart.draw(time_s, np.array(numbers)[:, rows], names, strokes)
+
+    def darken(self, dark: bool) -> None:
+        """Curves for a light or a dark page."""
+        self._dark, self._new = dark, bool(self._history.time_s)
+
+    def _shown_rows(self, chosen: int) -> list[int]:
+        if len(self._names) <= CURVES:
+            return list(range(len(self._names)))
+        return [*range(CURVES)] if chosen < CURVES else [*range(CURVES - 1), chosen]
+
+
+def round_above(number: float) -> float:
+    """The least of 1, 2, 5, 10, ... times a power of ten that is not below a number: the end of an axis, which seldom moves."""
+    number = max(number, 0.01)
+    power = 10.0 ** math.floor(math.log10(number))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= number * (1.0 - 1e-9))

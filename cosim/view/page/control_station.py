@@ -1,0 +1,180 @@
+"""The control station: a page that shows a run, live or recorded, and takes orders. Everyone who has it open sees the same.
+
+What changes all the time is told as a few arrays, and only to pages that are open; nothing is fetched from anywhere else.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+
+import viser
+
+from vcmvsp.cosim.view.messages import Order, Scenery, Shown
+from vcmvsp.cosim.view.page.camera import Follower
+from vcmvsp.cosim.view.page.charts import Charts
+from vcmvsp.cosim.view.page.selection import Choice
+from vcmvsp.cosim.view.page.controls import controls
+from vcmvsp.cosim.view.page.inputs import is_finite, picked
+from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.links import WHICH, Links, legend
+from vcmvsp.cosim.view.page.style import Every
+from vcmvsp.cosim.view.page.marks import Fixes, Ghosts, Trails
+from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
+from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
+from vcmvsp.cosim.view.page.scene import Scene
+from vcmvsp.cosim.view.page.vehicles import Vehicles
+
+LEFT_PX, RIGHT_PX = 300.0, 360.0
+WORDS_S = 0.2  # between two tellings of words
+IDLE_S = 0.1  # after which it is drawn again, though nothing was shown
+
+
+class Station:
+    """The page of a run.
+
+    Args:
+        server: whose page it becomes.
+        scenery: what does not change.
+        order: takes what the ones who look want, one at a time, in threads of the server.
+        clock: of the wall, s.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        scenery: Scenery,
+        order: Callable[[Order], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._server, self._clock = server, clock
+        self._order, self._ordering = order, threading.Lock()
+        self._drawing, self._drawn = threading.RLock(), threading.Event()
+        self._known = Known(scenery)
+        self._aimed = False
+        self._words, self._told = Every(WORDS_S), -1
+        with server.atomic():
+            self._scene = Scene(server, scenery)
+            self._vehicles = Vehicles(server, scenery, self._clicked)
+            self._trails, self._links = Trails(server, scenery), Links(server, scenery)
+            self._ghosts, self._fixes = Ghosts(server, scenery), Fixes(server, scenery)
+            self._scans, self._ground = Scans(server, scenery), Ground(server)
+            self._follower = Follower(server)
+            self._build(server, scenery)
+        threading.Thread(target=self._keep, name="station", daemon=True).start()
+
+    def show(self, shown: Shown) -> None:
+        """Show how things stand. To be called from one thread, some thirty times a second at most."""
+        known, now_s = self._known, self._clock()
+        with self._drawing:
+            known.take(shown)
+            self._trails.sample(known)
+            self._charts.sample(known, now_s)
+            if not self._aimed:
+                self._aimed = self._scene.aim(known)
+            if self._server.get_clients():
+                self.draw()
+
+    def draw(self) -> None:
+        """Tell the pages what they do not know yet."""
+        self._drawn.set()
+        known, choice, now_s = self._known, self._choice, self._clock()
+        with self._drawing:
+            self._go_along()
+        with self._drawing, self._server.atomic():
+            self._scene.draw(known)
+            self._vehicles.draw(known, choice.row, now_s)
+            self._ghosts.draw(known)
+            self._fixes.draw(known, now_s)
+            self._trails.draw(now_s)
+            self._links.draw(known, choice.row, now_s)
+            self._scans.draw(known, choice.readings)
+            self._ground.draw(known, choice.name, now_s)
+            self._pictures.draw(known, choice.name, choice.readings, now_s)
+            self._charts.draw(choice.row)
+            if self._words.due(now_s):
+                self._write()
+
+    def _go_along(self) -> None:
+        if self._choice.follows:
+            self._follower.draw(self._known.position[self._choice.row], self._clock())
+        else:
+            self._follower.release()
+
+    def _keep(self) -> None:
+        """Draw while nothing is shown, too: what was chosen, and for whom has just come."""
+        loop = self._server.get_event_loop()
+        while loop.is_running():
+            if not self._drawn.wait(IDLE_S) and self._server.get_clients():
+                self.draw()
+            self._drawn.clear()
+            time.sleep(IDLE_S)
+
+    def _write(self) -> None:
+        """Words, and what can be ordered."""
+        known = self._known
+        self._run.content = run_page(known)
+        self._vehicle.content = vehicle_page(known, self._choice.row)
+        if known.told != self._told:
+            self._told = known.told
+            self._log.content = log_page(known)
+        for part in (self._choice, *self._controls):
+            part.draw(known)
+
+    def _clicked(self, row: int) -> None:
+        self._choice.choose(row)
+
+    def _give(self, order: Order) -> None:
+        if is_finite(order):
+            with self._ordering:
+                self._order(order)
+
+    def _build(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        """On the left what is ordered, on the right what is told."""
+        gui = server.gui
+        gui.set_panel_label(f"VCMVSP: {scenery.scenario}")
+        gui.main_panel.dock_left()
+        gui.main_panel.set_width(LEFT_PX)
+        self._run = gui.add_html(run_page(self._known))
+        self._controls = controls(server, scenery, self._give, self._clock)
+        with gui.add_folder("View", expand_by_default=False):
+            self._build_view(gui)
+        with gui.add_folder("Log"):
+            self._log = gui.add_html(log_page(self._known))
+        panel = gui.add_panel()
+        with panel.add_tab("Vehicle"):
+            self._choice = Choice(server, scenery, self._give)
+            self._vehicle = gui.add_html(vehicle_page(self._known, 0))
+            self._pictures = Pictures(server)
+        with panel.add_tab("Charts"):
+            self._charts = Charts(server, scenery)
+        panel.dock_right()
+        panel.set_width(RIGHT_PX)
+        self._look(dark=False)
+
+    def _build_view(self, gui: viser.GuiApi) -> None:
+        """What of the scene is seen, and how."""
+        shown: list[tuple[str, Callable[[bool], None]]] = [
+            ("Names", self._vehicles.name),
+            ("Trails", self._trails.show),
+            ("Places", self._ghosts.show),
+            ("Fixes", self._fixes.show),
+        ]
+        for label, show in shown:
+            _tick(gui, label, show)
+        links = gui.add_dropdown("Links", WHICH, initial_value=self._links.which)
+        links.on_update(lambda _: setattr(self._links, "which", picked(links)))
+        ground = gui.add_dropdown("On the floor", GROUNDS)
+        ground.on_update(lambda _: setattr(self._ground, "kind", picked(ground)))
+        dark = gui.add_checkbox("Dark", initial_value=False)
+        dark.on_update(lambda event: self._look(dark=event.target.value))
+        gui.add_html(legend())
+
+    def _look(self, *, dark: bool) -> None:
+        self._server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+        self._scene.darken(dark)
+        self._charts.darken(dark)
+
+
+def _tick(gui: viser.GuiApi, label: str, show: Callable[[bool], None]) -> None:
+    box = gui.add_checkbox(label, initial_value=True)
+    box.on_update(lambda event: show(event.target.value))

@@ -1,0 +1,173 @@
+"""What is said of the chosen vehicle, and of the run, in words: small pages of HTML, made of `Known` alone.
+
+Texts that agents and hosts wrote are escaped: nothing that they say becomes part of a page.
+"""
+
+import math
+from html import escape
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.style import css_of
+
+LINKS, LINES, NOTES = 12, 60, 12  # rows that are shown; of more, the number is told
+COMMANDING = "commander", "mode", "task"  # notes that say who commands a vehicle
+LONGEST = 160  # characters of a text from elsewhere
+LEVELS = {"warning": "#b8860b", "error": "#c92a2a", "fatal": "#c92a2a", "debug": "#868e96"}
+BOX = "padding: 0.1em 0.75em 0.4em; font-size: 0.82em; line-height: 1.45"
+Rows = list[tuple[str, str]]
+
+
+def vehicle_page(known: Known, row: int) -> str:
+    """All that is known of a vehicle, but the curves and the pictures."""
+    if not known.names:
+        return _boxed("There are no vehicles.")
+    name = known.names[row]
+    rows = [*_who(known, row), *_motion(known, row), *_health(known, row)]
+    parts = [_table(rows)]
+    if notes := _notes(known, name):
+        parts.append(_section("Noted by its agent", _table(notes)))
+    if links := _links(known, row):
+        parts.append(_section("Frames received of those sent, since the start", _table(links)))
+    return _boxed("".join(parts))
+
+
+def run_page(known: Known) -> str:
+    """Which run it is, when it is, and how fast it goes on."""
+    scenery, pace = known.scenery, known.pace
+    now, end = known.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
+    if pace.over:
+        state = f"over: {_text(pace.over)}"
+    elif pace.paused:
+        state = "paused"
+    else:
+        state = ("recording" if not scenery.live else "running") + (
+            f" at {pace.speed:g}x" if pace.speed else " as fast as it can"
+        )
+        state += f", reaches {pace.achieved:.2g}x" if pace.achieved is not None else ""
+    rows = [
+        ("scenario", f"{_text(scenery.scenario)}, seed {scenery.seed}"),
+        ("time", f"<b>{now:.2f} s</b> of {end:g} s"),
+        ("pace", state),
+    ]
+    return _boxed(_table(rows))
+
+
+def log_page(known: Known) -> str:
+    """The log, the newest line first."""
+    newest = list(known.lines)[: -LINES - 1 : -1]
+    lines = "".join(
+        f'<div style="color: {LEVELS.get(line.level, "inherit")}">'
+        f'<span style="opacity: 0.6">{line.time_ns / SECOND_NS:.2f} s</span> {_text(line.text)}</div>'
+        for line in newest
+    )
+    return _boxed(f'<div style="max-height: 12em; overflow-y: auto">{lines or "Nothing yet."}</div>')
+
+
+def _who(known: Known, row: int) -> Rows:
+    craft = known.scenery.vehicles[row]
+    mark = f'<span style="color: {css_of(row)}; -webkit-text-stroke: 0.5px #888">&#9632;</span>'
+    period = f", every {craft.period_s:g} s" if craft.period_s else ""
+    note = known.notes.get(craft.name, {})
+    commands = ", ".join(dict.fromkeys(_text(note[key]) for key in COMMANDING if note.get(key)))
+    rows = [("vehicle", f"{mark} <b>{_text(craft.name)}</b>, {_text(craft.kind)}{', real' if craft.real else ''}")]
+    rows.append(("agent", f"{_text(craft.agent)}{period}" if craft.agent else "none"))
+    if commands:
+        rows.append(("commands", f"<b>{commands}</b>"))
+    follows = known.places.get(craft.name)
+    if follows is not None and follows.leader is not None:
+        rows.append(("follows", f"{_text(follows.leader)} at ({follows.slot[0]:.2f}, {follows.slot[1]:.2f}) m"))
+    seen = known.sightings.get(craft.name)
+    if seen is not None and seen.found:
+        found = [
+            f"{_text(each.target)} at ({each.place[0]:.1f}, {each.place[1]:.1f}) m, {each.score:.2f}" for each in seen.found
+        ]
+        rows.append((f"recognised {max(known.time_ns - seen.time_ns, 0) / SECOND_NS:.0f} s ago", "<br>".join(found)))
+    return rows
+
+
+def _motion(known: Known, row: int) -> Rows:
+    x, y, z = (known.position[row].round(2) + 0.0).tolist()  # no -0.00
+    if not math.isfinite(x):
+        return [("position", "not known yet")]
+    vx, vy, vz = known.velocity[row].tolist()
+    yaw = round(float(known.yaw[row]), 2) + 0.0
+    return [
+        ("position", f"({x:.2f}, {y:.2f}, {z:.2f}) m"),
+        ("speed", f"{math.hypot(vx, vy, vz):.2f} m/s"),
+        ("yaw", f"{yaw:.2f} rad ({math.degrees(yaw) + 0.0:.0f}&deg;)"),
+    ]
+
+
+def _health(known: Known, row: int) -> Rows:
+    """Whether it is there, hears, and is let go."""
+    name, now = known.names[row], known.time_ns
+    rows = []
+    if name in known.halted:
+        rows.append(("stopped", '<b style="color: #c92a2a">by the operator</b>'))
+    presence = known.presence.get(name)
+    if presence is not None:
+        why = f": {_text(presence.why)}" if presence.why else ""
+        rows.append(("presence", f"{presence.state} since {presence.since_ns / SECOND_NS:.2f} s{why}"))
+    heard = known.heard_ns.get(name)
+    if heard is not None:
+        rows.append(("last message", f"{max(now - heard, 0) / SECOND_NS:.2f} s ago"))
+    status = known.real.get(name)
+    if status is not None:
+        if status.battery_v is not None:
+            rows.append(("battery", f"{status.battery_v:.1f} V"))
+        if status.age_s is not None:
+            rows.append(("driver", f"told {status.age_s:.2f} s ago, connection {status.link}"))
+        rows.append(("lateness", f"{1e3 * status.late_s:.0f} ms"))
+        if status.causes:
+            rows.append(("held back by", ", ".join(_text(each) for each in status.causes)))
+    return rows
+
+
+def _notes(known: Known, name: str) -> Rows:
+    notes = [(key, value) for key, value in known.notes.get(name, {}).items() if key not in COMMANDING]
+    rows = [(_text(key), f"{value:.4g}" if isinstance(value, float) else _text(value)) for key, value in notes[:NOTES]]
+    return rows + ([("...", f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else [])
+
+
+def _links(known: Known, row: int) -> Rows:
+    if known.sent is None or known.received is None:
+        return []
+    to, back = known.sent[row], known.sent[:, row]
+    others = [other for other in range(len(known.names)) if other != row and (to[other] or back[other])]
+    heard = known.received[row] + known.received[:, row]
+    busiest = sorted(others, key=lambda other: (-int(heard[other]), other))[:LINKS]
+    rows = [
+        (
+            f"{_text(known.names[other])}",
+            f"to {_share(known.received[row, other], to[other])}, from {_share(known.received[other, row], back[other])}",
+        )
+        for other in sorted(busiest)
+    ]
+    return rows + ([("...", f"and {len(others) - LINKS} more")] if len(others) > LINKS else [])
+
+
+def _share(received: int, sent: int) -> str:
+    return f"{received}/{sent} ({100.0 * received / sent:.0f} %)" if sent else "none"
+
+
+def _text(value: object) -> str:
+    return escape(plain(str(value), LONGEST))
+
+
+def _table(rows: Rows) -> str:
+    cells = "".join(
+        f'<tr><td style="opacity: 0.65; padding-right: 0.8em; vertical-align: top; white-space: nowrap">{name}</td>'
+        f'<td style="overflow-wrap: anywhere">{value}</td></tr>'
+        for name, value in rows
+    )
+    return f'<table style="border-spacing: 0">{cells}</table>'
+
+
+def _section(title: str, content: str) -> str:
+    return f'<div style="margin-top: 0.5em; font-weight: 600">{title}</div>{content}'
+
+
+def _boxed(content: str) -> str:
+    return f'<div style="{BOX}">{content}</div>'

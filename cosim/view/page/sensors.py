@@ -1,0 +1,164 @@
+"""What vehicles sense and know, in the browser: scans as points, pictures, and maps and mosaics on the floor."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import viser
+
+from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
+from vcmvsp.cosim.util.palette import PROBABILITY, rgb
+from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sightings
+from vcmvsp.cosim.view.messages import Scenery
+from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.style import TARGET_RGB, Every, colors_of, rotated
+
+GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
+OVER_FLOOR_M = 0.01
+WIDEST_PX = 512  # of a picture in the panel
+MAP_ALPHA = 200  # of 255
+
+
+class Scans:
+    """The newest scan of each scanner, where it was taken, as points."""
+
+    def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
+        self._server = server
+        self._colors = colors_of(len(scenery.vehicles))
+        self._nodes: dict[str, viser.PointCloudHandle] = {}
+        self._drawn: dict[str, Scan] = {}
+
+    def draw(self, known: Known, wanted: tuple[str, ...]) -> None:
+        """Draw the new ones of those that are wanted, vehicle/sensor, and put the others away."""
+        for key, node in self._nodes.items():
+            node.visible = key in wanted and key in known.scans
+        for key in wanted:
+            scan, row = known.scans.get(key), known.row.get(key.partition("/")[0])
+            if scan is None or row is None or self._drawn.get(key) is scan:
+                continue
+            self._drawn[key] = scan
+            points = points_of(scan, known.position[row], known.attitude[row])
+            if key in self._nodes:
+                self._nodes[key].points = points
+            else:
+                red, green, blue = self._colors[row].tolist()
+                self._nodes[key] = self._server.scene.add_point_cloud(
+                    f"/scans/{key}", points, (red, green, blue), point_size=0.06, point_shape="circle", precision="float32"
+                )
+
+
+class Pictures:
+    """The newest pictures of the cameras that are wanted, and the newest that was looked at for targets, in the panel.
+
+    It must be made where they belong: in the context of their container.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._folder = server.gui.add_folder(None)
+        self._nodes: dict[str, viser.GuiImageHandle] = {}
+        self._drawn: dict[str, Image | Sightings] = {}
+        self._often = Every(0.15)
+
+    def draw(self, known: Known, chosen: str, wanted: tuple[str, ...], now_s: float) -> None:
+        """Show the new ones of the chosen vehicle."""
+        if not self._often.due(now_s):
+            return
+        pictures: dict[str, Image | Sightings] = {key: known.images[key] for key in wanted if key in known.images}
+        seen = known.sightings.get(chosen)
+        if seen is not None and seen.jpeg:
+            pictures[f"{chosen}/{seen.sensor}, examined"] = seen
+        for key, node in self._nodes.items():
+            node.visible = key in pictures
+        for key, picture in pictures.items():
+            if self._drawn.get(key) is not picture and (pixels := _pixels(picture)) is not None:
+                self._drawn[key] = picture
+                self._put(key, pixels)
+
+    def _put(self, key: str, pixels: Array) -> None:
+        if key in self._nodes:
+            self._nodes[key].image = pixels
+        else:
+            with self._folder:
+                self._nodes[key] = self._server.gui.add_image(pixels, label=key, format="jpeg", jpeg_quality=80)
+
+
+class Ground:
+    """A vehicle's map of targets, or the ground as it has seen it, as a picture on the floor."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self.kind = MAP
+        self._node: viser.ImageHandle | None = None
+        self._drawn: object = None
+        self._frame: tuple[float, ...] = ()
+        self._often = Every(0.5)
+
+    def draw(self, known: Known, chosen: str, now_s: float) -> None:
+        """Draw that of the chosen vehicle, if it is new."""
+        told: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.maps, MOSAIC: known.mosaics}
+        ground = told.get(self.kind, {}).get(chosen)
+        if self._node is not None:
+            self._node.visible = ground is not None
+        if ground is None or ground is self._drawn or not self._often.due(now_s):
+            return
+        self._drawn = ground
+        pixels = np.ascontiguousarray(painted(ground)[::-1])  # row 0 is the south edge
+        rows, columns = pixels.shape[:2]
+        frame = ground.left, ground.bottom, columns * ground.cell_m, rows * ground.cell_m
+        if self._node is not None and frame == self._frame:
+            self._node.image = pixels
+            return
+        left, bottom, width, height = self._frame = frame
+        # A picture lies with its rows along -y of the node and is seen from -z: half a turn about x puts it on the floor.
+        self._node = self._server.scene.add_image(
+            "/ground",
+            pixels,
+            width,
+            height,
+            format="png",
+            position=(left + 0.5 * width, bottom + 0.5 * height, OVER_FLOOR_M),
+            wxyz=(0.0, 1.0, 0.0, 0.0),
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+
+def points_of(scan: Scan, position: Array, attitude: Array) -> Array:
+    """Where the beams of a scan ended that came back, (k, 3) m, world, seen from a body there."""
+    (beams,) = np.nonzero(np.isfinite(scan.ranges))
+    ranges, angles = np.asarray(scan.ranges, float)[beams], scan.angle_min + scan.angle_step * beams
+    ends = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(beams))])
+    return np.asarray(position + rotated(np.broadcast_to(attitude, (len(ends), 4)), ends), np.float32)
+
+
+def painted(ground: ProbabilityMap | Mosaic) -> Array:
+    """A map or a mosaic as (rows, columns, 4) uint8, RGBA; what was never seen of a mosaic is left out."""
+    if isinstance(ground, Mosaic):
+        return np.dstack([ground.pixels, np.uint8(255) * ground.pixels.any(axis=2)])
+    stops = np.array([rgb(code) for code in PROBABILITY]) * 255.0
+    levels = np.arange(256) / 255.0
+    table = np.column_stack([np.interp(levels, np.linspace(0.0, 1.0, len(stops)), stops[:, part]) for part in range(3)])
+    colors = table.round().astype(np.uint8)[ground.probability]
+    return np.dstack([colors, np.full(colors.shape[:2], MAP_ALPHA, np.uint8)])
+
+
+def _pixels(picture: Image | Sightings) -> Array | None:
+    """A picture for the panel, no wider than it needs to be; None: it cannot be read."""
+    import cv2
+
+    if isinstance(picture, Image):
+        pixels = np.asarray(picture.pixels)
+    else:
+        decoded = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_COLOR)
+        if decoded is None:
+            return None
+        pixels = np.ascontiguousarray(decoded[..., ::-1])
+        for each in picture.found:
+            corners = np.round(np.array(corners_of(each))).astype(np.int32)
+            cv2.polylines(pixels, [corners], isClosed=True, color=TARGET_RGB, thickness=2)
+    height, width = pixels.shape[:2]
+    if width > WIDEST_PX:
+        size = WIDEST_PX, max(1, math.floor(height * WIDEST_PX / width))
+        pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
+    return pixels

@@ -1,0 +1,149 @@
+"""How the control station draws: colours, shapes of unit size that are drawn many times over, and how often."""
+
+import math
+from functools import cache
+
+import numpy as np
+
+from vcmvsp.cosim.util.palette import OKABE_ITO, rgb
+from vcmvsp.cosim.types import Array
+
+Mesh = tuple[Array, Array]  # vertices (v, 3) float32 and triangles (t, 3) uint32, counter-clockwise seen from outside
+TINY = 1e-6  # the scale of what is not to be seen
+WEAKEST_DBM, STRONGEST_DBM = -95.0, -40.0
+"""Between these the colours of links lie."""
+LIGHTEST = 200  # of the 255 steps of viridis: what comes after, yellow, is lost on a light floor
+WHITE = (255, 255, 255)
+FLOOR, FLOOR_DARK, SKY_DARK = (236, 238, 240), (150, 154, 160), (84, 88, 94)
+TARGET_RGB, EDGE_RGB, LOST_RGB, STOPPED_RGB = (240, 228, 66), (38, 38, 38), (220, 30, 30), (220, 30, 30)
+CHOSEN_RGB = (255, 140, 0)
+
+
+_SRGB = np.arange(256) / 255.0
+_LIGHT = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+_LIGHT = (255.0 * _LIGHT).round().astype(np.uint8)
+
+
+class Every:
+    """Says yes at most once in a period."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s, self._next_s = period_s, -math.inf
+
+    def due(self, now_s: float) -> bool:
+        """Whether it is time again."""
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + self._period_s
+        return True
+
+
+def colors_of(count: int) -> Array:
+    """The colours of so many vehicles, as in the figures: (count, 3) uint8."""
+    palette = np.array([[round(255 * part) for part in rgb(code)] for code in OKABE_ITO], np.uint8)
+    return palette[np.arange(count) % len(palette)]
+
+
+def css_of(row: int, *, dark: bool = False) -> str:
+    """The colour of a vehicle's curve; what is black on paper is white on black."""
+    code = OKABE_ITO[row % len(OKABE_ITO)]
+    return "#ffffff" if dark and code == "#000000" else code
+
+
+def rssi_colors(rssi_dbm: Array) -> Array:
+    """Colours of received powers, from weak and dark to strong and light: (n,) dBm -> (n, 3) uint8."""
+    share = (rssi_dbm - WEAKEST_DBM) / (STRONGEST_DBM - WEAKEST_DBM)
+    return _viridis()[np.clip(np.nan_to_num(share) * LIGHTEST, 0, LIGHTEST).astype(np.uint8)]
+
+
+def linear(colors: Array) -> Array:
+    """Colours as the browser wants those of many things in one node: as amounts of light, uint8, not as sRGB."""
+    return _LIGHT[colors]
+
+
+def rotated(attitude: Array, vectors: Array) -> Array:
+    """Vectors turned by quaternions (w, x, y, z): (n, 4), (n, 3) -> (n, 3)."""
+    w, axis = attitude[:, :1], attitude[:, 1:]
+    twice = 2.0 * np.cross(axis, vectors)
+    return np.asarray(vectors + w * twice + np.cross(axis, twice))
+
+
+def turned(yaw: Array) -> Array:
+    """Quaternions (w, x, y, z) of rotations about the z axis: (n,) rad -> (n, 4)."""
+    zero = np.zeros_like(yaw)
+    return np.stack([np.cos(0.5 * yaw), zero, zero, np.sin(0.5 * yaw)], axis=1)
+
+
+# --- shapes ---
+
+
+def box(low: tuple[float, float, float] = (-0.5, -0.5, -0.5), high: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> Mesh:
+    """A box between two corners."""
+    x0, y0, z0 = low
+    x1, y1, z1 = high
+    return prism(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), z0, z1)
+
+
+def prism(outline: Array, bottom: float, top: float) -> Mesh:
+    """A convex outline, (k, 2), counter-clockwise, that is extruded."""
+    k = len(outline)
+    vertices = np.concatenate([np.column_stack([outline, np.full(k, z)]) for z in (bottom, top)])
+    sides = [face for i in range(k) for face in ((i, (i + 1) % k, k + (i + 1) % k), (i, k + (i + 1) % k, k + i))]
+    caps = [face for i in range(1, k - 1) for face in ((0, i + 1, i), (k, k + i, k + i + 1))]
+    return vertices.astype(np.float32), np.array(sides + caps, np.uint32)
+
+
+def nose() -> Mesh:
+    """An arrowhead on top of a body of unit size, that points ahead."""
+    return prism(np.array([(0.46, 0.0), (-0.12, 0.36), (-0.12, -0.36)]), 0.5, 0.58)
+
+
+def disc(corners: int = 32, thickness: float = 0.02) -> Mesh:
+    """A flat disc of radius 1 on the floor."""
+    return prism(_circle(corners), 0.0, thickness)
+
+
+def ring(corners: int = 48, width: float = 0.12) -> Mesh:
+    """A flat ring of radius 1 about the z axis, a little above the floor."""
+    circle = _circle(corners)
+    vertices = np.concatenate([circle, (1.0 + width) * circle])
+    i, j = np.arange(corners), (np.arange(corners) + 1) % corners
+    faces = np.concatenate([np.column_stack([i, corners + i, corners + j]), np.column_stack([i, corners + j, j])])
+    return np.column_stack([vertices, np.full(2 * corners, 0.02)]).astype(np.float32), faces.astype(np.uint32)
+
+
+def quadrotor() -> Mesh:
+    """Two crossed arms, a hub, and four rotors, in a cube of unit size."""
+    hub = box((-0.16, -0.12, -0.4), (0.16, 0.12, 0.4))
+    across = box((-0.5, -0.025, -0.1), (0.5, 0.025, 0.1))
+    arms = [_moved(across, angle, (0.0, 0.0)) for angle in (0.25 * math.pi, 0.75 * math.pi)]
+    rotor = prism(0.19 * _circle(16), 0.28, 0.5)
+    rotors = [_moved(rotor, 0.0, (0.31 * x, 0.31 * y)) for x in (-1, 1) for y in (-1, 1)]
+    return joined([hub, *arms, *rotors])
+
+
+def joined(meshes: list[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    faces = [triangles + np.uint32(start) for (_, triangles), start in zip(meshes, first, strict=False)]
+    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
+
+
+def _circle(corners: int) -> Array:
+    angles = np.arange(corners) * (math.tau / corners)
+    return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _moved(mesh: Mesh, angle: float, by: tuple[float, float]) -> Mesh:
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)], np.float32)
+    return (mesh[0] @ turn.T + np.array([*by, 0.0], np.float32)).astype(np.float32), mesh[1]
+
+
+@cache
+def _viridis() -> Array:
+    """The colours of the map of that name, (256, 3) uint8."""
+    import cv2
+
+    levels = np.arange(256, dtype=np.uint8).reshape(-1, 1)
+    return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])

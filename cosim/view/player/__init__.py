@@ -1,0 +1,1 @@
+"""The view of a recorded run: reading a recording by time."""

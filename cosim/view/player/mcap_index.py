@@ -1,0 +1,222 @@
+"""A recording's messages by topic and time, also of a file that a killed process left: up to its last whole chunk.
+
+A file is read through once, chunk by chunk, and checked. What stays in memory is where each message lies (16 bytes) and the
+last few chunks; the messages themselves, pictures say, are read when they are asked for. The layout is that of the MCAP
+specification (https://mcap.dev/spec), as `cosim.recording.mcap_file` writes it.
+"""
+
+import os
+import struct
+import zlib
+from array import array
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
+
+MAGIC = b"\x89MCAP0\r\n"
+SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
+LARGEST = 1 << 30  # bytes of a chunk: what ends one is a message, of a few megabytes at most
+KEPT_BYTES = 32 << 20  # of chunks, for the next look
+TOO_SOON = "it ends too soon: its run goes on, or was killed"
+_RECORD = struct.Struct("<BQ")  # opcode, length of the rest
+_CHUNK = struct.Struct("<QQQI")  # first and last time; size and checksum of what is in it
+_MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
+_START = _RECORD.size
+_HEAD_BYTES = _START + _MESSAGE.size + 8  # of a message, up to its content
+_LENGTH = struct.Struct("<I")
+_CHANNEL = struct.Struct("<HH")  # number, schema
+_DAMAGE = (ValueError, KeyError, struct.error, MemoryError, OverflowError, OSError, pa.ArrowException)
+_OFFSET_BITS = 40  # of a message in its chunk, once unpacked
+
+Taker = Callable[[int, bytes], None]
+"""Takes time (ns) and content of a message."""
+
+
+class _Part(NamedTuple):
+    """A chunk: where its bytes lie, and what they are."""
+
+    start: int
+    length: int
+    size: int
+    crc: int
+
+
+class Topic:
+    """The messages of one topic: when each is in effect, and where it lies."""
+
+    def __init__(self, name: str, schema: str) -> None:
+        self.name, self.schema = name, schema
+        self._times, self._places = array("q"), array("q")
+        self.add_time, self.add_place = self._times.append, self._places.append
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def newest(self, time_ns: int) -> int:
+        """The number of the newest message at that time; -1: there is none yet."""
+        return bisect_right(self._times, time_ns) - 1
+
+    def time_ns(self, number: int) -> int:
+        """When that message is in effect."""
+        return self._times[number]
+
+    def place(self, number: int) -> tuple[int, int]:
+        """Its chunk, and where it begins in it."""
+        return divmod(self._places[number], 1 << _OFFSET_BITS)
+
+
+class Messages:
+    """An open file, for one thread. `read` it before anything else.
+
+    Args:
+        path: of the file.
+
+    Attributes:
+        topics: those that are wanted and have a message, by name.
+        about: what the file says of its run; known before the first message is.
+        end_ns: time of the last message of any topic.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.topics: dict[str, Topic] = {}
+        self.about: dict[str, str] = {}
+        self.end_ns = 0
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, tuple[Topic, Taker | None] | None] = {}  # None: passed over
+        self._parts: list[_Part] = []
+        self._kept: OrderedDict[int, bytes] = OrderedDict()  # chunks, the newest last
+        self._kept_bytes = 0
+        self._codec = pa.Codec("zstd")
+        self._stream = path.open("rb")
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._stream.close()
+
+    def read(self, wanted: Callable[[str, str], bool], taker: Callable[[str], Taker | None]) -> str:
+        """Note where every message is; what is wrong with the file from where on nothing of it counts, if anything is.
+
+        Args:
+            wanted: takes topic and name of the schema: whether messages of this topic will be asked for.
+            taker: takes a wanted topic: what takes all of its messages at once, if anything does.
+        """
+        self._wanted, self._taker = wanted, taker
+        stream, size = self._stream, os.fstat(self._stream.fileno()).st_size
+        if stream.read(len(MAGIC)) != MAGIC:
+            return "it is no MCAP file" if size >= len(MAGIC) else TOO_SOON
+        place = len(MAGIC)
+        while len(head := stream.read(_START)) == _START:
+            opcode, length = _RECORD.unpack(head)
+            place += _START + length
+            if place > size:
+                break
+            if opcode == DATA_END:
+                return ""
+            if opcode in (CHUNK, METADATA):
+                try:
+                    self._take(opcode, place - length, length)
+                except _DAMAGE as error:
+                    return f"it is damaged at byte {place - length} ({error})"
+            stream.seek(place)
+        return TOO_SOON
+
+    def get(self, topic: Topic, number: int) -> bytes:
+        """The content of a message.
+
+        Raises:
+            OSError, ValueError: the file is not what it was when it was opened.
+        """
+        chunk, start = topic.place(number)
+        raw = self._chunk(chunk)
+        _, length = _RECORD.unpack_from(raw, start)
+        return raw[start + _HEAD_BYTES : start + _START + length]
+
+    def _chunk(self, number: int) -> bytes:
+        raw = self._kept.get(number)
+        if raw is None:
+            raw = self._kept[number] = self._unpacked(self._parts[number])
+            self._kept_bytes += len(raw)
+            while self._kept_bytes > KEPT_BYTES and len(self._kept) > 1:
+                self._kept_bytes -= len(self._kept.popitem(last=False)[1])
+        self._kept.move_to_end(number)
+        return raw
+
+    def _unpacked(self, part: _Part) -> bytes:
+        if part.length < 0 or part.size > LARGEST:
+            raise ValueError(f"a chunk of {part.size} bytes in {part.length}")
+        self._stream.seek(part.start)
+        data = self._codec.decompress(self._stream.read(part.length), part.size, asbytes=True)
+        if len(data) != part.size or zlib.crc32(data) != part.crc:
+            raise ValueError("a chunk has another checksum than it says")
+        return data
+
+    def _take(self, opcode: int, start: int, length: int) -> None:
+        if opcode == METADATA:
+            data = self._stream.read(length)
+            (_, place) = _word(data, 0)
+            self.about |= _pairs(data, place)
+            return
+        head = self._stream.read(min(length, 256))
+        _, _, size, crc = _CHUNK.unpack_from(head)
+        compression, place = _word(head, _CHUNK.size)
+        if compression != "zstd":
+            raise ValueError(f"a chunk is packed with {compression!r}, not with zstd")
+        part = _Part(start + place + 8, length - place - 8, size, crc)  # 8: the length, once more
+        raw = self._unpacked(part)
+        self._parts.append(part)
+        self._walk(raw, len(self._parts) - 1 << _OFFSET_BITS)
+
+    def _walk(self, raw: bytes, base: int) -> None:
+        """Note the messages of a chunk; ``base`` stands for the chunk in what is noted."""
+        place, size, channels = 0, len(raw), self._channels
+        record, head, time_ns = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns
+        while place < size:
+            opcode, length = record(raw, place)
+            if opcode == MESSAGE:
+                channel, _, time_ns = head(raw, place + _START)
+                if (known := channels[channel]) is not None:
+                    topic, taker = known
+                    topic.add_time(time_ns)
+                    topic.add_place(base | place)
+                    if taker is not None:
+                        taker(time_ns, raw[place + _HEAD_BYTES : place + _START + length])
+            elif opcode == SCHEMA:
+                (number,) = struct.unpack_from("<H", raw, place + _START)
+                self._schemas[number], _ = _word(raw, place + _START + 2)
+            elif opcode == CHANNEL:
+                self._declare(raw, place + _START)
+            place += _START + length
+        self.end_ns = max(self.end_ns, time_ns)
+
+    def _declare(self, raw: bytes, place: int) -> None:
+        number, schema = _CHANNEL.unpack_from(raw, place)
+        name, _ = _word(raw, place + _CHANNEL.size)
+        self._channels[number] = None
+        if self._wanted(name, self._schemas[schema]):
+            topic = self.topics[name] = Topic(name, self._schemas[schema])
+            self._channels[number] = topic, self._taker(name)
+
+
+def _word(data: bytes, place: int) -> tuple[str, int]:
+    """A text and where it ends."""
+    (length,) = _LENGTH.unpack_from(data, place)
+    end = place + _LENGTH.size + length
+    if end > len(data):
+        raise ValueError("a text is longer than what it is in")
+    return data[place + _LENGTH.size : end].decode(), end
+
+
+def _pairs(data: bytes, place: int) -> dict[str, str]:
+    """A mapping of texts."""
+    found, place = {}, place + _LENGTH.size
+    while place < len(data):
+        name, place = _word(data, place)
+        found[name], place = _word(data, place)
+    return found

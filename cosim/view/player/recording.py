@@ -1,0 +1,267 @@
+"""A recorded run, read back from its folder: how things stood at any time of it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
+from vcmvsp.cosim.recording.run_mcap import CALIBRATION
+from vcmvsp.cosim.types import Fix, Image, Scan, Sightings, States
+from vcmvsp.cosim.view.player import decoding as values
+from vcmvsp.cosim.view.player.mcap_index import Messages, Topic
+from vcmvsp.cosim.view.player.collected import FRAMES, HALTED, LOG, NOTE, Kept
+from vcmvsp.cosim.view.player.recorded_scenery import Stage, bare_stage, stage_of
+from vcmvsp.cosim.view.messages import Line, Scenery, Shown
+
+T = TypeVar("T")
+FILE = "run.mcap"
+DRAWING, MOVING = "world/scene", "world/moving"
+SCAN, IMAGE, FIX = "foxglove.LaserScan", "foxglove.RawImage", "foxglove.PoseInFrame"  # schemas
+STATE, HEARD, SIGHTINGS = "state", "heard", "sightings"
+NEWEST: Mapping[str, tuple[str, Callable[[bytes], Any]]] = {
+    "follows": ("places", values.follows_of),
+    "host": ("presence", values.presence_of),
+    "real": ("real", values.real_of),
+    "map": ("maps", values.map_of),
+    "mosaic": ("mosaics", values.mosaic_of),
+}
+"""Of each vehicle: a topic, the field of `Shown` in which its newest message stands, and how it is read."""
+
+
+class Recording:
+    """A run's folder, for one thread.
+
+    That of a run which goes on, or was killed, shows what there is. Only the index is in memory, and what is looked at is read:
+    to jump to another time costs about as much as to go on.
+
+    Args:
+        run_dir: the folder.
+
+    Attributes:
+        vehicles: of the run, in its order.
+        end_ns: how far the recording goes.
+        ending: why it goes no further.
+        troubles: what cannot be shown, and why.
+
+    Raises:
+        UsageError: there is no such folder, or nothing of a recording in it.
+    """
+
+    def __init__(self, run_dir: str | Path) -> None:
+        self._folder = Path(run_dir)
+        self._file = _opened(self._folder)
+        self._kept = Kept(self._file.about)
+        try:
+            self._read()
+        except BaseException:
+            self.close()
+            raise
+
+    def _read(self) -> None:
+        file, kept = self._file, self._kept
+        damage = file.read(_is_wanted, kept.taker)
+        self.vehicles, self.end_ns = kept.vehicles, file.end_ns
+        if not self.vehicles or not file.topics:
+            raise UsageError(f"{self._folder / FILE}: nothing in it can be read: {damage or 'it holds no run'}")
+        kept.close()
+        self.troubles = [f"{FILE} can be read up to {self.end_ns / SECOND_NS:.3f} s: {damage}"] if damage else []
+        self.ending = damage or (kept.lines[-1].text if kept.lines else "the recording ends here")
+        self._stage = self._staged()
+        kept.lines[:0] = [Line(time_ns=0, level="warning", text=text) for text in self.troubles]
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    @property
+    def scenery(self) -> Scenery:
+        """What does not change; of sensors, those whose readings were recorded."""
+        known = self._stage.scenery
+        crafts = [msgspec.structs.replace(each, sensors=self._sensors(each.name, each.sensors)) for each in known.vehicles]
+        return msgspec.structs.replace(known, vehicles=tuple(crafts), duration_ns=self.end_ns)
+
+    def at(self, time_ns: int, since_ns: int | None = None, sensors: Sequence[str] = ()) -> Shown:
+        """How things stood at a time: the newest of everything that was recorded by then.
+
+        Args:
+            time_ns: that time.
+            since_ns: an earlier time: what has not been recorded anew since then is left out. None: nothing is.
+            sensors: whose readings are wanted, by vehicle/sensor.
+
+        Raises:
+            UsageError: the file is not what it was, or another version wrote it.
+        """
+        scans, images = self.readings(time_ns, since_ns, sensors)
+        counts = self._kept.counts
+        first, last = 0 if since_ns is None else counts.frames(since_ns), counts.frames(time_ns)
+        sent, received = counts.at(time_ns) if since_ns is None or first < last else (None, None)
+        return Shown(
+            time_ns=time_ns,
+            states=self._states(time_ns, since_ns),
+            obstacles=_changed(self._obstacles, time_ns, since_ns),
+            targets=_changed(self._targets, time_ns, since_ns),
+            scans=scans,
+            images=images,
+            sightings=self._each(SIGHTINGS, self._sightings, time_ns, since_ns),
+            links=tuple(self._message(self._file.topics[FRAMES], k, values.link_of) for k in counts.newest(first, last)),
+            sent=sent,
+            received=received,
+            heard_ns=self._each(HEARD, Topic.time_ns, time_ns, since_ns),
+            halted=self._kept.halted(time_ns),
+            lines=self._kept.said(time_ns, since_ns),
+            notes=self._each(NOTE, self._noted, time_ns, since_ns),
+            fixes=self._fixes(time_ns, since_ns),
+            **self._newest(time_ns, since_ns),
+        )
+
+    def readings(self, time_ns: int, since_ns: int | None, sensors: Sequence[str]) -> tuple[dict[str, Scan], dict[str, Image]]:
+        """The newest sweeps and pictures of these sensors (vehicle/sensor); ``since_ns`` and errors as in `at`."""
+        scans: dict[str, Scan] = {}
+        images: dict[str, Image] = {}
+        for name in sensors:
+            topic = self._file.topics.get(name)
+            number = -1 if topic is None else _newest(topic, time_ns, since_ns)
+            if topic is None or number < 0:
+                continue
+            if topic.schema == SCAN:
+                scans[name] = self._message(topic, number, values.scan_of)
+            elif topic.schema == IMAGE:
+                images[name] = self._image(topic, number)
+        return scans, images
+
+    # --- opening ------------------------------------------------------------------------------------------------------------
+
+    def _staged(self) -> Stage:
+        """Where the run took place; without its scenario, or its world, the vehicles are shown alone."""
+        path, why = self._folder / "scenario.toml", "there is no scenario.toml (yet)"
+        if path.is_file():
+            registry.guard()
+            try:
+                return stage_of(path, self.vehicles)
+            except (VcmvspError, ValueError) as error:
+                why = str(error)
+        self.troubles.append(f"the world is not shown: {why}")
+        drawing = self._file.topics.get(DRAWING)
+        if drawing is None:
+            return bare_stage(self._file.about, self.vehicles, None)
+        return self._message(drawing, 0, lambda data: bare_stage(self._file.about, self.vehicles, data))
+
+    def _sensors(self, vehicle: str, kinds: Mapping[str, str]) -> dict[str, str]:
+        """Names and kinds of a vehicle's sensors that there are readings of."""
+        read = [name.partition("/") for name, topic in self._file.topics.items() if _is_reading(topic.schema)]
+        return {sensor: kinds.get(sensor, "") for who, _, sensor in read if who == vehicle}
+
+    # --- showing ------------------------------------------------------------------------------------------------------------
+
+    def _message(self, topic: Topic, number: int, decode: Callable[[bytes], T]) -> T:
+        try:
+            return decode(self._file.get(topic, number))
+        except (OSError, ValueError) as error:
+            said = f"{self._folder / FILE}: a message of {topic.name} cannot be read any more, or is of another version"
+            raise UsageError(f"{said}: {error}") from error
+
+    def _each(self, what: str, read: Callable[[Topic, int], T], time_ns: int, since_ns: int | None) -> dict[str, T]:
+        """Each vehicle's newest message of such a topic, if there is one, read by topic and number."""
+        found: dict[str, T] = {}
+        for vehicle in self.vehicles:
+            topic = self._file.topics.get(f"{vehicle}/{what}")
+            if topic is not None and (number := _newest(topic, time_ns, since_ns)) >= 0:
+                found[vehicle] = read(topic, number)
+        return found
+
+    def _newest(self, time_ns: int, since_ns: int | None) -> dict[str, Any]:
+        """The fields of `NEWEST`."""
+        return {
+            field: self._each(what, partial(self._message, decode=decode), time_ns, since_ns)
+            for what, (field, decode) in NEWEST.items()
+        }
+
+    def _states(self, time_ns: int, since_ns: int | None) -> States | None:
+        """The newest that are whole: where a file was cut, the last ones may be of some vehicles only."""
+        found = [topic for name in self.vehicles if (topic := self._file.topics.get(f"{name}/{STATE}")) is not None]
+        numbers = [topic.newest(time_ns) for topic in found]
+        if len(found) < len(self.vehicles) or min(numbers) < 0:
+            return None
+        when_ns = min(topic.time_ns(number) for topic, number in zip(found, numbers, strict=True))
+        if since_ns is not None and when_ns <= since_ns:
+            return None
+        rows = [self._message(topic, topic.newest(when_ns), values.state_of) for topic in found]
+        return values.states_of(self.vehicles, rows)
+
+    def _noted(self, topic: Topic, number: int) -> dict[str, Any]:
+        return self._kept.notes[topic.name].at(number, lambda each: self._message(topic, each, bytes))
+
+    def _fixes(self, time_ns: int, since_ns: int | None) -> dict[str, Fix]:
+        """The newest of each vehicle, whichever of its sensors it came from."""
+        newest: dict[str, tuple[int, Topic, int]] = {}
+        for topic in self._file.topics.values():
+            if topic.schema == FIX and (number := _newest(topic, time_ns, since_ns)) >= 0:
+                vehicle, when_ns = topic.name.partition("/")[0], topic.time_ns(number)
+                if vehicle not in newest or newest[vehicle][0] <= when_ns:
+                    newest[vehicle] = when_ns, topic, number
+        return {name: self._message(topic, number, values.fix_of) for name, (_, topic, number) in newest.items()}
+
+    def _sightings(self, topic: Topic, number: int) -> Sightings:
+        """With the picture of the same time, where there is one."""
+        pictures, when_ns, jpeg = self._file.topics.get(f"{topic.name}/{PICTURE}"), topic.time_ns(number), None
+        if pictures is not None and (of_then := pictures.newest(when_ns)) >= 0 and pictures.time_ns(of_then) == when_ns:
+            jpeg = self._message(pictures, of_then, bytes)
+        return self._message(topic, number, lambda data: values.sightings_of(data, jpeg))
+
+    def _image(self, topic: Topic, number: int) -> Image:
+        told = self._file.topics.get(f"{topic.name}/{CALIBRATION}")
+        lens = None if told is None else self._message(told, 0, bytes)
+        return self._message(topic, number, lambda data: values.image_of(data, lens))
+
+    def _obstacles(self, time_ns: int) -> dict[str, tuple[float, float, float, float]]:
+        """Where those are that keep to a time-table, and those that can be pushed."""
+        moving = () if self._stage.world is None else self._stage.world.moving
+        places: dict[str, tuple[float, float, float, float]] = {}
+        if (topic := self._file.topics.get(MOVING)) is not None and (number := topic.newest(time_ns)) >= 0:
+            places = self._message(topic, number, values.frames_of)
+        return places | {each.name: each.pose(time_ns / SECOND_NS) for each in moving}
+
+    def _targets(self, time_ns: int) -> dict[str, tuple[float, float]]:
+        targets = () if self._stage.world is None else self._stage.world.targets
+        return {each.name: each.place(time_ns / SECOND_NS) for each in targets}
+
+
+def _opened(folder: Path) -> Messages:
+    path = folder / FILE
+    if not path.is_file():
+        problem = f"has no {FILE}" if folder.is_dir() else "there is no such folder"
+        raise UsageError(f"{folder}: {problem}; name the folder that a run left (runs/NAME-SEED, or its --out)")
+    try:
+        return Messages(path)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from error
+
+
+def _is_reading(schema: str) -> bool:
+    return schema in (SCAN, IMAGE)
+
+
+def _is_wanted(topic: str, schema: str) -> bool:
+    """Whether messages of a topic are shown."""
+    what = topic.partition("/")[2]
+    of_vehicle = what in NEWEST or what in (STATE, HEARD, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
+    of_run = topic in (FRAMES, LOG, HALTED, MOVING, DRAWING)
+    return of_vehicle or of_run or _is_reading(schema) or schema == FIX or topic.endswith(f"/{CALIBRATION}")
+
+
+def _newest(topic: Topic, time_ns: int, since_ns: int | None) -> int:
+    """The number of the newest message at a time; -1: there is none, or it is none that was recorded after another time."""
+    number = topic.newest(time_ns)
+    return -1 if number >= 0 and since_ns is not None and topic.time_ns(number) <= since_ns else number
+
+
+def _changed(of: Callable[[int], dict[str, T]], time_ns: int, since_ns: int | None) -> dict[str, T]:
+    """Of a mapping that depends on the time, what has changed since another time."""
+    before = {} if since_ns is None else of(since_ns)
+    return {name: value for name, value in of(time_ns).items() if name not in before or before[name] != value}

@@ -1,0 +1,1 @@
+"""Drivers: what a run needs of a real robot."""

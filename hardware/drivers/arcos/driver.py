@@ -1,0 +1,225 @@
+"""The driver of Pioneer and AmigoBot robots, real or emulated, on a serial port or over TCP.
+
+One thread owns the line: it connects, reads, sends what `Steering` says, and connects again. All that it shares with the
+caller is behind one lock, which nobody holds while waiting.
+"""
+
+import contextlib
+import time
+from typing import Annotated, Literal
+
+import msgspec
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
+from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.drivers.arcos.config_packet import warnings
+from vcmvsp.hardware.drivers.arcos.handshake import ZERO_SPEED, Handshake, Settings
+from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
+from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
+from vcmvsp.hardware.drivers.arcos.command_schedule import Mode, Steering
+from vcmvsp.hardware.drivers.arcos.samples import Track
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, checked
+from vcmvsp.hardware.drivers.byte_link import OPEN_S, Line, open_line
+from vcmvsp.hardware.drivers.threaded import Wired
+
+BRAKING_S = 2.0  # from 1 m/s at 0.5 m/s2: the motors are switched off when it stands, or after this
+
+Baud = Annotated[int, msgspec.Meta(ge=1200, le=921_600)]
+Kind = Literal["", "p2dx", "amigo", "amigo-sh"]
+
+
+class ArcosDriver(Wired):
+    """A robot that speaks ARCOS, P2OS, AmigOS or AmigoSH (`hardware.drivers.base.Driver`).
+
+    Speeds are rounded to 1 mm/s and 1 deg/s by the protocol (``vel2``: each wheel to 20 mm/s), and limited to what the robot
+    ever does; limits for the sake of safety belong elsewhere.
+
+    Args:
+        port: ``/dev/ttyUSB0``, the path of a pseudo-terminal, or ``socket://host:8101``.
+        robot: the kind that it must be; empty: any that is known.
+        baud: of a serial port.
+        mode: ``vel``: commands VEL and RVEL; ``vel2``: both wheels in one.
+        connect_s: for the handshake.
+        silence_s: without an information packet, the robot counts as lost.
+        reconnect_s: for so long a robot that was lost is looked for; 0: losing it is an error at once.
+        command_timeout_s: without a command, the robot is stopped.
+        max_speed: m/s, told to the robot, which enforces it, as are the following; None: as it is set.
+        accel: m/s2.
+        decel: m/s2.
+        max_yaw_rate: rad/s.
+        yaw_accel: rad/s2.
+    """
+
+    ground_only = True
+    _meanwhile = "the robot's watchdog stops it"
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        robot: Kind = "",
+        baud: Baud = 9600,
+        mode: Mode = "vel",
+        connect_s: Positive = 10.0,
+        silence_s: Positive = 2.0,
+        reconnect_s: NonNegative = 0.0,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
+        max_speed: Positive | None = None,
+        accel: Positive | None = None,
+        decel: Positive | None = None,
+        max_yaw_rate: Positive | None = None,
+        yaw_accel: Positive | None = None,
+    ) -> None:
+        super().__init__(
+            port,
+            open_deadline_s=OPEN_S + connect_s + 1.0,
+            close_deadline_s=OPEN_S + BRAKING_S + 1.0,
+            connect_s=connect_s,
+            silence_s=silence_s,
+            reconnect_s=reconnect_s,
+        )
+        self.robot: Robot | None = None  # once it is connected
+        self._kind, self._baud, self._mode = robot, baud, mode
+        self._timeout_s = command_timeout_s
+        self._settings = Settings(max_speed=max_speed, accel=accel, decel=decel, max_yaw_rate=max_yaw_rate, yaw_accel=yaw_accel)
+
+    # What the caller does.
+
+    def write(self, velocity: Velocity) -> None:
+        """Command a speed; while the robot is looked for after a loss, commands are dropped."""
+        v, w = checked(velocity)
+        with self._lock:
+            self._check()
+            if self._steering is not None:
+                self._steering.command((v, w), time.monotonic_ns())
+        self._wake()
+
+    def _prepare(self, start: Vec3) -> None:
+        super()._prepare(start)
+        self._track = Track(start)
+        self._line: Line | None = None
+        self._steering: Steering | None = None  # None: not connected
+        self._motors = True
+
+    def _was_read(self) -> None:
+        self._track.taken()
+
+    def _hold(self, cause: str) -> bool:
+        if self._steering is not None:
+            self._steering.stop(cause)
+        return False
+
+    # What the thread does.
+
+    def _connect(self, within_s: float) -> None:
+        """Open the line and shake hands."""
+        deadline_ns = time.monotonic_ns() + seconds_to_ns(within_s)
+        self._line = line = open_line(self.device, self._baud)
+        left_s = max(0.0, (deadline_ns - time.monotonic_ns()) / SECOND_NS)
+        baud = 0 if "://" in self.device else self._baud
+        handshake = Handshake(device=self.device, kind=self._kind, settings=self._settings, baud=baud, give_up_s=left_s)
+        line.write(handshake.start(time.monotonic_ns()))
+        while not handshake.done:
+            if self._wait(line, handshake.due_ns):
+                answer = handshake.receive(line.read(), time.monotonic_ns())
+            else:
+                answer = handshake.advance(time.monotonic_ns())
+            if answer:
+                line.write(answer)
+        assert handshake.robot is not None  # noqa: S101  it is done
+        with self._lock:
+            self.robot = handshake.robot
+            self._track.connect(self.robot)
+            self._steering = Steering(self.robot, self._mode, self._timeout_s)
+        name = handshake.name or "a robot without a name"
+        self._notice("connected", f"{name}, {self.robot.name}")
+        if handshake.config is not None:
+            for each in warnings(handshake.config, self.robot, self._settings.max_speed, self._settings.max_yaw_rate):
+                self._notice("warned", each)
+        self._reader = handshake.reader
+        self._ready.set()
+
+    def _converse(self) -> None:
+        """Read and send until the link is lost or the caller closes it."""
+        line = self._line
+        assert line is not None  # noqa: S101  it is connected
+        silence_ns = seconds_to_ns(self._silence_s)
+        heard_ns = time.monotonic_ns()
+        while True:
+            due_ns = self._send(line)
+            if self._wait(line, min(due_ns, heard_ns + silence_ns)):
+                if self._take(self._reader.feed(line.read())):
+                    heard_ns = time.monotonic_ns()
+            elif time.monotonic_ns() >= heard_ns + silence_ns:
+                happened = f"nothing was heard for {self._silence_s:g} s"
+                raise LinkLost(self.device, happened, "look at the robot's battery, its cable and its radio")
+
+    def _send(self, line: Line) -> int:
+        """Send what is due; when the next is."""
+        with self._lock:
+            steering = self._steering
+            assert steering is not None  # noqa: S101  it is connected
+            before = steering.stopped
+            data = steering.packets(time.monotonic_ns())
+            due_ns, stopped = steering.due_ns, steering.stopped
+        if stopped != before:
+            self._notice("stopped", stopped)
+        if data:
+            line.write(data)
+        return due_ns
+
+    def _take(self, packets: list[bytes]) -> bool:
+        """Make samples of information packets; whether there was one."""
+        sips = _sips(packets)
+        for sip in sips:
+            with self._lock:
+                assert self._steering is not None  # noqa: S101  it is connected
+                sample = self._sample = self._track.add(sip, time.monotonic_ns(), self._steering.stopped)
+            if self._motors and not sample.motors:
+                button = ": its stop button is pressed" if sample.emergency_stop else ""
+                self._notice("stopped", f"the robot has switched its motors off{button}")
+            self._motors = sample.motors
+        return bool(sips)
+
+    def _say_goodbye(self) -> None:
+        """Zero speed, wait until the robot stands, motors off, end of the session."""
+        line, reader = self._line, Reader()
+        if line is None:
+            return
+        self._leaving = True
+        until_ns = time.monotonic_ns() + seconds_to_ns(BRAKING_S)
+        try:
+            line.write(ZERO_SPEED)
+            moving = self._steering is not None
+            while moving and time.monotonic_ns() < until_ns:
+                if self._wait(line, until_ns):
+                    moving = not any(each.left == each.right == 0 for each in _sips(reader.feed(line.read())))
+            line.write(ZERO_SPEED + command(Command.ENABLE, 0) + command(Command.CLOSE, 1))
+        except LinkLost:
+            return  # it has gone by itself
+
+    def _hang_up(self) -> None:
+        """Free the port, with zero speed and the end of the session as the last words to whoever still listens."""
+        line, self._line = self._line, None
+        with self._lock:
+            self._steering = None
+        if line is None:
+            return
+        if not self._closing.is_set():
+            with contextlib.suppress(LinkLost):
+                line.write(ZERO_SPEED + command(Command.CLOSE, 1))
+        line.close()
+
+
+def _sips(packets: list[bytes]) -> list[Sip]:
+    """Those of the packets that are whole information packets; the configuration, for one, is not."""
+    sips = []
+    for data in packets:
+        if is_sip(data):
+            try:
+                sips.append(decode(data))
+            except ValueError:
+                continue  # cut off by the robot: a checksum guards the rest
+    return sips

@@ -1,0 +1,204 @@
+"""From an open line to a robot that stands with its motors on: synchronise, open, enable. No clock and no line of its own.
+
+A robot that its watchdog stopped takes up its last speed again when any command arrives, and to a robot whose last session is
+still open the first message of the handshake is such a command, PULSE. So zero speed comes first, every time the handshake
+begins anew, and again before the motors are enabled.
+
+Source of the order, the waits and the meaning of answers: Pioneer 2 and AmigoBot manuals, "Client connection".
+"""
+
+from typing import Literal
+
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.types import Value
+from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS, CONFIG_PACKET, SYNC0, SYNC2, Command
+from vcmvsp.hardware.drivers.arcos.config_packet import Config, decode_config
+from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot, robot_of
+from vcmvsp.hardware.drivers.arcos.sip import decode, is_sip
+from vcmvsp.hardware.drivers.base import HandshakeError
+
+ZERO_SPEED = command(Command.VEL, 0) + command(Command.RVEL, 0)
+SYNC_WAIT_NS = 1_000_000_000  # for each echo, as ARIA does
+QUIET_NS = 200_000_000  # two packet periods: what was under way when the handshake was broken off has come by then
+OPEN_WAIT_NS = 500_000_000  # for the effect of OPEN and of ENABLE
+OPEN_TRIES = 6  # before it begins anew
+_OWN = command(Command.VEL, 0)[3:-2]  # a robot never says this
+
+_Phase = Literal["sync", "quiet", "open", "enable", "done"]
+
+
+class Settings(Value, frozen=True, kw_only=True):
+    """What the robot is told for the session; None leaves its own value. Units: m, s, rad."""
+
+    max_speed: float | None = None
+    accel: float | None = None
+    decel: float | None = None
+    max_yaw_rate: float | None = None
+    yaw_accel: float | None = None
+
+    def commands(self) -> bytes:
+        """In mm and degrees, deceleration as a negative acceleration."""
+        mm, degrees = 1000.0, 57.29577951308232
+        numbers = (
+            (Command.SETV, self.max_speed, mm),
+            (Command.SETA, self.accel, mm),
+            (Command.SETA, self.decel, -mm),
+            (Command.SETRV, self.max_yaw_rate, degrees),
+            (Command.SETRA, self.yaw_accel, degrees),
+            (Command.SETRA, self.yaw_accel, -degrees),
+        )
+        return b"".join(command(number, round(value * unit)) for number, value, unit in numbers if value is not None)
+
+
+class Handshake:
+    """One attempt to connect. Feed it with packets and time, send what it returns, until it is `done` or raises.
+
+    Args:
+        device: for messages.
+        kind: the subclass that the robot must be of, such as ``amigo``; empty: any that is known.
+        settings: sent before the motors are enabled.
+        baud: of the line, for messages; 0: it has none.
+        give_up_s: how long all of it may take.
+    """
+
+    def __init__(self, *, device: str, kind: str, settings: Settings, baud: int, give_up_s: float) -> None:
+        self.robot: Robot | None = None
+        self.name = ""  # that the robot has been given
+        self.config: Config | None = None  # what it says of itself, if it does
+        self.due_ns = 0  # when `advance` wants to be called next
+        self.reader = Reader()
+        self._device, self._kind, self._settings, self._baud, self._give_up_s = device, kind, settings, baud, give_up_s
+        self._phase: _Phase = "sync"
+        self._sync = SYNC0  # whose echo is awaited
+        self._tries = 0
+        self._deadline_ns = 0
+        self._bytes = self._packets = 0
+
+    @property
+    def done(self) -> bool:
+        """The robot sends its packets, stands at zero speed, and its motors are on."""
+        return self._phase == "done"
+
+    def start(self, now_ns: int) -> bytes:
+        """The first bytes to send."""
+        self._deadline_ns = now_ns + seconds_to_ns(self._give_up_s)
+        return self._begin(now_ns)
+
+    def receive(self, chunk: bytes, now_ns: int) -> bytes:
+        """Take what came over the line; what to send."""
+        self._bytes += len(chunk)
+        return b"".join(self._packet(data, now_ns) for data in self.reader.feed(chunk))
+
+    def advance(self, now_ns: int) -> bytes:
+        """What to send at this time; raises `HandshakeError` when it has taken too long."""
+        if self.done or now_ns < self.due_ns:
+            return b""
+        # What looks like the beginning of a long packet may hold back a short answer.
+        found = b"".join(self._packet(data, now_ns) for data in self.reader.give_up())
+        if found or self.done:
+            return found
+        if now_ns >= self._deadline_ns:
+            raise self._error()
+        if self._phase in ("sync", "quiet") or self._tries >= OPEN_TRIES:
+            return self._begin(now_ns)
+        return self._ask(now_ns)
+
+    def _packet(self, data: bytes, now_ns: int) -> bytes:
+        self._packets += 1
+        if self._phase == "sync":
+            return self._synchronise(data, now_ns)
+        if self._phase in ("open", "enable") and is_sip(data):
+            return self._session(data, now_ns)
+        if self._phase == "enable" and data[:1] == bytes((CONFIG_PACKET,)):
+            self.config = decode_config(data)
+        return b""  # stragglers
+
+    def _synchronise(self, data: bytes, now_ns: int) -> bytes:
+        """An answer to SYNC0, 1 or 2: its echo, or a packet of a session that is still open, or something else."""
+        if is_sip(data):
+            return self._pause(now_ns, ZERO_SPEED + command(Command.CLOSE))
+        if data == _OWN:
+            raise self._looped()
+        if not data or data[0] != self._sync:
+            return self._pause(now_ns, b"")
+        if self._sync < SYNC2:
+            self._sync += 1
+            self._wait(now_ns, SYNC_WAIT_NS)
+            return command(self._sync)
+        self.robot = self._identify(data)
+        self._phase, self._tries = "open", 0
+        return self._ask(now_ns)
+
+    def _session(self, data: bytes, now_ns: int) -> bytes:
+        """An information packet of the session that was opened."""
+        try:
+            motors_on = decode(data).motors_on
+        except ValueError:
+            return b""
+        if self._phase == "enable" and motors_on:
+            self._phase = "done"
+        elif self._phase == "open":
+            self._phase, self._tries = "enable", 0
+            return self._ask(now_ns)
+        return b""
+
+    def _begin(self, now_ns: int) -> bytes:
+        self._phase, self._sync = "sync", SYNC0
+        self._wait(now_ns, SYNC_WAIT_NS)
+        return ZERO_SPEED + command(SYNC0)
+
+    def _pause(self, now_ns: int, farewell: bytes) -> bytes:
+        """Begin anew when what is under way has come."""
+        self._phase = "quiet"
+        self._wait(now_ns, QUIET_NS)
+        return farewell
+
+    def _ask(self, now_ns: int) -> bytes:
+        """Ask, or ask again, for information packets or motors: nothing is acknowledged, but the packets show the effect."""
+        self._tries += 1
+        self._wait(now_ns, OPEN_WAIT_NS)
+        if self._phase == "open":
+            return ZERO_SPEED + command(Command.OPEN, 1)
+        return ZERO_SPEED + self._settings.commands() + command(Command.CONFIG, 1) + command(Command.ENABLE, 1)
+
+    def _wait(self, now_ns: int, at_most_ns: int) -> None:
+        self.due_ns = min(now_ns + at_most_ns, self._deadline_ns)
+
+    def _identify(self, data: bytes) -> Robot:
+        """Who answered: the echo of SYNC2 carries name, class and subclass."""
+        words = data[1:].decode("latin-1").split("\0")
+        if len(words) < 3:
+            raise self._looped()
+        self.name, family, subclass = words[0], words[1], words[2]
+        try:
+            robot = robot_of(subclass)
+        except ValueError:
+            happened = f"it is {family or 'a robot'} {subclass!r}, whose parameters are not known"
+            raise HandshakeError(self._device, happened, f"robots that can be driven: {', '.join(ROBOTS)}") from None
+        if self._kind and robot.kind != self._kind.lower():
+            happened = f"it is of kind {robot.kind}{self.name and f' ({self.name})'}, not {self._kind}"
+            raise HandshakeError(self._device, happened, f"set robot = {robot.kind!r}, or connect to the other robot")
+        return robot
+
+    def _looped(self) -> HandshakeError:
+        happened = "what is sent comes back unchanged"
+        return HandshakeError(self._device, happened, "look for a loop-back plug, or a radio modem without its partner")
+
+    def _error(self) -> HandshakeError:
+        """Why there is no connection, as far as what came tells."""
+        if not self._bytes:
+            happened = f"nothing was heard for {self._give_up_s:.2g} s"
+            advice = "is the robot on, the cable or radio in its host port, and no other client connected?"
+        elif not self._packets:
+            happened = f"{self._bytes} bytes came, and no packet among them"
+            others = ", ".join(str(each) for each in BAUDS if each != self._baud)
+            wrong = f"the baud rate may be wrong (it is {self._baud}; try {others}), or " if self._baud else ""
+            advice = f"{wrong}this is not a robot that speaks ARCOS, P2OS or AmigOS"
+        elif self._phase == "enable":
+            happened = "its motors stay off"
+            advice = "release the stop button, switch the motors on, or charge the battery"
+        else:
+            happened = f"{self._packets} packets came, but no connection in {self._give_up_s:.2g} s"
+            advice = "another client may be connected, or the line is bad: close the other, or switch the robot off and on"
+        return HandshakeError(self._device, happened, advice)

@@ -1,0 +1,196 @@
+"""A line of bytes to a device: a serial port, a pseudo-terminal or a TCP connection, by one URL; errors say what to do.
+
+TCP does not go through pyserial, whose ``socket://`` leaves small packets waiting for one another (Nagle), sleeps 0.3 s when it
+is closed, and leaks the socket if the other side has gone first.
+"""
+
+import errno
+import os
+import socket
+import time
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import urlsplit
+
+import serial  # type: ignore[import-untyped]
+from serial.tools.list_ports import comports  # type: ignore[import-untyped]
+
+from vcmvsp.cosim.util.polling import readable, writable
+from vcmvsp.hardware.drivers.base import LinkLost, PortError
+
+READ_BYTES = 4096
+WRITE_S = 0.2  # a hundred bytes take 0.1 s at 9600 baud
+FAREWELL_S = 0.2  # for the other side of a TCP connection to take what was sent last
+OPEN_S = 2.0  # for a TCP connection
+
+_PROBLEMS = {
+    errno.ENOENT: "there is no such port",
+    errno.ENODEV: "there is no such port",
+    errno.ENXIO: "there is no device behind this port",
+    errno.EACCES: "it may not be opened by you",
+    errno.EPERM: "it may not be opened by you",
+    errno.EBUSY: "it is in use",
+    errno.EAGAIN: "it is in use",
+    errno.ENOTTY: "it is not a serial port",
+    errno.EISDIR: "it is not a serial port",
+}
+_ADVICE = {
+    errno.EACCES: "join the group that owns it (usually: sudo usermod -aG dialout $USER, then log in again)",
+    errno.EPERM: "join the group that owns it (usually: sudo usermod -aG dialout $USER, then log in again)",
+    errno.EBUSY: "close the other program that has it open",
+    errno.EAGAIN: "close the other program that has it open",
+}
+
+
+class Line(Protocol):
+    """Bytes in both directions. `read` and `write` raise `LinkLost` when the other side is gone."""
+
+    def fileno(self) -> int:
+        """For select."""
+
+    def read(self) -> bytes:
+        """What has come; call it when select says that there is something."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of it, within `WRITE_S`."""
+
+    def close(self) -> None:
+        """Free the port. Never raises."""
+
+
+def open_line(url: str, baud: int) -> Line:
+    """Open ``/dev/ttyUSB0``, the path of a pseudo-terminal, or ``socket://host:port``; a serial port for this process alone.
+
+    ``tcp://host:port`` is the same as the latter.
+
+    Raises:
+        PortError: it cannot be opened.
+    """
+    if url.startswith(("socket://", "tcp://")):
+        return _Tcp(url)
+    if "://" in url:
+        raise PortError(url, "this kind of port is not known", "give a serial port such as /dev/ttyUSB0, or socket://host:port")
+    return _Serial(url, baud)
+
+
+class _Serial:
+    """A serial port, 8N1, or a pseudo-terminal. pyserial opens it; its own reading and writing fail above 1023 open files."""
+
+    def __init__(self, path: str, baud: int) -> None:
+        self._path = path
+        try:
+            self._port = serial.Serial(path, baud, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise _port_error(path, error) from None
+
+    def fileno(self) -> int:
+        return int(self._port.fileno())
+
+    def read(self) -> bytes:
+        try:
+            if not readable([self.fileno()], 0.0):
+                return b""
+            chunk = os.read(self.fileno(), READ_BYTES)
+        except OSError:
+            chunk = b""
+        if not chunk:  # the end of the file, or an error of input: both say that it is gone
+            raise _unplugged(self._path)
+        return chunk
+
+    def write(self, data: bytes) -> None:
+        until = time.monotonic() + WRITE_S
+        try:
+            while data := data[self._written(data) :]:
+                left_s = until - time.monotonic()
+                if left_s <= 0.0 or not writable(self.fileno(), left_s):
+                    raise LinkLost(self._path, "the port takes no more bytes", "look at cable and radio")
+        except OSError:
+            raise _unplugged(self._path) from None
+
+    def _written(self, data: bytes) -> int:
+        """How many bytes went."""
+        try:
+            return os.write(self.fileno(), data)
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        try:
+            self._port.close()
+        except (serial.SerialException, OSError):
+            return  # it was unplugged
+
+
+class _Tcp:
+    """A TCP connection, as simulators of robots and servers of serial ports offer."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        parts = urlsplit(url)
+        try:
+            host, port = parts.hostname, parts.port
+        except ValueError:  # no number, or too large
+            host, port = None, None
+        if not host or not port:
+            raise PortError(url, "this is no address", "write socket://host:port, such as socket://localhost:8101")
+        try:
+            self._socket = socket.create_connection((host, port), OPEN_S)
+        except TimeoutError:
+            raise PortError(url, f"{host} does not answer", "is it on, and in this network?") from None
+        except ConnectionRefusedError:
+            raise PortError(url, f"nothing listens on port {port} of {host}", "start the robot's simulator or server") from None
+        except OSError as error:
+            raise PortError(url, f"no connection ({error.strerror or error})", "look at host name and network") from None
+        self._socket.settimeout(WRITE_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        try:
+            chunk = self._socket.recv(READ_BYTES)
+        except TimeoutError:
+            return b""
+        except OSError:
+            chunk = b""
+        if not chunk:
+            raise _hung_up(self._url)
+        return chunk
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._socket.sendall(data)
+        except TimeoutError:
+            raise LinkLost(self._url, "the connection takes no more bytes", "look at network and server") from None
+        except OSError:
+            raise _hung_up(self._url) from None
+
+    def close(self) -> None:
+        """Closing with bytes unread would reset the connection, and the last words sent might never be read."""
+        try:
+            self._socket.shutdown(socket.SHUT_WR)
+            until = time.monotonic() + FAREWELL_S
+            while time.monotonic() < until and self._socket.recv(READ_BYTES):
+                pass
+        except OSError:
+            pass  # the other side has gone first
+        self._socket.close()
+
+
+def _hung_up(url: str) -> LinkLost:
+    return LinkLost(url, "the other side closed the connection", "is the robot's simulator or server still running?")
+
+
+def _unplugged(path: str) -> LinkLost:
+    return LinkLost(path, "the port is gone: unplugged, or switched off", "plug it in again")
+
+
+def _port_error(path: str, error: Exception) -> PortError:
+    """Why a serial port could not be opened."""
+    number = int(getattr(error, "errno", None) or 0)
+    if not number and Path(path).exists():  # it was opened, and could not be set up
+        number = errno.ENOTTY
+    there = ", ".join(sorted(each.device for each in comports())) or "none"
+    problem = _PROBLEMS.get(number) or (os.strerror(number) if number else str(error))
+    return PortError(path, problem, _ADVICE.get(number) or f"ports that are there: {there}")

@@ -1,0 +1,284 @@
+"""The driver of vehicles whose autopilot speaks MAVLink: multicopters, rovers and boats with PX4 or ArduPilot.
+
+One thread owns the link: it finds the vehicle (`hello`), sends what `Pilot` says, and looks for the vehicle again. All that it
+shares with the caller is behind one lock, which nobody holds while waiting.
+
+**Who is in command.** The driver arms nothing and switches no mode, unless the scenario asks for it, and then once, while it
+opens. Whoever switches the vehicle to another mode, a pilot or a failsafe, has it from then on; the driver says so, sends zero
+speed, and follows commands again when it has been switched back.
+"""
+
+import contextlib
+import time
+from typing import Annotated, Literal
+
+import msgspec
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, HandshakeError, LinkLost
+from vcmvsp.hardware.drivers.byte_link import OPEN_S
+from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Reader, Sender, mavlink, sender_of
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer, Search
+from vcmvsp.hardware.drivers.mavlink.link import Link, open_link
+from vcmvsp.hardware.drivers.mavlink.messages import heartbeat
+from vcmvsp.hardware.drivers.mavlink.session import Orders, Pilot
+from vcmvsp.hardware.drivers.mavlink.command_schedule import finite
+from vcmvsp.hardware.drivers.mavlink.samples import Track
+from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
+from vcmvsp.hardware.drivers.threaded import Wired
+
+GOODBYE_S = 4.0  # heartbeats, which show that a mode was changed, come once a second
+TAKEOFF_S = 30.0  # for a vehicle to reach its height
+
+Baud = Annotated[int, msgspec.Meta(ge=1200, le=3_000_000)]
+SystemId = Annotated[int, msgspec.Meta(ge=0, le=255)]
+OwnId = Annotated[int, msgspec.Meta(ge=1, le=255)]
+ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=15)]  # s: with a take-off, less than a station waits for its driver
+TelemetryHz = Annotated[float, msgspec.Meta(ge=1, le=400)]
+
+
+class MavlinkDriver(Wired):
+    """A vehicle with an autopilot (`hardware.drivers.base.Driver`).
+
+    Multicopters take a velocity in the world and a yaw rate; rovers and boats a forward speed and a yaw rate.
+
+    Args:
+        address: ``udpin:0.0.0.0:14540`` (wait for the vehicle there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT``,
+            or a serial port such as ``/dev/ttyACM0``.
+        system_id: of the vehicle; 0: the only one that speaks there.
+        own_id: ours, different from that of any ground station in the same network. PX4's data-link failsafe watches over it;
+            ArduPilot's only if it is that of SYSID_MYGCS.
+        baud: of a serial port.
+        autopilot: ``auto``: as its heartbeat says.
+        switch_mode: ask for OFFBOARD or GUIDED when it is opened; otherwise its pilot switches it.
+        arm: start its motors when it is opened; only with ``switch_mode``.
+        takeoff_m: rise by this when it was armed, m; only with ``arm``.
+        origin: where the autopilot's local origin is in the world, m; where ``geodetic_origin`` is, if that is given.
+        geodetic_origin: latitude and longitude (deg) and height (m above sea level, as the autopilot has it): positions are
+            then taken from GLOBAL_POSITION_INT; None: from LOCAL_POSITION_NED.
+        telemetry_hz: of positions and attitudes, asked of the vehicle.
+        connect_s: to find the vehicle and to have it ready; a take-off has 30 s more.
+        silence_s: without a position, the vehicle counts as lost.
+        reconnect_s: for so long a vehicle that was lost is looked for; 0: losing it is an error at once.
+        command_timeout_s: without a command, the vehicle is stopped.
+    """
+
+    _who = "vehicle"
+    _meanwhile = "the vehicle's own failsafe takes over"
+
+    def __init__(
+        self,
+        *,
+        address: str,
+        system_id: SystemId = 0,
+        own_id: OwnId = 245,
+        baud: Baud = 57_600,
+        autopilot: Literal["auto", "px4", "ardupilot"] = "auto",
+        switch_mode: bool = False,
+        arm: bool = False,
+        takeoff_m: Positive | None = None,
+        origin: Vec3 = ORIGIN,
+        geodetic_origin: Vec3 | None = None,
+        telemetry_hz: TelemetryHz = 50.0,
+        connect_s: ConnectTime = 10.0,
+        silence_s: Positive = 2.0,
+        reconnect_s: NonNegative = 0.0,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
+    ) -> None:
+        if arm and not switch_mode:
+            raise ScenarioError("arm = true needs switch_mode = true: in any other mode it would obey somebody else", key="arm")
+        if takeoff_m is not None and not arm:
+            raise ScenarioError("takeoff_m needs arm = true: only what the driver has armed does it let rise", key="takeoff_m")
+        if system_id == own_id:
+            raise ScenarioError(f"own_id must differ from system_id, which is {system_id} too", key="own_id")
+        try:
+            self._plane = None if geodetic_origin is None else TangentPlane(*geodetic_origin)
+        except ValueError as error:
+            raise ScenarioError(str(error), key="geodetic_origin") from None
+        super().__init__(
+            address,
+            open_deadline_s=OPEN_S + connect_s + (TAKEOFF_S if takeoff_m is not None else 0.0) + GOODBYE_S + 1.0,
+            close_deadline_s=OPEN_S + GOODBYE_S + 1.0,
+            connect_s=connect_s,
+            silence_s=silence_s,
+            reconnect_s=reconnect_s,
+        )
+        self.peer: Peer | None = None  # once it is connected
+        self._system_id, self._baud, self._origin = system_id, baud, origin
+        self._kind = None if autopilot == "auto" else autopilot
+        self._encode = Encoder(Sender(system=own_id, component=mavlink.MAV_COMP_ID_MISSIONPLANNER))
+        self._orders = Orders(
+            telemetry_hz=telemetry_hz, timeout_s=command_timeout_s, switch_mode=switch_mode, arm=arm, takeoff_m=takeoff_m
+        )
+        self._pilot: Pilot | None = None  # None: not connected
+
+    # What the caller does.
+
+    def write(self, velocity: Velocity) -> None:
+        """Command a velocity; while the vehicle is looked for, is not armed or is in somebody else's command, it is dropped."""
+        finite(velocity)
+        with self._lock:
+            self._check()
+            if self._pilot is not None:
+                self._pilot.command(velocity, time.monotonic_ns())
+
+    def _prepare(self, start: Vec3) -> None:
+        """Odometry begins at ``start``; the state in the world is the autopilot's."""
+        super()._prepare(start)
+        self._track = Track(start, self._origin, self._plane)
+        self.peer = None
+        self._link: Link | None = None
+
+    def _hold(self, cause: str) -> bool:
+        if self._pilot is not None:
+            self._pilot.stop(cause)
+        return False
+
+    # What the thread does.
+
+    def _connect(self, within_s: float) -> None:
+        """Open the link, find the vehicle and have it ready; when it is found again, nothing is armed or switched."""
+        orders = self._orders
+        if self._ready.is_set():
+            orders = msgspec.structs.replace(orders, switch_mode=False, arm=False, takeoff_m=None)
+        self._link = open_link(self.device, self._baud)
+        began_ns = time.monotonic_ns()
+        peer = self._find(self._link, began_ns + seconds_to_ns(within_s), within_s)
+        self._link.answer(peer.source)
+        self._reader = Reader()
+        pilot = Pilot(peer, orders, self._track, time.monotonic_ns())
+        if peer.on_ground and orders.takeoff_m is not None:
+            raise HandshakeError(self.device, f"{peer.name} does not fly", "leave takeoff_m out")
+        with self._lock:
+            self.peer, self._pilot = peer, pilot
+            self._track.connect()
+        self._notice("connected", peer.name)
+        more_s = TAKEOFF_S if orders.takeoff_m is not None else 0.0
+        self._make_ready(pilot, began_ns + seconds_to_ns(within_s + more_s))
+        self._ready.set()
+
+    def _find(self, link: Link, deadline_ns: int, within_s: float) -> Peer:
+        """Listen, with our own heartbeat once a second: some autopilots speak only when spoken to."""
+        system_id = self._system_id if self.peer is None else self.peer.sender.system  # another is none that was lost
+        search = Search(self.device, system_id, self._kind)
+        beat_ns = 0
+        while (now_ns := time.monotonic_ns()) < deadline_ns:
+            if now_ns >= beat_ns:
+                beat_ns = now_ns + SECOND_NS
+                link.write(self._encode(heartbeat()))
+            if self._wait(link, min(deadline_ns, beat_ns, search.due_ns)):
+                peer = search.receive(link.read(), time.monotonic_ns())
+            else:
+                peer = search.decide(time.monotonic_ns())
+            if peer is not None:
+                return peer
+        raise search.failure(within_s)
+
+    def _make_ready(self, pilot: Pilot, deadline_ns: int) -> None:
+        """Until it tells its position, and is in the mode, armed and as high as was asked for."""
+        while not pilot.ready:
+            if pilot.interrupted:
+                happened = f"{self._name} was not made ready: {pilot.interrupted}"
+                raise HandshakeError(self.device, happened, "open it again when it is free")
+            if time.monotonic_ns() >= deadline_ns:
+                happened = f"{self._name} did not do what was asked; waited for {pilot.waits_for}"
+                raise HandshakeError(self.device, happened, "look at what its ground station says of it, or raise connect_s")
+            self._exchange(deadline_ns)
+
+    def _converse(self) -> None:
+        """Read and send until the link is lost or the caller closes it."""
+        silence_ns = seconds_to_ns(self._silence_s)
+        heard_ns = spoke_ns = time.monotonic_ns()
+        while True:
+            messages, samples = self._exchange(heard_ns + silence_ns)
+            now_ns = time.monotonic_ns()
+            heard_ns = now_ns if samples else heard_ns
+            spoke_ns = now_ns if messages else spoke_ns
+            if now_ns >= heard_ns + silence_ns:
+                silent = now_ns >= spoke_ns + silence_ns
+                happened = (
+                    f"nothing was heard for {self._silence_s:g} s"
+                    if silent
+                    else f"it told no position for {self._silence_s:g} s"
+                )
+                advice = (
+                    "look at the vehicle's battery, its cable and its radio"
+                    if silent
+                    else "look at its GPS or other positioning"
+                )
+                raise LinkLost(self.device, happened, advice)
+
+    def _exchange(self, until_ns: int) -> tuple[int, int]:
+        """Send what is due, wait for what comes, until this time; how many messages and samples there were."""
+        link, pilot = self._link, self._pilot
+        assert link is not None  # noqa: S101  it is connected
+        assert pilot is not None  # noqa: S101  the same
+        with self._lock:
+            messages = pilot.advance(time.monotonic_ns())
+            due_ns = pilot.due_ns
+        if messages:
+            link.write(self._encode(*messages))
+        heard = samples = 0
+        if self._wait(link, min(due_ns, until_ns)):
+            for _, data in link.read():
+                for message in self._reader.feed(data):
+                    if sender_of(message) == self._peer_sender:
+                        heard += 1
+                        with self._lock:
+                            sample = pilot.receive(message, time.monotonic_ns())
+                            self._sample = sample or self._sample
+                        samples += sample is not None
+        self._tell(pilot)
+        return heard, samples
+
+    def _tell(self, pilot: Pilot) -> None:
+        with self._lock:
+            news, pilot.news = pilot.news, []
+        for what, cause in news:
+            self._notice(what, cause)
+
+    @property
+    def _peer_sender(self) -> Sender:
+        assert self.peer is not None  # noqa: S101  it is connected
+        return self.peer.sender
+
+    @property
+    def _name(self) -> str:
+        return self.peer.name if self.peer is not None else "the vehicle"
+
+    def _give_up(self) -> None:
+        self._say_goodbye()  # a failed take-off ends in the air
+
+    def _say_goodbye(self) -> None:
+        """Zero speed and a mode in which it holds its place; set-points go on until it is in that mode.
+
+        Only what stands on the ground is disarmed, if we armed it.
+        """
+        pilot = self._pilot
+        if pilot is None or self._link is None:
+            return
+        self._leaving = True
+        until_ns = time.monotonic_ns() + seconds_to_ns(GOODBYE_S)
+        with self._lock:
+            pilot.leave()
+        try:
+            while not pilot.ready and time.monotonic_ns() < until_ns:
+                self._exchange(until_ns)
+        except LinkLost:
+            return  # it has gone by itself
+        if not pilot.ready:
+            self._notice("warned", f"it was left while we waited for {pilot.waits_for}: take it over")
+
+    def _hang_up(self) -> None:
+        """Free the port, with zero speed as the last words to whoever still listens."""
+        link, self._link = self._link, None
+        with self._lock:
+            pilot, self._pilot = self._pilot, None
+        if link is None:
+            return
+        if pilot is not None:
+            with contextlib.suppress(LinkLost):
+                link.write(self._encode(*pilot.farewell()))
+        link.close()

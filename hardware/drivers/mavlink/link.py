@@ -1,0 +1,139 @@
+"""Where a vehicle is reached: UDP both ways, TCP or a serial port, by the addresses that pymavlink and MAVSDK use.
+
+On a UDP port that is open to all, anybody may speak: bytes come with where they are from, and answers go to one source.
+"""
+
+import contextlib
+import re
+import socket
+from typing import Any, Protocol
+
+from vcmvsp.hardware.drivers.base import PortError
+from vcmvsp.hardware.drivers.byte_link import Line, open_line
+
+DATAGRAM = 65_535
+DATAGRAMS = 100  # read at a time
+SOURCES = 32  # that are listened to while the vehicle is looked for; a new one takes the place of the oldest
+_ADVICE = "write udpin:0.0.0.0:14540, udpout:HOST:PORT, tcp:HOST:PORT or a serial port such as /dev/ttyACM0"
+_NETWORK = re.compile(r"(udpin|udpout|tcp|socket):(?://)?(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
+Heard = list[tuple[str, bytes]]  # source, bytes
+
+
+class Link(Protocol):
+    """Bytes in both directions. `read` and `write` raise `LinkLost` when the other side is known to be gone."""
+
+    def fileno(self) -> int:
+        """For select."""
+
+    def read(self) -> Heard:
+        """What has come; call it when select says that there is something."""
+
+    def answer(self, source: str) -> None:
+        """Hear and speak to this source alone from now on."""
+
+    def write(self, data: bytes) -> None:
+        """Send it, to whom `answer` said, if there is one; datagrams that do not go are lost."""
+
+    def close(self) -> None:
+        """Free the port. Never raises."""
+
+
+def open_link(address: str, baud: int) -> Link:
+    """Open ``udpin:HOST:PORT`` (wait there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT`` or a serial port.
+
+    Raises:
+        PortError: it cannot be opened.
+    """
+    match = _NETWORK.fullmatch(address)
+    if match is None:
+        if ":" in address or not address:
+            raise PortError(address or "''", "this is no address", _ADVICE)
+        return _Stream(open_line(address, baud))
+    scheme, host, port = match[1], match[2].strip("[]"), int(match[3])
+    if not 0 < port < 65_536:
+        raise PortError(address, f"there is no port {port}", "ports are from 1 to 65535")
+    if scheme in ("tcp", "socket"):
+        return _Stream(open_line(f"socket://{match[2]}:{port}", baud))
+    return _Udp(address, host, port, listens=scheme == "udpin")
+
+
+class _Stream:
+    """A serial port or a TCP connection: there is one other side."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+
+    def fileno(self) -> int:
+        return self._line.fileno()
+
+    def read(self) -> Heard:
+        return [("", self._line.read())]
+
+    def answer(self, source: str) -> None:
+        """There is nobody else."""
+
+    def write(self, data: bytes) -> None:
+        self._line.write(data)
+
+    def close(self) -> None:
+        self._line.close()
+
+
+class _Udp:
+    """A UDP port. One that listens speaks to nobody before `answer`; one that does not hears only whom it speaks to."""
+
+    def __init__(self, address: str, host: str, port: int, *, listens: bool) -> None:
+        self._to: Any = None  # an address of the operating system
+        self._source = ""
+        self._sources: dict[str, Any] = {}
+        try:
+            family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        except OSError as error:
+            raise PortError(address, f"no address ({error.strerror or error})", "look at host name and network") from None
+        self._connected = not listens
+        try:
+            self._socket.setblocking(False)
+            if listens:
+                self._socket.bind(where)
+            else:
+                self._socket.connect(where)
+        except OSError as error:
+            self._socket.close()
+            advice = "close the other program that has it open, or give another port" if listens else "look at the network"
+            raise PortError(address, error.strerror or str(error), advice) from None
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self) -> Heard:
+        heard: Heard = []
+        for _ in range(DATAGRAMS):
+            try:
+                data, where = self._socket.recvfrom(DATAGRAM)
+            except ConnectionRefusedError:  # by whom we speak to: nobody listens there, so far
+                continue
+            except OSError:  # nothing more
+                break
+            source = "" if self._connected else f"{where[0]}:{where[1]}"
+            if self._source in ("", source):
+                heard.append((source, data))
+                self._sources[source] = where
+                if len(self._sources) > SOURCES:
+                    del self._sources[next(iter(self._sources))]
+        return heard
+
+    def answer(self, source: str) -> None:
+        self._source = source
+        if not self._connected:
+            self._to = self._sources.get(source)
+
+    def write(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):
+            if self._connected:
+                self._socket.send(data)
+            elif self._to is not None:
+                self._socket.sendto(data, self._to)
+
+    def close(self) -> None:
+        self._socket.close()

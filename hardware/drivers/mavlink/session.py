@@ -1,0 +1,298 @@
+"""The conversation with a vehicle that was found: telemetry, modes, arming, set-points, and who is in command of it.
+
+No clock and no line of its own: messages and times come in, messages come out. Nothing is believed because it was asked for,
+or because it was acknowledged: a mode and "armed" are what the vehicle's heartbeats say.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.types import Value, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import Sample, What
+from vcmvsp.hardware.drivers.mavlink import messages
+from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer
+from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL, Steering, finite, setpoint
+from vcmvsp.hardware.drivers.mavlink.status_text import Texts
+from vcmvsp.hardware.drivers.mavlink.samples import Track
+
+ASK_NS = 500_000_000  # until something that was not done is asked for again
+CLIMB = 0.7  # m/s, of a take-off
+NEAR = 0.9  # of its height: a take-off is done
+STANDS = 0.05  # m/s
+SAID: What = "warned"  # of a text by which the autopilot tells an error
+
+_RESULTS = {
+    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now",
+    mavlink.MAV_RESULT_DENIED: "refused",
+    mavlink.MAV_RESULT_UNSUPPORTED: "not known",
+    mavlink.MAV_RESULT_FAILED: "failed",
+}
+
+
+class Orders(Value, frozen=True, kw_only=True):
+    """What the vehicle is asked at the start, and at most for how long it drives without a command."""
+
+    telemetry_hz: float
+    timeout_s: float
+    switch_mode: bool = False
+    arm: bool = False
+    takeoff_m: float | None = None
+
+
+class _Step(NamedTuple):
+    """Something that is asked for until it is done."""
+
+    what: str
+    done: Callable[[], bool]
+    ask: Callable[[], list[Message]]
+
+
+class Pilot:
+    """Asks, steers and watches.
+
+    Attributes:
+        in_command: the vehicle is in the mode in which it follows set-points.
+        news: what happened, for notices; whoever reads it empties it.
+        interrupted: why it must not be made ready any more: somebody has switched it away, or stopped it.
+    """
+
+    def __init__(self, peer: Peer, orders: Orders, track: Track, now_ns: int) -> None:
+        self.in_command, self.interrupted = False, ""
+        self.news: list[tuple[What, str]] = []
+        self._peer, self._orders, self._track = peer, orders, track
+        self._steering = Steering(orders.timeout_s)
+        self._boot_ns = self._now_ns = now_ns
+        self._mode, self._armed, self._terminated = "", False, False
+        self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
+        self._leaving = self._has_armed = False
+        self._climb_to: float | None = None  # m, z in the world
+        self._refusal, self._texts = "", Texts()
+        self._old_streams = False
+        self._steps = deque(self._opening())
+        self._asked_ns: int | None = None
+        self._beat_ns = now_ns  # when our next heartbeat is due
+        self._watch(peer.heartbeat)
+
+    # What the driver asks
+
+    @property
+    def ready(self) -> bool:
+        """All that was asked for at the start is done; once it is leaving: it may be left."""
+        return not self._steps
+
+    @property
+    def waits_for(self) -> str:
+        """The step that is not done, with what the vehicle said to it."""
+        last = self._texts.last
+        said = ", ".join(each for each in (self._refusal, last and f'it says "{last}"') if each)
+        return (self._steps[0].what if self._steps else "nothing") + (f" ({said})" if said else "")
+
+    @property
+    def stopped(self) -> str:
+        """Why it does not follow commands; empty: it does."""
+        if not self.in_command:
+            return f"it is in {self._mode or 'no mode that is known'}: it follows commands in {self._peer.autopilot.follows}"
+        return self._steering.stopped if self._armed else "it is not armed"
+
+    def command(self, velocity: Velocity, now_ns: int) -> None:
+        """Move like this; nothing, where somebody else is in command, or it is not armed, or is taking off."""
+        finite(velocity)
+        if self.in_command and self._armed and self.ready and not self._leaving:
+            self._steering.command((velocity.linear, velocity.yaw_rate), now_ns)
+
+    def stop(self, cause: str) -> None:
+        """Zero speed with the next message."""
+        self._steering.stop(cause)
+        self._climb_to = None
+        if self._steps and self._orders.switch_mode and not self._leaving:  # else nothing is asked of it that could move it
+            self.interrupted = cause
+
+    def leave(self) -> None:
+        """Zero speed, a mode in which it stays where it is; what we have armed and what stands on the ground, is disarmed.
+
+        Nothing is disarmed in the air, and a vehicle that somebody else has in command is left to him.
+        """
+        self._leaving, self._climb_to, self._asked_ns = True, None, None
+        self._steering.stop("the driver is being closed")
+        self._steps = deque()
+        if self.in_command:
+            holds = deque(self._peer.autopilot.holds)
+
+            def hold() -> list[Message]:
+                holds.rotate(-1)
+                return [messages.switch(self._peer.sender, self._peer.autopilot, holds[-1])]
+
+            self._steps.append(_Step("it to hold its place", lambda: not self.in_command, hold))
+            if self._has_armed:
+                disarm = messages.arm(self._peer.sender, on=False)
+                self._steps.append(_Step("it to disarm", lambda: not (self._armed and self._stands), lambda: [disarm]))
+
+    def farewell(self) -> list[Message]:
+        """The last words to whoever still listens."""
+        self._climb_to = None
+        return self._points(STILL, 0.0)
+
+    # Time and messages
+
+    def advance(self, now_ns: int) -> list[Message]:
+        """What to send at this time."""
+        self._now_ns = now_ns
+        sent: list[Message] = []
+        if now_ns >= self._beat_ns:
+            self._beat_ns = now_ns + SECOND_NS
+            sent.append(messages.heartbeat())
+        before = self._steering.stopped
+        if (speeds := self._steering.advance(now_ns)) is not None:
+            sent += self._points(*speeds)
+        if self._steering.stopped != before:
+            self.news.append(("stopped", self._steering.stopped))
+        self._work_off()
+        if self._steps and (self._asked_ns is None or now_ns >= self._asked_ns + ASK_NS):
+            sent += self._steps[0].ask()
+            self._asked_ns = now_ns
+        return sent
+
+    @property
+    def due_ns(self) -> int:
+        """When `advance` has something to do."""
+        asks = [] if not self._steps else [0 if self._asked_ns is None else self._asked_ns + ASK_NS]
+        return min(self._beat_ns, self._steering.due_ns, *asks)
+
+    def receive(self, message: Message, now_ns: int) -> Sample | None:
+        """A message of the vehicle; a sample, if it completes one."""
+        self._now_ns = now_ns
+        kind = message.get_type()
+        if kind == self._track.position_message:
+            if not self._track.position(message, now_ns):
+                return None
+            return self._track.sample(motors=self._armed, terminated=self._terminated, stopped=self.stopped)
+        match kind:
+            case "ATTITUDE":
+                self._track.attitude(message, now_ns)
+            case "HEARTBEAT":
+                self._watch(message)
+            case "SYS_STATUS":
+                self._track.status(message)
+            case "EXTENDED_SYS_STATE":
+                self._landed = message.landed_state
+            case "COMMAND_ACK":
+                self._acknowledged(message)
+            case "STATUSTEXT":
+                if text := self._texts.hear(message, now_ns):
+                    self.news.append((SAID, f'the autopilot says "{text}"'))
+        return None
+
+    # Steps
+
+    def _opening(self) -> list[_Step]:
+        """What to ask for at the start, in this order."""
+        orders, autopilot = self._orders, self._peer.autopilot
+        steps = [_Step(f"its position ({self._track.position_message} and ATTITUDE)", self._located, self._telemetry)]
+        if orders.switch_mode:
+            switch = messages.switch(self._peer.sender, autopilot, autopilot.follows)
+            steps.append(_Step("set-points to have come for a while", self._led, list))
+            steps.append(_Step(f"it to switch to {autopilot.follows}", lambda: self.in_command, lambda: [switch]))
+        if orders.arm:
+            steps.append(_Step("it to arm", self._is_armed, self._ask_to_arm))
+        if orders.takeoff_m is not None:
+            steps.append(_Step(f"it to reach {orders.takeoff_m:g} m", self._high, self._rise))
+        return steps
+
+    def _work_off(self) -> None:
+        while self._steps and self._steps[0].done():
+            self._steps.popleft()
+            self._asked_ns, self._refusal = None, ""
+
+    def _located(self) -> bool:
+        return self._track.state is not None and bool(self._mode)
+
+    def _led(self) -> bool:
+        return self._now_ns - self._boot_ns >= seconds_to_ns(self._peer.autopilot.lead_s)
+
+    def _is_armed(self) -> bool:
+        return self._armed
+
+    def _ask_to_arm(self) -> list[Message]:
+        self._has_armed = True
+        return [messages.arm(self._peer.sender, on=True)]
+
+    def _telemetry(self) -> list[Message]:
+        """Ask for what is needed; in the old way too, if the new one did not help."""
+        to, hz = self._peer.sender, self._orders.telemetry_hz
+        asked = messages.intervals(to, self._track.position_message, hz)
+        if self._old_streams:
+            asked += messages.streams(to, hz)
+        self._old_streams = True
+        return asked
+
+    def _rise(self) -> list[Message]:
+        """PX4 climbs by set-points, which needs no global position; ArduPilot wants a command before it leaves the ground."""
+        state, height = self._track.state, self._orders.takeoff_m
+        assert state is not None  # noqa: S101  its position is the first step
+        assert height is not None  # noqa: S101  there is this step
+        if self._climb_to is None:
+            self._climb_to = state.position[2] + NEAR * height
+        if self._peer.autopilot.kind == "px4":
+            return []
+        return [messages.command(self._peer.sender, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height)]
+
+    def _high(self) -> bool:
+        state = self._track.state
+        if self._climb_to is None or state is None or state.position[2] < self._climb_to:
+            return False
+        self._climb_to = None
+        return True
+
+    @property
+    def _stands(self) -> bool:
+        """It is on the ground, and does not move."""
+        state = self._track.state
+        still = state is not None and max(map(abs, state.velocity)) < STANDS
+        return still and (self._peer.on_ground or self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
+
+    # What the vehicle says
+
+    def _watch(self, beat: Message) -> None:
+        """A heartbeat: mode and arming."""
+        autopilot = self._peer.autopilot
+        self._mode = autopilot.mode(beat.custom_mode)
+        self._terminated = beat.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
+        armed = bool(beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self._armed and not armed:
+            self._halt("it has disarmed")
+        self._armed = armed
+        follows = self._mode == autopilot.follows
+        if follows and not self.in_command:
+            self._steering.stop(f"it has just been switched to {self._mode}")  # an old command is none
+            self.news.append(("connected", f"it is in {self._mode}: it follows commands"))
+        elif self.in_command and not follows:
+            self._halt(f"it was switched to {self._mode}, by its pilot or by itself: it is left to them")
+        self.in_command = follows
+
+    def _halt(self, cause: str) -> None:
+        self.stop(cause)
+        if not self._leaving:
+            self.news.append(("stopped", cause))
+
+    def _acknowledged(self, message: Message) -> None:
+        """A refusal is kept, for the message if nothing comes of it."""
+        if message.result in _RESULTS:
+            command = mavlink.enums["MAV_CMD"].get(message.command)
+            name = command.name.removeprefix("MAV_CMD_") if command else f"command {message.command}"
+            self._refusal = f"{name}: {_RESULTS[message.result]}"
+
+    # Set-points
+
+    def _points(self, linear: Vec3, yaw_rate: float) -> list[Message]:
+        """The set-point; while ArduPilot takes off there is none, as any would end that."""
+        if self._climb_to is not None and self.in_command:
+            if self._peer.autopilot.kind == "ardupilot":
+                return []
+            linear, yaw_rate = (0.0, 0.0, CLIMB), 0.0
+        return [setpoint(self._peer.sender, self._ms(), linear, yaw_rate, on_ground=self._peer.on_ground)]
+
+    def _ms(self) -> int:
+        return (self._now_ns - self._boot_ns) // 1_000_000

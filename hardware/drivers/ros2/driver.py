@@ -1,0 +1,304 @@
+"""The driver of robots that run ROS 2: Twist or TwistStamped out, Odometry in, over Eclipse Zenoh.
+
+One thread decides: it takes what Zenoh's callbacks and the caller leave in a queue, and publishes. A robot counts as connected
+while its odometry is heard and something hears the commands. When that ends it is told to stand, and when it is back it is told
+so first; nothing that was commanded before moves it.
+"""
+
+import contextlib
+import queue
+import time
+from collections import Counter
+from typing import Annotated, Literal
+
+import msgspec
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import NonNegative, Positive, Rate, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import (
+    COMMAND_TIMEOUT_S,
+    ORIGIN,
+    CommandTimeout,
+    HandshakeError,
+    LinkLost,
+    checked,
+)
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET, Pace
+from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
+from vcmvsp.hardware.drivers.ros2.cdr_messages import (
+    ODOMETRY,
+    STAMPS_END_NS,
+    TWIST,
+    TWIST_STAMPED,
+    OdometryMessage,
+    Twist,
+    decode_odometry,
+    encode_twist,
+)
+from vcmvsp.hardware.drivers.ros2.presence import Presence
+from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Heard, Mode, Node
+from vcmvsp.hardware.drivers.ros2.samples import Pose, Track
+from vcmvsp.hardware.drivers.threaded import Threaded
+
+OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and room
+CLOSE_S = 2.0
+WAITING = 256  # messages that may wait for the thread; more are left out
+ZERO_SPEEDS = (0.0, 0.0)  # m/s, forward, and rad/s
+_SHOWN = 6  # endpoints that an error names
+
+Domain = Annotated[int, msgspec.Meta(ge=0, le=232)]
+ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=30)]  # s; a station waits for its driver, but not forever
+
+
+class _LeftOut(Exception):
+    """A message that nothing is made of."""
+
+    def __init__(self, cause: str, why: str) -> None:
+        self.cause = cause
+        super().__init__(why)
+
+
+class Ros2Driver(Threaded):
+    """A robot that runs ROS 2 (`hardware.drivers.base.Driver`).
+
+    Args:
+        endpoint: of Zenoh, where rmw_zenohd or zenoh-bridge-ros2dds listens, or where this driver does.
+        mode: "connect", or "listen": be the router that the robot's nodes connect to.
+        mapping: "rmw_zenoh", or "ros2dds" for zenoh-bridge-ros2dds.
+        domain: ROS_DOMAIN_ID; "ros2dds" has none here.
+        release: of the robot's ROS 2, for "rmw_zenoh": "humble", whose keys have no type hashes, or "later".
+        namespace: of the topics.
+        command_topic: in the namespace, unless it begins with a slash.
+        odometry_topic: likewise.
+        stamped: publish TwistStamped, as ros2_control's diff_drive_controller wants it since Jazzy; by the robot's own clock.
+        command_frame: the frame in TwistStamped.
+        frame: the frame that odometry must be in; empty: any.
+        pose: "odometry": it begins anywhere and counts from the start pose that `open` is given; "world": it is where the
+            robot is (a localisation, or motion capture): samples have a ``state``.
+        origin: x m, y m, yaw rad of the frame of odometry in the world, for "world".
+        max_speed: m/s; a greater step of odometry is left out: somebody has set it.
+        rate_hz: how often a command is said again.
+        connect_s: for the first odometry and a listener to commands.
+        silence_s: without odometry, or without a listener, the robot counts as lost.
+        reconnect_s: for so long a robot that was lost is waited for in silence; then `read` and `write` raise `LinkLost` until
+            it is back.
+        command_timeout_s: without a command, the robot is stopped.
+        name: of the node that the robot sees.
+    """
+
+    ground_only = True
+
+    def __init__(
+        self,
+        *,
+        endpoint: str = "tcp/127.0.0.1:7447",
+        mode: Mode = "connect",
+        mapping: Literal["rmw_zenoh", "ros2dds"] = "rmw_zenoh",
+        domain: Domain = 0,
+        release: Release = "later",
+        namespace: str = "",
+        command_topic: str = "cmd_vel",
+        odometry_topic: str = "odom",
+        stamped: bool = False,
+        command_frame: str = "base_link",
+        frame: str = "",
+        pose: Pose = "odometry",
+        origin: Vec3 = ORIGIN,
+        max_speed: Positive = 10.0,
+        rate_hz: Rate = 10.0,
+        connect_s: ConnectTime = 10.0,
+        silence_s: Positive = 1.0,
+        reconnect_s: NonNegative = 0.0,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
+        name: Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z_][A-Za-z0-9_]*\Z")] = "vcmvsp",
+    ) -> None:
+        self._command = Endpoint("MP", _topic("command_topic", namespace, command_topic), TWIST_STAMPED if stamped else TWIST)
+        self._odometry = Endpoint("MS", _topic("odometry_topic", namespace, odometry_topic), ODOMETRY)
+        super().__init__(
+            f"{endpoint} ({self._command.topic})",
+            open_deadline_s=OPEN_S + connect_s + GRAPH_S,
+            close_deadline_s=CLOSE_S,
+        )
+        self._endpoint, self._mode = endpoint, mode
+        self._mapping: Mapping = RmwZenoh(domain, name, release) if mapping == "rmw_zenoh" else Ros2Dds()
+        self._stamped, self._command_frame, self._frame = stamped, command_frame, frame
+        self._pose, self._origin, self._max_speed = pose, origin, max_speed
+        self._rate_hz, self._timeout_s = rate_hz, command_timeout_s
+        self._connect_s, self._reconnect_ns = connect_s, seconds_to_ns(reconnect_s)
+        self._silence_s = silence_s
+
+    # What the caller does.
+
+    def write(self, velocity: Velocity) -> None:
+        """Command a forward speed and a yaw rate; while the robot is lost, commands are dropped."""
+        v, w = checked(velocity)
+        with self._lock:
+            self._check()
+            if self._connected:
+                self._pace.command((v, w), time.monotonic_ns())
+        self._wake()
+
+    def _prepare(self, start: Vec3) -> None:
+        self.refused: Counter[str] = Counter()  # messages that were left out, by cause
+        self._news: queue.SimpleQueue[Heard | bool | None] = queue.SimpleQueue()
+        self._track = Track(start, self._pose, self._origin, self._max_speed)
+        self._pace = Pace(ZERO_SPEEDS, self._timeout_s, again_ns=round(SECOND_NS / self._rate_hz))
+        self._presence = Presence(self._silence_s)
+        self._connected = False
+        self._lost = ""  # why the robot is away
+        self._spoke: bytes | None = None  # whose odometry the last connection followed
+        self._lost_ns = 0
+
+    def _hold(self, cause: str) -> bool:
+        self._pace.stop(cause)
+        return False
+
+    def _wake(self) -> None:
+        if self._thread is not None:
+            self._news.put(None)
+
+    def _check(self) -> None:
+        super()._check()
+        if self._lost and time.monotonic_ns() >= self._lost_ns + self._reconnect_ns:
+            raise LinkLost(self.device, self._lost, "look at the robot's nodes, its router and its radio")
+
+    # What the thread does.
+
+    def _work(self) -> None:
+        with contextlib.closing(Node(self._endpoint, self._mode, self._mapping, (self._command, self._odometry))) as node:
+            self._publish = node.publisher(self._command, self._news.put)
+            node.hear(self._odometry, self._hand_over, whatever=True)
+            try:
+                self._converse(node)
+            finally:
+                self._say(ZERO_SPEEDS, 0)  # whatever there is amiss with the stamps
+
+    def _hand_over(self, heard: Heard) -> None:
+        """Called by Zenoh."""
+        if self._news.qsize() < WAITING:
+            self._news.put(heard)
+
+    def _converse(self, node: Node) -> None:
+        """Take what comes and say what is due until the caller closes it."""
+        until_ns = time.monotonic_ns() + seconds_to_ns(self._connect_s)
+        while not self._closing.is_set():
+            due_ns = self._say_what_is_due()
+            now_ns = time.monotonic_ns()
+            due_ns = min(due_ns, self._presence.due_ns(now_ns))
+            if not self._ready.is_set():
+                if now_ns >= until_ns:
+                    raise self._nobody(node, *self._presence.missing(now_ns))
+                due_ns = min(due_ns, until_ns)
+            try:
+                news = self._news.get(timeout=max(0.0, (due_ns - now_ns) / SECOND_NS))
+            except queue.Empty:
+                news = None
+            now_ns = time.monotonic_ns()
+            if isinstance(news, bool):
+                self._listened(news, now_ns)
+            self._look(now_ns)  # before another node is followed: that one has gone is to be told
+            message = self._taken(news) if isinstance(news, Heard) else None
+            if message is None:
+                continue
+            self._look(now_ns)
+            if self._connected:
+                with self._lock:
+                    self._sample = self._track.add(*message, self._pace.stopped)
+
+    def _say_what_is_due(self) -> int:
+        """When there is more to say."""
+        while True:
+            with self._lock:
+                before = self._pace.stopped
+                speeds = self._pace.advance(time.monotonic_ns())
+                stopped, due_ns = self._pace.stopped, self._pace.due_ns
+            if stopped != before:
+                self._notice("stopped", stopped)
+            if speeds is None:
+                return due_ns
+            self._say(speeds, self._track.stamp_ns(time.monotonic_ns()))
+
+    def _say(self, speeds: tuple[float, float], stamp_ns: int) -> None:
+        v, w = speeds
+        twist = Twist((v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns, self._command_frame)
+        self._publish(encode_twist(twist, stamped=self._stamped))
+
+    def _listened(self, listens: bool, now_ns: int) -> None:
+        """Whoever begins to listen hears zero first."""
+        self._presence.listen(listens, now_ns)
+        if listens:
+            with self._lock:
+                self._pace.stop(self._pace.stopped or NOT_YET)
+
+    def _taken(self, heard: Heard) -> tuple[OdometryMessage, int] | None:
+        """A message that is to be made a sample of, and its arrival; of what is left out, tell of the first for each cause."""
+        try:
+            return self._checked(heard), heard.arrived_ns
+        except _LeftOut as left_out:
+            self.refused[left_out.cause] += 1
+            if self.refused[left_out.cause] == 1:
+                self._notice("warned", f"a message on {self._odometry.topic} is left out: {left_out}")
+            return None
+
+    def _checked(self, heard: Heard) -> OdometryMessage:
+        if heard.type not in ("", ODOMETRY):
+            raise _LeftOut("type", f"it is {heard.type}, not {ODOMETRY}")
+        try:
+            message = decode_odometry(heard.data)
+        except ValueError as error:
+            raise _LeftOut("content", str(error)) from None
+        if not 0 <= message.stamp_ns < STAMPS_END_NS:
+            raise _LeftOut("stamp", "its stamp is no time")
+        if self._frame and message.frame != self._frame:
+            raise _LeftOut("frame", f"it is in the frame '{message.frame}', not '{self._frame}'")
+        if not self._presence.hear(heard.sender, heard.arrived_ns):
+            raise _LeftOut("sender", "a second node publishes it")
+        return message
+
+    def _look(self, now_ns: int) -> None:
+        """Note that the robot is there, or is not any more."""
+        silent, unheard = self._presence.missing(now_ns)
+        if self._connected and (silent or unheard):
+            what = f"odometry on {self._odometry.topic}" if silent else f"listener to {self._command.topic}"
+            happened = f"no {what} for {self._silence_s:g} s"
+            with self._lock:
+                self._connected, self._lost, self._lost_ns = False, happened, now_ns
+                self._pace.stop(happened)
+            self._notice("lost", happened)
+        elif not self._connected and not (silent or unheard):
+            with self._lock:
+                sender = self._presence.sender
+                self._track.connect(anew=sender is None or sender != self._spoke)
+                self._connected, self._lost, self._spoke = True, "", sender
+                self._pace.stop(NOT_YET)
+            self._notice("connected", f"odometry on {self._odometry.topic}, commands to {self._command.topic}")
+            self._ready.set()
+
+    def _nobody(self, node: Node, silent: bool, unheard: bool) -> HandshakeError:
+        """Why nothing came about, and what there is instead."""
+        missing = []
+        if silent:
+            refused = f" ({self.refused.total()} messages were left out)" if self.refused else ""
+            missing.append(f"no odometry came on {self._odometry.topic}{refused}")
+        if unheard:
+            missing.append(f"nothing listens to {self._command.topic} as {self._command.type}")
+        others = node.others()
+        if unheard and any(each.topic == self._command.topic and each.type == TWIST_STAMPED for each in others):
+            advice = "it wants TwistStamped: set stamped = true"
+        elif unheard and any(each.topic == self._command.topic and each.type == TWIST for each in others):
+            advice = "it wants Twist: set stamped = false, or it is of another release: see release"
+        elif others:
+            does = {"MP": "publishes", "MS": "hears"}
+            there = ", ".join(f"somebody {does[kind]} {topic} ({name})" for kind, topic, name in others[:_SHOWN])
+            advice = f"look at topics, namespace and release: {there}"
+        else:
+            advice = "is the robot running, with the same domain, and connected to the same router?"
+        return HandshakeError(self.device, f"{' and '.join(missing)} within {self._connect_s:g} s", advice)
+
+
+def _topic(key: str, namespace: str, topic: str) -> str:
+    try:
+        return topic_of(namespace, topic)
+    except ValueError as error:
+        raise ScenarioError(str(error), key=key) from None

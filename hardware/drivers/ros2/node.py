@@ -1,0 +1,130 @@
+"""A node of ROS 2 on a Zenoh session: publishers, one subscriber, and what other nodes there are.
+
+Zenoh calls back in threads of its own; callbacks are direct, and may do no more than hand over.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.hardware.drivers.base import PortError
+from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Origin, gid_of, origin_of
+
+Mode = Literal["connect", "listen"]
+GRAPH_S = 1.0  # for the answer to who is there
+_RETRY = {"period_init_ms": 100, "period_max_ms": 1000}
+_MOST_BYTES = 65536  # an Odometry message has some 700
+
+
+class Heard(NamedTuple):
+    """A message as it arrived."""
+
+    type: str  # empty: not told
+    data: bytes
+    sender: bytes | None  # its id; None: not told
+    arrived_ns: int  # of this machine's monotonic clock
+
+
+class Node:
+    """One node with its endpoints.
+
+    Args:
+        endpoint: such as ``tcp/127.0.0.1:7447``.
+        mode: "connect": there is a router, or a bridge; "listen": be the router, which sessions of rmw_zenoh connect to.
+        mapping: how names become keys.
+        endpoints: what it publishes and hears.
+
+    Raises:
+        PortError: no connection, or nothing can listen there.
+    """
+
+    def __init__(self, endpoint: str, mode: Mode, mapping: Mapping, endpoints: tuple[Endpoint, ...]) -> None:
+        self._mapping = mapping
+        self._session = _session(endpoint, mode)
+        self._ids: dict[Endpoint, bytes] = {}
+        self._kept: list[Any] = []  # whatever is undeclared when nobody holds it
+        try:
+            tokens = mapping.tokens(str(self._session.zid()), endpoints)
+            for each, token in zip(endpoints, tokens, strict=False):
+                self._ids[each] = gid_of(token)
+            self._kept += [self._session.liveliness().declare_token(token) for token in tokens]
+        except zenoh.ZError as error:
+            self.close()
+            raise PortError(endpoint, f"the session failed ({error})", "open it again") from None
+
+    def publisher(self, what: Endpoint, matched: Callable[[bool], None]) -> Callable[[bytes], None]:
+        """What publishes a message; ``matched`` is told, from Zenoh's thread, whether anybody hears it."""
+        publisher = self._session.declare_publisher(
+            self._mapping.publishes(what.topic, what.type),
+            congestion_control=zenoh.CongestionControl.DROP,  # a robot that does not listen holds nobody up
+            express=True,
+        )
+
+        def told(status: Any) -> None:
+            matched(status.matching)
+
+        self._kept += [publisher, publisher.declare_matching_listener(Callback(told, indirect=False))]
+        number = 0
+
+        def publish(data: bytes) -> None:
+            nonlocal number
+            number += 1
+            attachment = self._mapping.attachment(Origin(number, time.time_ns(), self._ids[what]))
+            publisher.put(data, attachment=attachment)
+
+        return publish
+
+    def hear(self, what: Endpoint, heard: Callable[[Heard], None], *, whatever: bool = False) -> None:
+        """Hand over what is said on a topic, from Zenoh's thread; ``whatever``: of other types, too."""
+
+        def took(sample: zenoh.Sample) -> None:
+            arrived_ns = time.monotonic_ns()
+            name = self._mapping.type_of(str(sample.key_expr))
+            if name is None or sample.kind != zenoh.SampleKind.PUT or len(sample.payload) > _MOST_BYTES:
+                return
+            origin = origin_of(sample.attachment.to_bytes()) if sample.attachment is not None else None
+            heard(Heard(name, sample.payload.to_bytes(), origin.gid if origin else None, arrived_ns))
+
+        expression = self._mapping.hears(what.topic) if whatever else self._mapping.publishes(what.topic, what.type)
+        self._kept.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
+
+    def others(self) -> list[Endpoint]:
+        """Publishers and subscribers that nodes have declared, this one's excepted."""
+        own = {endpoint.topic for endpoint in self._ids}
+        found = set()
+        mine = str(self._session.zid())
+        for reply in self._session.liveliness().get(self._mapping.graph, timeout=GRAPH_S):
+            token = str(reply.ok.key_expr) if reply.ok is not None else ""
+            endpoint = self._mapping.endpoint(token)
+            if endpoint is not None and f"/{mine}/" not in token:
+                found.add(endpoint)
+        return sorted(found, key=lambda each: (each.topic not in own, each))
+
+    def close(self) -> None:
+        """Leave, and with it undeclare all. Never raises."""
+        with contextlib.suppress(zenoh.ZError):  # it is gone already
+            self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _session(endpoint: str, mode: Mode) -> zenoh.Session:
+    if mode == "connect":
+        connect = {"endpoints": [endpoint], "timeout_ms": 0, "exit_on_failure": True, "retry": _RETRY}
+        config: dict[str, Any] = {"mode": "client", "connect": connect, "listen": {"endpoints": []}}
+        config["transport"] = {"unicast": {"open_timeout": 2000}}
+    else:  # with gossip: through it the nodes of a robot find each other, as they do with rmw_zenohd
+        config = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"gossip": {"enabled": True}}}
+    try:
+        return opened(config, {}, "Zenoh")
+    except UsageError as error:
+        happened = str(error).removeprefix("Zenoh: ").rstrip("! ")
+        if mode == "connect":
+            advice = "start rmw_zenohd or zenoh-bridge-ros2dds there, or be the router by mode = 'listen'"
+        else:
+            advice = "end the other router there, or use mode = 'connect'"
+        raise PortError(endpoint, f"no session ({happened})", advice) from None

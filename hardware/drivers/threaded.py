@@ -1,0 +1,289 @@
+"""What drivers with a thread of their own share: from opening to closing, the newest sample, notices, what ended the thread.
+
+All that the thread shares with the caller is behind one lock, which nobody holds while waiting. `Threaded` says nothing of how
+the thread talks to the robot; `Wired` is for those that own something to select on, and look for it again when it was lost.
+"""
+
+import os
+import threading
+import time
+from collections import deque
+from typing import Protocol
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.util.polling import readable
+from vcmvsp.hardware.drivers.base import ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample, What
+
+NOTICES = 1000  # kept for somebody who asks
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # before one attempt to connect again and the next: doubled each time
+
+
+class Threaded:
+    """The caller's side of a thread that talks to a robot; a subclass says what the thread does (`_work`), and adds `write`.
+
+    Args:
+        device: for messages.
+        open_deadline_s: `open` takes no longer than about this.
+        close_deadline_s: nor does `close`; it may change as long as the driver is open.
+    """
+
+    _who = "robot"
+
+    def __init__(self, device: str, *, open_deadline_s: float, close_deadline_s: float) -> None:
+        self.device, self.open_deadline_s, self.close_deadline_s = device, open_deadline_s, close_deadline_s
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+        self._notices: deque[Notice] = deque(maxlen=NOTICES)
+        self._sample: Sample | None = None  # the newest that was not read yet
+        self._failure: DriverError | None = None  # what ended the thread
+        self._closing, self._ready = threading.Event(), threading.Event()
+
+    # What the caller does.
+
+    def open(self, start: Vec3 = ORIGIN) -> None:
+        """Connect, with the robot standing at ``start`` (x m, y m, yaw rad); raises what is wrong."""
+        if self._thread is not None:
+            raise RuntimeError(f"{self.device} is open already")
+        self._sample = self._failure = None
+        self._closing, self._ready = threading.Event(), threading.Event()
+        self._prepare(start)
+        self._thread = threading.Thread(target=self._run, name=f"{self._who} at {self.device}", daemon=True)
+        self._thread.start()
+        self._ready.wait(self.open_deadline_s)
+        if self._failure is not None or not self._ready.is_set():
+            failure = self._failure or self._hangs()
+            self.close()
+            raise failure
+
+    def read(self) -> Sample | None:
+        """The newest sample that was not read yet."""
+        with self._lock:
+            self._check()
+            sample, self._sample = self._sample, None
+            if sample is not None:
+                self._was_read()
+        return sample
+
+    def stop(self, cause: str) -> None:
+        """Zero speed at once; never raises."""
+        with self._lock:
+            if self._thread is None or not self._hold(cause):
+                self._notices.append(Notice(time_ns=time.monotonic_ns(), what="stopped", cause=cause))
+        self._wake()
+
+    def notices(self) -> list[Notice]:
+        """What happened since the last call."""
+        with self._lock:
+            notices = list(self._notices)
+            self._notices.clear()
+        return notices
+
+    def close(self) -> None:
+        """Have the robot stand, and let go of it."""
+        thread = self._thread
+        if thread is None:
+            return
+        self._closing.set()
+        self._wake()
+        thread.join(self.close_deadline_s)
+        with self._lock:
+            # One that is alive hangs in the operating system, and will end with the process.
+            if self._thread is thread and not thread.is_alive():
+                self._release()
+                self._thread = None
+
+    # What a subclass says. Those marked so are called with the lock held.
+
+    def _prepare(self, start: Vec3) -> None:
+        """Get everything ready for a thread that is to start."""
+        raise NotImplementedError
+
+    def _hangs(self) -> DriverError:
+        """What to say of a thread that is not ready in time."""
+        return HandshakeError(self.device, "the connection hangs", "look at the network")
+
+    def _check(self) -> None:
+        """Raise why the robot cannot be driven (lock held)."""
+        if self._thread is None:
+            raise RuntimeError(f"{self.device} is not open")
+        if self._failure is not None:
+            raise self._failure
+
+    def _was_read(self) -> None:
+        """A sample was handed over (lock held)."""
+
+    def _hold(self, cause: str) -> bool:
+        """Let the thread say zero speed next (lock held); whether somebody else will tell of that stop."""
+        raise NotImplementedError
+
+    def _wake(self) -> None:
+        """Have the thread look at what the caller left, if there is a thread."""
+        raise NotImplementedError
+
+    def _release(self) -> None:
+        """The thread has ended (lock held)."""
+
+    def _work(self) -> None:
+        """All that the thread does; it sets `_ready` as soon as the robot can be driven."""
+        raise NotImplementedError
+
+    # What the thread does.
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except DriverError as error:
+            self._failure = error
+        except Exception as error:  # whatever it is: the caller must be told
+            self._failure = self._broken(error)
+        finally:
+            self._ready.set()
+
+    def _broken(self, error: Exception) -> DriverError:
+        return DriverError(self.device, f"the driver failed ({type(error).__name__}: {error})", "report this")
+
+    def _notice(self, what: What, cause: str) -> None:
+        with self._lock:
+            self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))
+
+
+class HasFile(Protocol):
+    """Something to select on."""
+
+    def fileno(self) -> int:
+        """Its number."""
+
+
+class Closing(Exception):
+    """The caller wants the thread to end."""
+
+
+class Wired(Threaded):
+    """A driver whose thread waits for bytes and for the caller at once, and connects again to a robot that it has lost.
+
+    Args:
+        device: for messages, as are the following.
+        open_deadline_s: as of `Threaded`.
+        close_deadline_s: likewise.
+        connect_s: to find the robot and to have it ready.
+        silence_s: without a word from it, it counts as lost.
+        reconnect_s: for so long one that was lost is looked for; 0: losing it is an error at once.
+    """
+
+    _meanwhile = ""  # who stops a robot that was lost
+
+    def __init__(
+        self,
+        device: str,
+        *,
+        open_deadline_s: float,
+        close_deadline_s: float,
+        connect_s: float,
+        silence_s: float,
+        reconnect_s: float,
+    ) -> None:
+        super().__init__(device, open_deadline_s=open_deadline_s, close_deadline_s=close_deadline_s)
+        self._connect_s, self._silence_s, self._reconnect_s = connect_s, silence_s, reconnect_s
+
+    # What a subclass says.
+
+    def _connect(self, within_s: float) -> None:
+        """Open the line and have the robot ready, then set `_ready`, which is set when this is done again."""
+        raise NotImplementedError
+
+    def _converse(self) -> None:
+        """Read and send until the link is lost (`LinkLost`) or the caller closes it."""
+        raise NotImplementedError
+
+    def _give_up(self) -> None:
+        """Something other than the caller ends the thread: `_failure`."""
+
+    def _say_goodbye(self) -> None:
+        """Leave the robot in order; waiting does not raise `Closing` any more once `_leaving` is set."""
+        raise NotImplementedError
+
+    def _hang_up(self) -> None:
+        """Free the port, if there is one, with last words to whoever still listens."""
+        raise NotImplementedError
+
+    # What the thread does.
+
+    def _prepare(self, start: Vec3) -> None:
+        self._leaving = False
+        self._woken, self._waker = os.pipe()
+
+    def _hangs(self) -> DriverError:
+        return LinkLost(self.device, "the port hangs", "unplug it and plug it in again")
+
+    def _wake(self) -> None:
+        with self._lock:
+            if self._thread is not None:
+                os.write(self._waker, b"\0")
+
+    def _release(self) -> None:
+        os.close(self._waker)
+        os.close(self._woken)
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except Closing:
+            if not self._ready.is_set():
+                self._failure = HandshakeError(self.device, "it was closed while it was being connected", "open it again")
+            self._say_goodbye()
+        except DriverError as error:
+            self._failure = error
+            self._give_up()
+        except Exception as error:  # whatever it is: the caller must be told, and the robot stopped
+            self._failure = self._broken(error)
+        finally:
+            try:
+                self._hang_up()
+            finally:
+                self._ready.set()
+
+    def _work(self) -> None:
+        self._connect(self._connect_s)
+        while True:
+            try:
+                self._converse()
+            except LinkLost as lost:
+                self._notice("lost", f"{lost.happened}; {self._meanwhile}")
+                self._hang_up()  # a robot that still hears us stops now
+                self._look_for(lost)
+
+    def _look_for(self, lost: LinkLost) -> None:
+        """Connect again, after longer and longer pauses."""
+        deadline_ns = time.monotonic_ns() + seconds_to_ns(self._reconnect_s)
+        pause_s, last = FIRST_PAUSE_S, ""
+        while (now_ns := time.monotonic_ns()) < deadline_ns:
+            self._pause(min(deadline_ns, now_ns + seconds_to_ns(pause_s)))
+            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+            left_s = (deadline_ns - time.monotonic_ns()) / SECOND_NS
+            try:
+                return self._connect(max(0.0, min(self._connect_s, left_s)))
+            except DriverError as error:
+                last = error.happened
+                self._hang_up()
+        if not self._reconnect_s:
+            raise lost
+        happened = f"{lost.happened}, and it was not back within {self._reconnect_s:g} s ({last})"
+        raise LinkLost(self.device, happened, lost.advice)
+
+    def _wait(self, line: HasFile, until_ns: int) -> bool:
+        """Wait for bytes, for the caller, or until this time; whether there are bytes."""
+        return line.fileno() in self._select([line.fileno()], until_ns)
+
+    def _pause(self, until_ns: int) -> None:
+        while time.monotonic_ns() < until_ns:
+            self._select([], until_ns)
+
+    def _select(self, files: list[int], until_ns: int) -> list[int]:
+        left_s = max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS)
+        ready = readable([self._woken, *files], left_s)
+        if self._woken in ready:
+            os.read(self._woken, 4096)
+        if self._closing.is_set() and not self._leaving:
+            raise Closing
+        return ready

@@ -1,0 +1,313 @@
+"""An emulated robot as a pure state machine: bytes and times in, bytes out. It has no clock, no thread, no port.
+
+It does what clients rely on and what they have to survive: an old session that goes on sending, bytes lost on the way, a
+watchdog that stops the robot after 2 s **and lets it resume its last speed at the next command, whatever that is**. Where the
+manuals are silent the choice is the one that asks more of a client: a speed that came while the motors were off is remembered
+and counts once they are on; only STOP, ESTOP, ENABLE 0 and CLOSE make it forget.
+
+It moves on its own (`Wheels`), or somebody else moves it: whoever passes ``start=None`` asks `commanded` and tells `moved`.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.hardware.drivers.arcos import sip
+from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS, SYNC0, SYNC1, SYNC2, Command
+from vcmvsp.hardware.drivers.arcos.config_packet import Config, encode_config
+from vcmvsp.hardware.emulators.arcos.motion import Motion, Pose, Wheels, relative
+from vcmvsp.hardware.drivers.arcos.packet import Reader, frame, parse_command
+from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
+
+TICK_NS = 5_000_000  # of the emulation: what it does at a tick depends on no other time
+GAP_NS = 200_000_000  # a packet is given up when the line is silent for so long; 200 bytes take that long at 9600 baud
+PINGS = 8  # sonars of an array, which take turns
+
+_SYNCED, _OPEN = 3, 4  # stages of a session: 0 to 2 is the SYNC that is awaited
+
+
+class Device:
+    """A Pioneer or AmigoBot on the far end of a line.
+
+    Times are nanoseconds of any clock that does not go back; what is earlier than what it was told before counts as now.
+
+    Attributes:
+        motion: set points and limits, as commands have set them.
+        heard: the last commands: time ns, number, argument.
+        commands: how many it has heard.
+        packets: how many information packets it has sent.
+        reader: counts what was lost on the way here.
+        baud: what the client has set, as HOSTBAUD does.
+        battery_v: what it says of its battery.
+        watchdog_stopped: the robot stands because it heard nothing; any command lets it resume.
+        estop_pressed: the red button of larger robots, bit 5 of the flags: motors off, however they are enabled.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        name: str = "emulated",
+        start: Pose | None = (0.0, 0.0, 0.0),
+        ping_ms: int = 40,
+        old_session: bool = False,
+    ) -> None:
+        """``ping_ms``: from ping to ping within an array of 8 sonars; ``old_session``: a former client has never closed."""
+        if ping_ms <= 0 or ping_ms * 1_000_000 % TICK_NS:
+            raise ValueError(f"ping_ms must be a positive multiple of {TICK_NS // 1_000_000} ms, not {ping_ms}")
+        self.robot, self.name = robot, name
+        self.motion, self.reader = Motion(robot), Reader()
+        self.heard: deque[tuple[int, int, int | bytes | None]] = deque(maxlen=1000)
+        self.commands = self.packets = 0
+        self.baud, self.battery_v = robot.baud, 12.6
+        self.watchdog_stopped = self.estop_pressed = False
+        self._wheels = Wheels(start) if start is not None else None
+        self._pose: Pose | None = start
+        self._origin = start or (0.0, 0.0, 0.0)
+        self._v = self._w = 0.0
+        self._stall = 0
+        self._ranges: tuple[float, ...] = (robot.sonar_max_m,) * len(robot.sonars)
+        self._pinged: dict[int, float] = {}
+        self._ping_ns, self._period_ns = ping_ms * 1_000_000, seconds_to_ns(robot.period_s)
+        self._watchdog_ns = seconds_to_ns(robot.watchdog_s)
+        self._time_ns = self._heard_ns = self._bytes_ns = 0
+        self._stage = 0
+        self._enabled = False
+        self._sonar_on = True
+        self._open_ns = self._sips = 0
+        if old_session:
+            self._open()
+            self._enabled = True
+
+    # What a client sees
+
+    def receive(self, chunk: bytes, now_ns: int) -> bytes:
+        """Bytes from the client arrive; what the robot sends until then and at once."""
+        sent = self.advance(now_ns)
+        self._bytes_ns = max(now_ns, self._time_ns)
+        return sent + self._obey(self.reader.feed(chunk), self._bytes_ns)
+
+    def advance(self, now_ns: int) -> bytes:
+        """Time passes; what the robot sends by itself."""
+        sent = bytearray()
+        while self._time_ns + TICK_NS <= now_ns:
+            self._time_ns = (self._time_ns // TICK_NS + 1) * TICK_NS
+            sent += self._tick()
+        return bytes(sent)
+
+    @property
+    def due_ns(self) -> int | None:
+        """When `advance` will have something to send; None: not before bytes arrive."""
+        due = [self._next_sip_ns] if self._stage == _OPEN else []
+        if self.reader.waiting:
+            due.append(self._bytes_ns + GAP_NS)
+        return -(-min(due) // TICK_NS) * TICK_NS if due else None
+
+    @property
+    def now_ns(self) -> int:
+        """The time of its last tick."""
+        return self._time_ns
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a session is open: packets are sent."""
+        return self._stage == _OPEN
+
+    @property
+    def motors_on(self) -> bool:
+        """Whether the motors are enabled."""
+        return self._enabled and not self.estop_pressed
+
+    # What moves it sees
+
+    def commanded(self) -> tuple[float, float]:
+        """Forward speed (m/s) and yaw rate (rad/s) that the motors are to reach, within `Motion.accel` and so on.
+
+        Where ``motion.emergency`` is set, they stop at once.
+        """
+        if not self.motors_on or self.watchdog_stopped:
+            return 0.0, 0.0
+        return self.motion.wanted(self.odometry[2])
+
+    def moved(self, pose: Pose, v: float, w: float, ranges: Sequence[float] | None = None, stall: int = 0) -> None:
+        """Where it is now, by its wheels.
+
+        Args:
+            pose: x m, y m, yaw rad, in any frame that stays; the first one is the origin of its odometry.
+            v: forward speed, m/s.
+            w: yaw rate, rad/s.
+            ranges: what each sonar would hear now, m; infinite: nothing. None: as before.
+            stall: the word of stalled wheels and bumpers, see `Sip`.
+        """
+        if self._pose is None:
+            self._origin = self._pose = pose
+        x, y, yaw = self._pose
+        between = 0.5 * (yaw + pose[2])
+        self.motion.travelled((pose[0] - x) * math.cos(between) + (pose[1] - y) * math.sin(between))
+        self._pose, self._v, self._w, self._stall = pose, v, w, stall
+        if ranges is not None:
+            if len(ranges) != len(self.robot.sonars):
+                raise ValueError(f"{self.robot.name} has {len(self.robot.sonars)} sonars, not {len(ranges)}")
+            self._ranges = tuple(ranges)
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where it is, in the frame of its start or of `moved`; None: nobody has said so yet."""
+        return self._pose
+
+    @property
+    def odometry(self) -> Pose:
+        """Pose since the start or the last SETO: x m, y m, yaw rad."""
+        return relative(self._pose or self._origin, self._origin)
+
+    # One tick
+
+    def _tick(self) -> bytes:
+        now, sent = self._time_ns, b""
+        if self.reader.waiting and now - self._bytes_ns >= GAP_NS:
+            sent += self._obey(self.reader.give_up(), now)
+        if self._watchdog_ns and self.is_open and now - self._heard_ns >= self._watchdog_ns:
+            self.watchdog_stopped = True
+        if self._wheels is not None:
+            self._wheels.step(self.commanded(), self.motion, TICK_NS / SECOND_NS)
+            self.moved(self._wheels.pose, self._wheels.v, self._wheels.w, stall=self._stall)
+        if self._sonar_on and now % self._ping_ns == 0:
+            turn = now // self._ping_ns % PINGS
+            self._pinged |= {each: self._ranges[each] for each in range(turn, len(self._ranges), PINGS)}
+        if self.is_open and now >= self._next_sip_ns:
+            self._sips += 1
+            self.packets += 1
+            sent += frame(sip.encode(self._sip()))
+        return sent
+
+    @property
+    def _next_sip_ns(self) -> int:
+        return self._open_ns + (self._sips + 1) * self._period_ns
+
+    def _sip(self) -> sip.Sip:
+        """What it says now; readings of sonars are said once."""
+        robot = self.robot
+        x, y, yaw = self.odometry
+        turning = self._w / robot.diff_factor  # mm/s, half the difference of the wheels
+        heading = round(yaw / robot.angle_factor)
+        goal = self.motion.heading
+        pinged, self._pinged = self._pinged, {}
+        return sip.Sip(
+            kind=sip.MOVING if self._v or self._w else sip.STOPPED,
+            x=round(1e3 * x / robot.dist_factor),
+            y=round(1e3 * y / robot.dist_factor),
+            heading=heading,
+            left=_int16((1e3 * self._v - turning) / robot.vel_factor),
+            right=_int16((1e3 * self._v + turning) / robot.vel_factor),
+            battery=round(10 * self.battery_v),
+            stall=self._stall,
+            setpoint=heading if goal is None else round(goal / robot.angle_factor),
+            flags=self.motors_on | (0x1E if self._sonar_on else 0) | self.estop_pressed << 5,
+            sonars=tuple((number, self._counts(metres)) for number, metres in sorted(pinged.items())),
+            battery_x10=round(10 * self.battery_v),
+            charge_state=0,
+            rotation=_int16(10 * math.degrees(self._w)),
+        )
+
+    def _counts(self, metres: float) -> int:
+        return round(1e3 * max(0.0, min(metres, self.robot.sonar_max_m)) / self.robot.range_factor)
+
+    # Commands
+
+    def _obey(self, packets: list[bytes], now_ns: int) -> bytes:
+        sent = b""
+        for data in packets:
+            try:
+                number, argument = parse_command(data)
+            except ValueError:
+                continue  # right checksum, wrong form: a robot says nothing
+            self.heard.append((now_ns, number, argument))
+            self.commands += 1
+            sent += self._serve(number, argument, now_ns) if self.is_open else self._shake_hands(number, now_ns)
+        return sent
+
+    def _shake_hands(self, number: int, now_ns: int) -> bytes:
+        """Before a session is open: SYNC0, 1, 2 are echoed, then OPEN is awaited.
+
+        A SYNC out of turn is answered as if it were SYNC0: clients take that for a reason to begin again.
+        """
+        if self._stage == _SYNCED and number == Command.OPEN:
+            self._heard_ns = now_ns
+            self._open()
+            return b""
+        if number == SYNC2 and self._stage >= SYNC2:
+            self._stage = _SYNCED
+            names = (self.name, "Pioneer", self.robot.kind)
+            return frame(bytes((SYNC2,)) + b"".join(each.encode("latin-1") + b"\0" for each in names))
+        if number in (SYNC0, SYNC1, SYNC2):
+            answer = SYNC1 if number == SYNC1 and self._stage >= SYNC1 else SYNC0
+            self._stage = answer + 1
+            return frame(bytes((answer,)))
+        return b""
+
+    def _open(self) -> None:
+        self._stage, self._open_ns, self._sips = _OPEN, self._time_ns, 0
+        self.watchdog_stopped = False
+
+    def _serve(self, number: int, argument: int | bytes | None, now_ns: int) -> bytes:
+        """In a session: any command restarts the watchdog and ends its stop."""
+        self._heard_ns = now_ns
+        self.watchdog_stopped = False
+        value = _int16(argument) if isinstance(argument, int) else 0
+        match number:
+            case Command.CLOSE:
+                self._close()
+            case Command.ENABLE:
+                self._enable(bool(value))
+            case Command.SETO:
+                self._origin = self._pose or self._origin
+            case Command.SONAR:
+                self._sonar_on = bool(value & 1)
+                self._pinged.clear()
+            case Command.HOSTBAUD if 0 <= value < len(BAUDS):
+                self.baud = BAUDS[value]
+            case Command.CONFIG:
+                return frame(encode_config(self._config()))
+            case _:
+                self.motion.take(number, value, self.odometry[2])
+        return b""
+
+    def _enable(self, on: bool) -> None:
+        self._enabled = on
+        if not on:
+            self.motion.stop()
+
+    def _close(self) -> None:
+        """The end of a session: the robot stops, and forgets what the client has set."""
+        self._stage, self.baud = 0, self.robot.baud
+        self._enable(False)
+        self.motion = Motion(self.robot)
+
+    def _config(self) -> Config:
+        robot, motion = self.robot, self.motion
+        return Config(
+            subclass=robot.kind,
+            serial_number="0",
+            top_yaw_rate=round(math.degrees(robot.max_yaw_rate)),
+            top_speed=round(1e3 * robot.max_speed),
+            name=self.name,
+            sip_cycle=self._period_ns // 1_000_000,
+            host_baud=BAUDS.index(robot.baud),
+            front_sonar=1,
+            rear_sonar=1,
+            watchdog=round(1e3 * robot.watchdog_s),
+            max_yaw_rate=round(math.degrees(motion.max_yaw_rate)),
+            max_speed=round(1e3 * motion.max_speed),
+            yaw_accel=round(math.degrees(motion.yaw_accel)),
+            yaw_decel=round(math.degrees(motion.yaw_decel)),
+            accel=round(1e3 * motion.accel),
+            decel=round(1e3 * motion.decel),
+            sonar_cycle=self._ping_ns // 1_000_000,
+            version="1.0",
+        )
+
+
+def _int16(value: float) -> int:
+    """The nearest integer, wrapped into 16 bits with sign as the controller's arithmetic does."""
+    return (round(value) + 0x8000) % 0x10000 - 0x8000

@@ -1,0 +1,1 @@
+"""Emulated MAVLink vehicle."""

@@ -1,0 +1,117 @@
+"""An emulated vehicle at a port, at the pace of the wall clock: over UDP or at a TCP port.
+
+::
+
+    with serve_udp(Vehicle()) as served:
+        driver = MavlinkDriver(address=served.url)
+"""
+
+import contextlib
+import socket
+import threading
+import time
+from typing import Any
+
+from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
+from vcmvsp.hardware.emulators.device_server import LOOPBACK, Serving, Tcp
+
+_READ = 65_535  # bytes
+
+
+class _Udp:
+    """One datagram for each turn; it goes to a fixed place, or to whom it heard last."""
+
+    _to: Any  # an address of the operating system
+
+    def __init__(self, to: tuple[str, int] | None) -> None:
+        family, self._to, self._fixed = socket.AF_INET, None, to is not None
+        if to:
+            family, _, _, _, self._to = socket.getaddrinfo(*to, type=socket.SOCK_DGRAM)[0]
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(("" if to else LOOPBACK, 0))  # what is bound to loopback reaches nobody else
+        except OSError:
+            self._socket.close()
+            raise
+        self.url = f"udpin:{_bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{self._socket.getsockname()[1]}"
+
+    def waits_on(self) -> int:
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        with contextlib.suppress(OSError):
+            data, where = self._socket.recvfrom(_READ)
+            if not self._fixed:
+                self._to = where
+            return data
+        return b""
+
+    def write(self, data: bytes) -> int:
+        if self._to is not None:
+            with contextlib.suppress(OSError):
+                return self._socket.sendto(data, self._to)
+        return 0
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Tcp(Tcp):
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(host, port)
+        self.url = f"tcp:{host}:{self.port}"
+
+
+class Served(Serving):
+    """A vehicle that is being served.
+
+    Attributes:
+        url: what a driver connects to.
+        vehicle: look at it and move it while holding ``lock``.
+        lock: guards the vehicle.
+        mute: nothing is sent any more, and nothing heard: out of reach.
+    """
+
+    def __init__(self, vehicle: Vehicle, line: _Udp | _Tcp) -> None:
+        self.vehicle, self.lock, self.mute = vehicle, threading.Lock(), False
+        self._line = line
+        self._origin_ns = time.monotonic_ns() - vehicle.now_ns
+        super().__init__(line.url, line.close)
+
+    def _due_ns(self) -> int:
+        with self.lock:
+            return self._origin_ns + self.vehicle.due_ns
+
+    def _waits_on(self) -> int:
+        return self._line.waits_on()
+
+    def _turn(self) -> None:
+        heard = self._line.read()
+        with self.lock:
+            sent = self.vehicle.receive(b"" if self.mute else heard, time.monotonic_ns() - self._origin_ns)
+        if sent and not self.mute:
+            self._line.write(sent)
+
+
+def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> Served:
+    """Serve it over UDP.
+
+    Args:
+        vehicle: its time goes on from where it is.
+        to: where it sends, unasked, as PX4 does to port 14540; None: it answers whom it heard last, at a free port of
+            loopback.
+
+    Raises:
+        OSError: there is no such place.
+    """
+    return Served(vehicle, _Udp(to))
+
+
+def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> Served:
+    """Serve it at a TCP port, as ArduPilot's simulator does at 5760; 0: any that is free."""
+    return Served(vehicle, _Tcp(host, port))
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

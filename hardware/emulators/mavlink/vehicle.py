@@ -1,0 +1,300 @@
+"""An emulated vehicle with an autopilot, as a pure state machine: bytes and times in, bytes out. No clock, thread or port.
+
+It does what a driver relies on and what it has to survive: modes that are refused (PX4: OFFBOARD before set-points have come
+for a second), a pilot who switches (`pilot_switches`), arming and its refusal, the end of OFFBOARD when set-points stay away,
+telemetry that has to be asked for (`telemetry`).
+
+It moves on its own (`motion.Motion`), or somebody else moves it: whoever passes ``start=None`` asks `commanded` and tells
+`moved`.
+"""
+
+import math
+from collections import deque
+from typing import Literal
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.types import Vec3, VehicleState, Velocity
+from vcmvsp.hardware.drivers.mavlink.autopilots import Kind, autopilot_of
+from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, world_flipped
+from vcmvsp.hardware.emulators.mavlink.motion import Motion
+from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL
+from vcmvsp.hardware.emulators.mavlink.telemetry import SITE, TICK_NS, Now, Telemetry, version
+
+LEAD_NS = 1_000_000_000  # PX4: set-points have to come for more than this before OFFBOARD [PX4 guide, Offboard mode]
+GAP_NS = 500_000_000  # ... at more than 2 Hz
+LOSS_NS = {"px4": 500_000_000, "ardupilot": 3_000_000_000}  # without set-points (COM_OF_LOSS_T; GUID_TIMEOUT)
+TAKEOFF_MPS, LAND_MPS = 1.0, 0.7
+
+_TYPES = {"quadrotor": mavlink.MAV_TYPE_QUADROTOR, "rover": mavlink.MAV_TYPE_GROUND_ROVER}
+_NO_VELOCITY, _NO_YAW_RATE = 0b11_1000, 1 << 11  # of a type mask
+_OK, _DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+_UNKNOWN = mavlink.MAV_RESULT_UNSUPPORTED
+
+
+class Vehicle:
+    """A quadrotor or a rover on the far end of a line.
+
+    Times are nanoseconds of any clock that does not go back; what is earlier than what it was told before counts as now.
+
+    Args:
+        autopilot: whose modes it has, and whose rules for set-points.
+        kind: of the vehicle.
+        system_id: its number.
+        start: where it stands at first: x, y, z (m, world) and yaw (rad); None: somebody else moves it.
+        ground: where it stands when it has landed: z, m, world.
+        origin: of its local frame in the world, m; at the place `telemetry.SITE` of the earth.
+        mode: the first one; None: that of a pilot who holds the sticks.
+        armed: from the beginning.
+        can_arm: False: it refuses, and says why.
+        heartbeat_s: from one heartbeat to the next; real ones come once a second.
+        old: it does not know SET_MESSAGE_INTERVAL, only REQUEST_DATA_STREAM.
+
+    Attributes:
+        mode: by name.
+        armed: its motors may turn.
+        state: where it is.
+        heard: the last messages, with their time.
+        blind: it tells NaN for its position, as without an estimate.
+    """
+
+    def __init__(
+        self,
+        *,
+        autopilot: Kind = "px4",
+        kind: Literal["quadrotor", "rover"] = "quadrotor",
+        system_id: int = 1,
+        start: tuple[float, float, float, float] | None = (0.0, 0.0, 0.0, 0.0),
+        ground: float = 0.0,
+        origin: Vec3 = (0.0, 0.0, 0.0),
+        mode: str | None = None,
+        armed: bool = False,
+        can_arm: bool = True,
+        old: bool = False,
+        heartbeat_s: float = 1.0,
+    ) -> None:
+        self.type, self.system_id = _TYPES[kind], system_id
+        self.autopilot = autopilot_of(autopilot, self.type)
+        self.mode = mode or ("POSITION" if autopilot == "px4" else "LOITER")
+        self.armed, self.can_arm, self.old = armed, can_arm, old
+        self.heard: deque[tuple[int, Message]] = deque(maxlen=10_000)
+        self.blind = False
+        self.state = VehicleState(
+            position=start[:3] if start else origin, attitude=quaternion_from_yaw(start[3] if start else 0.0)
+        )
+        self.motion = Motion(self.state, on_ground=kind == "rover") if start is not None else None
+        self._flies = kind != "rover"
+        self._ground = ground
+        self._encode = Encoder(Sender(system=system_id, component=mavlink.MAV_COMP_ID_AUTOPILOT1))
+        self._reader = Reader()
+        self._telemetry = Telemetry(self.autopilot, self.type, origin, heartbeat_s)
+        self._time_ns = 0
+        self._wanted, self._wanted_yaw_rate = STILL, 0.0
+        self._setpoint_ns: int | None = None  # of the last one
+        self._since_ns = 0  # set-points have come without a gap
+        self._rise_to: float | None = None
+        self._texts: list[Message] = []
+
+    # What a client sees
+
+    def receive(self, chunk: bytes, now_ns: int) -> bytes:
+        """Bytes arrive; what the vehicle sends until then and at once."""
+        sent = self.advance(now_ns)
+        for message in self._reader.feed(chunk):
+            self.heard.append((self._time_ns, message))
+            sent += self._encode(*self._serve(message))
+        return sent + self._say()
+
+    def advance(self, now_ns: int) -> bytes:
+        """Time passes; what the vehicle sends by itself."""
+        sent = b""
+        while self._time_ns + TICK_NS <= now_ns:
+            self._time_ns += TICK_NS
+            self._tick()
+            if self._time_ns >= self._telemetry.due_ns:
+                now = Now(self.mode, self.armed, self.landed, self.state, self._ground, self.blind)
+                sent += self._encode(*self._telemetry.messages(self._time_ns, now))
+            sent += self._say()
+        return sent
+
+    @property
+    def due_ns(self) -> int:
+        """When `advance` will have something to send."""
+        return max(self._time_ns + TICK_NS, -(-self._telemetry.due_ns // TICK_NS) * TICK_NS)
+
+    @property
+    def now_ns(self) -> int:
+        """The time of its last tick."""
+        return self._time_ns
+
+    # What a pilot does
+
+    def pilot_switches(self, mode: str) -> None:
+        """Somebody at a transmitter or another ground station chooses a mode."""
+        if mode not in self.autopilot.modes:
+            raise ValueError(f"{self.autopilot.name} has no mode {mode}, only {', '.join(self.autopilot.modes)}")
+        self._enter(mode)
+
+    def pilot_arms(self, armed: bool = True) -> None:
+        """Somebody at a transmitter arms it, or disarms it."""
+        self.armed = armed
+
+    def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> None:
+        """Tell a text, in pieces of 50 characters."""
+        data = text.encode("ascii", "replace")
+        if len(data) < 50:
+            self._texts.append(mavlink.MAVLink_statustext_message(severity, data))
+            return
+        for piece, start in enumerate(range(0, len(data) + 1, 50)):  # a last piece that is full would not end it
+            self._texts.append(mavlink.MAVLink_statustext_message(severity, data[start : start + 50], 1, piece))
+
+    # What moves it sees
+
+    def commanded(self) -> Velocity:
+        """The velocity that it is to reach: in the world; a rover's forward speed. Zero where nothing moves it."""
+        if not self.armed:
+            return Velocity()
+        if self.mode == self.autopilot.follows:
+            if self._rise_to is not None:
+                return Velocity(linear=(0.0, 0.0, TAKEOFF_MPS))
+            return Velocity(linear=self._wanted, yaw_rate=self._wanted_yaw_rate)
+        if self._flies and self.mode == "LAND":
+            return Velocity(linear=(0.0, 0.0, -LAND_MPS))
+        if self._flies and self.mode == "TAKEOFF":
+            return Velocity(linear=(0.0, 0.0, TAKEOFF_MPS))
+        return Velocity()
+
+    def moved(self, state: VehicleState) -> None:
+        """Where it is now, in the world."""
+        self.state = state
+
+    @property
+    def landed(self) -> bool:
+        """It stands on the ground."""
+        return not self._flies or self.state.position[2] <= self._ground + 0.02
+
+    # One tick
+
+    def _tick(self) -> None:
+        last = self._setpoint_ns
+        if self.mode == self.autopilot.follows and last is not None and self._time_ns - last > LOSS_NS[self.autopilot.kind]:
+            self._wanted, self._wanted_yaw_rate, self._setpoint_ns = STILL, 0.0, None
+            if self.autopilot.kind == "px4":
+                self.say("Failsafe: no offboard signal")
+                self._enter("HOLD")
+        if self._rise_to is not None and self.state.position[2] >= self._rise_to:
+            self._rise_to = None
+            if self.mode == "TAKEOFF":
+                self._enter("HOLD")
+        if self.motion is not None:
+            self.state = self.motion.step(self.commanded(), TICK_NS / SECOND_NS, self._ground)
+        if self.mode == "LAND" and self.armed and self.landed:
+            self.armed = False
+
+    def _say(self) -> bytes:
+        texts, self._texts = self._texts, []
+        return self._encode(*texts)
+
+    # Messages of clients
+
+    def _serve(self, message: Message) -> list[Message]:
+        """Obey; what is for another system, or not known, is let pass."""
+        if getattr(message, "target_system", self.system_id) not in (0, self.system_id):
+            return []
+        match message.get_type():
+            case "SET_POSITION_TARGET_LOCAL_NED":
+                self._follow(message)
+            case "COMMAND_LONG":
+                result, extra = self._obey(message)
+                to = (message.get_srcSystem(), message.get_srcComponent())
+                return [mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to), *extra]
+            case "REQUEST_DATA_STREAM":
+                rate = message.req_message_rate if message.start_stop else 0
+                self._telemetry.ask_stream(message.req_stream_id, rate, self._time_ns)
+        return []
+
+    def _follow(self, message: Message) -> None:
+        """A set-point: velocities and yaw rates alone are known here."""
+        fields = (message.vx, message.vy, message.vz, message.yaw_rate)
+        if message.type_mask & _NO_VELOCITY or not all(map(math.isfinite, fields)):
+            return
+        if self._setpoint_ns is None or self._time_ns - self._setpoint_ns > GAP_NS:
+            self._since_ns = self._time_ns
+        self._setpoint_ns = self._time_ns
+        if self.autopilot.kind == "ardupilot":
+            self._rise_to = None  # a set-point ends a take-off
+        if message.coordinate_frame == mavlink.MAV_FRAME_BODY_NED:
+            self._wanted = body_flipped((message.vx, message.vy, message.vz))
+        else:
+            self._wanted = world_flipped((message.vx, message.vy, message.vz))
+        self._wanted_yaw_rate = 0.0 if message.type_mask & _NO_YAW_RATE else -message.yaw_rate
+
+    def _obey(self, message: Message) -> tuple[int, list[Message]]:
+        """A command: its result, and what is sent with it."""
+        match message.command:
+            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if not self.old:
+                known = self._telemetry.ask(_whole(message.param1), message.param2, self._time_ns)
+                return _OK if known else _UNKNOWN, []
+            case mavlink.MAV_CMD_DO_SET_MODE:
+                return self._set_mode(message), []
+            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+                return self._set_armed(_whole(message.param1)), []
+            case mavlink.MAV_CMD_NAV_TAKEOFF if self._flies:
+                return self._take_off(message.param7), []
+            case mavlink.MAV_CMD_NAV_LAND if self._flies:
+                self._enter("LAND")
+                return _OK, []
+            case mavlink.MAV_CMD_REQUEST_MESSAGE if message.param1 == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+                return _OK, [version()]
+        return _UNKNOWN, []
+
+    def _set_mode(self, message: Message) -> int:
+        main, sub = _whole(message.param2), max(0, _whole(message.param3))
+        number = main << 16 | sub << 24 if self.autopilot.kind == "px4" else main
+        mode = self.autopilot.mode(number)
+        if mode not in self.autopilot.modes:
+            return int(mavlink.MAV_RESULT_DENIED)
+        last = self._setpoint_ns
+        fresh = last is not None and self._time_ns - last <= GAP_NS and last - self._since_ns > LEAD_NS
+        if mode == "OFFBOARD" and not fresh:
+            return int(_DENIED)
+        self._enter(mode)
+        return int(_OK)
+
+    def _set_armed(self, number: int) -> int:
+        if number not in (0, 1):
+            return int(mavlink.MAV_RESULT_DENIED)
+        armed = number == 1
+        if armed and not self.can_arm:
+            self.say("Arming denied: no position estimate, no valid heading and no battery to speak of")
+            return int(_DENIED)
+        if not armed and not self.landed:  # that would be a crash
+            return int(_DENIED)
+        self.armed = armed
+        return int(_OK)
+
+    def _take_off(self, height: float) -> int:
+        """PX4 goes to its own mode and to a height above the sea; ArduPilot stays in GUIDED and takes one above the ground."""
+        if not self.armed:
+            return int(_DENIED)
+        if self.autopilot.kind == "px4":
+            above = height - SITE[2] - self._ground if math.isfinite(height) else 2.5  # MIS_TAKEOFF_ALT
+            self._enter("TAKEOFF")
+            self._rise_to = self._ground + max(1.0, above)
+            return int(_OK)
+        if self.mode != "GUIDED" or not self.landed or not math.isfinite(height):
+            return int(mavlink.MAV_RESULT_FAILED)
+        self._rise_to = self._ground + height
+        return int(_OK)
+
+    def _enter(self, mode: str) -> None:
+        if mode != self.mode:
+            self.mode, self._rise_to = mode, None
+            if self.autopilot.kind == "ardupilot":  # PX4 follows the last set-point at once
+                self._wanted, self._wanted_yaw_rate = STILL, 0.0
+
+
+def _whole(number: float) -> int:
+    """A parameter of a command as a whole number; clients leave those that they do not use at NaN."""
+    return int(number) if math.isfinite(number) else -1

@@ -1,0 +1,198 @@
+"""An emulated robot at a port until it is interrupted, with tags of positioning systems on it if they are asked for."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import msgspec
+
+from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot
+from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
+from vcmvsp.hardware.emulators.programs.options import RobotOptions, Tags, TcpPort
+from vcmvsp.hardware.emulators.positioning.tags import (
+    Outlet,
+    Source,
+    Tag,
+    Truth,
+    circling,
+    dwm1001_outlet,
+    standing,
+    ubisense_outlet,
+)
+from vcmvsp.hardware.emulators.device_server import Serving
+
+ORIGIN: Vec3 = (0.0, 0.0, 0.0)
+KINDS = {"amigobot": "amigo", "p2dx": "p2dx", "amigo-sh": "amigo-sh"}
+"""Robots by the names of vehicles, and the subclass that each of them tells."""
+
+Ready = Callable[[Mapping[str, Any]], None]
+
+_LOOK_S = 0.1  # how often it is looked whether the threads are alive
+
+
+def parameters(name: str, chosen: RobotOptions) -> Robot:
+    """The robot of this name as it is to be.
+
+    Raises:
+        UsageError: it cannot be like that.
+    """
+    if not 4.0 <= chosen.rate_hz <= 100.0:  # its configuration tells the period in a byte of ms
+        raise UsageError(f"--rate-hz {chosen.rate_hz:g}: must be from 4 to 100")
+    if chosen.baud not in BAUDS:
+        raise UsageError(f"--baud {chosen.baud}: must be one of {', '.join(map(str, BAUDS))}")
+    robot = ROBOTS[KINDS[name]]
+    changes: dict[str, Any] = {"period_s": round(1.0 / chosen.rate_hz, 9), "baud": chosen.baud}
+    return msgspec.structs.replace(robot, **changes, **({} if chosen.watchdog else {"watchdog_s": 0.0}))
+
+
+def serve(device: Device, chosen: RobotOptions) -> Served:
+    """Put it at its port.
+
+    Raises:
+        UsageError: the port cannot be had.
+    """
+    port = chosen.port
+    try:
+        if isinstance(port, TcpPort):
+            return serve_tcp(device, host=port.host, port=port.port, faults=chosen.faults, paced=chosen.paced)
+        return serve_pty(device, link=port.link, faults=chosen.faults, paced=chosen.paced)
+    except FileExistsError:
+        raise UsageError(f"--port {port[0]}: is there already; remove it, or give another path") from None
+    except OSError as error:
+        where = f"tcp://{port.host}:{port.port}" if isinstance(port, TcpPort) else port.link or "PTY"
+        raise UsageError(f"--port {where}: {error.strerror or error}") from None
+
+
+def device_of(name: str, chosen: RobotOptions, start: Vec3 | None) -> Device:
+    """The robot; without a start it is moved by somebody else."""
+    robot = parameters(name, chosen)
+    try:
+        return Device(robot, name=f"emulated {robot.name}", start=start, ping_ms=chosen.ping_ms)
+    except ValueError as error:
+        raise UsageError(f"--ping-ms: {error}") from None
+
+
+class Rig:
+    """Everything that one emulated device consists of: a robot at its port, sources, and what they have done so far.
+
+    It is a context manager; leaving it closes all. `ready` is called by `start`, when it can be connected to.
+    """
+
+    def __init__(self, ready: Ready) -> None:
+        self.served: Served | None = None
+        self.sources: dict[str, Source] = {}
+        self._outlets: dict[str, Outlet] = {}
+        self._ready = ready
+        self._all = contextlib.ExitStack()
+
+    def __enter__(self) -> "Rig":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for outlet in self._outlets.values():  # that never became a source
+            outlet.close()
+        self._all.close()
+
+    def serve(self, device: Device, chosen: RobotOptions) -> Served:
+        """The robot is there from now on."""
+        self.served = serve(device, chosen)
+        self._all.callback(_quietly, self.served)
+        return self.served
+
+    def fit(self, tags: Tags) -> None:
+        """Take the ports of tags."""
+        if tags.ubisense is not None:
+            self._outlets["ubisense"] = ubisense_outlet(*tags.ubisense)
+        if tags.dwm1001 is not None:
+            self._outlets["dwm1001"] = dwm1001_outlet(tags.dwm1001.link)
+
+    def start(self, tags: Tags, truth: Truth) -> None:
+        """Let the tags speak, and say that all is there."""
+        for name in [*self._outlets]:
+            tag = Tag(tags.name, tags.errors, tags.seed)
+            self.sources[name] = Source(tag, truth, self._outlets.pop(name))
+            self._all.callback(_quietly, self.sources[name])
+        urls = {name: each.url for name, each in self.sources.items()}
+        robot = {} if self.served is None else {"url": self.served.url}
+        self._ready({**robot, "positioning": urls})
+
+    def check(self) -> None:
+        """Raise what ended a thread before its time, if anything did."""
+        threads: list[Serving] = [*self.sources.values(), *([self.served] if self.served else [])]
+        for each in threads:
+            alive(each.url, each.error)
+
+    def summary(self) -> dict[str, Any]:
+        """What happened so far."""
+        said: dict[str, Any] = {}
+        if (served := self.served) is not None:
+            with served.lock:
+                device = served.device
+                said = {"commands": device.commands, "packets": device.packets, "bytes_unread": served.unsent}
+                said |= {"bytes_lost": served.up.dropped + served.down.dropped}
+                said |= {"bytes_changed": served.up.flipped + served.down.flipped + served.misread}
+                said |= {"x_m": device.odometry[0], "y_m": device.odometry[1], "yaw_rad": device.odometry[2]}
+        return {**said, "fixes": {name: each.told for name, each in self.sources.items()}}
+
+
+def _quietly(served: Serving) -> None:
+    """Close it; what ended its thread has been told by `Rig.check`, and unplugging goes on."""
+    with contextlib.suppress(Exception):
+        served.close()
+
+
+def alive(url: str, error: Exception | None) -> None:
+    """Raise what ended the thread of a device before its time, if anything did."""
+    if error is not None:
+        raise VcmvspError(f"the device at {url} failed: {type(error).__name__}: {error}")
+
+
+def wait(duration_s: float | None, check: Callable[[], None]) -> None:
+    """Return when so much time has passed, never without it; ``check`` is called often, and may raise."""
+    until = float("inf") if duration_s is None else time.monotonic() + duration_s
+    pause = threading.Event()
+    while (left := until - time.monotonic()) > 0.0:
+        pause.wait(min(left, _LOOK_S))
+        check()
+
+
+@contextlib.contextmanager
+def until_interrupted() -> Iterator[None]:
+    """Ctrl-C and SIGTERM are how an emulated device is meant to end."""
+    with contextlib.suppress(KeyboardInterrupt, Interrupted):
+        yield
+
+
+def emulate(name: str, chosen: RobotOptions, ready: Ready, pose: Vec3 | None = None) -> dict[str, Any]:
+    """A robot on an empty floor, at a port, until it is interrupted; the answer is what happened."""
+    device = device_of(name, chosen, pose or ORIGIN)
+    with Rig(ready) as rig:
+        with until_interrupted():
+            rig.fit(chosen.tags)
+            rig.serve(device, chosen)
+
+            def truth() -> tuple[float, float, float, float]:
+                x, y, yaw = device.pose or ORIGIN
+                return x, y, 0.0, yaw
+
+            rig.start(chosen.tags, truth)
+            wait(chosen.duration_s, rig.check)
+        return rig.summary()
+
+
+def emulate_tag(
+    tags: Tags, ready: Ready, *, pose: Vec3 = ORIGIN, circle: tuple[float, float] | None = None, duration_s: float | None = None
+) -> dict[str, Any]:
+    """A tag alone, that stands or goes round (radius m, speed m/s), until it is interrupted; the answer is what happened."""
+    with Rig(ready) as rig:
+        with until_interrupted():
+            rig.fit(tags)
+            rig.start(tags, standing(pose) if circle is None else circling(pose, *circle))
+            wait(duration_s, rig.check)
+        return rig.summary()

@@ -1,0 +1,88 @@
+"""An emulated vehicle that speaks MAVLink, at a port until it is interrupted."""
+
+import contextlib
+from typing import Any, Literal
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.emulators.programs.options import address_of, duration_of
+from vcmvsp.hardware.emulators.programs.arcos import ORIGIN, Ready, alive, until_interrupted, wait
+from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
+from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
+from vcmvsp.hardware.emulators.device_server import LOOPBACK
+
+TCP_PORT = 5760  # of ArduPilot's simulator
+
+AUTOPILOTS, KINDS = ("px4", "ardupilot"), ("quadrotor", "rover")
+
+
+def emulate(
+    port: str,
+    ready: Ready,
+    *,
+    autopilot: Literal["px4", "ardupilot"] = "px4",
+    kind: Literal["quadrotor", "rover"] = "quadrotor",
+    system_id: int = 1,
+    armed: bool = False,
+    pose: Vec3 | None = None,
+    duration_s: float | None = None,
+) -> dict[str, Any]:
+    """A vehicle on an empty floor; the answer is what has become of it.
+
+    Args:
+        port: ``udp://HOST:PORT``, where its messages go, as PX4's do; or ``tcp://HOST:PORT``, where it listens.
+        ready: called when it can be connected to.
+        autopilot: whose modes and rules it has.
+        kind: what it is.
+        system_id: its number.
+        armed: from the beginning.
+        pose: where it stands at first, x m, y m, yaw rad.
+        duration_s: None: until it is interrupted.
+
+    Raises:
+        UsageError: it cannot be like that.
+    """
+    if autopilot not in AUTOPILOTS:
+        raise UsageError(f"--autopilot {autopilot}: must be {' or '.join(AUTOPILOTS)}")
+    if kind not in KINDS:
+        raise UsageError(f"--kind {kind}: must be {' or '.join(KINDS)}")
+    if not 1 <= system_id <= 255:
+        raise UsageError(f"--system-id {system_id}: must be from 1 to 255")
+    x, y, yaw = pose or ORIGIN
+    vehicle = Vehicle(autopilot=autopilot, kind=kind, system_id=system_id, armed=armed, start=(x, y, 0.0, yaw))
+    duration_of(duration_s)
+    with until_interrupted():
+        served = serve(vehicle, port)
+        try:
+            ready({"url": served.url, "positioning": {}})
+            wait(duration_s, lambda: alive(served.url, served.error))
+        finally:
+            with contextlib.suppress(Exception):  # what ended its thread has been told
+                served.close()
+    x, y, z = vehicle.state.position
+    return {
+        "messages": len(vehicle.heard),
+        "mode": vehicle.mode,
+        "armed": vehicle.armed,
+        "x_m": x,
+        "y_m": y,
+        "z_m": z,
+        "fixes": {},
+    }
+
+
+def serve(vehicle: Vehicle, port: str) -> Served:
+    """Put it at its port.
+
+    Raises:
+        UsageError: the port cannot be had.
+    """
+    host, number = address_of(port) if port.startswith(("udp://", "tcp://")) else ("", None)
+    try:
+        if port.startswith("tcp://"):
+            return serve_tcp(vehicle, host=host or LOOPBACK, port=TCP_PORT if number is None else number)
+        if host and number:
+            return serve_udp(vehicle, to=(host, number))
+    except OSError as error:
+        raise UsageError(f"--port {port}: {error.strerror or error}") from None
+    raise UsageError(f"--port {port}: write udp://HOST:PORT or tcp://HOST:PORT, e.g. udp://{LOOPBACK}:14540")

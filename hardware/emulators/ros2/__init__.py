@@ -1,0 +1,1 @@
+"""Emulated ROS 2 robot."""

@@ -1,0 +1,139 @@
+"""Decawave DWM1001 (PANS firmware): positions as lines of text from the shell on its serial port, 115200 baud.
+
+Two carriage returns within a second open the shell, and ``lep`` switches lines of positions on, or off again. A tag says
+``POS,x,y,z,quality`` (m, %), after its distances if ``lec`` was given; a listener says of each tag
+``POS,index,id,x,y,z,quality,check`` [DWM1001 firmware API guide, shell commands]. There is no time and no heading. Without a
+check sum a line from which bytes were lost may still read as one: what uses the positions has to gate them.
+"""
+
+import math
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.hardware.localisation import Located
+
+WAKE = b"\r\r"
+POSITIONS = b"lep\r"
+PROMPT = "dwm> "
+BAUD = 115200
+LONGEST_BYTES = 512  # of a line; `lec` with four anchors has 140
+
+
+def decode(line: str) -> Located | None:
+    """What a line says; None if it is not about a position (echo, prompt, banner), `ValueError` if it is broken."""
+    fields = line.rpartition(PROMPT)[2].strip().split(",")  # the first line comes right behind a prompt
+    if "POS" not in fields:
+        return None
+    values = fields[fields.index("POS") + 1 :]
+    if len(values) == 4:
+        tag, numbers = "", values
+    elif len(values) == 7:
+        tag, numbers = values[1], values[2:6]
+    else:
+        raise ValueError(f"POS has 4 fields, or 7 from a listener, not {len(values)}")
+    x, y, z, percent = map(float, numbers)
+    if not 0.0 <= percent <= 100.0:
+        raise ValueError(f"a quality is from 0 to 100 %, not {percent}")
+    known = percent > 0.0 and all(map(math.isfinite, (x, y, z)))  # a tag that is lost says nan, or quality 0
+    return Located(tag=tag, position=(x, y, z) if known else None, quality=percent / 100.0)
+
+
+def encode(located: Located, index: int | None = None) -> bytes:
+    """The line that says this, as a tag, or with an index as a listener: for one that is emulated."""
+    x, y, z = located.position or (math.nan, math.nan, math.nan)
+    percent = 0 if located.position is None else round(100.0 * (1.0 if located.quality is None else located.quality))
+    body = f"{x:.2f},{y:.2f},{z:.2f},{percent}"
+    who = "" if index is None else f"{index},{located.tag},"
+    return f"POS,{who}{body}{'' if index is None else ',x00'}\r\n".encode()
+
+
+class Reader:
+    """Reads the stream of a port, however it is split; counts broken lines and lines about other things."""
+
+    def __init__(self) -> None:
+        self.bad_lines = self.other_lines = 0
+        self._rest = b""
+
+    def feed(self, chunk: bytes) -> list[Located]:
+        """What the lines say that are whole now, in order."""
+        *lines, self._rest = (self._rest + chunk).replace(b"\r", b"\n").split(b"\n")
+        if len(self._rest) > LONGEST_BYTES:
+            self._rest = b""
+            self.bad_lines += 1
+        found = []
+        for line in lines:
+            if not line:
+                continue
+            try:
+                located = decode(line.decode("ascii"))
+            except ValueError:  # of which a UnicodeDecodeError is one
+                self.bad_lines += 1
+                continue
+            if located is None:
+                self.other_lines += 1
+            else:
+                found.append(located)
+        return found
+
+
+class Waker:
+    """Says what to write to the port so that positions come. ``lep`` is a toggle: a module that talks is left alone.
+
+    A tag at rest may report rarely, and would be switched off by a second ``lep``; so the patience doubles each time.
+    """
+
+    def __init__(self, patience_s: float = 2.0) -> None:
+        self._patience_ns = seconds_to_ns(patience_s)
+        self._due_ns: int | None = None
+        self._awake = False
+
+    def heard(self, now_ns: int) -> None:
+        """A line about a position came."""
+        self._awake, self._due_ns = False, now_ns + self._patience_ns
+
+    def write(self, now_ns: int) -> bytes:
+        """What to write now; mostly nothing. Call it some times a second."""
+        if self._due_ns is None:
+            self._due_ns = now_ns + self._patience_ns
+        if now_ns < self._due_ns:
+            return b""
+        if not self._awake:
+            self._awake, self._due_ns = True, now_ns + SECOND_NS  # the shell takes a moment to open
+            return WAKE
+        self._patience_ns *= 2
+        self._awake, self._due_ns = False, now_ns + self._patience_ns
+        return POSITIONS
+
+
+class Tag:
+    """A tag's side of the port, for tests and rehearsals: the shell with ``lep`` and ``quit``.
+
+    An empty line ends ``lep``; ``quit`` does not: it goes on when the shell is opened again [so says the client pydwm1001].
+    """
+
+    def __init__(self) -> None:
+        self.shell = self.telling = False
+        self._typed = b""
+
+    def receive(self, chunk: bytes) -> bytes:
+        """What the tag answers to what was written to its port."""
+        answer = b""
+        for byte in chunk.replace(b"\n", b"\r"):
+            self._typed += bytes([byte])
+            if not self.shell:
+                if self._typed.endswith(WAKE):
+                    self.shell, self._typed = True, b""
+                    answer += b"\r\nDWM1001 TWR Real Time Location System\r\n\r\ndwm> "
+            elif byte == 0x0D:
+                command, self._typed = self._typed.strip(), b""
+                if command == b"lep":
+                    self.telling = not self.telling
+                elif command == b"quit":
+                    self.shell = False
+                elif not command:
+                    self.telling = False
+                answer += command + b"\r\ndwm> "
+        return answer
+
+    def say(self, located: Located) -> bytes:
+        """The line of one position, or nothing while nobody has asked for lines."""
+        return encode(located) if self.shell and self.telling else b""

@@ -1,0 +1,126 @@
+"""GPS receivers: NMEA 0183 sentences GGA (position), RMC (date, velocity) and VTG (velocity) from a serial port.
+
+Positions are those of a `TangentPlane`. A receiver says RMC and GGA of the same measurement: once it has said a GGA, the
+position of RMC is not reported, since it would count twice.
+"""
+
+import datetime as dt
+import math
+from typing import Any
+
+import pynmea2  # type: ignore[import-untyped]
+
+from vcmvsp.hardware.localisation import Located
+from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
+
+LONGEST_BYTES = 256  # of a line; the standard allows 82
+KNOT = 1852.0 / 3600.0  # m/s
+_UNREADABLE = (pynmea2.ParseError, ValueError, TypeError, AttributeError, ArithmeticError, LookupError)  # of any field
+
+
+class Reader:
+    """Reads the stream of a port, however it is split; counts what it cannot read (bad check sums among it).
+
+    Args:
+        plane: in whose frame positions are told.
+        range_sigma_m: user range error, 1 sigma; a horizontal dilution h makes of it h * range_sigma_m / sqrt(2) for each of
+            x and y. The default is the signal-in-space range error that GPS promises, 7.8 m at 95 % [GPS SPS Performance
+            Standard, 4th ed. 2008, table 3.4-1]; a receiver with corrections has far less.
+    """
+
+    def __init__(self, plane: TangentPlane, range_sigma_m: float = 4.0) -> None:
+        self.plane, self.range_sigma_m = plane, range_sigma_m
+        self.bad_lines = self.other_lines = 0
+        self._rest = b""
+        self._date: dt.datetime | None = None  # of the last RMC
+        self._has_gga = False
+
+    def feed(self, chunk: bytes) -> list[Located]:
+        """What the sentences say that are whole now, in order."""
+        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        if len(self._rest) > LONGEST_BYTES:
+            self._rest = b""
+            self.bad_lines += 1
+        return [located for line in lines if (located := self._read(line.strip())) is not None]
+
+    def _read(self, line: bytes) -> Located | None:
+        """What one line says; None if that is nothing, or nothing that can be read."""
+        if not line:
+            return None
+        try:
+            sentence = pynmea2.parse(line[max(line.rfind(b"$"), 0) :].decode("ascii"), check=True)
+            kind = getattr(sentence, "sentence_type", "")
+            if kind == "GGA":
+                return self._gga(sentence)
+            if kind == "RMC":
+                return self._rmc(sentence)
+            if kind == "VTG":
+                return _vtg(sentence)
+        except pynmea2.nmea.SentenceTypeError:
+            pass  # whole, and of a kind that pynmea2 does not know
+        except _UNREADABLE:
+            self.bad_lines += 1
+            return None
+        self.other_lines += 1
+        return None
+
+    def _gga(self, said: Any) -> Located:
+        self._has_gga = True
+        when = self._time(said.timestamp)
+        if not int(said.gps_qual or 0):
+            return Located(source_ns=when)
+        height = float(said.altitude or 0.0) + float(said.geo_sep or 0.0)  # above the sea, and the sea above the ellipsoid
+        dilution = float(said.horizontal_dil) if said.horizontal_dil else 1.0
+        return Located(position=self._place(said, height), sigma_m=self._sigma(dilution), source_ns=when)
+
+    def _rmc(self, said: Any) -> Located:
+        if said.datestamp is not None and said.timestamp is not None:
+            self._date = dt.datetime.combine(said.datestamp, said.timestamp).replace(tzinfo=dt.UTC)
+        when = self._time(said.timestamp)
+        if said.status != "A":
+            return Located(source_ns=when)
+        speed = None if said.spd_over_grnd is None else float(said.spd_over_grnd) * KNOT
+        place = None if self._has_gga else self._place(said, self.plane.height_m)
+        sigma = None if place is None else self._sigma(1.0)
+        return Located(position=place, velocity=_velocity(speed, said.true_course), sigma_m=sigma, source_ns=when)
+
+    def _place(self, said: Any, height_m: float) -> tuple[float, float, float]:
+        if not said.lat or not said.lon or said.lat_dir not in ("N", "S") or said.lon_dir not in ("E", "W"):
+            raise ValueError("a valid position has both coordinates and their directions")
+        latitude, longitude = float(said.latitude), float(said.longitude)
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(height_m)):
+            raise ValueError("no place on the earth")
+        return self.plane.enu(latitude, longitude, height_m)
+
+    def _sigma(self, dilution: float) -> float:
+        """Standard deviation of each of x and y: HDOP is that of both together."""
+        if not 0.0 < dilution < math.inf:
+            raise ValueError(f"a dilution is positive, not {dilution}")
+        return dilution * self.range_sigma_m / math.sqrt(2.0)
+
+    def _time(self, of_day: dt.time | None) -> int | None:
+        """UTC as ns since 1970, leap seconds left out; None until the date is known. GGA has only the time of day."""
+        if of_day is None or self._date is None:
+            return None
+        moment = dt.datetime.combine(self._date.date(), of_day).replace(tzinfo=dt.UTC)
+        if (self._date - moment) > dt.timedelta(hours=12):  # midnight has passed since the last RMC
+            moment += dt.timedelta(days=1)
+        return (moment - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1) * 1000
+
+
+def _vtg(said: Any) -> Located:
+    if said.spd_over_grnd_kmph is not None:
+        return Located(velocity=_velocity(float(said.spd_over_grnd_kmph) / 3.6, said.true_track))
+    speed = None if said.spd_over_grnd_kts is None else float(said.spd_over_grnd_kts) * KNOT
+    return Located(velocity=_velocity(speed, said.true_track))
+
+
+def _velocity(speed: float | None, course_deg: Any) -> tuple[float, float] | None:
+    """East and north, m/s; the course counts clockwise from true north. None where either is missing (at rest)."""
+    if speed is None or course_deg is None or course_deg == "":
+        return None
+    course = math.radians(float(course_deg))
+    east, north = speed * math.sin(course), speed * math.cos(course)
+    if not (math.isfinite(east) and math.isfinite(north)):
+        raise ValueError("no velocity")
+    return east, north

@@ -1,0 +1,98 @@
+"""A source of positions on a line of bytes: a thread hears it, and opens it again when it was unplugged."""
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable
+
+from vcmvsp.cosim.util.polling import readable
+from vcmvsp.hardware.drivers.base import LinkLost, PortError
+from vcmvsp.hardware.drivers.byte_link import Line
+from vcmvsp.hardware.localisation.world_transform import Placing
+from vcmvsp.hardware.localisation.source import Reads, Source, Words, as_failure
+
+RETRY_S = 0.5
+TICK_S = 0.1  # between looks at what to say
+CLOSE_S = 5.0  # opening a TCP connection takes 2 s at most
+
+
+class PortSource(Source):
+    """Hears a line, and speaks to it.
+
+    Args:
+        open_line: opens the line, or raises `PortError`.
+        say: what to write now, ns; mostly nothing. It is asked some times a second.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        reader: Reads,
+        placing: Placing,
+        words: Words,
+        *,
+        open_line: Callable[[], Line],
+        say: Callable[[int], bytes] = lambda _: b"",
+    ) -> None:
+        super().__init__(device, reader, placing, words)
+        self._open_line, self._say = open_line, say
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        """Open the port, and begin to hear.
+
+        Raises:
+            PortError: it cannot be opened.
+        """
+        self._begin()
+        line = self._open_line()
+        self._wake_read, self._wake_write = os.pipe()
+        self._thread = threading.Thread(target=self._run, args=(line,), name=f"positions {self.device}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Free the port. May be called twice."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        os.write(self._wake_write, b"x")
+        thread.join(CLOSE_S)
+        if not thread.is_alive():  # else the descriptors are still in use
+            os.close(self._wake_read)
+            os.close(self._wake_write)
+
+    def _run(self, line: Line | None) -> None:
+        try:
+            while True:
+                if line is None:
+                    if self._woken(RETRY_S):
+                        return
+                    with contextlib.suppress(PortError):
+                        line = self._open_line()
+                        self.back()
+                    continue
+                try:
+                    if self._woken(TICK_S, line):
+                        return
+                except LinkLost as error:
+                    line.close()
+                    line = None
+                    self.lost(f"{error.happened}; {error.advice}")
+        except Exception as error:  # the reader's own; whoever asks is told
+            self.failed(as_failure(self.device, error))
+        finally:
+            if line is not None:
+                line.close()
+
+    def _woken(self, seconds: float, line: Line | None = None) -> bool:
+        """Hear and speak, for at most so long; whether to stop."""
+        ready = readable([self._wake_read] if line is None else [self._wake_read, line.fileno()], seconds)
+        if self._wake_read in ready:
+            return True
+        if line is not None:
+            if ready and (chunk := line.read()):
+                self.take(chunk, time.monotonic_ns())
+            if words := self._say(time.monotonic_ns()):
+                line.write(words)
+        return False

@@ -1,0 +1,139 @@
+"""Poses that somebody publishes over Eclipse Zenoh as JSON: what motion capture, or any other system, is bridged to.
+
+A message is an object: ``t`` (s, when it was measured, by any clock that runs), ``x`` and ``y`` (m), and where they are known
+``z`` (m), ``yaw`` (rad), ``sigma`` (m) and ``sigma_yaw`` (rad). ``t`` may be missing; then it was measured ``latency_s`` before
+it arrived. What else an object has is passed over.
+"""
+
+import time
+from typing import Any, Literal
+
+import msgspec
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.transport import access_control
+from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.cosim.types import NonNegative, Positive, Vec3
+from vcmvsp.hardware.drivers.base import PortError
+from vcmvsp.hardware.localisation import Located
+from vcmvsp.hardware.localisation.world_transform import AT_REST, Placing, Posed
+from vcmvsp.hardware.localisation.source import Source, Words
+
+LARGEST_BYTES = 4096
+_CONNECT_MS = 2000
+_RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
+
+
+class _Said(msgspec.Struct, kw_only=True):
+    x: float
+    y: float
+    t: float | None = None
+    z: float = 0.0
+    yaw: float | None = None
+    sigma: NonNegative | None = None
+    sigma_yaw: NonNegative | None = None
+
+
+_decoder = msgspec.json.Decoder(_Said)  # JSON has neither NaN nor infinity
+
+
+class Reader:
+    """Reads messages, and counts those that it cannot read."""
+
+    def __init__(self, sigma_rad: float) -> None:
+        self._sigma_rad, self.bad_messages = sigma_rad, 0
+
+    def feed(self, chunk: bytes) -> list[Located]:
+        """What one message says: a list of one, or of none if it cannot be read."""
+        try:
+            if len(chunk) > LARGEST_BYTES:
+                raise ValueError("a pose has some hundred bytes")
+            said = _decoder.decode(chunk)
+            source_ns = None if said.t is None else round(said.t * SECOND_NS)
+        except (ValueError, OverflowError, RecursionError):  # msgspec's errors are of the first kind, but for what is nested
+            self.bad_messages += 1
+            return []
+        sigma_rad = self._sigma_rad if said.sigma_yaw is None else said.sigma_yaw
+        position = (said.x, said.y, said.z)
+        return [Posed(position=position, yaw=said.yaw, sigma_rad=sigma_rad, sigma_m=said.sigma, source_ns=source_ns)]
+
+
+class ExternalPose(Source):
+    """Poses from anybody who publishes JSON over Eclipse Zenoh: a bridge from motion capture, another localisation.
+
+    A link that breaks is mended by Zenoh.
+
+    Args:
+        key: under which they come, such as ``mocap/car1``.
+        endpoint: of the router or bridge, or where to listen.
+        mode: whether to connect there, or to listen so that the bridge connects.
+        sigma_m: standard deviation of x and y where a message says none.
+        sigma_rad: of the yaw, the same.
+        latency_s: between measuring and arriving, at least.
+        offset: of the poses' frame in the world, m.
+        turn_rad: of their frame in the world.
+    """
+
+    def __init__(
+        self,
+        *,
+        key: str,
+        endpoint: str = "tcp/127.0.0.1:7447",
+        mode: Literal["connect", "listen"] = "connect",
+        sigma_m: Positive = 0.01,
+        sigma_rad: Positive = 0.02,
+        latency_s: NonNegative = 0.01,
+        offset: Vec3 = AT_REST,
+        turn_rad: float = 0.0,
+    ) -> None:
+        try:
+            self._key = zenoh.KeyExpr(key)
+        except zenoh.ZError:
+            raise ValueError(f"a key is made of words and slashes, such as mocap/car1, not '{key}'") from None
+        words = Words(
+            f"does a bridge publish poses under {key} at {endpoint}?",
+            f'what comes under {key} are no poses: write {{"t": s, "x": m, "y": m}}, with "z", "yaw", "sigma" where known',
+        )
+        placing = Placing(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
+        super().__init__(f"{key} at {endpoint}", Reader(sigma_rad), placing, words)
+        self._endpoint, self._mode = endpoint, mode
+        self._session: zenoh.Session | None = None
+
+    def open(self) -> None:
+        """Connect, or listen, and subscribe.
+
+        Raises:
+            PortError: nobody is there, or nothing can listen.
+        """
+        self._begin()
+        config: dict[str, Any]
+        if self._mode == "connect":
+            connect = {"endpoints": [self._endpoint], "timeout_ms": _CONNECT_MS, "exit_on_failure": True, "retry": _RETRY}
+            config, advice = (
+                {"mode": "client", "listen": {"endpoints": []}, "connect": connect},
+                "start the router or the bridge",
+            )
+        else:
+            config = {"mode": "router", "listen": {"endpoints": [self._endpoint]}}
+            advice = "take a free port of this machine"
+        try:
+            self._session = opened(config, access_control.LIMITS, f"no Zenoh session at '{self._endpoint}'")
+        except UsageError as error:
+            raise PortError(self.device, str(error), advice) from None
+        try:
+            self._session.declare_subscriber(self._key, Callback(self._on_sample, indirect=False))
+        except zenoh.ZError as error:
+            self.close()
+            raise PortError(self.device, f"nothing can be heard there ({error})", "open it again") from None
+
+    def close(self) -> None:
+        """Leave. May be called twice."""
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        self.take(sample.payload.to_bytes(), time.monotonic_ns())

@@ -1,0 +1,187 @@
+"""What all sources of positions have in common: readings wait until they are asked for, and silence is told with its cause.
+
+Whoever hears something (a thread, or Zenoh's) gives it to `Source.take` at once, so that it is stamped when it arrives and
+not when somebody asks.
+"""
+
+import threading
+import time
+from collections import deque
+from typing import Literal, NamedTuple, Protocol
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Fix
+from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, Notice
+from vcmvsp.hardware.localisation import Located
+from vcmvsp.hardware.localisation.world_transform import FARTHEST_M, OLDEST_S, Placing
+
+PATIENCE_S = 5.0  # without a position before somebody is told
+CENSUS_S = 1.0  # of listening, before it is believed that there is one tag only
+_MOST_WAITING = 1000  # readings, of a caller that does not ask
+_MOST_TAGS = 8  # that a message lists
+
+
+class Words(NamedTuple):
+    """How a source says what it misses."""
+
+    nothing: str  # what to look at when nothing comes
+    unreadable: str  # what it means that something comes that cannot be read
+
+
+class Reads(Protocol):
+    """A reader of the part: it counts what it cannot read and never raises."""
+
+    def feed(self, chunk: bytes) -> list[Located]:
+        """What is said in what came."""
+
+
+class Source:
+    """A source of positions without its port: see `hardware.localisation.systems.Localisation`."""
+
+    def __init__(self, device: str, reader: Reads, placing: Placing, words: Words) -> None:
+        self.device = device
+        self._reader, self._placing, self._words = reader, placing, words
+        self._lock = threading.Lock()
+        self._fixes: deque[Fix] = deque(maxlen=_MOST_WAITING)
+        self._notices: list[Notice] = []
+        self._failure: Exception | None = None
+        self._first_tag_ns: int | None = None
+        self._begin()
+
+    def read(self, now_ns: int) -> list[Fix]:
+        """Readings that are new since the last call, oldest first; never waits.
+
+        Raises:
+            DriverError: no reading can ever come, or nobody can say whose.
+        """
+        with self._lock:
+            if self._failure is not None:
+                raise self._failure
+            self._look(now_ns)
+            fixes = [each for each in self._fixes if each.time_ns <= now_ns]
+            later = [each for each in self._fixes if each.time_ns > now_ns]  # than the time that the caller took
+            self._fixes.clear()
+            self._fixes.extend(later)
+            return fixes
+
+    def notices(self) -> list[Notice]:
+        """What happened since the last call, oldest first."""
+        with self._lock:
+            notices, self._notices = self._notices, []
+        return notices
+
+    def take(self, chunk: bytes, arrived_ns: int) -> bool:
+        """Something came; whether any of it was about positions."""
+        with self._lock:
+            self._bytes += len(chunk)
+            answers = self._reader.feed(chunk)
+            for located in answers:
+                self._told += 1
+                jumps = self._placing.jumps
+                fix = self._placing.place(located, arrived_ns)
+                if self._placing.jumps > jumps:
+                    self._notice("warned", "the clock that stamps the positions has jumped; their times are estimated anew")
+                if fix is not None and self._is_ours(arrived_ns):
+                    self._fixes.append(fix)
+                    self._good(arrived_ns)
+            return bool(answers)
+
+    def lost(self, cause: str) -> None:
+        """The port is gone."""
+        with self._lock:
+            self._notice("lost", cause)
+            self._gone = self._silent = True
+
+    def back(self) -> None:
+        """The port is there again."""
+        with self._lock:
+            self._expect()
+
+    def failed(self, error: Exception) -> None:
+        """No reading will come any more."""
+        with self._lock:
+            self._failure = error
+
+    def _begin(self) -> None:
+        """Nothing was heard yet, and nobody needs to be told so."""
+        self._failure = self._first_tag_ns = None
+        self._placing.tags.clear()
+        self._silent = True  # until a position comes, which is told
+        self._fixes.clear()
+        self._expect()
+
+    def _expect(self) -> None:
+        """From now on, something should come."""
+        self._gone, self._told_why = False, ""
+        self._since_ns = time.monotonic_ns()
+        self._zero()
+
+    def _zero(self) -> None:
+        """Count anew what comes beside positions."""
+        self._bytes = self._told = 0
+        placing = self._placing
+        placing.unknown = placing.far = placing.old = placing.others = 0
+
+    def _good(self, now_ns: int) -> None:
+        if self._silent:
+            tag = f" of tag {self._placing.tag}" if self._placing.tag else ""
+            self._notice("connected", f"positions{tag} come")
+        self._silent, self._told_why, self._since_ns = False, "", now_ns
+        self._zero()
+
+    def _is_ours(self, now_ns: int) -> bool:
+        """Whether it is clear whose a position is: where no tag is named there must be one only."""
+        placing = self._placing
+        if placing.tag or not placing.tags:
+            return True
+        if self._first_tag_ns is None:
+            self._first_tag_ns = now_ns
+        waited = now_ns - self._first_tag_ns >= CENSUS_S * SECOND_NS
+        if waited and len(placing.tags) > 1 and self._failure is None:
+            self._failure = HandshakeError(
+                self.device,
+                f"positions of {len(placing.tags)} tags come: {_listed(placing.tags)}",
+                "name the vehicle's: tag = ...",
+            )
+        return waited and len(placing.tags) == 1
+
+    def _look(self, now_ns: int) -> None:
+        """Tell when positions stay away, and again when it turns out to be for another reason."""
+        if self._gone or now_ns - self._since_ns <= PATIENCE_S * SECOND_NS:
+            return
+        why = self._why()
+        if why != self._told_why:
+            self._notice("warned", f"no position for {PATIENCE_S:g} s: {why}")
+            self._told_why, self._silent = why, True
+
+    def _why(self) -> str:
+        placing = self._placing
+        if not self._bytes:
+            return f"nothing comes; {self._words.nothing}"
+        if not self._told:
+            return self._words.unreadable
+        if placing.far:
+            return (
+                f"positions are more than {FARTHEST_M / 1000.0:g} km from the world's origin; "
+                "are the origin, and the offset of the system's frame, right?"
+            )
+        if placing.old:
+            return f"positions are more than {OLDEST_S:g} s old by the clock that stamps them; does it stand still?"
+        if placing.others and not placing.unknown:
+            return f"tag {placing.tag} is not among those that are heard: {_listed(placing.tags)}"
+        return "the system says that it has none; is there an anchor, or a satellite, that is not in sight?"
+
+    def _notice(self, what: Literal["connected", "lost", "warned"], cause: str) -> None:
+        self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))
+
+
+def as_failure(device: str, error: Exception) -> Exception:
+    """What a thread died of, as an error that says where."""
+    if isinstance(error, DriverError):
+        return error
+    return DriverError(device, f"its reader raised {type(error).__name__}: {error}", "please report this")
+
+
+def _listed(tags: set[str]) -> str:
+    more = f" and {len(tags) - _MOST_TAGS} more" if len(tags) > _MOST_TAGS else ""
+    return ", ".join(sorted(tags)[:_MOST_TAGS]) + more

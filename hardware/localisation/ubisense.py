@@ -1,0 +1,76 @@
+"""Ubisense: locations of tags in UDP datagrams ("on the wire" protocol).
+
+A datagram has 40 bytes: u16 E298h, u16 026Bh, u64 tag, u32 flags (0: no valid position), float32 x, y, z (m), float32
+variance (m2), u64 time (ns) [docs.ubisense.com, D4 Ubisense protocol]. The byte order is that in which the first two
+numbers come out right. There is no heading.
+"""
+
+import math
+import struct
+from typing import Literal
+
+from vcmvsp.hardware.localisation import Located
+
+MAGIC = (0xE298, 0x026B)
+SIZE_BYTES = 40
+VALID = 1  # any flags but 0
+_FIELDS = "HHQIffffQ"
+
+ByteOrder = Literal["<", ">"]
+
+
+def tag_of(text: str) -> str:
+    """The number of a tag, which is hexadecimal, as 16 digits.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        number = int(text, 16)
+    except ValueError:
+        number = -1
+    if not 0 <= number < 2**64:
+        raise ValueError(f"a tag is a hexadecimal number of at most 16 digits, e.g. 11CE0000A1, not '{text}'")
+    return f"{number:016X}"
+
+
+def decode(datagram: bytes) -> Located:
+    """What a datagram says; `ValueError` if it is none of this protocol."""
+    if len(datagram) != SIZE_BYTES:
+        raise ValueError(f"a datagram has {SIZE_BYTES} bytes, not {len(datagram)}")
+    order = next((each for each in ("<", ">") if struct.unpack_from(each + "HH", datagram) == MAGIC), None)
+    if order is None:
+        raise ValueError(f"a datagram begins with E298 026B, not {datagram[:4].hex(' ', 2)}")
+    _, _, tag, flags, x, y, z, variance, time_ns = struct.unpack(order + _FIELDS, datagram)
+    if flags and not all(map(math.isfinite, (x, y, z))):
+        raise ValueError("a valid position has finite coordinates")
+    return Located(
+        tag=f"{tag:016X}",
+        position=(x, y, z) if flags else None,
+        sigma_m=math.sqrt(variance) if 0.0 < variance < math.inf else None,
+        source_ns=time_ns,
+    )
+
+
+def encode(located: Located, order: ByteOrder = "<") -> bytes:
+    """The datagram that says this: for a source that is emulated. The tag is a hexadecimal number."""
+    x, y, z = located.position or (0.0, 0.0, 0.0)
+    flags = 0 if located.position is None else VALID
+    variance = (located.sigma_m or 0.0) ** 2
+    tag = int(located.tag or "0", 16)
+    return struct.pack(order + _FIELDS, *MAGIC, tag, flags, x, y, z, variance, located.source_ns or 0)
+
+
+class Reader:
+    """Reads datagrams, and counts those that it cannot read."""
+
+    def __init__(self) -> None:
+        self.bad_datagrams = 0
+
+    def feed(self, chunk: bytes) -> list[Located]:
+        """What one datagram says: a list of one, or of none if it cannot be read."""
+        try:
+            return [decode(chunk)]
+        except ValueError:
+            self.bad_datagrams += 1
+            return []

@@ -1,0 +1,236 @@
+"""One real vehicle's place in a run: reports of its station become events of logical time, commands become its orders."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS, WallClock
+from vcmvsp.cosim.errors import FederateError, Interrupted, VcmvspError
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.frames import arc, quaternion_from_yaw
+from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
+from vcmvsp.cosim.types import (
+    Array,
+    Fix,
+    Incident,
+    Measured,
+    Odometry,
+    RealStatus,
+    VehicleState,
+    Velocity,
+    Waypoint,
+)
+from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead, planar
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
+
+HALTED = "operator's halt"
+"""Among the causes of a status: an intervention of the run holds the vehicle, until it lets it go."""
+KEPT_NS = 2 * SECOND_NS  # of reports: a run that is later than this on the wall clock is told of newer ones
+SILENT_NS = SECOND_NS  # a station that says nothing for so long hangs: it has something to say 50 times a second
+
+
+class Station(Protocol):
+    """What a seat asks of `hardware.station.process_client.Station`."""
+
+    def order(self, order: Order) -> bool:
+        """Send an order, without waiting; whether it went."""
+
+    def reports(self) -> list[Report]:
+        """All that have come since the last call; raises what has become of the station."""
+
+
+class Seat:
+    """Turns reports into events and commands into orders.
+
+    Args:
+        vehicle: what it is.
+        clock: of the run.
+    """
+
+    def __init__(self, vehicle: RealVehicle, clock: WallClock) -> None:
+        self.vehicle, self._clock = vehicle, clock
+        self.station: Station | None = None  # None: not connected
+        self.over: VcmvspError | None = None  # why the run is to end, once that is recorded
+        self.halted = False  # it is to stand whatever its agent commands, until it is let go
+        self._heard_ns = self._looked_ns = 0  # when the station was last heard, and asked, on the monotonic clock
+        x, y, yaw = vehicle.start
+        place = (x, y, vehicle.height_m)
+        self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
+        self._history: deque[Report] = deque()  # oldest first
+        self._fresh: list[Report] = []  # heard since the last publication
+        self._command: tuple[Velocity | None, int] = (None, 0)  # and when it was given, ns of the monotonic clock
+        self._orders, self._shown = 0, (0, self._still)
+        self._asked = (-1, self._still)
+
+    # --- orders -------------------------------------------------------------------------------------------------------------
+
+    def command(self, event: Event) -> None:
+        """Take the command of an agent."""
+        if isinstance(event.value, Waypoint):
+            problem = "was given a Waypoint, which real vehicles do not take: send Velocity"
+            raise FederateError(self.vehicle.name, problem)
+        if isinstance(event.value, Velocity):
+            self._command = event.value, self._clock.monotonic_ns(event.time_ns)
+
+    def order(self, others: Array | None, stop: str = "") -> None:
+        """Say what is wanted now: that this is said, and when, is what the station waits for."""
+        if self.station is None:
+            return
+        self._orders += 1
+        command, given_ns = self._command
+        if self.halted and command is not None:
+            command = Velocity()  # as old as that of the agent, who must be heard all the same
+        self.station.order(
+            Order(
+                number=self._orders,
+                sent_ns=time.monotonic_ns(),
+                command=command,
+                command_ns=given_ns if command is not None else None,
+                others=others,
+                stop=stop,
+            )
+        )
+
+    # --- reports ------------------------------------------------------------------------------------------------------------
+
+    def hear(self) -> None:
+        """Take what the station has said."""
+        if self.station is None or self.over is not None:
+            return
+        try:
+            reports = self.station.reports()
+        except DriverError as error:
+            self.over = error
+            return
+        for report in reports:
+            self._fresh.append(report)
+            self._history.append(report)
+            if OPERATOR_STOP in report.causes:
+                self.over = Interrupted(f"{self.vehicle.name} stands: {OPERATOR_STOP}")
+        self._look_after(heard=bool(reports))
+        while len(self._history) > 1 and self._history[-1].time_ns - self._history[0].time_ns > KEPT_NS:
+            self._history.popleft()
+
+    def _look_after(self, *, heard: bool) -> None:
+        """Note that the station has spoken; one that has been silent for long while it was listened to hangs."""
+        now_ns = time.monotonic_ns()
+        if heard or now_ns - self._looked_ns > SILENT_NS // 2:  # it may be this run that was held up
+            self._heard_ns = now_ns
+        self._looked_ns = now_ns
+        if now_ns - self._heard_ns > SILENT_NS:
+            happened = f"its station has said nothing for {SILENT_NS / SECOND_NS:g} s"
+            self.over = FederateError(
+                self.vehicle.name, f"{happened}: it hangs; look after the robot, which its watchdog stops"
+            )
+
+    def state(self, now_ns: int) -> VehicleState:
+        """Where the vehicle is at a logical time, by dead reckoning from the report that is next before it."""
+        if self._asked[0] != now_ns:
+            self._asked = now_ns, self._state(self._clock.monotonic_ns(now_ns))
+        return self._asked[1]
+
+    def _state(self, at_ns: int) -> VehicleState:
+        known = [each for each in self._history if each.state is not None]
+        report = next((each for each in reversed(known) if each.time_ns <= at_ns), known[0] if known else None)
+        if report is None or report.state is None:
+            return self._still
+        return ahead(report.state, at_ns - report.time_ns, flies=self.vehicle.flies)
+
+    def _report(self, now_ns: int) -> Report | None:
+        """The newest that there was at an instant: a run that is late has heard more by now."""
+        at_ns = self._clock.monotonic_ns(now_ns)
+        return next((each for each in reversed(self._history) if each.time_ns <= at_ns), None)
+
+    def publish(self, now_ns: int) -> Iterator[Event]:
+        """What there is to tell at an instant."""
+        name, newest, fresh = self.vehicle.name, self._report(now_ns), self._fresh
+        self._fresh = []
+        state = self.state(now_ns)
+        estimate = state
+        if newest is not None and newest.odometry is not None:
+            odometry = self._odometry(newest, now_ns)
+            yield Event(f"{name}/odometry", now_ns, odometry)
+            if self.vehicle.pose_source == "odometry":
+                estimate = planar(odometry.pose, odometry.v, odometry.w, self.vehicle.height_m)
+        yield Event(f"{name}/estimate", now_ns, estimate)
+        yield from self._readings(now_ns, fresh)
+        yield Event(f"{name}/real", now_ns, self._status(now_ns, newest, fresh))
+        yield from self._incidents(now_ns, fresh)
+        self._shown = now_ns, state
+
+    def last_words(self, now_ns: int) -> Iterator[Event]:
+        """What befell the vehicle and was not told yet: the run ends."""
+        fresh, self._fresh = self._fresh, []
+        return self._incidents(now_ns, fresh)
+
+    def _incidents(self, now_ns: int, fresh: Sequence[Report]) -> Iterator[Event]:
+        for notice in (each for report in fresh for each in report.notices):
+            happened_ns = self._clock.logical_ns(notice.time_ns)
+            incident = Incident(what=notice.what, cause=notice.cause, happened_ns=happened_ns)
+            yield Event(f"{self.vehicle.name}/incident", now_ns, incident)
+
+    def _odometry(self, report: Report, now_ns: int) -> Odometry:
+        """The newest, gone on with to this instant."""
+        told = report.odometry
+        assert told is not None  # noqa: S101  asked for before
+        since_ns = self._clock.monotonic_ns(now_ns) - report.measured_ns
+        seconds = max(0, min(since_ns, LONGEST_NS)) / SECOND_NS
+        return Odometry(pose=arc(told.pose, told.v, told.w, seconds), v=told.v, w=told.w)
+
+    def _readings(self, now_ns: int, fresh: Sequence[Report]) -> Iterator[Event]:
+        """Positions and ranges that are new. What was measured before the run began is no part of it."""
+        name, logical_ns = self.vehicle.name, self._clock.logical_ns
+        for report in fresh:
+            for fix in report.fixes:
+                if (measured_ns := logical_ns(fix.time_ns)) >= 0:
+                    yield Event(f"{name}/fix", now_ns, _timed(fix, measured_ns))
+        ranges = {str(number): range_m for report in fresh for number, range_m in report.sonar}
+        if ranges:
+            yield Event(f"{name}/sonar", now_ns, Measured(time_ns=now_ns, values=dict(sorted(ranges.items(), key=_number))))
+
+    def _status(self, now_ns: int, newest: Report | None, fresh: Sequence[Report]) -> RealStatus:
+        if newest is None:
+            return RealStatus(link=0, age_s=None)
+        sigma_m = None
+        if newest.covariance is not None:
+            sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(newest.covariance[:2, :2])[-1]), 0.0))
+        held = (HALTED,) if self.halted else ()
+        causes = (*held, *dict.fromkeys(cause for report in fresh or [newest] for cause in report.causes))
+        age_s = None
+        if newest.sample:
+            age_s = max(0, self._clock.monotonic_ns(now_ns) - newest.measured_ns) / SECOND_NS
+        return RealStatus(
+            link=newest.link,
+            age_s=age_s,
+            fix_age_s=newest.fix_age_s,
+            sigma_m=sigma_m,
+            prediction_m=self._prediction_m(now_ns),
+            gated=newest.gated,
+            sent=newest.sent,
+            causes=causes,
+            battery_v=newest.battery_v,
+            bumpers=newest.bumpers,
+            late_s=max((report.late_s for report in fresh), default=0.0),
+        )
+
+    def _prediction_m(self, now_ns: int) -> float | None:
+        """How far from where it is the vehicle would be, had it gone on as it was shown last."""
+        since_ns, shown = self._shown
+        if not self._history or since_ns == 0:
+            return None
+        expected = ahead(shown, now_ns - since_ns, flies=self.vehicle.flies)
+        return math.dist(expected.position, self.state(now_ns).position)
+
+
+def _timed(fix: Fix, time_ns: int) -> Fix:
+    return msgspec.structs.replace(fix, time_ns=time_ns)
+
+
+def _number(item: tuple[str, float]) -> int:
+    return int(item[0])

@@ -1,0 +1,1 @@
+"""Program on the robot."""

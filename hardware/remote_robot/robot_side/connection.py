@@ -1,0 +1,101 @@
+"""The robot's end of Zenoh: a session with the driver that listens in a run, if there is one."""
+
+import contextlib
+import queue
+import time
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.transport import key_names
+from vcmvsp.cosim.hosts.host_client import dial
+from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.messages import Welcome
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Bundle
+
+ANSWER_S = 1.0  # for the answer to a greeting
+WAITING = 256  # messages that may wait; more are left out, and said again
+
+
+class NobodyThere(Exception):
+    """There is no run yet; says why."""
+
+
+class Told(NamedTuple):
+    """Something that the run said."""
+
+    data: bytes
+    arrived_ns: int
+
+
+class Dialled:
+    """A session.
+
+    Args:
+        endpoint: where the driver of the run listens.
+        bundle: this machine's certificate; None: plain TCP.
+        vehicle: whose robot this is.
+
+    Raises:
+        NobodyThere: there is none now.
+        UsageError: there will be none: what is there is no run, or does not let this machine in.
+    """
+
+    def __init__(self, endpoint: str, bundle: "Bundle | None", vehicle: str) -> None:
+        self._name = key_names.OPEN if bundle is None else bundle.name
+        self._session = dial(endpoint, bundle, _give_up)
+        self.id = str(self._session.zid())
+        self._news: queue.SimpleQueue[Told | Literal["gone"]] = queue.SimpleQueue()
+        try:
+            down, up, alive = (key_names.robot_key(self._name, vehicle, self.id, each) for each in ("down", "up", "alive"))
+            drop = zenoh.CongestionControl.DROP  # what is not taken is said again
+            self._says = self._session.declare_publisher(up, congestion_control=drop, express=True)
+            watch = Callback(self._on_hub, indirect=False)
+            self._kept: list[Any] = [
+                self._session.declare_subscriber(down, Callback(self._on_sample, indirect=False)),
+                self._session.liveliness().declare_subscriber(key_names.HUB_ALIVE, watch, history=True),
+                self._session.liveliness().declare_token(alive),
+            ]
+        except BaseException:
+            self.close()
+            raise
+
+    def greet(self, greeting: bytes) -> Welcome | None:
+        """The answer to a greeting; None: there is none."""
+        for reply in self._session.get(key_names.greet_key(self._name), payload=greeting, timeout=ANSWER_S):
+            if reply.ok is not None:
+                with contextlib.suppress(ValueError):
+                    return messages.welcomes.decode(reply.ok.payload.to_bytes())
+        return None
+
+    def say(self, data: bytes) -> None:
+        """To the run."""
+        self._says.put(data)
+
+    def next(self, wait_s: float) -> Told | Literal["gone"] | None:
+        """What the run said next, "gone" when it has ended or is out of reach, None if nothing comes within this time."""
+        try:
+            return self._news.get(timeout=wait_s) if wait_s > 0.0 else self._news.get_nowait()
+        except queue.Empty:
+            return None
+
+    def close(self) -> None:
+        """Leave. Never raises."""
+        with contextlib.suppress(zenoh.ZError):
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.PUT and "*" not in str(sample.key_expr) and self._news.qsize() < WAITING:
+            self._news.put(Told(sample.payload.to_bytes(), time.monotonic_ns()))
+
+    def _on_hub(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._news.put("gone")
+
+
+def _give_up(why: str) -> None:
+    """Called by `dial` before it waits: whoever has a robot in hand looks after it meanwhile."""
+    raise NobodyThere(why)

@@ -1,0 +1,276 @@
+"""The program on the robot's own computer. It waits for runs, and serves one after the other.
+
+Its robot moves only while the run says so: it is stopped when the link ends, when no velocity comes for `DEADMAN_S`, when
+velocities may be older than that, and when this program is to end.
+"""
+
+import secrets
+import signal
+import time
+from collections.abc import Callable
+from contextlib import closing
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.transport import access_control
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.drivers.base import Driver, Sample
+from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
+from vcmvsp.hardware.remote_robot.robot_side.connection import Dialled, NobodyThere, Told
+from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Hello, Up, Welcome
+from vcmvsp.hardware.drivers.call_timeout import within
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Bundle
+
+POLL_S = 0.01  # from look to look for a sample
+DIAL_S = 0.2  # between two attempts to reach a run
+ASK_S = 0.5  # ... to be let in
+DOOR_S = 3.0  # for the answer to the first greeting
+SILENCE_S = 3.0  # without a word from the run, the link counts as lost; the robot stands long before
+KEEP_S = 10.0  # a driver stays open for a run that may come back
+HANG_S = 3.0  # for a turn, which should take a millisecond
+LINGER_S = 0.5  # for the run to hear the last
+LEFT = "the run is over"
+
+
+class Program:
+    """What ``vcmvsp robot`` does.
+
+    Args:
+        vehicle: whose robot this is.
+        driver: of the robot.
+        endpoint: where the driver of the run listens.
+        bundle: this machine's certificate.
+        pose: where the robot stands; None: as the run says.
+        foreign: why the certificate is not for this vehicle: a run that is there is left to say so itself, and hears of it.
+        tell: takes lines for the user.
+    """
+
+    def __init__(
+        self,
+        vehicle: str,
+        driver: Driver,
+        endpoint: str,
+        bundle: "Bundle | None",
+        *,
+        pose: Vec3 | None = None,
+        foreign: str = "",
+        tell: Callable[[str], None],
+    ) -> None:
+        self._vehicle, self._endpoint, self._bundle = vehicle, endpoint, bundle
+        self._foreign, self._tell = foreign, tell
+        self._aboard = Aboard(driver, pose, tell)
+        self._driver = driver
+        self._robot = secrets.token_hex(8)
+        self._told = ""
+        self._ending = ""  # why it ends
+        self._lost_ns: int | None = None  # since when a run is out of reach that may come back
+        self._echo = (0, 0, 0)  # number, its time and ours of the newest that the run has said
+        self._said_ns = 0
+
+    def told_to_end(self, number: int, _frame: FrameType | None) -> None:
+        """A signal; the second one does not wait for the robot."""
+        if self._ending:
+            raise KeyboardInterrupt
+        self._ending = f"ended by {signal.Signals(number).name}"
+
+    def serve(self) -> None:
+        """Until it is told to end; the robot stands then, and its driver is closed."""
+        try:
+            while not self._ending:
+                try:
+                    dialled = Dialled(self._endpoint, self._bundle, self._vehicle)
+                except NobodyThere as nobody:
+                    self._say_once(str(nobody))
+                    if self._foreign:
+                        raise UsageError(self._foreign) from None
+                    self._rest(DIAL_S)
+                    continue
+                with closing(dialled):
+                    self._visit(dialled)
+        finally:
+            self._aboard.close(self._ending or "its program ends")
+        self._tell(self._ending)
+
+    # One run
+
+    def _visit(self, dialled: Dialled) -> None:
+        """What happens while there is a link."""
+        welcome = self._greeted(dialled)
+        if welcome is None:
+            return
+        self._told, self._lost_ns = "", None
+        self._echo = (0, 0, 0)
+        aboard = self._aboard
+
+        def say() -> None:
+            self._say(dialled)
+
+        try:
+            if aboard.run == welcome.run and aboard.state == "open":
+                self._tell("the run is back")
+                aboard.meet()
+            else:
+                self._tell(f"a run has come ({self._endpoint})")
+                aboard.close("another run has come", say)
+                aboard.open(welcome.run, welcome.start, lambda: self._given_up(dialled))
+            ended = self._drive(dialled)
+            aboard.stop(ended if ended in (LEFT, self._ending) else f"the link to the run is lost ({ended})")
+        except Exception as error:
+            aboard.fail(error, say)
+            ended = ""
+        if self._ending:
+            aboard.end(f"its program was {self._ending}", say)
+            say()
+        elif aboard.failure is not None:
+            self._say_last(dialled, left=False)
+        elif ended == LEFT:
+            aboard.close(LEFT, say)
+            self._say_last(dialled, left=True)
+            self._tell(LEFT)
+        else:
+            self._lost_ns = time.monotonic_ns()
+            self._tell(f"the link to the run is lost ({ended}); the robot stands")
+
+    def _greeted(self, dialled: Dialled) -> Welcome | None:
+        """Ask until the run lets this robot in; None: it does not answer, or is gone."""
+        driver = self._driver
+        hello = Hello(
+            protocol=messages.PROTOCOL,
+            vehicle=self._vehicle,
+            robot=self._robot,
+            session=dialled.id,
+            device=driver.device,
+            open_s=driver.open_deadline_s,
+            close_s=driver.close_deadline_s,
+        )
+        until = time.monotonic() + DOOR_S
+        while not self._ending:
+            welcome = dialled.greet(encode(hello))
+            if welcome is not None and not welcome.refused:
+                return welcome
+            if welcome is not None:
+                if welcome.final:
+                    raise UsageError(f"the run refuses this robot: {plain(welcome.refused)}")
+                self._say_once(f"waiting: {plain(welcome.refused)}")
+            elif time.monotonic() > until:
+                self._say_once(self._unanswered())
+                self._rest(ASK_S)
+                return None
+            self._rest(ASK_S if welcome else DIAL_S)
+            if dialled.next(0.0) == "gone":
+                return None
+        return None
+
+    def _unanswered(self) -> str:
+        wrong = f"or is {self._endpoint} not where the driver of {self._vehicle} listens?"
+        if self._bundle is None:
+            return f"what listens there does not answer robots: another vcmvsp version, {wrong}"
+        return f"{access_control.silence(self._bundle.name)}; {wrong}"
+
+    def _given_up(self, dialled: Dialled) -> str:
+        """While the driver is opened: say that this takes time; why it is not needed any more."""
+        self._say(dialled)
+        while (news := dialled.next(0.0)) is not None:
+            if news == "gone":
+                return "the run has ended"
+            down = self._taken(news)
+            if down is not None and down.leave:
+                return "the run is over"
+        return self._ending
+
+    def _drive(self, dialled: Dialled) -> str:
+        """Follow the run until it leaves, its link ends, or this program is to end; why."""
+        aboard = self._aboard
+        heard_ns = time.monotonic_ns()
+        with within(HANG_S, self._driver.device, "a turn") as turned:
+            while not self._ending and aboard.failure is None:
+                turned()
+                news = dialled.next(POLL_S)
+                now_ns = time.monotonic_ns()
+                if news == "gone":
+                    return "it has ended, or the network broke"
+                if news is not None and (down := self._taken(news)) is not None:
+                    heard_ns = now_ns
+                    if down.leave:
+                        return LEFT
+                    aboard.follow(down, now_ns)
+                if now_ns > heard_ns + seconds_to_ns(SILENCE_S):
+                    return f"nothing was heard for {SILENCE_S:g} s"
+                sample = aboard.turn(now_ns)
+                if sample is not None or now_ns >= self._said_ns + seconds_to_ns(SAY_S):
+                    self._say(dialled, sample)
+        return self._ending
+
+    def _taken(self, news: "Told | str") -> Down | None:
+        """A message of the run; None: it cannot be read, or is not newer than the last."""
+        if isinstance(news, str):
+            return None
+        try:
+            down = messages.downs.decode(news.data)
+        except ValueError:
+            self._say_once("the run says something that cannot be read: use the same vcmvsp version")
+            return None
+        if down.number <= self._echo[0]:
+            return None
+        self._echo = down.number, down.sent_ns, news.arrived_ns
+        return down
+
+    # Talking
+
+    def _say(self, dialled: Dialled, sample: Sample | None = None, *, left: bool = False) -> None:
+        aboard = self._aboard
+        number, sent_ns, heard_ns = self._echo
+        self._said_ns = time.monotonic_ns()
+        up = Up(
+            said_ns=self._said_ns,
+            heard=number,
+            yours_ns=sent_ns,
+            heard_ns=heard_ns,
+            state=aboard.state,
+            opened=aboard.opened,
+            sample=sample,
+            notices=aboard.notices(),
+            noticed=aboard.noticed,
+            failure=aboard.failure,
+            left=left,
+        )
+        dialled.say(encode(up))
+
+    def _say_last(self, dialled: Dialled, *, left: bool) -> None:
+        """Until the run has heard it, and is gone."""
+        until = time.monotonic() + LINGER_S
+        while time.monotonic() < until and not self._ending:
+            self._say(dialled, left=left)
+            if dialled.next(SAY_S) == "gone":
+                return
+
+    def _say_once(self, text: str) -> None:
+        if text != self._told:
+            self._told = text
+            self._tell(text)
+
+    def _rest(self, seconds: float) -> None:
+        """Wait, and look after a robot whose run is out of reach."""
+        until_ns = time.monotonic_ns() + round(seconds * SECOND_NS)
+        while not self._ending and (now_ns := time.monotonic_ns()) < until_ns:
+            self._attend(now_ns)
+            time.sleep(min(DIAL_S, max(0.0, (until_ns - now_ns) / SECOND_NS)))
+
+    def _attend(self, now_ns: int) -> None:
+        aboard = self._aboard
+        if aboard.state != "open":
+            return
+        try:
+            with within(HANG_S, self._driver.device, "a turn"):
+                aboard.turn(now_ns)
+        except Exception as error:
+            aboard.fail(error)
+        if self._lost_ns is not None and now_ns > self._lost_ns + seconds_to_ns(KEEP_S):
+            aboard.close(f"its run is not back after {KEEP_S:g} s")

@@ -1,0 +1,207 @@
+"""The robot's own driver, as its run wants it: opened and closed with the run, stopped when nothing comes, watched.
+
+All is called in one thread, the main one, where calls that hang are given up.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Literal
+
+import msgspec
+
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.drivers.base import (
+    Driver,
+    DriverError,
+    HandshakeError,
+    LinkLost,
+    Notice,
+    PortError,
+    Sample,
+)
+from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Down, Failure
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+from vcmvsp.hardware.drivers.call_timeout import within
+
+GRACE_S = 2.0  # beyond what a driver says of itself
+KEPT = 1000  # notices that nobody has heard yet
+_DEADMAN_NS = seconds_to_ns(DEADMAN_S)
+
+
+def _nothing() -> None:
+    """Nobody is there who would want to hear."""
+
+
+class Aboard:
+    """Drives the robot.
+
+    Args:
+        driver: of the robot; not open.
+        pose: where the robot stands when a run begins; None: as the run says.
+        tell: takes lines for the user.
+
+    Attributes:
+        run: by which it was opened last.
+        state: of the driver.
+        opened: how often it was opened.
+        failure: why it cannot go on; None: it can.
+        noticed: notices that the run has heard.
+    """
+
+    def __init__(self, driver: Driver, pose: Vec3 | None, tell: Callable[[str], None]) -> None:
+        self._driver, self._pose, self._tell = driver, pose, tell
+        self.run = ""
+        self.state: Literal["closed", "opening", "open"] = "closed"
+        self.opened = self.noticed = 0
+        self.failure: Failure | None = None
+        self._notices: deque[Notice] = deque(maxlen=KEPT)
+        self._stood = False  # since the run has come, it was told to stand
+        self._stopped = NOT_YET  # why it stands; empty: it drives
+        self._velocity_ns = 0
+        self._late = False
+
+    def open(self, run: str, start: Vec3, given_up: Callable[[], str]) -> None:
+        """Open the driver for a run, where the robot stands here; raises what is wrong.
+
+        Args:
+            run: by which one that comes again is known.
+            start: x m, y m, yaw rad.
+            given_up: is asked now and then for a reason not to go on.
+        """
+        self.run, self.failure, self.state = run, None, "opening"
+        self._forget()
+        self.opened += 1
+        driver = self._driver
+        x, y, yaw = start if self._pose is None else self._pose
+        self._tell(f"opening {driver.device} at x {x:.2f} m, y {y:.2f} m, yaw {yaw:.2f} rad")
+        with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", given_up):
+            driver.open((x, y, yaw))
+        self.state = "open"
+        self._gather()
+
+    def meet(self) -> None:
+        """The link to the run has come about, or is back: stand until it has said so."""
+        self._stood = False
+        self.stop("its run has just come")
+
+    def follow(self, down: Down, now_ns: int) -> None:
+        """Do what the run says; a velocity that may be too old, by our own clock, counts for nothing."""
+        self._heard(down.noticed)
+        if self.state != "open":
+            return
+        if down.velocity is None:
+            self._stood = True
+            self.stop(plain(down.stop) or NOT_YET)
+        elif not all(map(math.isfinite, (*down.velocity.linear, down.velocity.yaw_rate))):
+            self.stop("a velocity of the run is no number")
+        elif self._stood and self._is_fresh(down, now_ns):
+            self._stopped, self._velocity_ns = "", now_ns
+            self._driver.write(down.velocity)
+
+    def stop(self, cause: str) -> None:
+        """Stand; said once for each cause."""
+        if self.state == "open" and self._stopped != cause:
+            self._stopped = cause
+            self._driver.stop(cause)
+
+    def turn(self, now_ns: int) -> Sample | None:
+        """Look after the robot: the newest sample, if there is one."""
+        if self.state != "open":
+            return None
+        if not self._stopped and now_ns >= self._velocity_ns + _DEADMAN_NS:
+            self.stop(f"no velocity from the run for {DEADMAN_S:g} s")
+        sample = self._driver.read()
+        self._gather()
+        return sample
+
+    def fail(self, error: Exception, meanwhile: Callable[[], None] = _nothing) -> None:
+        """It cannot go on: note why, and close the driver."""
+        self.failure = _failure(self._driver.device, error)
+        self._tell(f"{self.failure.device}: {self.failure.happened}; {self.failure.advice}")
+        self.close(self.failure.happened, meanwhile)
+
+    def end(self, why: str, meanwhile: Callable[[], None]) -> None:
+        """Close the driver for good, and have the run hear why."""
+        if self.state != "closed":
+            self.failure = Failure(kind="lost", device=self._driver.device, happened=why, advice="start it again")
+            self.close(why, meanwhile)
+
+    def close(self, cause: str, meanwhile: Callable[[], None] = _nothing) -> None:
+        """Stop the robot and close its driver, whatever has happened; ``meanwhile`` is called now and then."""
+        if self.state == "closed":
+            return
+        self.state = "closed"
+        driver = self._driver
+
+        def tick() -> str:
+            meanwhile()
+            return ""
+
+        def stop() -> None:
+            if self._stopped != cause:
+                driver.stop(cause)
+
+        seconds = (GRACE_S, "stopping it", stop), (driver.close_deadline_s + GRACE_S, "closing it", driver.close)
+        for most_s, doing, what in seconds:
+            try:
+                with within(most_s, driver.device, doing, tick):
+                    what()
+            except Exception as error:
+                self._tell(f"{doing}: {error}")
+        self._gather()
+        self._tell(f"closed {driver.device}")
+
+    def notices(self) -> tuple[Notice, ...]:
+        """Those that the run has not heard, the oldest first."""
+        return tuple(self._notices)[:NOTICES_AT_ONCE]
+
+    def _heard(self, noticed: int) -> None:
+        while self._notices and self.noticed < noticed:
+            self._notices.popleft()
+            self.noticed += 1
+
+    def _forget(self) -> None:
+        """What nobody heard of an earlier run is not for this one."""
+        self.noticed += len(self._notices)
+        self._notices.clear()
+        self._stood, self._stopped, self._late = False, NOT_YET, False
+
+    def _gather(self) -> None:
+        try:
+            new = self._driver.notices()
+        except Exception as error:
+            self._tell(f"its driver cannot say what happened: {error}")
+            return
+        new = [msgspec.structs.replace(each, cause=plain(each.cause)) for each in new]
+        for each in new:
+            self._tell(f"{each.what}: {each.cause}")
+        self.noticed += max(0, len(self._notices) + len(new) - KEPT)  # the oldest are pushed out
+        self._notices.extend(new)
+
+    def _is_fresh(self, down: Down, now_ns: int) -> bool:
+        """Whether this was said after something that we have said lately."""
+        fresh = down.yours_ns > 0 and now_ns - down.yours_ns <= _DEADMAN_NS
+        if not fresh and not self._late:
+            self._late = True
+            way = f"{(now_ns - down.yours_ns) / 1e9:.1f} s for both ways" if down.yours_ns else "nothing of ours was heard"
+            warned = Notice(
+                time_ns=time.monotonic_ns(), what="warned", cause=f"velocities come too late and do not count: {way}"
+            )
+            self._tell(f"{warned.what}: {warned.cause}")
+            self._notices.append(warned)
+        return fresh
+
+
+def _failure(device: str, error: Exception) -> Failure:
+    if not isinstance(error, DriverError):
+        happened = plain(f"its driver failed ({type(error).__name__}: {error})")
+        return Failure(kind="driver", device=plain(device), happened=happened, advice="report this to who wrote the driver")
+    kinds: dict[type[DriverError], Literal["port", "handshake", "lost"]]
+    kinds = {PortError: "port", HandshakeError: "handshake", LinkLost: "lost"}
+    kind = next((word for each, word in kinds.items() if isinstance(error, each)), None)
+    device, happened, advice = map(plain, (error.device, error.happened, error.advice))
+    return Failure(kind=kind or "driver", device=device, happened=happened, advice=advice)

@@ -1,0 +1,1 @@
+"""Driver and session in the run."""

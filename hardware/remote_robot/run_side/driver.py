@@ -1,0 +1,226 @@
+"""The driver of robots that have a computer of their own, on which ``vcmvsp robot`` drives them, over Eclipse Zenoh.
+
+It listens, and the robot dials in, so that only the run's machine needs a known address and an open port. One thread says
+what `Orders` want and takes what comes; all that it shares with the caller is behind one lock, which nobody holds while
+waiting. Beyond this machine both ends show certificates, and who has none for this vehicle may greet, and no more.
+"""
+
+import contextlib
+import queue
+import re
+import secrets
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.transport import endpoints, key_names
+from vcmvsp.cosim.types import NonNegative, Positive, Vec3
+from vcmvsp.hardware.drivers.base import (
+    COMMAND_TIMEOUT_S,
+    CommandTimeout,
+    DriverError,
+    HandshakeError,
+    LinkLost,
+    PortError,
+)
+from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.run_side.admission import Admission
+from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Knock, News, Peer
+from vcmvsp.hardware.remote_robot.run_side.session import Talking
+from vcmvsp.hardware.remote_robot.messages import SAY_S, Hello, Welcome
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Keys
+
+START_S = 5.0  # for the session
+INVITE_S = 2.0  # before it is said that the robot is waited for
+
+
+class ZenohDriver(Talking):
+    """A robot whose own computer runs ``vcmvsp robot`` (`hardware.drivers.base.Driver`).
+
+    Args:
+        listen: where the robot dials in, such as ``tls/0.0.0.0:7448``; each vehicle has a port of its own.
+        keys: folder of the authority ('vcmvsp keys init'), relative to the scenario's; a must beyond this machine.
+        insecure: do without certificates where everybody is trusted.
+        open_deadline_s: for the robot to dial in and to stand ready.
+        silence_s: without a word from the robot, it counts as lost.
+        reconnect_s: for so long a robot that was lost is waited for; 0: losing it is an error at once.
+        command_timeout_s: without a command, the robot is stopped.
+        vehicle: whose robot is to come; given by the run.
+        folder: of the scenario; given by the run.
+    """
+
+    def __init__(
+        self,
+        *,
+        listen: str,
+        keys: str = "",
+        insecure: bool = False,
+        open_deadline_s: Positive = 45.0,
+        silence_s: Positive = 1.0,
+        reconnect_s: NonNegative = 0.0,
+        command_timeout_s: CommandTimeout = COMMAND_TIMEOUT_S,
+        vehicle: str = "",
+        folder: str = "",
+    ) -> None:
+        if vehicle and not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
+            raise ScenarioError(f"must have letters, digits, _ and - only, not {vehicle!r}", key="vehicle")
+        try:
+            _check(listen, keys, insecure=insecure)
+        except UsageError as error:
+            raise ScenarioError(str(error), key="listen") from None
+        super().__init__(
+            f"{listen} ({vehicle})" if vehicle else listen,
+            vehicle=vehicle,
+            open_deadline_s=START_S + open_deadline_s,
+            reconnect_s=reconnect_s,
+            command_timeout_s=command_timeout_s,
+        )
+        self._listen, self._secure = listen, bool(keys)
+        self._admission = Admission(vehicle, Path(folder, keys) if keys else None)
+        self._open_s, self._silence_s, self._silence_ns = open_deadline_s, silence_s, seconds_to_ns(silence_s)
+
+    # What the caller does.
+
+    @property
+    def invitation(self) -> str:
+        """The command line that starts the robot's program."""
+        keys = f"--keys {self._vehicle}.keys" if self._secure else "--insecure"
+        where = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/HOST:", self._listen)
+        return f"vcmvsp robot --vehicle {self._vehicle} --driver KIND:ADDRESS --connect {where} {keys}"
+
+    def _prepare(self, start: Vec3) -> None:
+        if not self._vehicle:
+            raise HandshakeError(self.device, "it was not told whose robot is to come", "give it a vehicle")
+        super()._prepare(start)
+        self._run_name = secrets.token_hex(8)
+        self._invited = False  # somebody was told that it waits
+        self._refused = ""  # why a robot was sent away last
+
+    # What the thread does.
+
+    def _work(self) -> None:
+        with contextlib.closing(Door(self._listen, self._authority(), self._vehicle, self._hand_over)) as door:
+            self._door = door
+            try:
+                self._converse(time.monotonic_ns() + seconds_to_ns(self._open_s))
+            except DriverError as error:
+                self._failure = error
+                self._ready.set()
+            self._say_goodbye()
+
+    def _authority(self) -> "Keys | None":
+        try:
+            keys = self._admission.keys()
+            if keys is not None and (warning := keys.check()):
+                self._notice("warned", warning)
+        except UsageError as error:
+            raise PortError(self.device, str(error), "name the folder of the authority, keys = 'DIR'") from None
+        return keys
+
+    def _converse(self, open_until_ns: int) -> None:
+        """Take what comes and say what is due until the caller closes it."""
+        due_ns = 0
+        while not self._closing.is_set():
+            now_ns = time.monotonic_ns()
+            if now_ns >= due_ns:
+                self._say()
+                due_ns = now_ns + seconds_to_ns(SAY_S)
+            self._watch(now_ns, open_until_ns)
+            try:
+                news = self._news.get(timeout=max(0.0, (due_ns - now_ns) / SECOND_NS))
+            except queue.Empty:
+                continue
+            if news is None:
+                self._woken.clear()
+                due_ns = 0
+            else:
+                self._take(news)
+        if not self._ready.is_set():
+            raise HandshakeError(self.device, "it was closed while its robot was waited for", "open it again")
+
+    def _take(self, news: News) -> None:
+        if isinstance(news, Knock):
+            self._greeted(news)
+        elif news.peer == self._peer:
+            if isinstance(news, Gone):
+                self._let_go("the robot's program has ended, or its link broke")
+            else:
+                self._heard(news)
+
+    def _watch(self, now_ns: int, open_until_ns: int) -> None:
+        """Note silence, and what did not come in time."""
+        if self._peer is not None and now_ns >= self._heard_ns + self._silence_ns:
+            self._let_go(f"nothing was heard for {self._silence_s:g} s")
+        if not self._ready.is_set():
+            if now_ns >= open_until_ns:
+                raise self._nobody()
+            if self._peer is None and not self._invited and now_ns >= open_until_ns - seconds_to_ns(self._open_s - INVITE_S):
+                self._invited = True
+                sys.stderr.write(f"waiting for the robot of {self._vehicle} at {self._listen}; there: {self.invitation}\n")
+                sys.stderr.flush()
+        elif self._lost is not None and now_ns >= self._lost_ns + seconds_to_ns(self._reconnect_s):
+            raise self._gone_for_good(self._lost)
+
+    # Greetings
+
+    def _greeted(self, knock: Knock) -> None:
+        """Let a robot in, or say why not."""
+        try:
+            hello = messages.hellos.decode(knock.said)
+            peer = Peer(knock.name, hello.session)
+            key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
+        except ValueError:
+            knock.answer(Welcome(refused="that was no greeting of a robot of this version", final=True))
+            return
+        final = self._admission.refusal(knock.name, hello)
+        if refused := final or self._waits(knock.name, hello):
+            self._refused = refused
+            self._warn_once(f"a robot was sent away: {refused}")
+            knock.answer(Welcome(refused=refused, final=bool(final)))
+            return
+        if self._peer is not None and self._peer != peer:
+            self._let_go("the robot has dialled anew")
+        if self._peer is None:
+            self._follow(peer, hello)
+        knock.answer(Welcome(run=self._run_name, start=self._track.pose))
+
+    def _waits(self, name: str, hello: Hello) -> str:
+        """Why a robot that may come is not driven now; empty: it is."""
+        known = self._hello
+        if self._closing.is_set():
+            return "the run is over"
+        if self._peer is not None and known is not None and (self._peer.name, known.robot) != (name, hello.robot):
+            return f"another program drives {self._vehicle} already"
+        return ""
+
+    # What is said of a robot that is not there
+
+    def _nobody(self) -> HandshakeError:
+        """Why no robot stands ready."""
+        within = f"within {self._open_s:g} s"
+        if self._peer is not None and self._hello is not None:
+            happened = f"the robot has come, but its own driver ({plain(self._hello.device)}) is not open {within}"
+            return HandshakeError(
+                self.device, happened, f"look at the robot; it may take {self._hello.open_s:g} s: open_deadline_s"
+            )
+        sent_away = f"; one was sent away: {self._refused}" if self._refused else ""
+        happened = f"the robot of {self._vehicle} did not come {within}{sent_away}"
+        return HandshakeError(self.device, happened, f"start on its own computer: {self.invitation}")
+
+    def _gone_for_good(self, lost: LinkLost) -> LinkLost:
+        if not self._reconnect_s:
+            return lost
+        return LinkLost(self.device, f"{lost.happened}, and it was not back within {self._reconnect_s:g} s", lost.advice)
+
+
+def _check(listen: str, keys: str, *, insecure: bool) -> None:
+    """Raise `UsageError` if it may not listen there so; the keys themselves are read when it is opened."""
+    if keys and insecure:
+        raise UsageError("keys and insecure exclude one another: leave one of them out")
+    endpoints.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")

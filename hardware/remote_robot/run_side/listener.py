@@ -1,0 +1,144 @@
+"""The run's end of Zenoh: listens, lets robots knock, hears one of them and speaks to it.
+
+Zenoh calls back in threads of its own; callbacks are direct, and do no more than hand over.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.transport import key_names, access_control
+from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.hardware.drivers.base import PortError
+from vcmvsp.hardware.remote_robot.messages import Welcome
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.security.certificates import Keys
+
+
+class Peer(NamedTuple):
+    """Who speaks, by the key: for certain, where there are certificates."""
+
+    name: str  # of the machine, as in its certificate
+    session: str
+
+
+class Knock(NamedTuple):
+    """A robot that wants to be driven."""
+
+    name: str
+    said: bytes
+    answer: Callable[[Welcome], None]
+
+
+class Heard(NamedTuple):
+    """Something that was said."""
+
+    peer: Peer
+    data: bytes
+    arrived_ns: int
+
+
+class Gone(NamedTuple):
+    """A robot whose link has ended."""
+
+    peer: Peer
+
+
+News = Knock | Heard | Gone
+
+
+class Door:
+    """Listens for the robot of one vehicle.
+
+    Args:
+        listen: endpoint, such as ``tls/0.0.0.0:7448``.
+        keys: certificates of those who may come; None: anybody may.
+        vehicle: whose robot is to come.
+        take: takes the news, in Zenoh's threads.
+
+    Raises:
+        PortError: nothing can listen there.
+    """
+
+    def __init__(self, listen: str, keys: "Keys | None", vehicle: str, take: Callable[[News], None]) -> None:
+        self._vehicle, self._take = vehicle, take
+        self._publisher: zenoh.Publisher | None = None
+        self._subscriber: Any = None
+        if keys is not None:
+            zenoh.init_log_from_env_or(access_control.LOG)
+        secure = access_control.ROBOT_LIMITS if keys is None else access_control.driver_security(keys, vehicle)
+        try:
+            self._session = opened({"mode": "router", "listen": {"endpoints": [listen]}}, secure, "Zenoh")
+        except UsageError as error:
+            happened = str(error).removeprefix("Zenoh: ")
+            advice = "is another run using this port? Give each vehicle a port of its own"
+            raise PortError(listen, f"nothing can listen there ({happened})", advice) from None
+        alive = f"vcmvsp/robot/*/{vehicle}/*/alive"
+        watch = Callback(self._on_token, indirect=False)
+        self._kept: list[Any] = [
+            self._session.liveliness().declare_subscriber(alive, watch),
+            self._session.declare_queryable(key_names.GREET, Callback(self._on_greeting, indirect=False)),
+            self._session.liveliness().declare_token(key_names.HUB_ALIVE),
+        ]
+
+    def follow(self, peer: Peer) -> None:
+        """Hear this robot from now on, and speak to it; raises `ValueError` if there can be no such robot."""
+        up = key_names.robot_key(peer.name, self._vehicle, peer.session, "up")
+        down = key_names.robot_key(peer.name, self._vehicle, peer.session, "down")
+        self.leave()
+        self._subscriber = self._session.declare_subscriber(up, Callback(self._on_sample, indirect=False))
+        drop = zenoh.CongestionControl.DROP  # a robot that does not listen holds nobody up
+        self._publisher = self._session.declare_publisher(down, congestion_control=drop, express=True)
+
+    def leave(self) -> None:
+        """Follow nobody."""
+        for each in (self._subscriber, self._publisher):
+            if each is not None:
+                with contextlib.suppress(zenoh.ZError):
+                    each.undeclare()
+        self._subscriber = self._publisher = None
+
+    def say(self, data: bytes) -> None:
+        """To the robot that is followed."""
+        if self._publisher is not None:
+            self._publisher.put(data)
+
+    def close(self) -> None:
+        """Leave; robots see that. Never raises."""
+        with contextlib.suppress(zenoh.ZError):
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def _on_greeting(self, query: zenoh.Query) -> None:
+        speaker = key_names.robot_speaker(str(query.key_expr))
+        said = query.payload.to_bytes() if query.payload else b""
+        if speaker is None or len(said) > access_control.MAX_ROBOT:
+            return
+
+        def answer(welcome: Welcome) -> None:
+            with contextlib.suppress(zenoh.ZError), query:  # the robot may not be there any more
+                query.reply(query.key_expr, encode(welcome))
+
+        self._take(Knock(speaker[0], said, answer))
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        arrived_ns = time.monotonic_ns()
+        peer = self._peer(sample.key_expr)
+        if peer is not None and sample.kind == zenoh.SampleKind.PUT and len(sample.payload) <= access_control.MAX_ROBOT:
+            self._take(Heard(peer, sample.payload.to_bytes(), arrived_ns))
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        peer = self._peer(sample.key_expr)
+        if peer is not None and sample.kind == zenoh.SampleKind.DELETE:
+            self._take(Gone(peer))
+
+    def _peer(self, key: zenoh.KeyExpr) -> Peer | None:
+        """Who has said it; None: a key with wildcards of its own, say."""
+        speaker = key_names.robot_speaker(str(key))
+        return Peer(speaker[0], speaker[2]) if speaker is not None and speaker[1] == self._vehicle else None

@@ -1,0 +1,114 @@
+"""What a robot says with its own clock and numbers, in those of the run."""
+
+import math
+from typing import Any
+
+import msgspec
+
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.drivers.base import Notice, Sample
+from vcmvsp.hardware.remote_robot.messages import Up
+from vcmvsp.cosim.estimation.clock_offset import Exchange
+
+WINDOW = 50  # exchanges of times that count: some two seconds
+MOST_READINGS = 64  # of sonar, in a sample
+MOST_MISSED = 1_000_000  # samples between two that came
+
+
+class Track:
+    """Makes samples and notices of what a robot says.
+
+    Args:
+        start: where the robot stands, x m, y m, yaw rad.
+
+    Attributes:
+        clock: of the robot.
+        pose: where odometry has brought it, and where a robot that is opened anew begins.
+        link: connections so far.
+    """
+
+    def __init__(self, start: Vec3) -> None:
+        self.clock = Exchange(window=WINDOW)
+        self.pose, self.link = start, 0
+        self._number = 0
+        self._last: tuple[int, int, int] | None = None  # openings, link and number of the robot's newest sample
+        self._measured_ns = 0
+        self._noticed = 0
+        self._sonar: dict[int, float] = {}
+
+    def connect(self, *, anew: bool) -> None:
+        """A robot has come; ``anew``: another one, or another clock, than before."""
+        self.link += 1
+        self._last = None
+        if anew:
+            self.clock = Exchange(window=WINDOW)
+            self._noticed = 0
+
+    @property
+    def noticed(self) -> int:
+        """Notices of this robot that were taken."""
+        return self._noticed
+
+    def hear(self, up: Up, arrived_ns: int) -> None:
+        """Take the times of a message."""
+        if up.heard:
+            self.clock.add(up.yours_ns, up.heard_ns, up.said_ns, arrived_ns)
+
+    def sample(self, up: Up, arrived_ns: int, stopped: str) -> Sample | None:
+        """The sample of a message; None: it has none, an old one, or one that is not finite, or its time is not known yet."""
+        theirs, clock = up.sample, self.clock.best(arrived_ns)
+        if theirs is None or clock is None or not _finite(theirs):
+            return None
+        key = (up.opened, theirs.link, theirs.number)
+        if self._last is not None and self._last[0] == up.opened and theirs.number <= self._last[2]:
+            return None
+        if self._last is not None and self._last[:2] != key[:2]:
+            self.link += 1
+        goes_on = self._last is not None and self._last[0] == up.opened
+        self._number += min(theirs.number - self._last[2], MOST_MISSED) if self._last is not None and goes_on else 1
+        self._last = key
+        came_ns = min(theirs.arrived_ns + clock.offset_ns, arrived_ns)
+        self._measured_ns = max(self._measured_ns, min(theirs.measured_ns + clock.offset_ns, came_ns))
+        self.pose = theirs.odometry.pose
+        self._sonar |= dict(theirs.sonar[:MOST_READINGS])
+        return msgspec.structs.replace(
+            theirs,
+            number=self._number,
+            link=self.link,
+            arrived_ns=max(came_ns, self._measured_ns),
+            measured_ns=self._measured_ns,
+            sonar=tuple(self._sonar.items())[-MOST_READINGS:],
+            stopped=stopped or plain(theirs.stopped),
+        )
+
+    def taken(self) -> None:
+        """The newest sample was read: what sonar has said until then is not new any more."""
+        self._sonar.clear()
+
+    def notices(self, up: Up, arrived_ns: int) -> list[Notice]:
+        """Those of a message that are new."""
+        new = up.notices[max(0, self._noticed - up.noticed) :]
+        self._noticed = max(self._noticed, up.noticed + len(up.notices))
+        clock = self.clock.best(arrived_ns)
+
+        def here(notice: Notice) -> Notice:
+            time_ns = arrived_ns if clock is None else max(0, min(notice.time_ns + clock.offset_ns, arrived_ns))
+            return msgspec.structs.replace(notice, time_ns=time_ns, cause=plain(notice.cause))
+
+        return [here(each) for each in new]
+
+
+def _finite(value: Any) -> bool:
+    """Whether all numbers in it are."""
+    plainly = msgspec.to_builtins(value)
+    waiting = [plainly]
+    while waiting:
+        each = waiting.pop()
+        if isinstance(each, dict):
+            waiting += each.values()
+        elif isinstance(each, list | tuple):
+            waiting += each
+        elif isinstance(each, float) and not math.isfinite(each):
+            return False
+    return True

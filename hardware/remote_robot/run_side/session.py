@@ -1,0 +1,220 @@
+"""The talk with a robot that has come: orders to it, samples and notices from it, until it is gone or told to leave.
+
+All but `write` and `stop` is done by the driver's thread; who comes in, and when one that does not come is given up, is the
+driver's affair.
+"""
+
+import math
+import queue
+import threading
+import time
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.transport import key_names
+from vcmvsp.cosim.types import Vec3, Velocity
+from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError
+from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Heard, Knock, News, Peer
+from vcmvsp.hardware.remote_robot.run_side.orders import Orders
+from vcmvsp.hardware.remote_robot.run_side.samples import Track
+from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Failure, Hello
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+from vcmvsp.hardware.drivers.threaded import NOTICES, Threaded
+
+GRACE_S = 2.0  # for a robot, beyond what its driver says of itself
+LONGEST_CLOSE_S = 30.0  # whatever it says
+FAREWELL_S = 0.5  # for a robot to hear that it is not needed, after a failure
+WAITING, AT_THE_DOOR = 256, 16  # how many messages may wait for the thread, with greetings among them; more are left out
+_FAILURES = {"driver": DriverError, "port": PortError, "handshake": HandshakeError, "lost": LinkLost}
+_ADVICE = "look at the program 'vcmvsp robot' on the robot's computer, and at the network"
+
+
+class Talking(Threaded):
+    """A driver that talks to the robot behind its `Door`; a subclass opens the door, and decides whom it follows.
+
+    Args:
+        device: for messages.
+        vehicle: likewise.
+        open_deadline_s: for the robot to come and to stand ready.
+        reconnect_s: for so long a robot that was lost is waited for; 0: losing it is an error at once.
+        command_timeout_s: without a command, the robot is stopped.
+    """
+
+    _door: Door
+
+    def __init__(
+        self, device: str, *, vehicle: str, open_deadline_s: float, reconnect_s: float, command_timeout_s: float
+    ) -> None:
+        close_deadline_s = GRACE_S  # the robot says more when it comes
+        super().__init__(device, open_deadline_s=open_deadline_s, close_deadline_s=close_deadline_s)
+        self._vehicle, self._reconnect_s, self._timeout_s = vehicle, reconnect_s, command_timeout_s
+
+    # What the caller does.
+
+    def write(self, velocity: Velocity) -> None:
+        """Command a velocity; while the robot is lost, commands are dropped."""
+        if not all(map(math.isfinite, (*velocity.linear, velocity.yaw_rate))):
+            raise ValueError(f"a robot cannot follow {velocity.linear} m/s, {velocity.yaw_rate} rad/s: all must be finite")
+        with self._lock:
+            self._check()
+            if self._connected:
+                self._orders.command(velocity, time.monotonic_ns())
+        self._wake()
+
+    def _prepare(self, start: Vec3) -> None:
+        self._news: queue.SimpleQueue[News | None] = queue.SimpleQueue()
+        self._woken = threading.Event()
+        self._track, self._orders = Track(start), Orders(self._timeout_s)
+        self._peer: Peer | None = None  # who is followed
+        self._hello: Hello | None = None  # of that, or of the one before
+        self._connected = False  # it stands ready
+        self._lost: LinkLost | None = None
+        self._lost_ns = self._heard_ns = self._yours_ns = 0
+        self._number = 0
+        self._warned = set[str]()
+
+    def _was_read(self) -> None:
+        self._track.taken()
+
+    def _hold(self, cause: str) -> bool:
+        self._orders.stop(cause)
+        return self._connected  # then the robot tells of it
+
+    def _wake(self) -> None:
+        if self._thread is not None and not self._woken.is_set():
+            self._woken.set()
+            self._news.put(None)
+
+    # What the thread does.
+
+    def _hand_over(self, news: News) -> None:
+        """Called by Zenoh. What is left out of news is said again, but for a link's end, which silence shows, too."""
+        knocks = isinstance(news, Knock)
+        if isinstance(news, Gone) or self._news.qsize() < (AT_THE_DOOR if knocks else WAITING):
+            self._news.put(news)
+
+    def _follow(self, peer: Peer, hello: Hello) -> None:
+        """Begin to talk to this robot."""
+        self._door.follow(peer)
+        same = self._hello is not None and self._hello.robot == hello.robot
+        with self._lock:
+            self._track.connect(anew=not same)
+            self._orders.connect(self._number + 1)
+        self._peer, self._hello = peer, hello
+        self._yours_ns, self._heard_ns = 0, time.monotonic_ns()
+        longest_s = max(0.0, min(hello.close_s, LONGEST_CLOSE_S))  # also of what is no number
+        self.close_deadline_s = 2 * GRACE_S + longest_s
+
+    def _say(self, *, leave: bool = False) -> None:
+        if self._peer is None:
+            return
+        self._number += 1
+        now_ns = time.monotonic_ns()
+        with self._lock:
+            before = self._orders.stopped
+            velocity, stopped = self._orders.at(now_ns), self._orders.stopped
+            noticed = self._track.noticed
+        if stopped != before:
+            self._notice("stopped", stopped)
+        down = Down(
+            number=self._number,
+            sent_ns=now_ns,
+            yours_ns=self._yours_ns,
+            noticed=noticed,
+            velocity=velocity,
+            stop="" if velocity else stopped or NOT_YET,
+            leave=leave,
+        )
+        self._door.say(encode(down))
+
+    def _heard(self, heard: Heard) -> None:
+        """Take what the robot says."""
+        try:
+            up = messages.ups.decode(heard.data)
+        except ValueError as error:
+            self._warn_once(f"a message of the robot is left out: {error}")
+            return
+        self._heard_ns, self._yours_ns = heard.arrived_ns, up.said_ns
+        with self._lock:
+            self._track.hear(up, heard.arrived_ns)
+            self._orders.heard(up.heard)
+            sample = self._track.sample(up, heard.arrived_ns, self._orders.stopped)
+            self._sample = sample or self._sample
+            self._notices.extend(self._track.notices(up, heard.arrived_ns))
+        if up.failure is not None and not self._closing.is_set():
+            self._fail(self._failed_aboard(up.failure))
+        elif up.state == "open" and not self._connected and not self._orders.held:
+            self._connect(heard.arrived_ns)
+
+    def _fail(self, error: DriverError) -> None:
+        """The robot's own driver has failed; one that had lost its robot may find it again."""
+        may_come_back = self._ready.is_set() and self._reconnect_s
+        if not may_come_back or not (isinstance(error, LinkLost) or self._lost is not None):
+            raise error
+        self._let_go(f"{error.device}: {error.happened}")
+
+    def _connect(self, now_ns: int) -> None:
+        """The robot stands, ready to be driven."""
+        clock = self._track.clock.best(now_ns)
+        if clock is None or self._hello is None or self._peer is None:
+            return
+        with self._lock:
+            self._connected, self._lost = True, None
+        who = "" if self._peer.name == key_names.OPEN else f", certificate of '{self._peer.name}'"
+        about = f"{plain(self._hello.device)} aboard{who}; its clock is known to {clock.error_ns / 1e6:.1f} ms"
+        self._notice("connected", about)
+        self._ready.set()
+
+    def _let_go(self, happened: str) -> None:
+        """Note that the robot is away; its own program stops it."""
+        was, self._peer = self._connected, None
+        self._door.leave()
+        with self._lock:
+            self._connected = False
+            self._orders.stop(happened)
+        if was:
+            self._lost, self._lost_ns = LinkLost(self.device, happened, _ADVICE), time.monotonic_ns()
+            self._notice("lost", f"{happened}; its own computer stops it")
+
+    def _say_goodbye(self) -> None:
+        """Have the robot's own driver closed."""
+        patience_s = self.close_deadline_s - GRACE_S if self._failure is None else FAREWELL_S
+        until_ns = time.monotonic_ns() + seconds_to_ns(patience_s)
+        due_ns = 0
+        while self._peer is not None and (now_ns := time.monotonic_ns()) < until_ns:
+            if now_ns >= due_ns:
+                with self._lock:
+                    self._orders.stop("the run is over")
+                self._say(leave=True)
+                due_ns = now_ns + seconds_to_ns(SAY_S)
+            try:
+                news = self._news.get(timeout=max(0.0, (min(due_ns, until_ns) - now_ns) / SECOND_NS))
+            except queue.Empty:
+                continue
+            if isinstance(news, Gone) and news.peer == self._peer:
+                return
+            if isinstance(news, Heard) and news.peer == self._peer and self._has_closed(news):
+                return
+
+    def _has_closed(self, heard: Heard) -> bool:
+        """Whether the robot says that its driver is closed, now that it was told that the run is over."""
+        try:
+            up = messages.ups.decode(heard.data)
+        except ValueError:
+            return False
+        with self._lock:
+            self._notices.extend(self._track.notices(up, heard.arrived_ns))
+        return up.state == "closed" and (up.left or up.failure is not None)
+
+    def _failed_aboard(self, failure: Failure) -> DriverError:
+        """What the robot's own driver has said."""
+        device = f"{plain(failure.device)} aboard {self._vehicle}"
+        return _FAILURES[failure.kind](device, plain(failure.happened), plain(failure.advice))
+
+    def _warn_once(self, cause: str) -> None:
+        cause = plain(cause)
+        if cause not in self._warned and len(self._warned) < NOTICES:
+            self._warned.add(cause)
+            self._notice("warned", cause)

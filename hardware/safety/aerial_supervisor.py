@@ -1,0 +1,242 @@
+"""All of safety for a vehicle that flies and takes velocities in the three axes of the world, once a control period.
+
+The law is that of the ground: it stays inside the fence, between floor and ceiling and away from others, as long as it brakes
+as it should. What is supposed of it: from one command to the next its velocity goes straight to the new one, at no less than
+``stop_mps2``, horizontally and vertically each, and it brakes straight. While its horizontal velocity goes from u to v and
+then to zero, all headings lie between those of u and v, and since the norm is convex it moves no farther than ::
+
+    |v| hold + |v|**2 / (2 decel) + |v - u| max(0, |u| - |v|) / (2 decel)
+
+So it stays in the sector of that radius between the two headings (`hardware.safety.obstacle_distance`), which is kept clear; on a line
+this is `hardware.safety.braking.swept`. A command for which that does not fit is made smaller, never turned aside; one that
+brakes straight always fits where poses are true, by the same reasoning as on the ground.
+
+**Others** are upright cylinders: bodies are taken to be as far apart above as beside, ``radius + radius + separation``. It is
+enough to be clear of one in one way. Who is clear of it vertically, and could stop before it is not, need not mind it
+horizontally; then the vertical speed is kept so that this stays, unless it is clear of it horizontally as well.
+Nobody is credited with going away, and nobody is evaded.
+
+A stop in the air is zero velocity: the autopilot holds its place. Motors are never asked to be switched off.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from vcmvsp.cosim.types import NonNegative, Positive, Velocity
+from vcmvsp.hardware.safety.braking import TOLERANCE_M, fastest, stops_within
+from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
+from vcmvsp.hardware.safety.geofence import Polygon
+from vcmvsp.hardware.safety.limits import Limits, clamp
+from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
+from vcmvsp.hardware.safety.obstacle_distance import Around, Floats
+from vcmvsp.hardware.safety.separation import Others
+
+Pose = tuple[float, float, float, float]  # x, y, z m, yaw rad; world
+Plane = tuple[float, float]  # m/s, east and north
+
+_HALVINGS = 12  # of a horizontal velocity that does not fit
+
+
+class _Level(NamedTuple):
+    """Another vehicle that is above or below."""
+
+    row: int
+    above: bool  # of us
+    room: float  # m between the cylinders; 0 if not clear
+    closing: float  # m/s at which it comes nearer
+    clear: bool  # there is room, also if we brake
+
+
+class AerialParameters(msgspec.Struct, frozen=True, kw_only=True):
+    """What an `AerialSupervisor` keeps to; lengths in m, times in s."""
+
+    limits: Limits  # speed counts horizontally; accelerations count horizontally and vertically each
+    climb_mps: Positive  # up and down
+    radius_m: NonNegative  # of a circle around the body, seen from above
+    reaction_s: Positive  # from a command to when the next one acts: the control period, and the delays of pose and link
+    fence: Polygon | None = None
+    fence_margin_m: NonNegative = 0.0  # between body and fence: above all for the error of the pose
+    floor_m: float | None = None  # the least z; who is below may climb
+    ceiling_m: float | None = None  # the greatest
+    separation_m: NonNegative = 0.5  # between bodies
+    time_outs: TimeOuts = TimeOuts()
+    latched: tuple[Cause, ...] = LATCHED
+
+    def __post_init__(self) -> None:
+        heights = [each for each in (self.floor_m, self.ceiling_m) if each is not None]
+        if not all(map(math.isfinite, heights)) or any(low >= high for low, high in pairwise(heights)):
+            raise ValueError(f"floor_m must be below ceiling_m, both finite, not {self.floor_m} and {self.ceiling_m}")
+
+
+class AerialSupervisor:
+    """Stands last before a vehicle that flies. It knows no clock: time is an argument.
+
+    ``last`` is the newest safe command, in the world; the vehicle is assumed to be no faster than that.
+    """
+
+    def __init__(self, parameters: AerialParameters) -> None:
+        self._p = parameters
+        self._rounds = Rounds(parameters.time_outs, parameters.latched, parameters.reaction_s)
+        self._upright = msgspec.structs.replace(parameters.limits, speed_mps=parameters.climb_mps)
+        self._placed = any(each is not None for each in (parameters.fence, parameters.floor_m, parameters.ceiling_m))
+        self.last = (0.0, 0.0, 0.0, 0.0)  # x, y, z m/s, yaw rad/s
+
+    def step(self, now_ns: int, command: Velocity | None, pose: Pose | None, others: Others | None, heard: Heard) -> Decision:
+        """Decide what is sent at ``now_ns``.
+
+        Args:
+            now_ns: of a clock that does not go back; of the same clock as the times in ``heard``.
+            command: the newest one, however old it is; in the world frame.
+            pose: x, y, z m and yaw rad in the world; None: not known.
+            others: vehicles to keep away from, with their heights; None: there are none.
+            heard: when each that must be heard was heard last.
+        """
+        dt, stops = self._rounds.begin(now_ns, heard, unusable(command, pose, others, self._placed))
+        slowed: tuple[Cause, ...] = ()
+        if stops:
+            vz, w = clamp(0.0, 0.0, self.last[2:], dt, self._upright)
+            self.last = (*_ramp((0.0, 0.0), self.last[:2], dt, self._p.limits), vz, w)
+        else:
+            assert command is not None  # noqa: S101  else it would be among the causes
+            self.last, slowed = self._safe(command, pose, others, dt)
+        return self._rounds.decide(Velocity(linear=self.last[:3], yaw_rate=self.last[3]), stops, slowed)
+
+    def _safe(self, command: Velocity, pose: Pose | None, others: Others | None, dt: float) -> tuple[Pose, tuple[Cause, ...]]:
+        """The command within limits, fence and distances, and which of them changed it."""
+        p, (x, y, z) = self._p, command.linear
+        target = _within(x, y, p.limits.speed_mps)
+        vz, w = clamp(z, command.yaw_rate, self.last[2:], dt, self._upright)
+        across = _ramp(target, self.last[:2], dt, p.limits)
+        causes = [] if (*across, vz, w) == (x, y, z, command.yaw_rate) else [Cause.LIMITS]
+        if pose is None:
+            return (*across, vz, w), tuple(causes)
+        arounds: list[tuple[Cause, Around]] = []
+        if p.fence is not None:
+            arounds.append((Cause.GEOFENCE, p.fence.around(pose[0], pose[1], p.radius_m + p.fence_margin_m)))
+        levels: list[_Level] = []
+        if others is not None and len(others.position):
+            levels = self._levels(pose[2], others)
+            beside = np.setdiff1d(np.arange(len(others.position)), [each.row for each in levels if each.clear])
+            arounds.append((Cause.SEPARATION, self._around(pose, others, beside)))
+        across, slowed = self._slow_down(target, across, dt, arounds)
+
+        def in_the_way(level: _Level) -> bool:
+            assert others is not None  # noqa: S101
+            one = self._around(pose, others, np.array([level.row]))
+            # Who is clear of it in no way, by rounding or a false pose, may not come nearer in any way.
+            return one.clearance <= 0.0 or (level.clear and not self._fits(across, one))
+
+        vz, stopped = self._bounded(vz, dt, pose, levels, in_the_way)
+        return (*across, vz, w), (*causes, *dict.fromkeys((*slowed, *stopped)))
+
+    def _slow_down(
+        self, target: Plane, wanted: Plane, dt: float, arounds: Sequence[tuple[Cause, Around]]
+    ) -> tuple[Plane, list[Cause]]:
+        """The horizontal velocity towards as much of the target as lets the vehicle stop in time, by halving."""
+        causes = [cause for cause, around in arounds if not self._fits(wanted, around)]
+        if not causes:
+            return wanted, []
+        sure, beyond, best = 0.0, 1.0, _ramp((0.0, 0.0), self.last[:2], dt, self._p.limits)
+        for _ in range(_HALVINGS):
+            share = 0.5 * (sure + beyond)
+            trial = _ramp((share * target[0], share * target[1]), self.last[:2], dt, self._p.limits)
+            if all(self._fits(trial, around) for _, around in arounds):
+                sure, best = share, trial
+            else:
+                beyond = share
+        return best, causes
+
+    def _fits(self, velocity: Plane, around: Around) -> bool:
+        """Whether the vehicle, told this horizontal velocity now, can stop before it touches anything."""
+        hold, decel = self._p.reaction_s, self._p.limits.stop_mps2
+        before = self.last[:2]
+        v, u = math.hypot(*velocity), math.hypot(*before)
+        if v == 0.0 and u == 0.0:
+            return True
+        length = v * hold + (v * v + math.dist(velocity, before) * max(0.0, u - v)) / (2.0 * decel)
+        needs: Floats = length + around.closing * (hold + v / decel) - TOLERANCE_M
+        if v > around.speed or needs.max(initial=0.0) <= around.clearance:
+            return v <= around.speed
+        return bool((needs <= around.free(*_cone(before, velocity))).all())
+
+    def _around(self, pose: Pose, others: Others, rows: NDArray[np.intp]) -> Around:
+        """Some of the others, seen from above."""
+        some = Others(others.position[rows], others.velocity[rows], others.radius[rows])
+        return some.around(pose[0], pose[1], self._p.radius_m + self._p.separation_m)
+
+    def _levels(self, z: float, others: Others) -> list[_Level]:
+        """Where the others are above and below the vehicle."""
+        found, vz = [], self.last[2]
+        columns = others.position[:, 2].tolist(), others.velocity[:, 2].tolist(), others.radius.tolist()
+        for row, (height, climbs, radius) in enumerate(zip(*columns, strict=True)):
+            above = height >= z
+            room = abs(height - z) - (self._p.radius_m + radius + self._p.separation_m)
+            toward, closing = (max(0.0, vz), max(0.0, -climbs)) if above else (max(0.0, -vz), max(0.0, climbs))
+            clear = room >= 0.0 and stops_within(room, toward, closing, self._p.limits.stop_mps2)
+            found.append(_Level(row, above, room if clear else 0.0, closing, clear))
+        return found
+
+    def _bounded(
+        self, vz: float, dt: float, pose: Pose, levels: list[_Level], in_the_way: Callable[[_Level], bool]
+    ) -> tuple[float, list[Cause]]:
+        """The vertical speed that lets the vehicle stop in time, and what slowed it."""
+        last, p = self.last[2], self._p
+        up = vz > 0.0 or last > 0.0  # the limits let it stand before it turns back
+        speed, causes = abs(vz), []
+
+        def most(room: float, closing: float) -> float:
+            return fastest(max(0.0, room), abs(last), closing, p.reaction_s, p.limits.stop_mps2)
+
+        edge = p.ceiling_m if up else p.floor_m
+        if edge is not None and (fits := most(edge - pose[2] if up else pose[2] - edge, 0.0)) < speed:
+            speed, causes = fits, [Cause.GEOFENCE]
+        for each in levels:
+            if each.above == up and (fits := most(each.room, each.closing)) < speed and in_the_way(each):
+                speed = fits
+                causes.append(Cause.SEPARATION)
+        speed = max(speed, abs(clamp(0.0, 0.0, (last, 0.0), dt, self._upright)[0]))
+        return speed if up else 0.0 - speed, causes
+
+
+def _within(x: float, y: float, speed: float) -> Plane:
+    """A velocity in this direction, no faster than ``speed``."""
+    if (big := max(abs(x), abs(y))) > speed:
+        x, y = x / big * speed, y / big * speed  # so that squares cannot overflow
+    length = math.hypot(x, y)
+    return (x, y) if length <= speed else (x / length * speed, y / length * speed)
+
+
+def _ramp(target: Plane, last: Plane, dt: float, limits: Limits) -> Plane:
+    """The velocity nearest to the target that is reached on the straight way there.
+
+    Until it is slowest, it changes as fast as the vehicle is sure to brake; from there on it is gained at the acceleration, or
+    at that of braking, if it is less.
+    """
+    dx, dy = target[0] - last[0], target[1] - last[1]
+    way = math.hypot(dx, dy)
+    if way == 0.0:
+        return target
+    slowing = min(way, max(0.0, -(last[0] * dx + last[1] * dy) / way))
+    took = slowing / limits.stop_mps2
+    gain = min(limits.accel_mps2, limits.stop_mps2)
+    reach = limits.stop_mps2 * dt if took >= dt else slowing + gain * (dt - took)
+    if reach >= way:
+        return target
+    return last[0] + dx * (reach / way), last[1] + dy * (reach / way)
+
+
+def _cone(u: Plane, v: Plane) -> tuple[float, float]:
+    """The headings between two velocities, rad; where one is zero, those of the other."""
+    if u == (0.0, 0.0):
+        u = v
+    if v == (0.0, 0.0):
+        v = u
+    start = math.atan2(u[1], u[0])
+    turn = math.atan2(u[0] * v[1] - u[1] * v[0], u[0] * v[0] + u[1] * v[1])
+    return min(start, start + turn), max(start, start + turn)

@@ -1,0 +1,57 @@
+"""What every step of a supervisor begins and ends with, on the ground and in the air: who was heard, and what is new."""
+
+import math
+
+import msgspec
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
+from vcmvsp.hardware.safety.separation import Others
+
+
+class Decision(msgspec.Struct, frozen=True, kw_only=True):
+    """What to send, and why it is not what was asked for."""
+
+    command: Velocity
+    causes: tuple[Cause, ...] = ()  # all that act now
+    began: tuple[Cause, ...] = ()  # those that did not act at the step before: what is worth recording
+    stop: bool = False  # the robot must stop; one with a deceleration of its own may be told zero at once
+
+
+class Rounds:
+    """The time, the deadman and the causes of a supervisor."""
+
+    def __init__(self, time_outs: TimeOuts, latched: tuple[Cause, ...], reaction_s: float) -> None:
+        self._deadman, self._reaction_s = Deadman(time_outs, latched), reaction_s
+        self._last_ns: int | None = None
+        self._causes: tuple[Cause, ...] = ()
+
+    def begin(self, now_ns: int, heard: Heard, unusable: list[Cause]) -> tuple[float, list[Cause]]:
+        """For how many seconds a command may have acted by now, and what stops the robot."""
+        elapsed_ns = 0 if self._last_ns is None else now_ns - self._last_ns
+        self._last_ns = now_ns
+        stops = list(self._deadman.check(now_ns, heard))
+        stops += [cause for cause in unusable if cause not in stops]
+        # Whoever was late may not jump in speed, and where time went back it still has to brake.
+        return min(elapsed_ns / SECOND_NS, self._reaction_s) if elapsed_ns >= 0 else self._reaction_s, stops
+
+    def decide(self, command: Velocity, stops: list[Cause], slowed: tuple[Cause, ...]) -> Decision:
+        """The decision of this step."""
+        causes = (*stops, *slowed)
+        began = tuple(cause for cause in causes if cause not in self._causes)
+        self._causes = causes
+        return Decision(command=command, causes=causes, began=began, stop=bool(stops))
+
+
+def unusable(command: Velocity | None, pose: tuple[float, ...] | None, others: Others | None, placed: bool) -> list[Cause]:
+    """What is missing, or is not a number, of what a decision needs; ``placed``: it must know where the vehicle is."""
+    causes = []
+    if command is None:
+        causes.append(Cause.COMMAND)
+    if pose is None and (placed or others is not None):
+        causes.append(Cause.POSITIONING)
+    numbers = (*(() if command is None else (*command.linear, command.yaw_rate)), *(pose or ()))
+    if not all(map(math.isfinite, numbers)) or (others is not None and not others.finite()):
+        causes.append(Cause.NOT_FINITE)
+    return causes

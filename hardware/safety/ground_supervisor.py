@@ -1,0 +1,147 @@
+"""All of safety, once a control period: what goes in may be anything, what comes out may be sent to the robot."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
+from vcmvsp.hardware.safety.braking import fastest, stops_within, swept
+from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
+from vcmvsp.hardware.safety.geofence import Polygon
+from vcmvsp.hardware.safety.limits import Limits, clamp, slowest
+from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
+from vcmvsp.hardware.safety.obstacle_distance import Around
+from vcmvsp.hardware.safety.separation import Others
+
+_HALVINGS = 12  # of the yaw rate, where the one that was asked for does not fit
+
+
+class Parameters(msgspec.Struct, frozen=True, kw_only=True):
+    """What a `Supervisor` keeps to; lengths in m, times in s."""
+
+    limits: Limits
+    radius_m: NonNegative  # of a circle around the robot, about the centre that its pose tells
+    reaction_s: Positive  # from a command to when the next one acts: the control period, and the delays of pose and link
+    fence: Polygon | None = None
+    fence_margin_m: NonNegative = 0.0  # between body and fence: above all for the error of the pose
+    separation_m: NonNegative = 0.5  # between bodies
+    time_outs: TimeOuts = TimeOuts()
+    latched: tuple[Cause, ...] = LATCHED
+
+
+class Supervisor:
+    """Stands last before a robot with two driven wheels. It knows no clock: time is an argument.
+
+    In this order: whoever must be heard and is not, stops the robot at its stop deceleration. Else the command is held to
+    the limits, then slowed down (never turned round) as fence and others demand. Turning on the spot is always allowed: the
+    robot is a circle. ``last`` is the newest safe command; the robot is assumed to be no faster than that.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._p = parameters
+        self._rounds = Rounds(parameters.time_outs, parameters.latched, parameters.reaction_s)
+        self.last = (0.0, 0.0)  # m/s, rad/s
+
+    def step(self, now_ns: int, command: Velocity | None, pose: Vec3 | None, others: Others | None, heard: Heard) -> Decision:
+        """Decide what is sent at ``now_ns``.
+
+        Args:
+            now_ns: of a clock that does not go back; of the same clock as the times in ``heard``.
+            command: the newest one, however old it is; forward speed and yaw rate count.
+            pose: x m, y m, yaw rad in the world; None: not known.
+            others: vehicles to keep away from; None: there are none.
+            heard: when each that must be heard was heard last.
+        """
+        problems = unusable(command, pose, others, self._p.fence is not None)
+        dt, stops = self._rounds.begin(now_ns, heard, problems)
+        slowed: tuple[Cause, ...] = ()
+        if stops:
+            self.last = slowest(self.last, dt, self._p.limits)
+        else:
+            assert command is not None  # noqa: S101  else it would be among the causes
+            self.last, slowed = self._safe(command, pose, others, dt)
+        sent = Velocity(linear=(self.last[0], 0.0, 0.0), yaw_rate=self.last[1])
+        return self._rounds.decide(sent, stops, slowed)
+
+    def _safe(
+        self, command: Velocity, pose: Vec3 | None, others: Others | None, dt: float
+    ) -> tuple[tuple[float, float], tuple[Cause, ...]]:
+        """The command within limits, fence and distances, and which of them changed it."""
+        p, asked = self._p, (command.linear[0], command.yaw_rate)
+        safe = clamp(*asked, self.last, dt, p.limits)
+        causes = [] if safe == asked else [Cause.LIMITS]
+        if pose is None:
+            return safe, tuple(causes)
+        x, y, yaw = pose
+        arounds: list[tuple[Cause, Around]] = []
+        if p.fence is not None:
+            arounds.append((Cause.GEOFENCE, p.fence.around(x, y, p.radius_m + p.fence_margin_m)))
+        if others is not None and len(others.position):
+            arounds.append((Cause.SEPARATION, others.around(x, y, p.radius_m + p.separation_m)))
+        safe, slowed = slow_down(safe, self.last, yaw, arounds, dt=dt, hold=p.reaction_s, limits=p.limits)
+        return safe, (*causes, *slowed)
+
+
+def slow_down(
+    command: tuple[float, float],
+    last: tuple[float, float],
+    yaw: float,
+    arounds: Sequence[tuple[Cause, Around]],
+    *,
+    dt: float,
+    hold: float,
+    limits: Limits,
+) -> tuple[tuple[float, float], list[Cause]]:
+    """The command, no faster than lets the robot stop before it touches what is around; and what slowed it.
+
+    The command keeps the limits already. The speed is what fits with the yaw rate that was asked for. A yaw rate with which
+    the robot could not even stop any more, because it opens directions in which there is no room for its present speed,
+    waits until the robot is slower: it is reduced towards that of a robot that stops turning. What room there was at the last
+    step for stopping, there is still now (`hardware.safety.obstacle_distance`), so that stopping always fits where poses are true.
+    """
+    (v, w), (last_v, last_w) = command, last
+    speed, u, decel = abs(v), abs(last_v), limits.stop_mps2
+    if speed == 0.0 and u == 0.0:
+        return command, []
+    far, until_still = swept(speed, u, hold, decel), hold + max(speed, u) / decel
+    near = [
+        (cause, around, around.closing.tolist())
+        for cause, around in arounds  # the others leave room in every direction
+        if far + float(around.closing.max(initial=0.0)) * until_still > around.clearance or speed > around.speed
+    ]
+    way = 1.0 if v > 0.0 or last_v > 0.0 else -1.0  # the limits let it stand before it turns back
+    facing = yaw if way > 0.0 else yaw + math.pi
+
+    def room(around: Around, rate: float) -> list[float]:
+        left = swept(max(rate, 0.0), max(last_w, 0.0), hold, limits.yaw_stop_radps2)
+        right = swept(max(-rate, 0.0), max(-last_w, 0.0), hold, limits.yaw_stop_radps2)
+        free: list[float] = around.free(facing - right, facing + left).tolist()
+        return free
+
+    def fits(rate: float) -> bool:
+        return all(
+            stops_within(free, u, c, decel)
+            for _, around, closing in near
+            for free, c in zip(room(around, rate), closing, strict=True)
+        )
+
+    least_v, least_w = slowest(last, dt, limits)
+    causes = []
+    for cause, around, closing in near:
+        pairs = list(zip(room(around, w), closing, strict=True))
+        most = min(around.speed, *(fastest(free, u, c, hold, decel) for free, c in pairs))
+        if most < abs(v) or not all(stops_within(free, u, c, decel) for free, c in pairs):
+            causes.append(cause)
+        speed = min(speed, most)
+    return (way * max(abs(least_v), speed), _nearest(least_w, w, fits) if causes else w), causes
+
+
+def _nearest(sure: float, wanted: float, fits: Callable[[float], bool]) -> float:
+    """The value nearest to the wanted one that fits, between it and the sure one: by halving."""
+    if fits(wanted):
+        return wanted
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (sure + wanted)
+        sure, wanted = (middle, wanted) if fits(middle) else (sure, middle)
+    return sure

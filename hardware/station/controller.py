@@ -1,0 +1,286 @@
+"""One turn of a station: hear the robot, know where it is, decide what it may do, tell it; and say how things stand."""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Literal
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState, Velocity
+from vcmvsp.hardware.drivers.base import ORIGIN, Driver, Notice, Sample
+from vcmvsp.hardware.safety import Cause, Decision, Heard
+from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
+from vcmvsp.hardware.station.estimator import Estimate, whereabouts
+from vcmvsp.hardware.station.messages import Mission, Order, Report
+
+if TYPE_CHECKING:  # it brings all kinds of readers with it
+    from vcmvsp.hardware.localisation.systems import Localisation
+
+AT_REST = (0.01, 0.02)  # m/s, rad/s: slower than this, a robot stands
+STUCK, STUCK_S = "stuck", 2.0  # s: longer than any robot takes to begin to move
+CREEPS = 0.05  # m/s: slower than that, a robot may stand for lack of force
+KEPT = 200  # notices and fixes, while the run does not take them
+
+
+class Onboard:
+    """What a station does; it knows no clock, no process and no run.
+
+    Args:
+        mission: what it was told at first.
+        driver: of the robot, open.
+        localisation: open; None: nothing tells where the robot is but itself.
+        now: the clock of this machine, ns.
+
+    Attributes:
+        halted: why the robot stands until the station ends; empty: it does not.
+    """
+
+    def __init__(self, mission: Mission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]) -> None:
+        self._mission, self._driver, self._localisation, self._now = mission, driver, localisation, now
+        self._where, self._guard = whereabouts(mission), guard(mission)
+        self._order, self._order_heard_ns = Order(number=0, sent_ns=0), 0
+        self._operator_ns: int | None = None
+        self._sample: Sample | None = None
+        self._jumps = self._turns = 0
+        self.halted = ""
+        self._halted_ns = 0
+        self._stands, self._released = True, False  # a driver that is open holds its robot at zero speed
+        self._place: Vec3 | None = None  # where it was taken to be at the last turn
+        self._sent = 0.0  # forward speed that it was told last, m/s
+        self._pushed_ns: int | None = None  # since when it does not do so
+        self._stuck = False
+        self._wanted_ns: int | None = None  # since when it is to drive, and never could
+        self._notices: list[Notice] = []
+        self._fixes: list[Fix] = []
+        self._sonar: dict[int, float] = {}
+
+    # What is heard from outside
+
+    def operator_heard(self) -> None:
+        """Somebody who could stop the robot is there."""
+        self._operator_ns = self._now()
+
+    def halt(self, cause: str) -> None:
+        """Stop the robot at once, until the station ends; the first cause counts."""
+        if self.halted:
+            return
+        self.halted, self._halted_ns = cause, self._now()
+        self._stop(self.halted)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot was seen to stand after it was halted."""
+        sample = self._sample
+        if sample is None or not self.halted or sample.measured_ns < self._halted_ns:
+            return False
+        return abs(sample.odometry.v) < AT_REST[0] and abs(sample.odometry.w) < AT_REST[1]
+
+    # One turn
+
+    def turn(self, now_ns: int, order: Order | None = None, *, heard_ns: int | None = None, late_s: float = 0.0) -> Report:
+        """Do everything once.
+
+        Args:
+            now_ns: the time.
+            order: the newest that has come since the last turn.
+            heard_ns: when it came; None: now.
+            late_s: how late this turn begins, for the report.
+        """
+        if order is not None:
+            self._take(order, now_ns if heard_ns is None else heard_ns)
+        self._listen(now_ns)
+        here = self._where.at(now_ns)
+        if here is not None and not _finite(here.state):
+            here = None
+        self._look_for_jumps(here)
+        sent, causes = self._decide(now_ns, here)
+        self._turns += 1
+        report = self._report(now_ns, here)
+        return msgspec.structs.replace(report, sent=sent, causes=causes, late_s=late_s)
+
+    def last_words(self, now_ns: int, failed: str = "", advice: str = "") -> Report:
+        """The last report, of what happened when the driver was closed, too."""
+        self._notices += [each for each in self._gathered() if (each.what, each.cause) != ("stopped", self.halted)]
+        self._turns += 1
+        return msgspec.structs.replace(
+            self._report(now_ns, None), causes=(failed,) if failed else (), failed=failed, advice=advice
+        )
+
+    def delivered(self) -> None:
+        """The last report has gone: what happened until then need not be said again."""
+        self._notices, self._fixes, self._sonar = [], [], {}
+
+    def _take(self, order: Order, heard_ns: int) -> None:
+        if order.others is not None and (order.others.ndim != 2 or order.others.shape[1] != 7):
+            raise ValueError(f"others must be rows of 7 numbers, not of shape {order.others.shape}")
+        self._order, self._order_heard_ns = order, heard_ns
+        if order.stop:
+            self.halt(order.stop)
+
+    def _listen(self, now_ns: int) -> None:
+        """What driver and positioning system have said."""
+        if (sample := self._driver.read()) is not None:
+            self._sample = sample
+            self._where.sample(sample, now_ns)
+            self._sonar.update(sample.sonar)
+        if self._localisation is not None:
+            for told in self._localisation.read(now_ns):
+                fix = msgspec.structs.replace(told, time_ns=min(told.time_ns, now_ns))
+                self._where.fix(fix)
+                self._fixes.append(fix)
+        self._notices += self._gathered()
+
+    def _look_for_jumps(self, here: Estimate | None) -> None:
+        """Fixes that agree with each other and not with odometry: a small jump is believed, a large one stops the robot.
+
+        A robot that was carried off, and a positioning system that has gone astray, look the same from here: in the second
+        case the fence would not be where the robot takes it to be.
+        """
+        if here is None:
+            return
+        before, self._place = self._place, here.state.position
+        if self._where.jumps > self._jumps:
+            self._jumps = self._where.jumps
+            jump_m = math.dist(before, self._place) if before else 0.0
+            if jump_m > self._mission.safety.jump_m:
+                self.halt(f"its position jumped by {jump_m:.1f} m: carried off, or is the positioning system astray?")
+            else:
+                self._note(
+                    "warned", f"its position jumped by {jump_m:.1f} m: the estimate begins again from what the fixes say"
+                )
+
+    def _is_stuck(self, now_ns: int, command: Velocity | None) -> bool:
+        """Whether it was told to drive for `STUCK_S`, and its odometry says that it stands; until it is told to stand."""
+        told, sample = abs(self._sent), self._sample
+        if command is None or abs(command.linear[0]) < CREEPS:
+            self._stuck, self._pushed_ns = False, None
+        elif self._stuck or told < CREEPS or sample is None or abs(sample.odometry.v) > 0.2 * told:
+            self._pushed_ns = None
+        else:
+            self._pushed_ns = self._pushed_ns or now_ns
+            self._stuck = now_ns - self._pushed_ns > STUCK_S * SECOND_NS
+        return self._stuck
+
+    def _decide(self, now_ns: int, here: Estimate | None) -> tuple[Velocity, tuple[str, ...]]:
+        """Tell the robot; what it was told, and why that is not what was wanted."""
+        order, heard = self._order, self._heard(now_ns, here)
+        command = Velocity() if self.halted else order.command  # so that the guard slows down with the robot
+        others = others_at(order.others, (now_ns - self._order_heard_ns) / SECOND_NS)
+        decision = self._guard.step(now_ns, command, None if here is None else here.state, others, heard)
+        causes = tuple(each.value for each in decision.causes)
+        if not self.halted and not self._mission.flies and self._is_stuck(now_ns, order.command):
+            if self._sent:
+                self._stop(f"it was told to drive for {STUCK_S:g} s, and its odometry says that it stands")
+            self._sent = 0.0
+            return Velocity(), (STUCK, *causes)
+        if self.halted:
+            return Velocity(), (self.halted, *(each.value for each in decision.causes if each not in SLOWING))
+        if not decision.stop:
+            self._stands, self._released = False, True
+            self._sent = decision.command.linear[0]
+            self._driver.write(decision.command)
+            return decision.command, causes
+        self._sent = 0.0
+        for cause in self._held_back(now_ns, order.command, decision):
+            if cause not in SLOWING:
+                self._stop(self._words(cause))
+        return Velocity(), causes
+
+    def _held_back(self, now_ns: int, command: Velocity | None, decision: Decision) -> tuple[Cause, ...]:
+        """Causes to be said now: those that begin; of a robot that was to drive and never could, all, after a while."""
+        if self._released:
+            return decision.began
+        if command is None or (command.linear == ORIGIN and not command.yaw_rate):
+            return ()
+        self._wanted_ns = self._wanted_ns or now_ns
+        if now_ns - self._wanted_ns < STUCK_S * SECOND_NS:
+            return ()
+        self._released = True
+        return decision.causes
+
+    def _heard(self, now_ns: int, here: Estimate | None) -> Heard:
+        """Who was heard when; of a command, its age at the run is added to the time since it came."""
+        order, heard_ns = self._order, min(self._order_heard_ns, now_ns)
+        command_ns: int | None = None
+        if order.command is not None:
+            age_ns = 0 if order.command_ns is None else max(0, order.sent_ns - order.command_ns)
+            command_ns = heard_ns - age_ns
+        return Heard(
+            operator_ns=None if self._operator_ns is None else min(self._operator_ns, now_ns),
+            command_ns=command_ns,
+            positioning_ns=None if here is None else here.seen_ns,
+            federation_ns=heard_ns if order.number else None,
+        )
+
+    def _stop(self, cause: str) -> None:
+        """Zero speed now; each cause is said once, also where the driver says it too. Before it first moved, nothing stops."""
+        if not self._stands or self.halted:
+            self._driver.stop(cause)
+            self._stands = self._released = True
+            self._notices += [each for each in self._driver.notices() if (each.what, each.cause) != ("stopped", cause)]
+        if self._released:
+            self._note("stopped", cause)
+
+    def _note(self, what: Literal["stopped", "warned"], cause: str) -> None:
+        self._notices.append(Notice(time_ns=self._now(), what=what, cause=cause))
+
+    def _gathered(self) -> Iterable[Notice]:
+        localisation = self._localisation
+        return [*self._driver.notices(), *(localisation.notices() if localisation is not None else ())]
+
+    def _words(self, cause: Cause) -> str:
+        """A cause as a sentence."""
+        safety = self._mission.safety
+        match cause:
+            case Cause.OPERATOR:
+                return f"nothing was heard of the operator for {safety.operator_s:g} s"
+            case Cause.COMMAND:
+                return f"no command for {safety.command_s:g} s" if self._order.command is not None else "there is no command"
+            case Cause.POSITIONING:
+                limit = f" (time-out {safety.positioning_s:g} s)" if safety.positioning_s else ""
+                return f"its position is not known: positions or odometry stay away{limit}"
+            case Cause.FEDERATION:
+                return f"nothing was heard of the run for {safety.federation_s:g} s"
+            case Cause.CLOCK:
+                return "the station was held up, or its clock jumped"
+            case Cause.NOT_FINITE:
+                return "a command or another vehicle's position is not a number"
+            case _:
+                return cause.value
+
+    def _report(self, now_ns: int, here: Estimate | None) -> Report:
+        order, sample = self._order, self._sample
+        del self._notices[:-KEPT], self._fixes[:-KEPT]
+        report = Report(
+            number=self._turns,
+            time_ns=now_ns,
+            order=order.number,
+            state=None if here is None else here.state,
+            covariance=None if here is None else here.covariance,
+            fixes=tuple(self._fixes),
+            gated=self._where.gated,
+            fix_age_s=None if here is None else here.fix_age_s,
+            sonar=tuple(sorted(self._sonar.items())),
+            notices=tuple(self._notices),
+        )
+        if sample is None:
+            return report
+        return msgspec.structs.replace(
+            report,
+            odometry=sample.odometry if _finite_odometry(sample.odometry) else None,
+            sample=sample.number,
+            measured_ns=sample.measured_ns,
+            link=sample.link,
+            battery_v=sample.battery_v,
+            bumpers=sample.bumpers,
+        )
+
+
+def _finite(state: VehicleState) -> bool:
+    return bool(np.isfinite([*state.position, *state.velocity, *state.attitude, *state.angular_velocity]).all())
+
+
+def _finite_odometry(odometry: Odometry) -> bool:
+    return bool(np.isfinite([*odometry.pose, odometry.v, odometry.w]).all())

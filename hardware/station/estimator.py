@@ -1,0 +1,77 @@
+"""Where a robot is at any instant, from what its driver and its positioning system said last.
+
+Between two samples a robot is taken to go on as it did, for a while; then to stand (`cosim.estimation.dead_reckoning`).
+"""
+
+from typing import Protocol
+
+import msgspec
+
+from vcmvsp.cosim.types import Array, Fix, VehicleState
+from vcmvsp.hardware.drivers.base import Sample
+from vcmvsp.cosim.estimation.dead_reckoning import ahead, planar
+from vcmvsp.hardware.station.messages import Mission
+
+
+class Estimate(msgspec.Struct, frozen=True, kw_only=True):
+    """The state at an instant."""
+
+    state: VehicleState
+    covariance: Array | None = None  # (3, 3) of x, y, yaw
+    seen_ns: int | None = None  # when that was measured on which it rests; None: not yet
+    fix_age_s: float | None = None
+
+
+class Whereabouts(Protocol):
+    """Takes samples and fixes in the order in which they come; their times must not lie in the future.
+
+    Attributes:
+        gated: fixes that did not fit.
+        jumps: times that the estimate was given up for what the fixes said.
+    """
+
+    gated: int
+    jumps: int
+
+    def sample(self, sample: Sample, now_ns: int) -> None:
+        """What the driver read."""
+
+    def fix(self, fix: Fix) -> None:
+        """What the positioning system said."""
+
+    def at(self, now_ns: int) -> Estimate | None:
+        """The state now; None: not known."""
+
+
+def whereabouts(mission: Mission) -> Whereabouts:
+    """As a mission asks: fused where something tells positions to a robot on the ground, else as the driver says."""
+    if mission.localisation is not None and not mission.flies:
+        from vcmvsp.hardware.station.fused_estimator import Fused  # half a second of SciPy, which no other robot needs
+
+        return Fused(mission.fusion, mission.start, mission.height_m)
+    return Told(mission.height_m, flies=mission.flies)
+
+
+class Told:
+    """As the driver says: the state that the robot knows, else odometry; which does not tell where something is that flies."""
+
+    def __init__(self, height_m: float, *, flies: bool) -> None:
+        self.gated = self.jumps = 0
+        self._height_m, self._flies = height_m, flies
+        self._last: Sample | None = None
+
+    def sample(self, sample: Sample, now_ns: int) -> None:
+        """The newest counts."""
+        self._last = sample
+
+    def fix(self, fix: Fix) -> None:
+        """The robot knows where it is."""
+
+    def at(self, now_ns: int) -> Estimate | None:
+        """Extrapolated to now."""
+        last = self._last
+        if last is None or (last.state is None and self._flies):
+            return None
+        seen_ns = min(last.measured_ns, now_ns)
+        state = last.state or planar(last.odometry.pose, last.odometry.v, last.odometry.w, self._height_m)
+        return Estimate(state=ahead(state, now_ns - seen_ns, flies=self._flies), seen_ns=seen_ns)

@@ -1,0 +1,83 @@
+"""Where a robot is that odometry and a positioning system tell of: both fused, also after its link was lost for a while."""
+
+import math
+from typing import Any
+
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import travelled, wrap
+from vcmvsp.cosim.types import Fix, Vec3
+from vcmvsp.hardware.drivers.base import Sample
+from vcmvsp.cosim.estimation.fusion import Fusion
+from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, planar
+from vcmvsp.hardware.station.estimator import Estimate
+
+
+class Fused:
+    """Odometry and positions, fused.
+
+    While motion has not told the heading yet (it was not given, or the estimate began again), odometry tells it, turned as
+    it was when the heading was known last: a robot that stood still until then would never know.
+    """
+
+    def __init__(self, fusion: dict[str, Any], start: Vec3, height_m: float) -> None:
+        self.gated = self.jumps = 0
+        self._before = (0, 0)  # gated and jumps of earlier filters
+        self._params, self._height_m = {"start": start, **fusion}, height_m
+        self._fusion = self._filter({})
+        self._last: Sample | None = None
+        self._broken = False  # the newest sample was no number
+        self._turned = 0.0  # from odometry's yaw to the heading
+
+    def _filter(self, changed: dict[str, Any]) -> Fusion:
+        return binding.call(Fusion, {**self._params, **changed}, key="fusion")
+
+    def sample(self, sample: Sample, now_ns: int) -> None:
+        """Add the motion since the last sample, unless the link was lost meanwhile, so that it is not known."""
+        self._broken = not all(map(math.isfinite, sample.odometry.pose))
+        if self._broken:
+            return
+        last, self._last = self._last, sample
+        if last is not None and sample.link != last.link:
+            self._begin_again(now_ns)
+            last = None
+        told_ns = min(sample.measured_ns, now_ns)
+        self._fusion.odometry(told_ns, *((0.0, 0.0) if last is None else travelled(last.odometry.pose, sample.odometry.pose)))
+
+    def _begin_again(self, now_ns: int) -> None:
+        """A filter that sets out from here, as unsure as the last one has become while it heard of no motion."""
+        self._before = (self.gated, self.jumps)
+        here = self._fusion.estimate(now_ns)
+        if here is None or not here.heading_known:
+            self._fusion = self._filter({"start": None})
+            return
+        var_x, var_y, var_heading = here.covariance.diagonal().tolist()
+        sigmas = {"start_sigma_m": math.sqrt(max(var_x, var_y)), "start_sigma_rad": math.sqrt(var_heading)}
+        self._fusion = self._filter({"start": (here.x, here.y, here.heading), **sigmas})
+
+    def fix(self, fix: Fix) -> None:
+        """Weigh it against what is known; what is no number is as good as nothing."""
+        x, y, _ = fix.position
+        if math.isfinite(x) and math.isfinite(y) and 0.0 < fix.sigma_m < math.inf:
+            self._fusion.fix(fix.time_ns, x, y, fix.sigma_m)
+
+    def at(self, now_ns: int) -> Estimate | None:
+        """The fused pose; not known before the first sample."""
+        pose = self._fusion.estimate(now_ns)
+        if pose is None or self._last is None or self._broken:
+            return None
+        self.gated, self.jumps = self._before[0] + pose.gated, self._before[1] + pose.restarts
+        odometry_ns = min(self._last.measured_ns, now_ns)
+        last = self._last.odometry
+        yaw = last.pose[2] + last.w * min(now_ns - odometry_ns, LONGEST_NS) / SECOND_NS
+        if pose.heading_known:
+            self._turned = pose.heading - yaw
+        heading = wrap(yaw + self._turned)
+        known = math.isfinite(pose.age_s)
+        fix_ns = now_ns - round(pose.age_s * SECOND_NS) if known else 0
+        return Estimate(
+            state=planar((pose.x, pose.y, heading), pose.v, pose.w, self._height_m),
+            covariance=pose.covariance,
+            seen_ns=min(fix_ns, odometry_ns) if known else None,  # without either, it is a guess
+            fix_age_s=pose.age_s if known else None,
+        )

@@ -1,0 +1,159 @@
+"""The run's side of a station: a process of its own, started afresh, to which nothing that is said can hold up the run.
+
+Several open and close at the same time::
+
+    stations = [Station.start(mission) for mission in missions]
+    for station in stations:
+        station.wait_ready()
+    ...
+    for station in stations:
+        station.leave()
+    for station in stations:
+        station.close()
+"""
+
+import subprocess
+import time
+
+import msgspec
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.processes.child_process import ending, linked
+from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.hardware.station import messages
+from vcmvsp.hardware.station.messages import Mission, Order, Report
+
+READY_S = 60.0  # longer than a station gives its driver
+CLOSE_S = 15.0  # the same, for a robot to stand and a driver to close
+DYING_S = 2.0  # from the end of a link to that of the process
+PAUSE_S = 0.05  # between two attempts to say something to a station that does not read
+WATCHDOG = "the robot's own watchdog stops it, if it has one: look after the robot"
+
+
+class StationError(DriverError):
+    """A station cannot go on, or has gone."""
+
+    def __init__(self, vehicle: str, happened: str, advice: str) -> None:
+        self.device, self.happened, self.advice = vehicle, happened, advice
+        FederateError.__init__(self, f"the robot of {vehicle}", f"{happened}; {advice}")
+
+
+class Station:
+    """A process that drives one robot; see `start`."""
+
+    def __init__(self, mission: Mission, process: subprocess.Popen[bytes], end: Link) -> None:
+        self.vehicle = mission.vehicle
+        self._process, self._link = process, end
+        self._waiting: list[Report] = []  # read, but not handed over
+        self._failure: StationError | None = None
+        self._leaving = self._is_closed = False
+        self._number = 0  # of the newest order
+
+    @classmethod
+    def start(cls, mission: Mission) -> "Station":
+        """Start the process, which connects to the robot; this does not wait for it."""
+        process, here = linked("vcmvsp.hardware.station")
+        here.send(encode(mission))
+        return cls(mission, process, here)
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    def wait_ready(self, until: float | None = None) -> None:
+        """Wait until the robot is connected and stands still, at most until this ``time.monotonic()`` [now + `READY_S`].
+
+        Raises:
+            DriverError: it cannot be driven; the station has ended.
+        """
+        until = time.monotonic() + READY_S if until is None else until
+        while not self._waiting and self._failure is None:
+            self._read(until - time.monotonic())
+            if time.monotonic() >= until and not self._waiting and self._failure is None:
+                self._end(patient=False)
+                happened = "its station did not say in time that the robot is connected"
+                self._failure = StationError(self.vehicle, happened, "look at what it says above, at the robot and at its port")
+        if self._failure is not None:
+            raise self._failure
+
+    def order(self, order: Order) -> bool:
+        """Give an order, without waiting; whether it went: not to a station that hangs, or has gone (`reports` says so)."""
+        self._number = order.number
+        return not self._is_closed and self._link.send(encode(order))
+
+    def reports(self) -> list[Report]:
+        """What has come since the last call, oldest first, without waiting.
+
+        Raises:
+            DriverError: the station failed, or has gone, and all that it had said was handed over.
+        """
+        self._read(0.0)
+        if not self._waiting and self._failure is not None:
+            raise self._failure
+        reports, self._waiting = self._waiting, []
+        return reports
+
+    def leave(self) -> None:
+        """Ask it to stop the robot and to end, without waiting; asked again by `close`, where it did not read."""
+        if not self._leaving and not self._is_closed:
+            order = Order(number=self._number + 1, sent_ns=time.monotonic_ns(), leave=True)
+            self._leaving = self._link.send(encode(order))
+
+    def close(self, until: float | None = None) -> list[Report]:
+        """Have it end, and wait for that, at most until this ``time.monotonic()`` [now + `CLOSE_S`]; then make it end.
+
+        Returns its last reports; never raises.
+        """
+        self.leave()
+        until = time.monotonic() + CLOSE_S if until is None else until
+        while not self._link.ended and not self._is_closed and time.monotonic() < until:
+            self.leave()
+            self._read(min(until - time.monotonic(), PAUSE_S))
+        self._end(patient=True)
+        reports, self._waiting = self._waiting, []
+        return reports
+
+    def _end(self, *, patient: bool) -> None:
+        """Let the process end, or make it."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            self._process.wait(DYING_S if patient and self._link.ended else 0.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            happened = "its station did not end by itself and was killed"
+            self._waiting.append(Report(number=0, time_ns=time.monotonic_ns(), failed=happened, advice=WATCHDOG))
+        self._link.close()
+
+    def _read(self, wait_s: float) -> None:
+        """Take what has come, and note how it ended."""
+        if self._is_closed or self._link.ended:
+            return
+        if wait_s > 0.0:
+            self._link.wait(wait_s)
+        for message in self._link.receive():
+            report = self._decoded(message)
+            self._waiting.append(report)
+            if report.failed:
+                self._failure = StationError(self.vehicle, report.failed, report.advice)
+        if self._link.ended and self._failure is None and not self._leaving:
+            self._failure = StationError(self.vehicle, f"its station {self._how_it_ended()}", WATCHDOG)
+
+    def _decoded(self, message: bytes) -> Report:
+        try:
+            return messages.reports.decode(message)
+        except (ValueError, msgspec.MsgspecError) as error:
+            happened = f"its station said something that cannot be read ({error})"
+            return Report(number=0, time_ns=time.monotonic_ns(), failed=happened, advice="report this")
+
+    def _how_it_ended(self) -> str:
+        """How a process whose link has ended did so."""
+        try:
+            return ending(self._process.wait(DYING_S))
+        except subprocess.TimeoutExpired:
+            return "has hung up"

@@ -1,0 +1,1 @@
+"""Linux network namespaces, one for each vehicle."""

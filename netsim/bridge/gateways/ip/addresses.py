@@ -1,0 +1,126 @@
+"""The addresses of a network of vehicles, and where an IP packet goes that one of them sends.
+
+Only the destination is looked at. Whatever a program puts into a packet, the answer is a vehicle, all of them, or why nobody.
+"""
+
+import ipaddress
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST
+
+NO_ADDRESS = "no such address"
+NO_IP = "not an IP packet"
+MEMBERSHIP = "reports to multicast routers, kept off the air"
+"""Why a packet goes to nobody, in words for `Hall.count`."""
+
+HEADER4, HEADER6 = 20, 40  # bytes at least
+LEAST_MTU6 = 1280  # RFC 8200, section 5: on a link with less, there is no IPv6
+
+_IGMP, _HOP_BY_HOP, _ICMP6 = 2, 0, 58  # protocol numbers
+_TO_ROUTERS = frozenset((130, 131, 132, 133, 143))  # ICMPv6: listeners asked and reported (RFC 2710, 3810), router solicitation
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+
+
+def network_of(text: str, key: str, version: int | None = None) -> Network:
+    """Read ``10.77.0.0/16``.
+
+    Args:
+        text: what a scenario says.
+        key: where.
+        version: of IP; None: either.
+
+    Raises:
+        ScenarioError: it is no network, or none that vehicles could have.
+    """
+    problem = ""
+    try:
+        network = ipaddress.ip_network(text)
+    except ValueError as error:
+        example = "fd77::/64" if version == 6 else "10.77.0.0/16"
+        raise ScenarioError(f"{error}; write ADDRESS/BITS, e.g. {example}", key=key) from None
+    if version not in (None, network.version):
+        problem = f"{text} is a network of IPv{network.version}, not of IPv{version}"
+    elif network.is_multicast or network.is_loopback or network.is_link_local or network.is_unspecified:
+        problem = f"{text} is kept for other purposes; private ones are in 10.0.0.0/8, 192.168.0.0/16 and fd00::/8"
+    if problem:
+        raise ScenarioError(problem, key=key)
+    return network
+
+
+def address_in(network: Network, row: int) -> Address:
+    """The address of the vehicle in this row: the network's first after its own, and so on."""
+    return network[row + 1]
+
+
+@dataclass(frozen=True)
+class Routed:
+    """Addresses behind a vehicle."""
+
+    network: Network
+    row: int  # of the vehicle
+
+    def holds(self, address: bytes) -> bool:
+        """Whether an address, in the bytes of a packet, is one of them."""
+        bits = self.network.max_prefixlen
+        if bits != 8 * len(address):
+            return False
+        return not (int.from_bytes(address) ^ int(self.network.network_address)) >> (bits - self.network.prefixlen)
+
+
+class Directory:
+    """Who has which address.
+
+    Args:
+        networks: those that the vehicles share.
+        rows: of the vehicles that take part.
+        routed: networks behind vehicles, by row. The narrowest that holds an address counts.
+    """
+
+    def __init__(self, networks: Sequence[Network], rows: Sequence[int], routed: Mapping[int, Sequence[Network]]) -> None:
+        self._rows = {address_in(network, row).packed: row for network in networks for row in rows}
+        shared = {network.broadcast_address.packed for network in networks if network.version == 4}
+        self._broadcasts = shared | {b"\xff\xff\xff\xff"}
+        behind = [Routed(network, row) for row, each in routed.items() for network in each]
+        self._routed = sorted(behind, key=lambda each: -each.network.prefixlen)
+
+    def goes_to(self, sender: int, packet: bytes) -> int | str:
+        """The row of the vehicle that a packet is meant for, `BROADCAST`, or why it is sent to nobody.
+
+        Reports of who listens to which multicast group, and calls for routers, are for multicast routers alone. The kernel
+        sends them by itself, and the air is too scarce for what nobody listens to.
+        """
+        if not is_ip(packet):
+            return NO_IP
+        if packet[0] >> 4 == 4:
+            target = packet[16:HEADER4]
+            is_group, is_membership = target[0] >> 4 == 0xE, packet[9] == _IGMP
+        else:
+            target = packet[24:HEADER6]
+            is_group, is_membership = target[0] == 0xFF, _icmp6_type(packet) in _TO_ROUTERS
+        if is_membership:
+            return MEMBERSHIP
+        return BROADCAST if is_group or target in self._broadcasts else self._row(sender, target)
+
+    def _row(self, sender: int, target: bytes) -> int | str:
+        row = self._rows.get(target)
+        if row is None:
+            row = next((each.row for each in self._routed if each.holds(target)), None)
+        return NO_ADDRESS if row is None or row == sender else row
+
+
+def is_ip(packet: bytes) -> bool:
+    """Whether it begins as a packet of IP does."""
+    version = packet[0] >> 4 if packet else 0
+    return (version == 4 and len(packet) >= HEADER4) or (version == 6 and len(packet) >= HEADER6)
+
+
+def _icmp6_type(packet: bytes) -> int:
+    """The type of a message of ICMPv6, also behind hop-by-hop options; -1: it is none, or cut short."""
+    kind, start = packet[6], HEADER6
+    if kind == _HOP_BY_HOP and len(packet) >= HEADER6 + 2:
+        kind, start = packet[HEADER6], HEADER6 + 8 * (packet[HEADER6 + 1] + 1)
+    return packet[start] if kind == _ICMP6 and len(packet) > start else -1

@@ -1,0 +1,215 @@
+"""The interfaces of a vehicle's namespace: the radio, whose packets come to us, and the port behind which real machines are."""
+
+import contextlib
+import errno
+import fcntl
+import functools
+import ipaddress
+import itertools
+import os
+import socket
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from vcmvsp.netsim.bridge.gateways.ip import namespaces
+from vcmvsp.netsim.bridge.gateways.ip.addresses import Network
+
+RADIO = "radio0"
+PORT = "port0"  # in the namespace; on the host's side it has a name of its own
+QUEUE = 500  # packets that wait in the kernel until they are read
+
+_SET_INTERFACE = 0x400454CA  # TUNSETIFF, linux/if_tun.h
+_TUN_WITHOUT_HEADER = 0x0001 | 0x1000  # IFF_TUN | IFF_NO_PI
+_NO_DUPLICATES_SOUGHT = 0x02  # IFA_F_NODAD: the addresses are ours to give, and of use at once
+_BROADCAST_ROUTE, _ON_LINK = 3, 253  # RTN_BROADCAST, RT_SCOPE_LINK
+_RULE_PRIORITY = 7700  # before the main table's
+_HOST_SIDE, _INSIDE = "fe80::1", "fe80::2"  # of a port
+_QUIET = {"accept_ra": "0", "router_solicitations": "0", "addr_gen_mode": "1", "disable_ipv6": "0"}
+
+
+class Port(msgspec.Struct, frozen=True, kw_only=True):
+    """A cable between a vehicle's namespace and the host.
+
+    Neither end needs an address of IPv4: each is reached at the other's of IPv6 (RFC 8950), which holds on its cable alone and
+    so is never somebody else's already.
+    """
+
+    interface: str  # the end on the host's side
+    table: int  # of the host's routes to the other vehicles, for who comes from behind this one
+    behind: tuple[str, ...]  # networks of the machines there
+    others: tuple[str, ...]  # networks to which the radio leads
+
+
+def port_of(run: str, vehicle: str, behind: Iterable[Network], others: Iterable[Network]) -> Port:
+    """A port with a name and a number that no other vehicle's has: names of interfaces are of 15 characters at most."""
+    number = zlib.crc32(f"{run}/{vehicle}".encode())
+    there, beyond = tuple(map(str, behind)), tuple(map(str, others))
+    return Port(interface=f"vcmvsp-{number:08x}", table=number | 1 << 31, behind=there, others=beyond)
+
+
+def open_radio(addresses: Sequence[tuple[str, int]], beyond: Iterable[Network], mtu_bytes: int) -> int:
+    """Make the radio's interface in this thread's namespace; the answer is what its packets are read from and written to.
+
+    Args:
+        addresses: of the vehicle, each with the bits of its network.
+        beyond: further networks to which the radio leads.
+        mtu_bytes: longest packet.
+    """
+    _sysctl("ipv6", ("all", "default"), _QUIET)
+    descriptor = os.open(namespaces.TUN, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        fcntl.ioctl(descriptor, _SET_INTERFACE, struct.pack("16sH22x", RADIO.encode(), _TUN_WITHOUT_HEADER))
+        _sysctl("ipv6", (RADIO,), _QUIET)
+        with _netlink() as links:
+            radio = links.link_lookup(ifname=RADIO)[0]
+            links.link("set", index=1, state="up")
+            links.link("set", index=radio, mtu=mtu_bytes, txqlen=QUEUE, state="up")
+            for address, bits in addresses:
+                links.addr("add", index=radio, address=address, prefixlen=bits, **_kind(address))
+            links.route("add", dst="224.0.0.0/4", oif=radio)
+            links.route("add", dst="255.255.255.255/32", oif=radio, type=_BROADCAST_ROUTE, scope=_ON_LINK)
+            for network in beyond:
+                links.route("add", dst=str(network), oif=radio, family=_family(network))
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def open_port(port: Port, namespace: str) -> None:
+    """Lay a cable from the host to a vehicle's namespace; either end passes on what is for the other side."""
+    with (namespaces.NAMES / namespace).open() as there, _netlink() as links:
+        links.link("add", ifname=port.interface, kind="veth", peer={"ifname": PORT, "net_ns_fd": there.fileno()})
+        here = links.link_lookup(ifname=port.interface)[0]
+        _sysctl("ipv6", (port.interface,), {**_QUIET, "forwarding": "1"})
+        _sysctl("ipv4", (port.interface,), {"forwarding": "1"})
+        links.link("set", index=here, state="up")
+        namespaces.inside(namespace, lambda: _open_inside(port))
+        links.addr("add", index=here, address=_HOST_SIDE, prefixlen=64, **_kind(_HOST_SIDE))
+        for network in map(ipaddress.ip_network, port.others):
+            links.route("add", dst=str(network), oif=here, table=port.table, **_via(network, _INSIDE))
+        for rule in _rules(port):
+            links.rule("add", **rule)
+
+
+def _open_inside(port: Port) -> None:
+    _sysctl("ipv6", ("all", PORT), {"forwarding": "1"})
+    _sysctl("ipv4", ("all",), {"forwarding": "1"})
+    with _netlink() as links:
+        here = links.link_lookup(ifname=PORT)[0]
+        links.link("set", index=here, state="up")
+        links.addr("add", index=here, address=_INSIDE, prefixlen=64, **_kind(_INSIDE))
+        for network in map(ipaddress.ip_network, port.behind):
+            links.route("add", dst=str(network), oif=here, **_via(network, _HOST_SIDE))
+
+
+def close_port(port: Port) -> None:
+    """Take away what a port has left on the host, as far as it is there."""
+    with _netlink() as links:
+        for rule in _rules(port):
+            _unless_gone(functools.partial(links.rule, "del", **rule))
+        if found := links.link_lookup(ifname=port.interface):
+            _unless_gone(lambda: links.link("del", index=found[0]))
+
+
+def drop_radio() -> None:
+    """Take the radio's interface out of this thread's namespace, if it is there."""
+    with _netlink() as links:
+        if found := links.link_lookup(ifname=RADIO):
+            _unless_gone(lambda: links.link("del", index=found[0]))
+
+
+def statistics() -> int:
+    """Open what `dropped` reads: the counts of this thread's namespace, which can then be read from anywhere."""
+    return os.open("/proc/thread-self/net/dev", os.O_RDONLY | os.O_CLOEXEC)
+
+
+def dropped(descriptor: int) -> int:
+    """How many packets the radio's queue in the kernel had no room for, so far."""
+    lines = os.pread(descriptor, 1 << 16, 0).decode("ascii").splitlines()
+    return next((int(line.partition(":")[2].split()[11]) for line in lines if line.lstrip().startswith(f"{RADIO}:")), 0)
+
+
+def in_common(one: Port, other: Port) -> str:
+    """What the host would send through either of two vehicles: networks from and to which; empty: nothing."""
+    for (source, target), (source2, target2) in itertools.product(_pairs(one), _pairs(other)):
+        if _overlap(source, source2) and _overlap(target, target2):
+            return f"from {source} to {target}"
+    return ""
+
+
+def _overlap(one: Network, other: Network) -> bool:
+    return one.version == other.version and one.overlaps(other)
+
+
+def _pairs(port: Port) -> list[tuple[Network, Network]]:
+    """From and to where what a port is for goes."""
+    behind, others = map(ipaddress.ip_network, port.behind), list(map(ipaddress.ip_network, port.others))
+    return [(source, target) for source in behind for target in others if source.version == target.version]
+
+
+def _rules(port: Port) -> list[dict[str, Any]]:
+    """What has the host send packets from behind a vehicle through that vehicle's radio, and not through another's."""
+    return [
+        {
+            "table": port.table,
+            "priority": _RULE_PRIORITY,
+            "family": _family(source),
+            "src": str(source.network_address),
+            "src_len": source.prefixlen,
+            "dst": str(target.network_address),
+            "dst_len": target.prefixlen,
+        }
+        for source, target in _pairs(port)
+    ]
+
+
+def _via(network: Network, neighbour: str) -> dict[str, Any]:
+    """Whom a route goes to: a neighbour with an address of IPv6, whatever the packet's is."""
+    if network.version == 4:
+        return {"family": socket.AF_INET, "via": {"family": socket.AF_INET6, "addr": neighbour}}
+    return {"family": socket.AF_INET6, "gateway": neighbour}
+
+
+def _kind(address: str) -> dict[str, Any]:
+    return {"family": socket.AF_INET6, "flags": _NO_DUPLICATES_SOUGHT} if ":" in address else {"family": socket.AF_INET}
+
+
+def _family(network: Network) -> int:
+    return socket.AF_INET if network.version == 4 else socket.AF_INET6
+
+
+def _sysctl(protocol: str, interfaces: Iterable[str], settings: dict[str, str]) -> None:
+    """Set what a container may not let us set, without which it goes on, as a rule; what is needed all the same fails later."""
+    for interface in interfaces:
+        for name, value in settings.items():
+            with contextlib.suppress(OSError):
+                Path(f"/proc/sys/net/{protocol}/conf/{interface}/{name}").write_text(value, "ascii")
+
+
+@contextlib.contextmanager
+def _netlink() -> Iterator[Any]:
+    """A line to the kernel's network, for threads without an asyncio loop; it says no with an `OSError`, as other calls do."""
+    from pyroute2 import IPRoute
+    from pyroute2.netlink.exceptions import NetlinkError
+
+    try:
+        with IPRoute() as links:
+            yield links
+    except NetlinkError as error:
+        raise OSError(error.code, f"{os.strerror(error.code)} ({error})") from error
+
+
+def _unless_gone(remove: Callable[[], object]) -> None:
+    from pyroute2.netlink.exceptions import NetlinkError
+
+    try:
+        remove()
+    except NetlinkError as error:
+        if error.code not in (errno.ENOENT, errno.ENODEV, errno.ESRCH, errno.EAFNOSUPPORT):
+            raise

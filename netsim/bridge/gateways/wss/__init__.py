@@ -1,0 +1,1 @@
+"""USARSim Wireless Simulation Server."""

@@ -1,0 +1,294 @@
+"""USARSim's Wireless Simulation Server, served from the run's channel: programs written for it work as they are.
+
+Each robot opens a control connection and gives its name, that of a vehicle, and the ports on which it listens. It asks there at
+which port of ours it reaches another robot; what it connects to that port is relayed. A link is there while the mean level is
+not below the cutoff; when it falls below, connections are closed, and new ones are refused.
+"""
+
+import asyncio
+import contextlib
+import itertools
+import secrets
+import socket
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from vcmvsp.netsim.bridge.gateways.base import HIGHEST, LARGEST, DoorError, Hall, Port, address, check_listen
+from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, Message, compose, error, parse, strength
+from vcmvsp.netsim.bridge.gateways.wss.relay import HEADER, MOST_RELAYS, Gate, Pair, Relay
+
+LOOK_S = 0.1  # between two looks at the levels
+TRIED = 100  # ports, in search of a free one
+MOST_GUESTS = 64  # control connections that have not said yet whose they are; the oldest makes room
+
+FirstPort = Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
+ChunkBytes = Annotated[int, msgspec.Meta(gt=HEADER.size, le=LARGEST)]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A vehicle whose program has a control connection."""
+
+    row: int
+    host: str  # from where it came, and where it is called
+    ports: tuple[int, ...]
+
+
+class Wss:
+    """Robots that speak USARSim's WSS protocol.
+
+    Args:
+        listen: address of this machine on which robots are served.
+        insecure: ``listen`` may be reached from other machines, by anybody: the protocol knows no passwords and no encryption.
+        port: of the control connections.
+        cutoff_dbm: the mean level below which there is no link.
+        first_port: of those on which robots reach each other, which follow one another; 0: any that are free.
+        chunk_bytes: longest payload of a frame: 8 bytes that number it, and about as many of a connection as a TCP segment has.
+    """
+
+    def __init__(
+        self,
+        listen: str = "127.0.0.1",
+        insecure: bool = False,
+        port: Port = 50_000,
+        cutoff_dbm: float = -93.0,
+        first_port: FirstPort = 0,
+        chunk_bytes: ChunkBytes = 1400,
+    ) -> None:
+        self._address, self._insecure, self._port, self._cutoff_dbm = address("listen", listen), insecure, port, cutoff_dbm
+        self._first_port, self._chunk_bytes = first_port, chunk_bytes
+        self._hall: Hall
+        self._robots: dict[int, Robot] = {}  # by row
+        self._gates: dict[Pair, Gate] = {}
+        self._relays: dict[int, tuple[Relay, asyncio.Task[None]]] = {}
+        self._relay_number = secrets.randbits(32)  # so that what agents say is not taken for a chunk
+        self._guests: dict[asyncio.StreamWriter, None] = {}  # oldest first
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._server: asyncio.Server | None = None
+
+    def check(self, vehicles: Sequence[str]) -> None:
+        """Any vehicles will do; sockets for everybody only if they are wanted."""
+        tunnel = "ssh -L for port and those from first_port on, -R for a robot's own"
+        check_listen(self._address, insecure=self._insecure, instead=f"listen at 127.0.0.1 and come through {tunnel}")
+
+    async def open(self, hall: Hall) -> Sequence[str]:
+        """Serve robots."""
+        self._hall = hall
+        try:
+            server = await asyncio.start_server(self._on_control, self._address, self._port, limit=LONGEST_LINE)
+        except OSError as problem:
+            why = f"cannot serve robots at {self._address} port {self._port}: {problem.strerror}"
+            raise DoorError(f"{why}; end what holds it, or set port") from problem
+        self._server = server
+        self._tasks.add(hall.loop.create_task(self._look_on()))
+        hall.level_dbm(0, 0)  # levels are told to those who have asked, and the first robot wants them at once
+        return [f"robots dial {self._address} port {self._port}, as USARSim's WSS; no link below {self._cutoff_dbm:g} dBm"]
+
+    def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
+        """A chunk has arrived; whatever else the vehicle's radio received is not for robots."""
+        if len(payload) >= HEADER.size:
+            number, place = HEADER.unpack_from(payload)
+            if relay := self._relay(number, sender, receiver):
+                relay.deliver(sender, place, payload[HEADER.size :])
+
+    def lost(self, sender: int, receiver: int, payload: bytes) -> None:
+        """A chunk has been lost."""
+        number, place = HEADER.unpack_from(payload)
+        if relay := self._relay(number, sender, receiver):
+            self._hall.count(sender, "chunks of connections sent again")
+            relay.lost(sender, place)
+
+    async def close(self) -> None:
+        """Send everybody away."""
+        tasks = [*self._tasks, *(task for _, task in self._relays.values())]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        if self._server is not None:
+            self._server.close()
+        for gate in self._gates.values():
+            gate.close()
+
+    # --- the control connection ---------------------------------------------------------------------------------------------
+
+    def _on_control(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = self._hall.loop.create_task(self._serve(reader, writer))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer a robot's program until it leaves."""
+        self._guests[writer] = None
+        if len(self._guests) > MOST_GUESTS:
+            next(iter(self._guests)).transport.abort()
+        robot = None
+        try:
+            with contextlib.suppress(OSError, asyncio.IncompleteReadError):  # it has left
+                _notice_death(writer.get_extra_info("socket"))
+                host = writer.get_extra_info("peername")[0]
+                while True:
+                    message = parse(await reader.readuntil(b"\n"))
+                    if robot is None:
+                        robot, answer = self._greet(message, host)
+                        if robot is not None:
+                            self._guests.pop(writer, None)
+                    else:
+                        answer = self._answer(message, robot)
+                    writer.write(answer)
+                    await writer.drain()  # who does not read, is not read
+        except asyncio.LimitOverrunError:
+            writer.write(error("Line.Too.Long"))
+        finally:
+            self._guests.pop(writer, None)
+            transport = writer.transport
+            transport.abort() if transport.get_write_buffer_size() else transport.close()
+            if robot is not None:
+                del self._robots[robot.row]
+                self._look()
+
+    def _greet(self, message: Message | None, host: str) -> tuple[Robot | None, bytes]:
+        """Who it is, once it has said so, and what to answer."""
+        if message is None:
+            return None, error("Message.Not.Understood")
+        if message.kind != "INIT":
+            return None, error("Must.Use.INIT.Method.First")
+        ports, row = message.ports(), self._row(message.robot())
+        reason = ""
+        if ports is None:
+            reason = "Ports.List.Must.Be.Integer"
+        elif not message.robot():
+            reason = "Robot.Name.Must.Not.Be.Empty"
+        elif row is None:
+            reason = "No.Such.Vehicle"
+        elif row in self._robots:
+            reason = "Robot.Already.Exists"
+        if reason or row is None or ports is None:
+            return None, error(reason)
+        robot = self._robots[row] = Robot(row, host, ports)
+        for pair in [each for each in self._gates if each.called == row and each.port not in ports]:
+            self._gates.pop(pair).close()
+        self._look()
+        return robot, compose("INITREPLY", Status="OK")
+
+    def _answer(self, message: Message | None, robot: Robot) -> bytes:
+        if message is None:
+            return error("Message.Not.Understood")
+        answers: dict[str, Callable[[Message, Robot], bytes]] = {
+            "GETSS": self._on_getss,
+            "DNS": self._on_dns,
+            "REVERSEDNS": self._on_reversedns,
+        }
+        if message.kind not in answers:
+            return error("Method.Unknown.Or.Can.INIT.only.once")
+        return answers[message.kind](message, robot)
+
+    def _on_getss(self, message: Message, robot: Robot) -> bytes:
+        name = message.robot()
+        if not name:
+            return error("Robot.Name.Must.Not.Be.Empty")
+        row = self._row(name)
+        if row is None or row not in self._robots:
+            return compose("SS", Robot=name, Strength="NaN")
+        level_dbm = float("inf") if row == robot.row else self._level_dbm(robot.row, row)
+        return compose("SS", Robot=name, Strength=strength(level_dbm))
+
+    def _on_dns(self, message: Message, robot: Robot) -> bytes:
+        name = message.robot()
+        if "Port" in message.fields and message.port() is None:
+            return error("Port.Must.Be.Integer")
+        if not name:
+            return error("Robot.Name.Must.Not.Be.Empty")
+        row = self._row(name)
+        called = self._robots.get(-1 if row is None else row)
+        if called is None or called is robot:
+            return compose("DNSREPLY", Robot=name, Port=-1, Error="NoSuchRobot")
+        port = message.port() or called.ports[0]
+        if port not in called.ports:
+            return compose("DNSREPLY", Robot=name, Port=-1, Error="RobotDoesNotListenOnThisPort")
+        gate = self._gate(Pair(robot.row, called.row, port))
+        return error("Could.Not.Allocate.Port") if gate is None else compose("DNSREPLY", Robot=name, Port=gate.port)
+
+    def _on_reversedns(self, message: Message, robot: Robot) -> bytes:
+        port = message.port()
+        if port is None:
+            return error("Port.Must.Be.Integer")
+        for relay, _ in self._relays.values():
+            if relay.origin == port and relay.pair.called == robot.row:
+                return compose("REVERSEDNSREPLY", Port=port, Robot=self._hall.vehicles[relay.pair.caller])
+        return compose("REVERSEDNSREPLY", Port=port, Error="UnknownOrIllegalPort")
+
+    # --- links --------------------------------------------------------------------------------------------------------------
+
+    def _row(self, name: str) -> int | None:
+        return self._hall.vehicles.index(name) if name in self._hall.vehicles else None
+
+    def _level_dbm(self, one: int, other: int) -> float:
+        """Of the weaker direction, which decides: TCP needs both."""
+        return float(np.minimum(self._hall.level_dbm(one, other), self._hall.level_dbm(other, one)))  # NaN if either is
+
+    def _linked(self, pair: Pair) -> bool:
+        return self._level_dbm(pair.caller, pair.called) >= self._cutoff_dbm
+
+    async def _look_on(self) -> None:
+        while True:
+            self._look()
+            await asyncio.sleep(LOOK_S)
+
+    def _look(self) -> None:
+        """Close what is out of range or whose robot has left, and open what is back."""
+        for pair, gate in self._gates.items():
+            gate.let(pair.caller in self._robots and pair.called in self._robots and self._linked(pair))
+        for relay, task in self._relays.values():
+            if not self._linked(relay.pair) and not task.cancelling():
+                self._hall.count(relay.pair.caller, "connections closed, out of range")
+                task.cancel()
+
+    def _gate(self, pair: Pair) -> Gate | None:
+        """The port of ours for a pair, once it has been asked for the same for good; None: none is left."""
+        gate = self._gates.get(pair)
+        for port in [] if gate else self._free_ports():
+            with contextlib.suppress(OSError):
+                gate = Gate(self._hall.loop, self._address, port, lambda near, host: self._on_call(pair, near, host))
+                self._gates[pair] = gate
+                break
+        self._look()
+        return gate
+
+    def _free_ports(self) -> Iterable[int]:
+        if not self._first_port:
+            return [0]
+        held = {gate.port for gate in self._gates.values()}
+        return itertools.islice((port for port in range(self._first_port, HIGHEST + 1) if port not in held), TRIED)
+
+    def _on_call(self, pair: Pair, near: socket.socket, host: str) -> None:
+        """A robot, or somebody who is none, has connected to one of the ports."""
+        caller, called = self._robots.get(pair.caller), self._robots.get(pair.called)
+        busy = sum(relay.pair == pair for relay, _ in self._relays.values()) >= MOST_RELAYS
+        if caller is None or called is None or busy or host != caller.host:
+            near.close()
+            return
+        self._relay_number = number = (self._relay_number + 1) % 2**32
+        relay = Relay(self._hall, self, pair, number, self._chunk_bytes)
+        task = self._hall.loop.create_task(relay.run(near, called.host))
+        self._relays[number] = relay, task
+
+        def over(_: object) -> None:
+            del self._relays[number]
+            near.close()
+
+        task.add_done_callback(over)
+
+    def _relay(self, number: int, sender: int, receiver: int) -> Relay | None:
+        relay, _ = self._relays.get(number, (None, None))
+        return relay if relay is not None and {sender, receiver} == {relay.pair.caller, relay.pair.called} else None
+
+
+def _notice_death(control: socket.socket) -> None:
+    """Find out within half a minute that a robot's machine is gone, so that its name is free for the next."""
+    control.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 3)):
+        control.setsockopt(socket.IPPROTO_TCP, option, value)

@@ -1,0 +1,1 @@
+"""The bridge process beside the run."""

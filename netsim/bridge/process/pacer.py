@@ -1,0 +1,64 @@
+"""What is due, in the order of its times, each at its time."""
+
+import asyncio
+import heapq
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from vcmvsp.cosim.clock import SECOND_NS
+
+AT_ONCE = 200  # deliveries, before others have their turn
+
+
+class Delivery(NamedTuple):
+    """To one receiver; they leave in this order."""
+
+    at_ns: int  # on ``time.monotonic_ns()``
+    number: int  # of the datagram
+    row: int  # which delivery it is, counted by whoever gives it
+    receiver: int
+
+
+class Pacer:
+    """Calls ``leave`` with each delivery when its time has come; of those whose time has passed, the earliest first."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        leave: Callable[[Delivery], None],
+        now: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._loop, self._leave, self._now = loop, leave, now
+        self._heap: list[Delivery] = []
+        self._timer: asyncio.Handle | None = None
+        self._armed_ns = 0  # when the timer goes off
+
+    def put(self, delivery: Delivery) -> None:
+        """Add one; `arm` counts for all that were added."""
+        heapq.heappush(self._heap, delivery)
+
+    def arm(self) -> None:
+        """See to it that the next leaves at its time."""
+        if not self._heap or (self._timer is not None and self._armed_ns <= self._heap[0].at_ns):
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._armed_ns = self._heap[0].at_ns
+        left_ns = self._armed_ns - self._now()
+        if left_ns > 0:
+            self._timer = self._loop.call_later(left_ns / SECOND_NS, self.turn)
+        else:
+            self._timer = self._loop.call_soon(self.turn)
+
+    def turn(self) -> None:
+        """Let all leave whose time has come."""
+        self._timer = None
+        heap, leave, now = self._heap, self._leave, self._now
+        try:
+            for _ in range(AT_ONCE):
+                if not heap or heap[0].at_ns > now():
+                    break
+                leave(heapq.heappop(heap))
+        finally:
+            self.arm()

@@ -1,0 +1,1 @@
+"""Channel parameters from measured links."""

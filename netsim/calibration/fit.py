@@ -1,0 +1,197 @@
+"""Calibration: path loss, shadowing, walls and fading from a measured log (``vcmvsp calibrate LINKS.csv``).
+
+Start reading here: `read_links` gives the log, `fit` the numbers; `netsim.calibration.covariance` has the model and
+`netsim.calibration.likelihood` says how it is fitted.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.netsim.calibration.covariance import CORRELATED, INDEPENDENT, WITH_FADING, Survey, spreads
+from vcmvsp.netsim.calibration.likelihood import Fitted, aic_of, climb, log_likelihood, maximise, restricted
+from vcmvsp.netsim.calibration.measurement_log import Links, read_links
+from vcmvsp.netsim.calibration.result import Calibration, Estimate
+from vcmvsp.netsim.calibration.design_matrix import design_of, require_told, sample
+from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.propagation.walls import Sightline
+
+__all__ = ["Calibration", "Estimate", "Links", "calibrate_command", "fit", "read_links"]
+
+MOST_ROWS = 1000  # that are fitted: the work grows with the third power
+MODELS = {INDEPENDENT: "independent", CORRELATED: "correlated", WITH_FADING: "correlated, fading"}
+_WEAKER = 0.05  # share of the received rows that may be weaker than the sensitivity, which is no sharp edge in any radio
+_SCOUTS = 300  # rows that the search for a start looks at
+
+
+def fit(
+    links: Links,
+    *,
+    tx_power_dbm: float = 0.0,
+    reference_distance_m: float = 1.0,
+    sensitivity_dbm: float | None = None,
+    sightline: Sightline | None = None,
+) -> Calibration:
+    """The mean model that makes a log most likely, with standard errors.
+
+    Three models of the variation are fitted: rows independent; a shadowing field; a field, and fading that is independent in
+    every row. Standard errors come from the observed information of the joint likelihood of all rows: that many rows near
+    each other tell less than as many apart is in it. Intervals of level, exponent and walls are those of Student's t
+    with Satterthwaite's degrees of freedom (F. Satterthwaite, Biometrics Bulletin 2, 1946).
+
+    Args:
+        links: the log; of more than `MOST_ROWS` rows a sample is fitted.
+        tx_power_dbm: what was sent, antenna gains included.
+        reference_distance_m: where the level is stated; nearer than that it stays the same.
+        sensitivity_dbm: the level below which a frame is lost; by default the least level that was received.
+        sightline: the walls; the loss of each material that is crossed is fitted.
+
+    Raises:
+        UsageError: the rows do not tell these numbers.
+    """
+    if links.lost.all():
+        raise UsageError("no row was received: there is no level to fit")
+    if not reference_distance_m > 0.0:
+        raise UsageError(f"the reference distance is {reference_distance_m:g} m; it must be > 0")
+    least_dbm = float(np.nanmin(links.level_dbm))
+    if sensitivity_dbm is None:
+        sensitivity_dbm = least_dbm
+    weaker = float((links.level_dbm[~links.lost] < sensitivity_dbm).mean())
+    if weaker > _WEAKER:
+        raise UsageError(
+            f"sensitivity {sensitivity_dbm:g} dBm: {weaker:.0%} of the received rows are weaker, down to {least_dbm:g}"
+        )
+    used = links.only(sample(links, MOST_ROWS))
+    design, materials = design_of(used, reference_distance_m, sightline)
+    require_told(used, design, materials)
+
+    def survey_of(rows: NDArray[np.intp]) -> Survey:
+        some = used.only(rows)
+        return Survey.between(
+            some.a,
+            some.b,
+            level_dbm=some.level_dbm,
+            lost=some.lost,
+            sensitivity_dbm=sensitivity_dbm,
+            design=design[rows],
+        )
+
+    survey = survey_of(np.arange(len(used.lost)))
+    with threadpool_limits(1):  # threads that share small matrices on a busy machine wait for each other most of the time
+        models = _models(survey, scouts=survey_of(sample(used, _SCOUTS)))
+        order = _choose(models, survey.nearest_m)
+        best, naive = models[order], models[INDEPENDENT]
+        aic = {MODELS[each]: model.aic for each, model in models.items()}
+        aic["without distance"] = _without(survey, [1], best)
+        if materials:
+            aic["without walls"] = _without(survey, range(2, 2 + len(materials)), best)
+
+    errors, naive_errors = np.sqrt(np.diagonal(best.coefficients_spread)), np.sqrt(np.diagonal(naive.coefficients_spread))
+    rows = zip(best.coefficients.tolist(), errors.tolist(), naive_errors.tolist(), best.freedom.tolist(), strict=True)
+    level, exponent, *walls = [Estimate.of_mean(*row) for row in rows]
+    spacing_m = float(np.median(survey.nearest_m))
+    shadowing, reach, fading = _variation(best, spacing_m)
+    margin = design @ best.coefficients - sensitivity_dbm
+    deviation_db = math.exp(0.5 * best.parameters[0])
+    return Calibration(
+        level_dbm=level,
+        exponent=exponent,
+        walls_db=dict(zip(materials, walls, strict=True)),
+        shadowing_db=shadowing,
+        correlation_distance_m=reach,
+        fading_db=fading,
+        tx_power_dbm=tx_power_dbm,
+        reference_distance_m=reference_distance_m,
+        sensitivity_dbm=sensitivity_dbm if links.lost.any() else None,
+        rows=len(links.level_dbm),
+        used=len(used.level_dbm),
+        lost=int(used.lost.sum()),
+        spacing_m=spacing_m,
+        log_likelihood=best.log_likelihood,
+        aic=aic,
+        model=MODELS[order],
+        unexplained=int((margin[used.lost] > 3.0 * deviation_db).sum()),
+    )
+
+
+def calibrate_command(
+    path: Path,
+    *,
+    tx_power_dbm: float = 0.0,
+    reference_distance_m: float = 1.0,
+    sensitivity_dbm: float | None = None,
+    sightline: Sightline | None = None,
+    out: Path | None = None,
+) -> Calibration:
+    """`fit` a log; into the directory ``out`` go ``radio.toml`` and ``calibration.png``. See `Calibration.summary`."""
+    links = read_links(path)
+    try:
+        calibration = fit(
+            links,
+            tx_power_dbm=tx_power_dbm,
+            reference_distance_m=reference_distance_m,
+            sensitivity_dbm=sensitivity_dbm,
+            sightline=sightline,
+        )
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+    if out is not None:
+        from vcmvsp.netsim.calibration.figure_data import draw
+
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "radio.toml").write_text(calibration.toml(), "utf-8")
+        draw(links, calibration, sightline, out / "calibration.png")
+    return calibration
+
+
+def _models(survey: Survey, scouts: Survey) -> dict[int, Fitted]:
+    """The models of the variation, by their number of parameters; where to begin is sought with few rows, the scouts."""
+    independent = maximise(survey, np.array([np.mean(survey.limits[0])]))
+    scale = independent.parameters[0]
+    starts = [np.array([scale, reach, share]) for reach in np.linspace(*survey.limits[1], 7)[:-1] for share in (-2.0, 0.0)]
+    start = max(starts, key=lambda each: restricted(scouts, each).log_likelihood)
+    fading = maximise(survey, start)
+    correlated = maximise(survey, fading.parameters[:CORRELATED])
+    return {INDEPENDENT: independent, CORRELATED: correlated, WITH_FADING: fading}
+
+
+def _choose(models: dict[int, Fitted], nearest_m: Floats) -> int:
+    """Which model: correlated if that has the less AIC; with fading, if the rows allow telling it, whether much or little.
+
+    They do if a quarter of them have a neighbour within the correlation distance. A test whether there is any would give
+    weak fading away as a short correlation distance.
+    """
+    told = np.quantile(nearest_m, 0.25) < math.exp(models[WITH_FADING].parameters[1])
+    order = WITH_FADING if told else CORRELATED
+    return order if models[order].aic < models[INDEPENDENT].aic else INDEPENDENT
+
+
+def _without(survey: Survey, columns: Sequence[int], best: Fitted) -> float:
+    """AIC of the model ``best`` without these columns of the mean."""
+    fewer = replace(survey, design=np.delete(survey.design, list(columns), axis=1))
+    parameters = climb(fewer, best.parameters)
+    coefficients = restricted(fewer, parameters).coefficients
+    return aic_of(len(parameters) + len(coefficients), log_likelihood(fewer, parameters, coefficients))
+
+
+def _variation(best: Fitted, spacing_m: float) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
+    """Shadowing, its correlation distance, and fading."""
+    logs, slopes = spreads(best.parameters)
+    errors = [_error(slope, best.parameters_spread) for slope in slopes]
+    spread = [Estimate.positive(math.exp(log), error) for log, error in zip(logs.tolist(), errors, strict=True)]
+    if len(best.parameters) == INDEPENDENT:  # which is it? At one place, what differs is not the place
+        return (None, None, spread[0]) if spacing_m == 0.0 else (spread[0], None, None)
+    reach = Estimate.positive(math.exp(best.parameters[1]), _error(np.eye(len(best.parameters))[1], best.parameters_spread))
+    return spread[0], reach, spread[1] if len(best.parameters) == WITH_FADING else None
+
+
+def _error(slope: Floats, spread: Floats) -> float:
+    """Standard error of what changes by ``slope`` with the parameters."""
+    counts = slope != 0.0
+    return math.sqrt(slope[counts] @ spread[np.ix_(counts, counts)] @ slope[counts])

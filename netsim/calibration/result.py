@@ -1,0 +1,166 @@
+"""What a calibration found, as numbers, as a table of a scenario, and in words."""
+
+import math
+from typing import Any, Self
+
+import msgspec
+
+_WITHIN = 1.96  # standard errors of a normal estimate on either side: 95 %
+_DB = 10.0 / math.log(10.0)
+_NAKAGAMI = (0.1, 1000.0)  # shapes that `netsim.propagation.fading.Nakagami` takes
+
+
+class Estimate(msgspec.Struct, frozen=True):
+    """A number and how well it is known."""
+
+    value: float
+    standard_error: float  # infinite: the rows do not tell it
+    low: float  # 95 % interval
+    high: float
+    naive_error: float | None = None  # the standard error as it would be if all rows were independent
+
+    @classmethod
+    def of_mean(cls, value: float, standard_error: float, naive_error: float, freedom: float = math.inf) -> Self:
+        """Of a coefficient of the mean, whose standard error has so many degrees of freedom."""
+        from scipy.special import stdtrit
+
+        margin = _WITHIN if freedom > 1e6 else float(stdtrit(max(1.0, freedom), 0.975))
+        margin *= standard_error
+        return cls(value, standard_error, value - margin, value + margin, naive_error)
+
+    @classmethod
+    def positive(cls, value: float, relative_error: float) -> Self:
+        """Of a spread or a length, whose logarithm is nearer to normal."""
+        if not math.isfinite(relative_error):
+            return cls(value, math.inf, 0.0, math.inf)
+        factor = math.exp(min(_WITHIN * relative_error, 700.0))
+        return cls(value, value * relative_error, value / factor, value * factor)
+
+
+class Calibration(msgspec.Struct, frozen=True, kw_only=True):
+    """The radio's mean model that makes a measured log most likely.
+
+    ``level = level_dbm - 10 exponent log10(max(d, reference_distance_m) / reference_distance_m) - walls - shadowing - fading``
+    """
+
+    level_dbm: Estimate  # Pd0, at the reference distance
+    exponent: Estimate
+    walls_db: dict[str, Estimate]  # per wall, by material
+    shadowing_db: Estimate | None  # standard deviation; None: the level varies, but as much at one place as between places
+    correlation_distance_m: Estimate | None  # None: rows are independent, as near as they are
+    fading_db: Estimate | None  # standard deviation at one place, error of measurement included; None: not told from shadowing
+    tx_power_dbm: float
+    reference_distance_m: float
+    sensitivity_dbm: float | None  # None: no row was lost
+    rows: int
+    used: int  # rows that were fitted: of a long log a sample
+    lost: int  # of those
+    spacing_m: float  # from a row to its nearest neighbour, both ends together; median
+    log_likelihood: float
+    aic: dict[str, float]  # Akaike's information criterion of this model and others: less is better
+    model: str  # which of them this is
+    unexplained: int  # lost rows whose mean level is more than 3 deviations above the sensitivity: lost to something else?
+
+    @property
+    def deviation_db(self) -> float:
+        """Standard deviation of a single level about the mean."""
+        return math.hypot(*(each.value for each in (self.shadowing_db, self.fading_db) if each is not None))
+
+    def table(self) -> dict[str, Any]:
+        """The ``[radio]`` table of a scenario that has this radio: path_loss, shadowing, walls and fading, where found.
+
+        Fading is given as Nakagami's distribution with the same variance in dB, ``(10 / ln 10)^2 psi'(m)``. Its mean power is
+        1, so that its mean in dB, ``10 / ln 10 (psi(m) - ln m)``, is below 0; ``reference_loss_db`` makes up for that.
+        """
+        if round(self.exponent.value, 4) < 0.0:
+            raise ValueError(f"the exponent is {self.exponent.value:.2f}: levels rise with distance, which no path loss does")
+        shape = None if self.fading_db is None else _nakagami(self.fading_db.value)
+        mean_db = 0.0 if shape is None else _mean_db(shape)
+        table: dict[str, Any] = {
+            "path_loss": {
+                "kind": "log_distance",
+                "exponent": abs(round(self.exponent.value, 4)),
+                "reference_distance_m": self.reference_distance_m,
+                "reference_loss_db": round(self.tx_power_dbm + mean_db - self.level_dbm.value, 3),
+            }
+        }
+        if self.shadowing_db is not None:
+            reach = self.spacing_m / 3.0 if self.correlation_distance_m is None else self.correlation_distance_m.value
+            table["shadowing"] = {
+                "kind": "gudmundson",
+                "sigma_db": round(self.shadowing_db.value, 3),
+                "correlation_distance_m": round(reach, 4),
+            }
+        if self.walls_db:
+            losses = {material: round(max(0.0, loss.value), 3) for material, loss in self.walls_db.items()}
+            table["walls"] = {"kind": "fixed", "materials_db": losses}
+        if shape is not None:
+            table["fading"] = {"kind": "nakagami", "m": round(shape, 4)}
+        return table
+
+    def toml(self) -> str:
+        """The table as TOML, with what it holds for as comments."""
+        import tomli_w
+
+        comments = [
+            f"fitted to {self.used} of {self.rows} rows, {self.lost} of them lost, for tx_power_dbm = {self.tx_power_dbm:g}"
+        ]
+        if self.sensitivity_dbm is not None:
+            comments.append(f"and sensitivity_dbm = {self.sensitivity_dbm:g} (set both at [radio.phy])")
+        if self.walls_db:
+            comments.append("walls of other materials take wall_db, 6.325 unless set")
+        if self.shadowing_db is not None and self.correlation_distance_m is None:
+            comments.append("correlation_distance_m is the most that rows as near as these would not have shown")
+        return "".join(f"# {line}\n" for line in comments) + tomli_w.dumps({"radio": self.table()})
+
+    def summary(self) -> str:
+        """A line for each number: estimate, 95 % interval, standard error; and the models that were compared."""
+        lines = [
+            f"{self.used} of {self.rows} rows, {self.lost} lost"
+            + ("" if self.sensitivity_dbm is None else f" (below {self.sensitivity_dbm:g} dBm)"),
+            _line(f"level at {self.reference_distance_m:g} m", "dBm", self.level_dbm),
+            _line("path-loss exponent", "", self.exponent),
+            *(_line(f"wall of {material}", "dB", loss) for material, loss in self.walls_db.items()),
+            _line("shadowing" if self.fading_db is not None else "shadowing and fading", "dB", self.shadowing_db),
+            _line("correlation distance", "m", self.correlation_distance_m),
+            _line("fading", "dB", self.fading_db),
+            "AIC: " + ", ".join(f"{name} {value:.1f}" for name, value in sorted(self.aic.items(), key=lambda item: item[1])),
+        ]
+        if self.unexplained:
+            lines.append(
+                f"{self.unexplained} lost rows should have been strong enough: lost to something else? Better leave them out"
+            )
+        return "\n".join(lines)
+
+
+def _line(name: str, unit: str, estimate: Estimate | None) -> str:
+    if estimate is None:
+        return f"{name:<22}  none found"
+    text = f"{name:<22} {estimate.value:8.2f} {unit:<3}  [{estimate.low:.2f}, {estimate.high:.2f}]"
+    if not math.isfinite(estimate.standard_error):
+        return f"{name:<22} {estimate.value:8.2f} {unit:<3}  (these rows do not tell it)"
+    text += f"  standard error {estimate.standard_error:.2f}"
+    if estimate.naive_error is not None:
+        text += f" ({estimate.naive_error:.2f} if rows were independent)"
+    return text
+
+
+def _nakagami(deviation_db: float) -> float | None:
+    """The shape m with this standard deviation in dB; None where it would be no fading to speak of."""
+    from scipy.optimize import brentq
+    from scipy.special import polygamma
+
+    least, most = _NAKAGAMI
+    variance = (deviation_db / _DB) ** 2
+    if variance <= float(polygamma(1, most)):
+        return None
+    if variance >= float(polygamma(1, least)):
+        return least
+    shape: float = brentq(lambda m: float(polygamma(1, m)) - variance, least, most)
+    return shape
+
+
+def _mean_db(shape: float) -> float:
+    from scipy.special import digamma
+
+    return _DB * (float(digamma(shape)) - math.log(shape))

@@ -1,0 +1,98 @@
+"""Frames that contend for an air that radios share, from their handing over until it is known what became of them there."""
+
+from heapq import heappop, heappush
+
+import numpy as np
+
+from vcmvsp.netsim.channel.link_budget import Budgets, Hearing
+from vcmvsp.netsim.channel.mean_budget import at_all
+from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
+from vcmvsp.netsim.interfaces.layers import Floats, sealed
+from vcmvsp.netsim.channel.rx_power import Levels
+from vcmvsp.netsim.interfaces.medium import Decided, Levelled, Medium, Offered, Powered
+from vcmvsp.netsim.channel.reception import OnAir
+from vcmvsp.netsim.channel.frames import Sender, Sent
+
+
+class Contention:
+    """The frames that are under way on one medium.
+
+    Args:
+        medium: what decides who may send when.
+        names: of its radios.
+        budgets: of their links.
+        hearing: of their receivers.
+        levels: of single attempts.
+    """
+
+    def __init__(self, medium: Medium, names: tuple[str, ...], budgets: Budgets, hearing: Hearing, levels: Levels) -> None:
+        self.medium, self._budgets, self._hearing, self._levels = medium, budgets, hearing, levels
+        self.waiting: dict[int, Sent] = {}  # by frame
+        self._coming: list[tuple[int, int, Offered]] = []  # heap of (time, frame): those of them on their way to the radio
+        self._answers: dict[int, Floats] = {}  # by frame: levels of who acknowledges it, until it is offered
+        self._levelled = medium if isinstance(medium, Levelled) else None
+        if self._levelled is not None:
+            self._levelled.sensitivity_mw[:] = 10.0 ** (budgets.sensitivity_dbm(names) / 10.0)
+        if isinstance(medium, Powered):
+            medium.power_mw[:] = 10.0 ** (budgets.tx_power_dbm(names) / 10.0)
+
+    def offer(self, sent: Sent, arrival_ns: int, answerer: Sender | None) -> None:
+        """Hand over a frame.
+
+        Args:
+            sent: it.
+            arrival_ns: when it reaches the queue of its radio.
+            answerer: who will acknowledge it, if anybody, from where it is now.
+        """
+        row = sent.sender.row
+
+        def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
+            sent.attempts = attempt + 1
+            patience = at_all(sent.sender.draws.patience(sent.number, ERROR_SLOT + attempt), row)
+            if not self._levels.vary:
+                return sent.mean.power_mw, patience
+            self._levels.set(sent, start_ns)
+            sent.tries.append((sent.level_dbm, sent.fading_db))
+            return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
+
+        power_mw, patience = (None, None) if self._levels.vary else renew(0, 0)
+        if answerer is not None and self._levelled is not None:
+            self._answers[sent.frame] = self._budgets.here(answerer.links).power_mw
+        to, size, priority = -1 if answerer is None else answerer.row, sent.message.size_bytes, sent.message.priority
+        self.waiting[sent.frame] = sent
+        offered = Offered(sent.frame, arrival_ns, row, to, size, priority, power_mw, patience, renew)
+        heappush(self._coming, (arrival_ns, sent.frame, offered))
+
+    def advance(self, until_ns: int) -> list[tuple[Sent, OnAir]]:
+        """The frames whose fate on the air is decided up to ``until_ns``, and that fate."""
+        if not self.waiting:
+            return []
+        decided: list[Decided] = []
+        while self._coming and self._coming[0][0] <= until_ns:
+            offered = heappop(self._coming)[2]
+            if offered.to >= 0 and self._levelled is not None:  # not before its time: others may be answering still
+                decided += self.medium.advance(offered.time_ns)
+                self._levelled.levels[offered.to] = self._answers.pop(offered.number)
+            self.medium.offer(offered)
+        decided += self.medium.advance(until_ns)
+        return [self._settled(each) for each in decided]
+
+    def next_ns(self) -> int | None:
+        """Before this no frame is decided, as long as nothing else is sent; None: none is waiting."""
+        if not self.waiting:
+            return None
+        times = [arrival_ns for arrival_ns, _, _ in self._coming[:1]]  # where it may find no room
+        due = self.medium.next_ns()
+        return min(times if due is None else [*times, due])
+
+    def _settled(self, decided: Decided) -> tuple[Sent, OnAir]:
+        sent = self.waiting.pop(decided.number)
+        if decided.attempts and sent.tries:  # there may have been another one since, because the acknowledgement was lost
+            sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
+        others = sent.sender.others
+        snr_db = sinr_db = self._hearing.over_noise(sent.level_dbm)
+        if decided.attempts:
+            least_sinr = decided.least_sinr[others]
+            least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
+            sinr_db = sealed(10.0 * np.log10(least_sinr))
+        return sent, OnAir(decided.fate[others], decided.start_ns, decided.end_ns, snr_db, sinr_db)

@@ -1,0 +1,301 @@
+"""The link budget: from transmitted power to the ratio of signal and noise at every receiver.
+
+::
+
+    level = power + antenna gains - path loss - walls - shadowing + fading
+    SINR  = level / (noise + interference)
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.types import frozen
+from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
+from vcmvsp.netsim.channel.mean_budget import Heard, Mean, Together
+from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy, distances, sealed
+from vcmvsp.netsim.interfaces.medium import Codes
+from vcmvsp.netsim.phy.noise import ThermalNoise
+from vcmvsp.netsim.interfaces.radio import AT_POSITION, Radio
+
+BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
+"""What made a signal too weak: distance alone, or that and what else was needed."""
+
+AT_ONCE = 1 << 16  # links: for more, what one call of NumPy costs does not count
+
+
+class Budgets:
+    """Mean budgets, each worked out once per sender and geometry."""
+
+    def __init__(
+        self,
+        path_loss: PathLoss,
+        walls: Any,
+        shadowing: PathLoss | None,
+        phy: Phy,
+        radios: Mapping[str, Radio],
+        least_dbm: float,
+    ) -> None:
+        self.least_dbm = least_dbm  # that is noticed, unless a vehicle's own radio says otherwise
+        self._path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
+        self._phy, self._radios = phy, radios
+        self._blocking = any(radio.body_loss_db for radio in radios.values())
+        nothing_else = walls is None and shadowing is None and not self._blocking
+        self.by_distance: bool = nothing_else and getattr(path_loss, "by_distance", False)  # of two antennas
+        self.start()
+
+    def start(self) -> None:
+        """Forget where everybody is."""
+        self._seed = 0
+        self._names: tuple[str, ...] = ()
+        self._position: Floats | None = None
+        self._stand_at = b""  # the same, to see whether anybody has moved since
+        self._antennas = np.zeros((0, 3))
+        self._raised = np.zeros((0, 3))  # antennas above their vehicles' positions, (n, 3) m
+        self._fixed: dict[str, tuple[Links, Floats, Floats]] = {}  # by sender: power and sensitivity of its links
+        self._means: dict[str, Mean] = {}
+        self._every: Together | None = None  # those worked out together last, here
+
+    def mean(self, links: Links, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> Mean:
+        """The budget of the links from one sender.
+
+        Args:
+            links: from it to all others, in the order of ``names``.
+            names: the vehicles.
+            position: where they are, (len(names), 3) m, world; the same array object means the same places.
+            bodies: whether vehicles stand in the way of others, as far as their radios say so.
+        """
+        before = self._move(names, position, links.seed)
+        if self.by_distance and links.sender in before and 1 < len(before) <= AT_ONCE / len(names):
+            every = self._work_out_together([self._fixed[sender][0] for sender in before])  # they will do so again
+            self._means = {each.sender: every.mean(k) for k, each in enumerate(every.senders)}
+        found = self._means.get(links.sender)
+        if found is None:
+            row = names.index(links.sender)
+            others = np.concatenate([self._antennas[:row], self._antennas[row + 1 :]])
+            paths = Paths.between(self._antennas[row], others, links.seed)
+            found = self._means[links.sender] = self._work_out(links, paths, row, bodies=bodies and self._blocking)
+        return found
+
+    def together(self, senders: list[Links], names: tuple[str, ...], position: Floats) -> Together:
+        """The budgets of the links from several radios, the same numbers as of each for itself; for a chain `by_distance`."""
+        self._move(names, position, senders[0].seed)
+        if self._every is None or self._every.senders != senders:
+            self._every = self._work_out_together(senders)
+        return self._every
+
+    def _move(self, names: tuple[str, ...], position: Floats, seed: int) -> dict[str, Mean]:
+        """Have everybody there; what was known of those who sent while they were elsewhere."""
+        same = names is self._names
+        if same and position is self._position:
+            return {}
+        stood_at, self._stand_at = self._stand_at, position.tobytes()
+        if same and self._stand_at == stood_at:
+            self._position = position
+            return {}
+        before = self._means if same else {}
+        if not same:
+            self._raised = np.array([(0.0, 0.0, self._of(name).antenna_height_m) for name in names])
+        self._position, self._names, self._seed, self._means, self._every = position, names, seed, {}, None
+        self._antennas = position + self._raised
+        return before
+
+    def _work_out_together(self, senders: list[Links]) -> Together:
+        power_dbm, sensitivity_dbm = (np.stack(each) for each in zip(*map(self._fixed_of, senders), strict=True))
+        rows = np.array([self._names.index(links.sender) for links in senders])
+        apart = np.arange(len(self._names)) != rows[:, None]
+        tx = self._antennas[rows]
+        rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[apart].reshape(len(rows), -1, 3)
+        distance_m = sealed(distances(tx[:, None], rx))
+        path_loss: Any = self._path_loss
+        path_loss_db = sealed(path_loss.loss_db(distance_m))
+        return Together(
+            senders=senders,
+            rows=rows,
+            apart=apart,
+            antennas=self._antennas,
+            tx=tx,
+            rx=rx,
+            distance_m=distance_m,
+            power_dbm=power_dbm,
+            sensitivity_dbm=sensitivity_dbm,
+            path_loss_db=path_loss_db,
+            level_dbm=sealed(power_dbm - path_loss_db),
+        )
+
+    def _work_out(self, links: Links, paths: Paths, row: int, *, bodies: bool) -> Mean:
+        power_dbm, sensitivity_dbm = self._fixed_of(links)
+        path_loss_db = self._path_loss.loss_db(paths)
+        walls = materials = wall_loss_db = shadowing_db = None
+        loss_db = path_loss_db
+        if self._walls is not None:
+            if hasattr(self._walls, "through"):
+                wall_loss_db, walls, materials = self._walls.through(paths)
+            else:
+                wall_loss_db = self._walls.loss_db(paths)
+            loss_db = loss_db + wall_loss_db
+        if bodies:
+            in_way_db, others = self._bodies_in_way(row)
+            wall_loss_db = in_way_db if wall_loss_db is None else wall_loss_db + in_way_db
+            walls = others if walls is None else walls + others
+            materials = _with_vehicles(materials or ("",) * len(others), others)
+            loss_db = path_loss_db + wall_loss_db
+        if self._shadowing is not None:
+            shadowing_db = self._shadowing.loss_db(paths)
+            loss_db = loss_db + shadowing_db
+        level_dbm = power_dbm - loss_db
+        return Mean(
+            row=row,
+            antennas=self._antennas,
+            paths=paths,
+            power_dbm=power_dbm,
+            sensitivity_dbm=sensitivity_dbm,
+            path_loss_db=frozen(path_loss_db),
+            walls=None if walls is None else frozen(walls),
+            materials=materials,
+            wall_loss_db=None if wall_loss_db is None else frozen(wall_loss_db),
+            shadowing_db=None if shadowing_db is None else frozen(shadowing_db),
+            level_dbm=sealed(level_dbm),
+        )
+
+    def _fixed_of(self, links: Links) -> tuple[Floats, Floats]:
+        """Power and sensitivity of the links of a sender, (n,) dBm each."""
+        fixed = self._fixed.get(links.sender)
+        if fixed is None or fixed[0] is not links:
+            fixed = self._fixed[links.sender] = (links, self._power_dbm(links), self.sensitivity_dbm(links.receivers))
+        return fixed[1:]
+
+    def _power_dbm(self, links: Links) -> Floats:
+        """Transmitted, with both antennas, (n,)."""
+        own_dbm = float(self.tx_power_dbm((links.sender,))[0]) + self._of(links.sender).antenna_gain_dbi
+        power_dbm: Floats = own_dbm + self.gain_dbi(links.receivers)
+        return power_dbm
+
+    def here(self, links: Links) -> Mean:
+        """The budget of the links from a radio, with everybody where they were last."""
+        assert self._position is not None  # noqa: S101  known since `mean`
+        return self.mean(links, self._names, self._position)
+
+    def tx_power_dbm(self, names: tuple[str, ...]) -> Floats:
+        """Of the radios of these vehicles, (n,)."""
+        own = [self._of(name).tx_power_dbm for name in names]
+        return np.array([self._phy.tx_power_dbm if each is None else each for each in own], np.float64)
+
+    def sensitivity_dbm(self, names: tuple[str, ...]) -> Floats:
+        """Of the radios of these vehicles, (n,)."""
+        if not self._radios:
+            return np.full(len(names), self.least_dbm)
+        own = [self._of(name).sensitivity_dbm for name in names]
+        return np.array([self.least_dbm if each is None else each for each in own], np.float64)
+
+    def gain_dbi(self, names: tuple[str, ...]) -> Floats:
+        """Of the antennas of these vehicles, (n,)."""
+        if not self._radios:
+            return np.zeros(len(names))
+        return np.array([self._of(name).antenna_gain_dbi for name in names], np.float64)
+
+    def loss_db(self, tx: Floats, rx: Floats) -> Floats:
+        """Mean loss from any point (3,) to others (n, 3), (n,) dB: path loss, walls and shadowing."""
+        paths = Paths.between(tx, rx, self._seed)
+        return sum((layer.loss_db(paths) for layer in (self._walls, self._shadowing) if layer), self._path_loss.loss_db(paths))
+
+    def _bodies_in_way(self, row: int) -> tuple[Floats, Ints]:
+        own = [self._of(name) for name in self._names]
+        sizes = (np.array([getattr(each, size) for each in own]) for size in ("body_radius_m", "body_height_m", "body_loss_db"))
+        assert self._position is not None  # noqa: S101  known since `mean`
+        return through(Bodies(self._position, *sizes), row, self._antennas)
+
+    def _of(self, name: str) -> Radio:
+        return self._radios.get(name, AT_POSITION)
+
+
+def _with_vehicles(materials: tuple[str, ...], others: Ints) -> tuple[str, ...]:
+    """What is crossed, in words, the vehicles among it."""
+    words = [f"{n} vehicle" if n else "" for n in others.tolist()]
+    return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
+
+
+def _by_distance(level: Floats, least: Floats) -> Codes:
+    why: Codes = np.where(level >= least, np.uint8(FADING), np.uint8(BELOW_SENSITIVITY))
+    return why
+
+
+class Hearing:
+    """What receivers make of a level."""
+
+    def __init__(self, phy: Phy, preamble_db: float) -> None:
+        self.preamble_db = preamble_db  # above noise and interference, from where on a frame is noticed
+        self.noise_dbm: float = getattr(phy, "noise_dbm", ThermalNoise().dbm)
+        self.noise_mw = 10.0 ** (self.noise_dbm / 10.0)
+        self.errors: ErrorRate | None = getattr(phy, "errors", None)
+
+    def hear(self, mean: Mean, level_dbm: Floats, size_bytes: int) -> Heard:
+        """How a frame arrives that has ``level_dbm`` (n,), where nobody else sends."""
+        if level_dbm is not mean.level_dbm:
+            return self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
+        if size_bytes not in mean.heard:
+            if mean.together is None:
+                mean.heard[size_bytes] = self._hear(level_dbm, mean.sensitivity_dbm, size_bytes)
+            else:
+                every, which = mean.together
+                mean.heard[size_bytes] = self.hear_together(every, [size_bytes]).of(which)
+        return mean.heard[size_bytes]
+
+    def hear_together(self, every: Together, sizes: Sequence[int]) -> Heard:
+        """The same of frames of several radios, (k, n), at their mean levels; of this size all, or of these sizes."""
+        some = sizes[0]
+        if self.errors is not None and any(size != some for size in sizes):
+            here = [self.hear_together(every, [size]).of(k) for k, size in enumerate(sizes)]
+            snr_db, detected, hazard = (
+                np.stack([getattr(each, name) for each in here]) for name in ("snr_db", "detected", "hazard")
+            )
+            return Heard(snr_db, detected, hazard)
+        if some not in every.heard:
+            every.heard[some] = self._hear(every.level_dbm, every.sensitivity_dbm, some)
+        return every.heard[some]
+
+    def _hear(self, level_dbm: Floats, sensitivity_dbm: Floats, size_bytes: int) -> Heard:
+        snr_db = self.over_noise(level_dbm)
+        detected = (level_dbm >= sensitivity_dbm) & self.noticed(snr_db)
+        return Heard(snr_db, detected, None if self.errors is None else self.errors.frame_hazard(snr_db, size_bytes))
+
+    def over_noise(self, level_dbm: Floats) -> Floats:
+        """Signal to noise ratio at some levels, (n,) dB."""
+        return sealed(level_dbm - self.noise_dbm)
+
+    def noticed(self, sinr_db: Floats) -> Bools:
+        """Where a preamble stands out enough."""
+        stands_out: Bools = sinr_db >= self.preamble_db
+        return stands_out
+
+    def weakness(self, mean: Mean) -> Codes:
+        """Of a signal that is too weak, what made it so: the first of distance, walls, shadowing that did; else fading."""
+        if mean.weakness is None:
+            if mean.together is None:
+                mean.weakness = self._weakness(mean)
+            else:
+                every, which = mean.together
+                mean.weakness = self.weakness_together(every)[which]
+        return mean.weakness
+
+    def weakness_together(self, every: Together) -> Codes:
+        """The same of the signals of several radios, (k, n)."""
+        if every.weakness is None:
+            every.weakness = _by_distance(every.level_dbm, self._least_dbm(every.sensitivity_dbm))
+        return every.weakness
+
+    def _least_dbm(self, sensitivity_dbm: Floats) -> Floats:
+        """The weakest level that is noticed where nobody else sends."""
+        least_dbm: Floats = np.maximum(sensitivity_dbm, self.noise_dbm + self.preamble_db)
+        return least_dbm
+
+    def _weakness(self, mean: Mean) -> Codes:
+        least, level = self._least_dbm(mean.sensitivity_dbm), mean.power_dbm - mean.path_loss_db
+        why = _by_distance(level, least)
+        for loss_db, name in ((mean.wall_loss_db, WALLS), (mean.shadowing_db, SHADOWING)):
+            if loss_db is not None:
+                level = level - loss_db
+                why = np.where((why == FADING) & ~(level >= least), np.uint8(name), why)
+        return why

@@ -1,0 +1,1 @@
+"""The channel without a run: broadcast trials, model curves, coverage."""

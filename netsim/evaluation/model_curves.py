@@ -1,0 +1,88 @@
+"""What the models of the channel say, as curves: packet errors by SNR, mean levels by distance."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from decimal import Decimal, InvalidOperation
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.netsim.channel.link_budget import Hearing
+from vcmvsp.netsim.phy.error_rate import DsssErrors, ErrorRate, OqpskErrors
+from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
+from vcmvsp.netsim.interfaces.layers import Floats, PathLoss, Paths, Phy
+
+POINTS = 1_000_000  # of a curve, at most
+OFDM_MODELS = ("table", "yans", "nist")
+DSSS_MODELS = ("dsss", *OFDM_MODELS)  # all the same
+ZIGBEE_MODELS = ("oqpsk",)
+ANTENNA_HEIGHT_M = 0.5  # above the ground, where the law does not say
+
+
+def grid(text: str, option: str) -> Floats:
+    """``START:STOP:STEP`` as numbers: START, START + STEP, ..., with STOP if it is one of them (within 1e-9 steps)."""
+    try:
+        start, stop, step = (Decimal(part.strip()) for part in text.split(":"))
+    except (InvalidOperation, ValueError):
+        raise UsageError(f"{option} {text}: write START:STOP:STEP, three numbers, e.g. 0:10:0.5") from None
+    if not all(value.is_finite() and isfinite(float(value)) for value in (start, stop, step)):
+        raise UsageError(f"{option} {text}: all three numbers must be finite")
+    if step == 0:
+        raise UsageError(f"{option} {text}: STEP must not be 0")
+    steps = (stop - start) / step
+    if steps < 0:
+        raise UsageError(f"{option} {text}: with steps of {step} nothing gets from {start} to {stop}")
+    if steps >= POINTS:
+        raise UsageError(f"{option} {text}: asks for {float(steps):.3g} points; at most {POINTS} are possible")
+    return np.array([float(start + i * step) for i in range(int(steps + Decimal("1e-9")) + 1)])
+
+
+def error_rate(phy: Phy, model: str) -> tuple[ErrorRate, str]:
+    """The packet errors of a phy by one of the models that there are for it, and its name; ``default`` is the phy's own."""
+    errors: ErrorRate | None = getattr(phy, "errors", None)
+    if isinstance(errors, OfdmErrors):
+        name = _chosen(model, errors.model, OFDM_MODELS)
+        return dataclasses.replace(errors, model=name), name  # type: ignore[arg-type]  # checked by _chosen
+    if isinstance(errors, DsssErrors):
+        return errors, _chosen(model, "dsss", DSSS_MODELS)
+    if isinstance(errors, OqpskErrors):
+        return errors, _chosen(model, "oqpsk", ZIGBEE_MODELS)
+    raise UsageError(f"{type(phy).__name__} has no packet errors; take a preset of 802.11 (wifi-...) or zigbee")
+
+
+def _chosen(model: str, default: str, models: Sequence[str]) -> str:
+    if model not in ("default", *models):
+        raise UsageError(f"--model {model}: for this preset it must be one of default, {', '.join(models)}")
+    return default if model == "default" else model
+
+
+def packet_errors(errors: ErrorRate, snr_db: Floats, size_bytes: int) -> dict[str, list[float]]:
+    """Chance that a frame with this payload is received, ``success``, or not, ``per``, at a SNR that lasts, (n,).
+
+    Of the whole frame, its header included; ``payload_success`` is that of the bits behind the header alone.
+    """
+    hazard = errors.frame_hazard(snr_db, size_bytes)
+    payload, bits = errors.payload(size_bytes)
+    return {
+        "snr_db": snr_db.tolist(),
+        "success": np.exp(-hazard).tolist(),
+        "per": (-np.expm1(-hazard)).tolist(),
+        "payload_success": payload.success(snr_db, bits).tolist(),
+    }
+
+
+def mean_levels(path_loss: PathLoss, phy: Phy, distance_m: Floats) -> dict[str, list[float]]:
+    """Loss, received level and SNR over distances (n,), by the path loss alone: no walls, shadowing or fading.
+
+    Both antennas have no gain, and are at ``path_loss.antenna_height_m`` where there is such a thing, else 0.5 m.
+    """
+    height = float(getattr(path_loss, "antenna_height_m", ANTENNA_HEIGHT_M))
+    rx = np.stack([distance_m, np.zeros(len(distance_m)), np.full(len(distance_m), height)], axis=-1)
+    loss_db = path_loss.loss_db(Paths(np.array([0.0, 0.0, height]), rx, distance_m))
+    rssi_dbm = phy.tx_power_dbm - loss_db
+    curves: dict[str, Any] = {"distance_m": distance_m, "path_loss_db": loss_db, "rssi_dbm": rssi_dbm}
+    curves["snr_db"] = rssi_dbm - Hearing(phy, -math.inf).noise_dbm
+    return {name: values.tolist() for name, values in curves.items()}

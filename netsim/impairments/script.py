@@ -1,0 +1,111 @@
+"""What the scenario changes at run time: outages, weaker signals, longer delays, by link and time."""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import ClassVar, NamedTuple
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.util.key_expressions import matches
+from vcmvsp.cosim.types import Decibels, Probability, Seconds, frozen
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Ints
+
+
+class Change(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Some links are different for some time.
+
+    Args:
+        from_s: it begins.
+        to_s: it is over; None: at the end of the run.
+        links: key expressions of ``sender/receiver``: ``car1/car2`` is that direction alone, ``car1/*`` all that car1 sends,
+            ``*/car1`` all that is sent to it, ``**`` every link.
+        loss: probability that a frame is lost; None: none is.
+        attenuation_db: how much weaker frames are received, negative: stronger; None: 0.
+        delay_s: from the end of the frame to its reception; None: 0.
+    """
+
+    from_s: Seconds
+    to_s: Seconds | None = None
+    links: tuple[str, ...] = ("**",)
+    loss: Probability | None = None
+    attenuation_db: Decibels | None = None
+    delay_s: Seconds | None = None
+
+    def __post_init__(self) -> None:
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise ValueError(f"to_s = {self.to_s:g}: a change from {self.from_s:g} s must end later than it begins")
+        if self.loss is None and self.attenuation_db is None and self.delay_s is None:
+            raise ValueError(f"the change from {self.from_s:g} s changes nothing: give it loss, attenuation_db or delay_s")
+
+
+class Effects(NamedTuple):
+    """What the changes that are present do to n links, together."""
+
+    passes: Floats  # (n,) probability that a frame is not lost
+    gain_db: Floats  # (n,)
+    delay_ns: Ints  # (n,) behind the end of the frame
+
+
+@dataclass(frozen=True)
+class Script:
+    """Changes concern each frame that is on the air at any time of them, as a whole.
+
+    Where several meet on a link, each loses frames independently, and attenuations and delays add up. A name that no vehicle
+    has matches nothing (see `unmatched`).
+    """
+
+    changes: tuple[Change, ...] = ()  # what is different, when, on which links
+    cause: ClassVar[str] = "scripted outage"
+
+    def gain_db(self, frame: Frame, draw: Draw) -> Floats:
+        """To be added to the level at each receiver, (n,) dB."""
+        return self._effects(frame).gain_db
+
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
+        """Which receivers lose the frame, (n,)."""
+        passes = self._effects(frame).passes
+        if np.all(passes == 1.0):
+            return np.zeros(len(passes), np.bool_)
+        lost: Bools = draw()[..., 0] >= passes
+        return lost
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Earliest reception, counted from the sending, (n,) ns: the frame's end and the delays that are present."""
+        return self._effects(frame).delay_ns + (frame.end_ns - frame.sent_ns)
+
+    def unmatched(self, vehicles: Sequence[str]) -> list[str]:
+        """The key expressions that stand for no link between any two of the vehicles."""
+        links = [f"{sender}/{receiver}" for sender in vehicles for receiver in vehicles if sender != receiver]
+        expressions = dict.fromkeys(expression for change in self.changes for expression in change.links)
+        return [each for each in expressions if not any(matches(each, link) for link in links)]
+
+    def _effects(self, frame: Frame) -> Effects:
+        """Of the changes that are present while the frame is on the air."""
+        edges, present, of = self._timeline
+        first, last = bisect_right(edges, frame.start_ns), bisect_left(edges, frame.end_ns)
+        now = present[first]
+        if first < last:  # something begins or ends while it is on the air
+            now = tuple(sorted({change for stretch in present[first : last + 1] for change in stretch}))
+        return of(now, frame.sender, frame.receivers)
+
+    @cached_property
+    def _timeline(self) -> tuple[list[int], list[tuple[int, ...]], Callable[[tuple[int, ...], str, tuple[str, ...]], Effects]]:
+        """When anything changes, ns; the changes present before the first and after each of these instants; their effects."""
+        ends = [2**63 if each.to_s is None else seconds_to_ns(each.to_s) for each in self.changes]
+        spans = [(seconds_to_ns(each.from_s), end) for each, end in zip(self.changes, ends, strict=True)]
+        edges = sorted({edge for span in spans for edge in span})
+        present = [tuple(k for k, (begin, end) in enumerate(spans) if begin <= t < end) for t in (-1, *edges)]
+        return edges, present, lru_cache(maxsize=4096)(self._together)
+
+    def _together(self, present: tuple[int, ...], sender: str, receivers: tuple[str, ...]) -> Effects:
+        passes, gain_db, delay_s = np.ones(len(receivers)), np.zeros(len(receivers)), np.zeros(len(receivers))
+        for change in (self.changes[k] for k in present):
+            struck = [any(matches(links, f"{sender}/{receiver}") for links in change.links) for receiver in receivers]
+            passes[struck] *= 1.0 - (change.loss or 0.0)
+            gain_db[struck] -= change.attenuation_db or 0.0
+            delay_s[struck] += change.delay_s or 0.0
+        return Effects(frozen(passes), frozen(gain_db), frozen([seconds_to_ns(each) for each in delay_s.tolist()], np.int64))

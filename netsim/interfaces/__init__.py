@@ -1,0 +1,1 @@
+"""Protocols of channel layers and media, the vehicle radio, random draws per link."""

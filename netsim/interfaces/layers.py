@@ -1,0 +1,190 @@
+"""The seams of the channel: what each layer is given, and the questions it answers.
+
+==========================  ==================================  ================================================================
+layer                       verb                                question
+==========================  ==================================  ================================================================
+path_loss, walls,           ``loss_db(paths)``                  how much weaker is the signal at each receiver, on average?
+shadowing
+fading                      ``gain_db(frame, draw)``            how much stronger is this frame than the average?
+phy                         ``air_time_ns(size)``               how long is a frame on the air? (also power, noise, errors)
+mac                         ``open(...)``                       who may send when? (`netsim.interfaces.medium`)
+loss                        ``lost(frame, draw)``               which receivers lose a frame that their radio has received?
+delay                       ``delay_ns(frame, draw)``           how long after its sending may it arrive at the earliest?
+==========================  ==================================  ================================================================
+
+``script``, ``trace``, ``jammer`` and ``delivery`` have a class each, and no kinds of one's own.
+
+A layer is any object with the verb: no base class. It answers for all receivers at once, each receiver's answer depends on
+that receiver alone, and the same arguments give the same answer: a layer that needs chance takes it from ``draw``, or from
+the keys of the links. One whose attribute ``nothing`` is true, as that of a loss of probability 0, is not asked at all. A loss
+or a delay that goes by its draws alone may have a method ``lost_by(draws)`` or ``delay_ns_by(draws)`` too: it is asked that
+instead, of many frames at once, draws (..., n, 2).
+"""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Protocol, Self, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vcmvsp.cosim.rng import key64
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+Keys = NDArray[np.uint64]
+
+T = TypeVar("T", bound=np.generic)
+
+Draw = Callable[[], Floats]
+"""Two independent uniforms in [0, 1) per receiver, shape (n, 2): this layer's own for this frame, equal at every call."""
+
+
+def sealed(fresh: NDArray[T]) -> NDArray[T]:
+    """An array that nobody else has, read-only from now on: `cosim.types.frozen` without the copy."""
+    fresh.setflags(write=False)
+    return fresh
+
+
+class Paths(msgspec.Struct, frozen=True):
+    """The straight lines from one antenna to n others."""
+
+    tx: Floats  # (3,) m, world
+    rx: Floats  # (n, 3) m, world
+    distance_m: Floats  # (n,) three-dimensional
+    seed: int = 0  # of the run
+
+    @classmethod
+    def between(cls, tx: Floats, rx: Floats, seed: int = 0) -> Self:
+        """Paths from the point ``tx`` (3,) to the points ``rx`` (n, 3)."""
+        return cls(tx, rx, sealed(distances(tx, rx)), seed)
+
+
+def distances(tx: Floats, rx: Floats) -> Floats:
+    """Between points (..., 3), m."""
+    squared = rx - tx
+    squared *= squared
+    distance_m: Floats = np.sqrt(squared[..., 0] + squared[..., 2] + squared[..., 1])  # another order, other last bits
+    return distance_m
+
+
+def distance_of(paths: Paths | ArrayLike) -> Floats:
+    """The distances of paths; or distances as they are, for a law that needs nothing else."""
+    return paths.distance_m if isinstance(paths, Paths) else np.asarray(paths, np.float64)
+
+
+class Links:
+    """The links from one radio to n others: names, and what makes their randomness their own."""
+
+    def __init__(self, seed: int, sender: str, receivers: tuple[str, ...]) -> None:
+        self.seed, self.sender, self.receivers = seed, sender, receivers
+
+    @cached_property
+    def keys(self) -> Keys:
+        """Random keys of the links, (n,): from A to B another than from B to A."""
+        return self._keys([f"{self.sender}/{name}" for name in self.receivers])
+
+    @cached_property
+    def pair_keys(self) -> Keys:
+        """Random keys of the pairs, (n,): from A to B the same as from B to A."""
+        return self._keys(["/".join(sorted((self.sender, name))) for name in self.receivers])
+
+    def _keys(self, names: list[str]) -> Keys:
+        return np.array([key64(self.seed, f"radio/{name}") for name in names], np.uint64)
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """One frame as it reaches n receivers."""
+
+    sent_ns: int  # handed to the radio
+    start_ns: int  # begins on the air
+    end_ns: int  # ends on the air
+    size_bytes: int  # payload
+    paths: Paths
+    rssi_dbm: Floats  # (n,) received level: the mean for layers before fading, of this frame for those behind it
+    links: Links
+
+    @property
+    def sender(self) -> str:
+        """Who sends it."""
+        return self.links.sender
+
+    @property
+    def receivers(self) -> tuple[str, ...]:
+        """The n radios that may hear it."""
+        return self.links.receivers
+
+    @property
+    def keys(self) -> Keys:
+        """See `Links.keys`."""
+        return self.links.keys
+
+    @property
+    def pair_keys(self) -> Keys:
+        """See `Links.pair_keys`."""
+        return self.links.pair_keys
+
+
+L = TypeVar("L")
+
+
+def unless_nothing(layer: L | None) -> L | None:
+    """The layer, unless it does nothing."""
+    return None if getattr(layer, "nothing", False) else layer
+
+
+class PathLoss(Protocol):
+    """What distance, or whatever lies between, takes from a signal.
+
+    One whose attribute ``by_distance`` is true goes by nothing but ``paths.distance_m``, and may be given such distances,
+    of any shape, in place of the paths.
+    """
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Loss of each path, (n,) dB: finite, and the same in both directions."""
+
+
+class Fading(Protocol):
+    """What is between the mean level and the level of one frame."""
+
+    def gain_db(self, frame: Frame, draw: Draw) -> Floats:
+        """Power gain at each receiver, (n,) dB, to be added to the level: finite, and 1 on average as a ratio."""
+
+
+class Phy(Protocol):
+    """A radio standard at one bit rate.
+
+    It may also say ``noise_dbm`` (default: thermal noise in 20 MHz and 7 dB), ``errors`` (a `netsim.phy.error_rate.ErrorRate`;
+    default: none) and ``preamble_snr_db``, below which a frame is not noticed (default: any SNR will do).
+    """
+
+    @property
+    def tx_power_dbm(self) -> float:
+        """Transmitted power."""
+
+    @property
+    def sensitivity_dbm(self) -> float:
+        """The weakest level that is received."""
+
+    def air_time_ns(self, size_bytes: int) -> int:
+        """Time on the air of a frame with this payload; at least 1 ns, and never less for a longer payload."""
+
+
+class Loss(Protocol):
+    """What is lost although the radio has received it."""
+
+    @property
+    def cause(self) -> str:
+        """What the recording says of such a frame."""
+
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
+        """Which receivers lose the frame, (n,)."""
+
+
+class Delay(Protocol):
+    """What makes a frame late beyond its time on the air."""
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Earliest reception, counted from the sending, (n,) ns; before the frame's end it means: at its end."""

@@ -1,0 +1,299 @@
+"""Unslotted CSMA/CA of IEEE 802.15.4 as state machines of the radios over one event queue.
+
+A frame waits ``U{0 .. 2^BE - 1}`` backoff units of 320 us, then its radio listens for 128 us. If the air is free, it turns
+round for 192 us, deaf meanwhile, and sends; else BE grows and it waits again, or gives up (IEEE 802.15.4-2006, 7.5.1.4;
+constants of 6.4.1 and 7.4.1 at 62500 symbols a second).
+
+An acknowledgement goes out 192 us after its frame, without contention, and its radio forgets its own backoff or wait for an
+acknowledgement, to begin anew afterwards. After a frame, or its acknowledgement, its sender rests for an interframe space; not
+after one that it has given up. All this is what ns-3.44 does.
+"""
+
+import heapq
+from collections import deque
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.netsim.mac.csma154.receivers import Air, Flight
+from vcmvsp.netsim.mac.csma154.sender import Doing, Radio
+from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.interfaces.layers import Floats, Keys, Phy
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
+from vcmvsp.netsim.phy.standards import US
+
+if TYPE_CHECKING:  # it is what opens a network
+    from vcmvsp.netsim.mac.csma154.parameters import Csma154
+
+TURNAROUND_NS = 192 * US  # aTurnaroundTime, 12 symbols
+ACK_NS = 352 * US  # an acknowledgement on the air: 11 bytes
+ACK_BITS = 88
+ACK_WAIT_NS = 864 * US  # macAckWaitDuration, 54 symbols
+SHORT_NS = 768 * US  # on the air: a PSDU of 18 bytes (aMaxSIFSFrameSize)
+SIFS_NS, LIFS_NS = 192 * US, 640 * US  # after a frame of at most that, and of more
+
+
+class _Kind(IntEnum):
+    """What happens, in the order in which it does within one nanosecond: as if waves took a moment to arrive."""
+
+    ASSESSED = 0  # end of a clear channel assessment
+    LANDED = 1  # end of a frame
+    READY = 2  # end of an interframe space, or of the way back from sending an acknowledgement
+    UNANSWERED = 3  # no acknowledgement came
+    TOOK_OFF = 4  # begin of a frame
+
+
+class Network:
+    """The `netsim.interfaces.medium.Medium`: an event queue over the radios' state machines."""
+
+    def __init__(self, rules: "Csma154", air: Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
+        self._rules, self._air, self._phy, self._errors = rules, air, phy, errors
+        self._lifetime_ns = None if rules.lifetime_s is None else seconds_to_ns(rules.lifetime_s)
+        self._radios = [Radio(row, keys[row : row + 1], rules) for row in range(len(keys))]
+        self._events: list[tuple[int, _Kind, int, Radio, int]] = []  # heap: time, kind, running number, radio, its stamp
+        self._offers: deque[Offered] = deque()
+        self._running = 0
+        self._waiting: dict[int, None] = {}  # numbers of frames, in the order in which they were offered
+        self._soonest: dict[int, int] = {}  # row: when its frame can be decided at the earliest
+        self._decided: list[Decided] = []
+        # Levels from radio to radio, (n, n), as far as frames have shown them: what third parties hear of acknowledgements.
+        self._levels = np.zeros((len(keys), len(keys)) if rules.acknowledge else (0, 0))
+        self.power_mw: Floats = np.ones(len(keys))  # of the radios; all alike, unless set
+
+    # What the world asks
+
+    def expect(self, frames: int) -> None:
+        """It makes no difference."""
+
+    def offer(self, frame: Offered) -> None:
+        """Hand over a frame."""
+        self._offers.append(frame)
+        self._waiting[frame.number] = None
+
+    def advance(self, until_ns: int) -> Sequence[Decided]:
+        """Work off all events and offers up to then."""
+        events, offers = self._events, self._offers
+        while True:
+            event_ns = events[0][0] if events else until_ns + 1
+            if offers and offers[0].time_ns < event_ns:
+                if offers[0].time_ns > until_ns:
+                    break
+                self._enqueue(offers.popleft())
+            elif event_ns <= until_ns:
+                self._happen()
+            else:
+                break
+        decided, self._decided = self._decided, []
+        return decided
+
+    def next_ns(self) -> int | None:
+        """No frame is decided earlier; whether one is by then depends on who finds the air busy meanwhile."""
+        if not self._waiting:
+            return None
+        soonest = min(self._soonest.values(), default=None)
+        if self._offers:
+            offered_ns = self._offers[0].time_ns
+            return offered_ns if soonest is None else min(soonest, offered_ns)
+        return soonest
+
+    # What happens
+
+    def _happen(self) -> None:
+        now_ns, kind, _, radio, stamp = heapq.heappop(self._events)
+        if kind is _Kind.TOOK_OFF:
+            radios = [radio]
+            while self._events and self._events[0][:2] == (now_ns, kind):
+                radios.append(heapq.heappop(self._events)[3])
+            self._take_off(now_ns, radios)
+        elif stamp == radio.stamp:
+            if kind is _Kind.ASSESSED:
+                self._assessed(now_ns, radio)
+            elif kind is _Kind.LANDED:
+                self._landed(now_ns, radio)
+            elif kind is _Kind.READY:
+                self._ready(now_ns, radio)
+            else:
+                self._unanswered(now_ns, radio)
+
+    def _schedule(self, time_ns: int, kind: _Kind, radio: Radio) -> None:
+        self._running += 1
+        heapq.heappush(self._events, (time_ns, kind, self._running, radio, radio.stamp))
+
+    def _enqueue(self, frame: Offered) -> None:
+        radio, now_ns, limit = self._radios[frame.sender], frame.time_ns, self._rules.queue_frames
+        if limit is not None and len(radio.queue) + (radio.frame is not None) >= limit:
+            self._never(now_ns, frame, Fate.QUEUE_FULL)
+            return
+        self._running += 1
+        heapq.heappush(radio.queue, (-frame.priority, self._running, frame))
+        if radio.doing is Doing.NOTHING:
+            self._next(now_ns, radio)
+        elif radio.frame is None:  # it is still resting
+            self._soonest[radio.row] = max(radio.ready_ns, now_ns)
+
+    def _next(self, now_ns: int, radio: Radio) -> None:
+        """Turn to the next frame of the queue, if there is one."""
+        while radio.queue:
+            frame = heapq.heappop(radio.queue)[2]
+            if self._lifetime_ns is not None and now_ns - frame.time_ns > self._lifetime_ns:
+                self._never(now_ns, frame, Fate.EXPIRED)
+                continue
+            radio.frame, radio.air_ns = frame, self._phy.air_time_ns(frame.size_bytes)
+            radio.attempts, radio.last, radio.received_ns = 0, None, -1
+            self._contend(now_ns, radio)
+            return
+        radio.frame, radio.doing = None, Doing.NOTHING
+        self._soonest.pop(radio.row, None)
+
+    def _contend(self, now_ns: int, radio: Radio) -> None:
+        radio.doing, radio.found_busy = Doing.CONTENDING, 0
+        radio.assessments_ns = [now_ns + after_ns for after_ns in radio.plan()]
+        self._assess(radio)
+
+    def _assess(self, radio: Radio) -> None:
+        """Wait for the next of the planned assessments."""
+        assessed_ns = radio.assessments_ns[radio.found_busy]
+        self._soonest[radio.row] = min(assessed_ns + TURNAROUND_NS + radio.air_ns, radio.assessments_ns[-1])
+        self._schedule(assessed_ns, _Kind.ASSESSED, radio)
+
+    def _assessed(self, now_ns: int, radio: Radio) -> None:
+        if not self._air.busy(radio.row):
+            start_ns = now_ns + TURNAROUND_NS
+            radio.doing = Doing.SENDING
+            self._soonest[radio.row] = start_ns + radio.air_ns
+            self._air.deafen(radio.row, start_ns + radio.air_ns + TURNAROUND_NS)
+            self._schedule(start_ns, _Kind.TOOK_OFF, radio)
+            return
+        radio.found_busy += 1
+        if radio.found_busy < len(radio.assessments_ns):
+            self._assess(radio)
+        else:
+            self._give_up(now_ns, radio)
+            self._next(now_ns, radio)
+
+    def _take_off(self, now_ns: int, radios: list[Radio]) -> None:
+        for radio in radios:
+            radio.flight = self._answer(now_ns, radio) if radio.answers is not None else self._attempt(now_ns, radio)
+            self._schedule(radio.flight.end_ns, _Kind.LANDED, radio)
+        self._air.begin(now_ns, [radio.flight for radio in radios if radio.flight is not None])
+
+    def _attempt(self, now_ns: int, radio: Radio) -> Flight:
+        frame = radio.frame
+        assert frame is not None  # noqa: S101 -- it is at one
+        power_mw, patience = (frame.power_mw, frame.patience) if radio.attempts == 0 else (None, None)
+        if power_mw is None or patience is None:
+            renewed_mw, renewed = frame.renew(radio.attempts, now_ns)
+            power_mw, patience = renewed_mw if power_mw is None else power_mw, renewed if patience is None else patience
+        radio.attempts += 1
+        _, bits = self._errors.payload(frame.size_bytes)
+        flight = Flight(radio.row, now_ns, now_ns + radio.air_ns, power_mw, patience, bits)
+        if self._rules.acknowledge:  # paths are the same in both directions
+            self._levels[radio.row] = flight.power_mw
+            self._levels[:, radio.row] = flight.power_mw * (self.power_mw / self.power_mw[radio.row])
+        return flight
+
+    def _answer(self, now_ns: int, radio: Radio) -> Flight:
+        assert radio.answers is not None  # noqa: S101 -- it does answer
+        sender = self._radios[radio.answers[0]]
+        luck = np.full(len(self._radios), sender.luck())
+        return Flight(radio.row, now_ns, now_ns + ACK_NS, self._levels[radio.row], luck, ACK_BITS)
+
+    def _landed(self, now_ns: int, radio: Radio) -> None:
+        flight = radio.flight
+        assert flight is not None  # noqa: S101 -- it has been on the air
+        fate = self._air.end(now_ns, flight)
+        if radio.answers is not None:
+            row, number = radio.answers
+            self._answered(now_ns, radio, self._radios[row], number, heard=fate[row] == Fate.RECEIVED)
+            return
+        frame = radio.frame
+        assert frame is not None  # noqa: S101 -- it has just been sent
+        radio.last = flight, fate
+        received = frame.to >= 0 and fate[frame.to] == Fate.RECEIVED
+        if frame.to < 0 or (received and radio.received_ns < 0):
+            radio.received_ns = now_ns
+            self._decide(Decided(frame.number, flight.start_ns, now_ns, radio.attempts, fate, flight.least_sinr))
+        if frame.to < 0 or not self._rules.acknowledge:
+            self._finish(now_ns, radio)
+            return
+        radio.doing = Doing.AWAITING
+        self._schedule(now_ns + ACK_WAIT_NS, _Kind.UNANSWERED, radio)
+        self._soonest[radio.row] = now_ns + (TURNAROUND_NS + ACK_NS if received else ACK_WAIT_NS)
+        if received:
+            self._acknowledge(now_ns, self._radios[frame.to], radio)
+
+    def _finish(self, now_ns: int, radio: Radio) -> None:
+        """The frame is done with: rest."""
+        ifs_ns = SIFS_NS if radio.air_ns <= SHORT_NS else LIFS_NS
+        self._give_up(now_ns, radio)
+        self._rest(radio, now_ns + ifs_ns)
+
+    def _rest(self, radio: Radio, until_ns: int) -> None:
+        radio.doing, radio.ready_ns = Doing.RESTING, until_ns
+        self._schedule(until_ns, _Kind.READY, radio)
+        if radio.queue or radio.frame is not None:
+            self._soonest[radio.row] = until_ns
+
+    def _ready(self, now_ns: int, radio: Radio) -> None:
+        if radio.frame is None:
+            self._next(now_ns, radio)
+        else:
+            self._contend(now_ns, radio)
+
+    # Acknowledgements
+
+    def _acknowledge(self, now_ns: int, radio: Radio, sender: Radio) -> None:
+        """Drop whatever the radio is at, and answer; a frame that it wants to send or waits for begins anew afterwards."""
+        if radio.doing is Doing.AWAITING and radio.attempts > self._rules.max_retries:
+            self._give_up(now_ns, radio)
+        assert sender.frame is not None  # noqa: S101 -- it has just been received
+        radio.stamp += 1
+        radio.doing, radio.answers = Doing.ANSWERING, (sender.row, sender.frame.number)
+        start_ns = now_ns + TURNAROUND_NS
+        self._air.deafen(radio.row, start_ns + ACK_NS + TURNAROUND_NS)
+        self._schedule(start_ns, _Kind.TOOK_OFF, radio)
+        radio.ready_ns = max(radio.ready_ns, start_ns + ACK_NS + TURNAROUND_NS)
+        if radio.queue or radio.frame is not None:
+            self._soonest[radio.row] = radio.ready_ns
+
+    def _answered(self, now_ns: int, radio: Radio, sender: Radio, number: int, *, heard: bool) -> None:
+        radio.answers = None
+        self._rest(radio, radio.ready_ns)
+        if sender.doing is Doing.AWAITING and sender.frame is not None and sender.frame.number == number:
+            if heard:
+                sender.stamp += 1
+                self._finish(now_ns, sender)
+            else:
+                self._soonest[sender.row] = now_ns - ACK_NS - TURNAROUND_NS + ACK_WAIT_NS
+
+    def _unanswered(self, now_ns: int, radio: Radio) -> None:
+        if radio.attempts <= self._rules.max_retries:
+            self._contend(now_ns, radio)
+        else:
+            self._give_up(now_ns, radio)
+            self._next(now_ns, radio)
+
+    # Decisions
+
+    def _give_up(self, now_ns: int, radio: Radio) -> None:
+        """The radio is done with its frame: decide it, unless it has been received, by what its last attempt has come to."""
+        frame, last = radio.frame, radio.last
+        assert frame is not None  # noqa: S101 -- it is at one
+        radio.frame = None
+        self._soonest.pop(radio.row, None)
+        if last is None:
+            self._never(now_ns, frame, Fate.BUSY_CHANNEL)
+        elif radio.received_ns < 0:
+            flight, fate = last
+            self._decide(Decided(frame.number, flight.start_ns, now_ns, radio.attempts, fate, flight.least_sinr))
+
+    def _never(self, now_ns: int, frame: Offered, fate: Fate) -> None:
+        count = len(self._radios)
+        self._decide(Decided(frame.number, -1, now_ns, 0, np.full(count, fate, np.uint8), np.full(count, np.nan)))
+
+    def _decide(self, decided: Decided) -> None:
+        del self._waiting[decided.number]
+        self._decided.append(decided)

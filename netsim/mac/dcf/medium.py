@@ -1,0 +1,295 @@
+"""The air that radios of IEEE 802.11 share, from outside: frames are offered, time goes on, frames are decided.
+
+What happens in between is `netsim.mac.dcf.events`, which works on arrays; here frames get their places in them, and those that are
+decided are taken out again.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.rng import link_uniform
+from vcmvsp.netsim.mac.dcf import events
+from vcmvsp.netsim.mac.jit.cache import Compiled, at_hand, available, loaded, looped
+from vcmvsp.netsim.mac.dcf.batch import Batch
+from vcmvsp.netsim.mac.dcf.events import DRAWS, LEVELS, OUTPUT
+from vcmvsp.netsim.mac.dcf.power_rows import Levels, free_numbers, take
+from vcmvsp.netsim.mac.dcf.state import (
+    ARRIVED,
+    DECIDED,
+    DECISION,
+    EXPIRED,
+    FEW,
+    NOBODY,
+    OFFERED,
+    SCARCE,
+    SOONEST,
+    WANTED,
+    Rules,
+    State,
+    new_state,
+)
+from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
+from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys
+from vcmvsp.netsim.interfaces.medium import Codes, Decided, Offered, Renew
+
+LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
+COMPILE_AFTER = 5000  # the same, where it must be compiled first: once for each computer
+PER_FRAME = (
+    *("behind", "sender", "to", "priority", "offered_ns", "air_ns", "frame_bits", "frame_curve"),
+    *("attempts", "row", "began_ns", "told", "outcome", "least_there", "patiences"),
+)
+CORE = (
+    *("vcmvsp.netsim.phy.error_table", "vcmvsp.netsim.mac.dcf.interference", "vcmvsp.netsim.mac.dcf.backoff", "vcmvsp.netsim.mac.dcf.kernels"),
+    *("vcmvsp.netsim.mac.dcf.detection", "vcmvsp.netsim.mac.dcf.queues", "vcmvsp.netsim.mac.dcf.events"),
+)
+
+
+class DcfMedium:
+    """The air that n radios share, and their queues.
+
+    Args:
+        rules: how they contend.
+        phy: air times and bits of frames.
+        keys: (n,) random keys of the radios.
+        curves: of headers and of acknowledgements.
+        sensitivity_mw: the weakest level that is noticed.
+        compile_core: whether compiled code works it off; None: for many frames, where it can be compiled.
+
+    ``levels`` (n, n) may be set from outside: at what level, mW, each radio (row) is heard by each other (column) when it
+    acknowledges. Otherwise it is as strong as what it sent last.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        phy: Any,
+        keys: Keys,
+        curves: tuple[ErrorRate, ErrorRate],
+        sensitivity_mw: float,
+        *,
+        compile_core: bool | None = None,
+    ) -> None:
+        self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
+        self._run: Callable[[State, Rules, int], int] = looped(CORE, "run") if count <= FEW else events.run
+        self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
+        self._curves = list(curves)  # of the rows of `State.tables`
+        self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
+        self._free = free_numbers(0, len(self._state.behind))  # places of frames
+        self._levels = Levels(self._state.levels)
+        self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
+        self._renew: dict[int, Renew] = {}  # by their places
+        self._undecided = 0
+        self._sizes: dict[int, tuple[int, int, int]] = {}  # air time, bits and curve of frames
+        self._decided: list[Batch] = []  # and not yet handed out
+        self._draw()
+        self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
+        self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
+        self._state.drawn[:] = 1
+        seen = self._faster_at is not None and loaded(CORE, "run", self._state, self._rules)  # by an earlier run
+        if (compile_core or seen) and count:
+            self._go_faster(COMPILE_AFTER)
+
+    @property
+    def levels(self) -> Floats:
+        """Levels of acknowledgements, (n, n) mW."""
+        return self._state.heard
+
+    @property
+    def sensitivity_mw(self) -> Floats:
+        """The weakest level that each radio notices, (n,): as the phy says, unless set."""
+        return self._state.sensitivity_mw
+
+    @property
+    def power_mw(self) -> Floats:
+        """With which each radio sends, (n,) mW: an acknowledgement meets what the data met. All alike, unless set."""
+        return self._state.power_mw
+
+    def expect(self, frames: int) -> None:
+        """About so many frames will be offered: for many the core is compiled at once, for fewer never."""
+        if self._faster_at is not None:
+            self._go_faster(frames)
+        self._faster_at = None
+
+    def foresee(self, frames: int) -> None:
+        """By the look of it so many more frames will be offered: for many, compiled code that is at hand is loaded."""
+        if self._faster_at is not None and frames >= LOAD_AFTER:
+            self._go_faster(min(frames, COMPILE_AFTER - 1))
+
+    # --- frames come ---
+
+    def offer(self, frame: Offered) -> None:
+        """Hand over a frame; nothing happens yet."""
+        (place,) = self._take(1)
+        row = NOBODY
+        if frame.power_mw is not None and frame.patience is not None:
+            row = self._levels.keep(frame.power_mw)
+            self._state.patiences[place] = frame.patience
+        self._renew[place] = frame.renew
+        self._put(place, frame.number, frame.time_ns, frame.sender, frame.size_bytes, row)
+        self._state.to[place], self._state.priority[place] = frame.to, frame.priority
+        self._arrive(place, 1, frame.time_ns)
+
+    def offer_many(
+        self, time_ns: Ints, sender: Ints, size_bytes: int, power_mw: Floats, patience: Floats, numbers: Ints
+    ) -> None:
+        """Hand over broadcast frames of one size, whose levels do not change from frame to frame.
+
+        Args:
+            time_ns: (k,) when, never decreasing.
+            sender: (k,) rows.
+            size_bytes: payload.
+            power_mw: (n, n) level of every sender (row) at every radio. The same array object means the same levels.
+            patience: (k, n), see `Offered`.
+            numbers: (k,) name the frames.
+        """
+        if not len(sender):
+            return
+        places = np.array(self._take(len(sender)))
+        rows = self._levels.of_senders(sender, power_mw)
+        self._state.patiences[places] = patience
+        self._put(places, numbers, time_ns, sender, size_bytes, rows)
+        self._state.to[places], self._state.priority[places] = NOBODY, 0
+        self._arrive(places, len(places), int(time_ns[0]))
+
+    def _put(
+        self,
+        places: Ints | int,
+        number: Ints | int,
+        time_ns: Ints | int,
+        sender: Ints | int,
+        size_bytes: int,
+        rows: Ints | int,
+    ) -> None:
+        """Write down what is known of a frame, or of several."""
+        if self._state.levels is not self._levels.table:  # it has grown
+            self._state = self._state._replace(levels=self._levels.table)
+        if size_bytes not in self._sizes:
+            curve, bits = self._phy.errors.payload(size_bytes)
+            self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), bits, self._row_of(curve)
+        s = self._state
+        s.air_ns[places], s.frame_bits[places], s.frame_curve[places] = self._sizes[size_bytes]
+        s.sender[places], s.offered_ns[places], s.row[places], self._number[places] = sender, time_ns, rows, number
+        s.attempts[places], s.began_ns[places], s.told[places] = 0, -1, False
+        s.outcome[places], s.least_there[places] = EXPIRED, np.nan
+
+    def _row_of(self, curve: ErrorRate) -> int:
+        """Its row of `State.tables`."""
+        if curve not in self._curves:
+            self._curves.append(curve)
+            self._state = self._state._replace(tables=np.vstack((self._state.tables, curve.table)))
+        return self._curves.index(curve)
+
+    def _arrive(self, places: Ints | int, count: int, time_ns: int) -> None:
+        """They will come to their queues, the first at some time."""
+        s = self._state
+        arrived, offered = int(s.counts[ARRIVED]), int(s.counts[OFFERED])
+        if offered + count > len(s.arrivals):  # what has not come yet goes to the front; more room unless half is free then
+            coming = s.arrivals[arrived:offered].copy()
+            arrived, offered = 0, len(coming)
+            if 2 * (offered + count) > len(s.arrivals):
+                s = self._state = s._replace(arrivals=np.full(4 * (offered + count), NOBODY))
+            s.arrivals[:offered] = coming
+        s.arrivals[offered : offered + count] = places
+        s.counts[ARRIVED], s.counts[OFFERED] = arrived, offered + count
+        s.counts[SOONEST] = min(int(s.counts[SOONEST]), time_ns)
+        self._undecided += count
+
+    def _take(self, count: int) -> list[int]:
+        """Free places of frames."""
+        while len(self._free) < count:
+            s, places = self._state, len(self._state.behind)
+            self._state = s._replace(**{name: np.concatenate([getattr(s, name)] * 2) for name in PER_FRAME})
+            self._number = np.concatenate([self._number] * 2)
+            self._free += free_numbers(places, 2 * places)
+        return take(self._free, count)
+
+    # --- time goes on ---
+
+    def advance(self, until_ns: int) -> Sequence[Decided]:
+        """Everything that is decided up to ``until_ns``, in the order of its time."""
+        return [each for batch in self._decide(until_ns) for each in batch.frames()]
+
+    def advance_arrays(self, until_ns: int) -> tuple[Ints, Ints, Ints, Codes, Floats]:
+        """The same, as arrays: number (m,), start_ns (m,), end_ns (m,), fate (m, n), least_sinr (m, n)."""
+        every = Batch.all_of(self._decide(until_ns), len(self._keys))
+        return every.number, every.start_ns, every.end_ns, every.fate, every.least_sinr
+
+    def _decide(self, until_ns: int) -> list[Batch]:
+        self._work_off(until_ns)
+        decided, self._decided = self._decided, []
+        return decided
+
+    def _work_off(self, until_ns: int) -> None:
+        if until_ns < self._state.counts[SOONEST]:
+            return
+        while code := self._run(self._state, self._rules, until_ns):
+            if code == LEVELS:
+                self._ask()
+            elif code == DRAWS:
+                self._draw()
+            elif code == OUTPUT:
+                self._collect()
+        self._collect()
+
+    def _ask(self) -> None:
+        s = self._state
+        place = int(s.counts[WANTED])
+        i = int(s.sender[place])
+        s.level[i], s.patience[i] = self._renew[place](int(s.attempts[place]), int(s.due[i]))
+        s.placed[i] = place
+
+    def _draw(self) -> None:
+        s = self._state
+        s.store[:] = s.drawn
+        numbers = s.drawn[:, None] + np.arange(self._rules.draws)
+        uniform = link_uniform(self._keys[:, None], numbers.astype(np.uint64), BACKOFF_SLOT)
+        s.backoff[:] = uniform[..., 0]
+        s.doubt[:] = -np.log1p(-uniform[..., 1])
+        s.counts[SCARCE] = 0
+
+    def _collect(self) -> None:
+        """Take out what is decided, and free the places of the frames that are done with."""
+        s = self._state
+        count = int(s.counts[DECIDED])
+        if not count:
+            return
+        s.counts[DECIDED] = 0
+        batch = Batch.untold(s, self._number, count)
+        if len(batch.number):
+            self._decided.append(batch)
+            self._undecided -= len(batch.number)
+        done = s.out_frame[:count][s.out_done[:count]]
+        self._levels.leave(s.row[done])
+        freed = done.tolist()
+        self._free += freed
+        for place in freed if self._renew else ():
+            self._renew.pop(place, None)
+        self._done += count
+        if self._faster_at is not None and self._done >= self._faster_at:
+            self._go_faster(self._done)
+
+    def _go_faster(self, frames: int) -> None:
+        """The same state goes on at another speed, where that pays for so many frames; else later."""
+        core = CORE, "run", self._state, self._rules
+        if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and at_hand(*core)):
+            self._run, self._faster_at = Compiled(*core), None
+        else:
+            self._faster_at = COMPILE_AFTER
+
+    # --- what is to come ---
+
+    def next_ns(self) -> int | None:
+        """When a frame will be decided next, if no other is offered; None: no frame waits or is on the air.
+
+        Never too late; too early where what would be sent next has to wait for what is just starting, and for a unicast frame
+        that will have to be sent again.
+        """
+        s = self._state
+        if s.counts[ARRIVED] < s.counts[OFFERED]:  # what comes later is offered later
+            self._work_off(int(s.offered_ns[s.arrivals[s.counts[OFFERED] - 1]]))
+        if self._decided:
+            return int(self._decided[0].end_ns[0])
+        return int(s.counts[DECISION]) if self._undecided else None

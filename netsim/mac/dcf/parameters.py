@@ -1,0 +1,137 @@
+"""IEEE 802.11 contention: the distributed coordination function, matched to ns-3.44."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Count, Decibels, Period
+from vcmvsp.netsim.mac.dcf.medium import DcfMedium
+from vcmvsp.netsim.mac.dcf.state import Rules
+from vcmvsp.netsim.interfaces.layers import Keys, Phy
+from vcmvsp.netsim.phy.standards import US, Dsss
+from vcmvsp.netsim.phy.ofdm import Ofdm
+
+DRAWS_IN_STORE = 64
+ACK_BYTES = 14 - 36  # its PSDU, as a payload that has the headers of data
+
+
+class Standard(NamedTuple):
+    """What a standard fixes (IEEE 802.11-2016, tables 15-5, 16-4, 17-21, 18-5)."""
+
+    slot_us: float
+    sifs_us: float
+    cw_min: int
+    preamble_us: int
+    header_us: int
+    faintest_dbm: float  # ns-3.44 WifiPhy::RxSensitivity, over the standard's bandwidth
+    ack_rates_bps: tuple[float, ...]
+    lowest_ack_us: int  # at the lowest rate of the band
+
+
+B = Standard(20.0, 10.0, 31, 144, 48, -101.0 + 10.0 * math.log10(22.0 / 20.0), (1e6, 2e6, 5.5e6, 11e6), 304)
+G = Standard(20.0, 10.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 304)
+A = Standard(9.0, 16.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 44)
+
+
+Attempts = Annotated[int, msgspec.Meta(ge=1, le=28)]
+Micros = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # from a nanosecond, in which all is reckoned, to a second
+Margin = Annotated[float, msgspec.Meta(ge=0.0, le=400.0)]  # dB
+
+
+@dataclass(frozen=True)
+class Dcf:
+    """Radios share the air as IEEE 802.11 says: they listen before they send, back off, and collide.
+
+    The phy says which standard it is: `netsim.phy.standards.Dsss` is 802.11b, `netsim.phy.ofdm.Ofdm` 802.11a at 5 GHz and g at 2.4 GHz
+    (ad hoc, no protection, long slots). None takes the standard's value. All defaults are those of ns-3.44.
+    """
+
+    slot_us: Micros | None = None  # unit of backoffs; None: the standard's
+    sifs_us: Micros | None = None  # from a frame to its acknowledgement; None: the standard's
+    cw_min: Count | None = None  # a backoff is 0 to this many slots; None: the standard's
+    cw_max: Count = 1023  # the same at most, after failures
+    cca_threshold_dbm: Decibels = -82.0  # sum of powers at which the medium is busy
+    energy_threshold_dbm: Decibels = -62.0  # the same, for a radio that has not heard the frames begin
+    preamble_time_us: Micros = 4.0  # from the start of a frame until it is noticed
+    capture_margin_db: Margin | None = None  # a later frame so much stronger takes the receiver over; None: none does
+    capture_window_us: Micros = 16.0  # within this time from when the first was noticed
+    queue_frames: Count = 500  # that may wait at a sender
+    lifetime_s: Period = 0.5  # of a frame in the queue
+    attempts: Attempts = 7  # to send a unicast frame
+
+    def __post_init__(self) -> None:
+        if self.cw_min is not None and self.cw_min > self.cw_max:
+            raise ScenarioError(f"must not be more than cw_max = {self.cw_max}, not {self.cw_min}", key="cw_min")
+
+    def open(self, phy: Any, count: int, keys: Keys, noise_mw: float, *, compile_core: bool | None = None) -> DcfMedium:
+        """The air for ``count`` radios whose random keys are (count,): backoff k of a radio depends on its key and k alone.
+
+        ``compile_core``, which changes no result: whether compiled code does the work; None: for many frames, where it can be.
+        """
+        control = ack_phy(phy, self.standard(phy))
+        curves = phy.errors.header[0], control.errors.payload(ACK_BYTES)[0]
+        sensitivity_mw = milliwatts(phy.sensitivity_dbm)
+        return DcfMedium(self.rules(phy, noise_mw), phy, keys[:count], curves, sensitivity_mw, compile_core=compile_core)
+
+    def standard(self, phy: Phy) -> Standard:
+        """Of a phy."""
+        if isinstance(phy, Dsss):
+            return B
+        if isinstance(phy, Ofdm):
+            return A if phy.band == "5GHz" else G
+        raise ScenarioError(
+            f"dcf is IEEE 802.11: it goes with the phys dsss and ofdm, not with {type(phy).__name__}", key="mac"
+        )
+
+    def rules(self, phy: Any, noise_mw: float) -> Rules:
+        """Everything in nanoseconds, milliwatts and ratios."""
+        standard = self.standard(phy)
+        cw_min = standard.cw_min if self.cw_min is None else self.cw_min
+        if cw_min > self.cw_max:
+            raise ScenarioError(f"cw_max = {self.cw_max} is less than the standard's cw_min, {cw_min}", key="mac.cw_max")
+        slot_ns = round((self.slot_us or standard.slot_us) * US)
+        sifs_ns = round((self.sifs_us or standard.sifs_us) * US)
+        header_end_ns = (standard.preamble_us + standard.header_us) * US
+        control = ack_phy(phy, standard)
+        ack_air_ns = control.air_time_ns(ACK_BYTES)
+        return Rules(
+            slot_ns=slot_ns,
+            sifs_ns=sifs_ns,
+            difs_ns=sifs_ns + 2 * slot_ns,
+            eifs_ns=sifs_ns + standard.lowest_ack_us * US,
+            detect_ns=round(self.preamble_time_us * US),
+            preamble_ns=standard.preamble_us * US,
+            header_end_ns=header_end_ns,
+            header_bits_per_ns=phy.errors.header[1] / (standard.header_us * US),
+            cw_min=cw_min,
+            cw_max=self.cw_max,
+            queue_frames=self.queue_frames,
+            lifetime_ns=round(self.lifetime_s * SECOND_NS),
+            attempts=self.attempts,
+            ack_air_ns=ack_air_ns,
+            ack_bits_per_ns=control.errors.payload(ACK_BYTES)[1] / (ack_air_ns - header_end_ns),
+            timeout_ns=sifs_ns + slot_ns + header_end_ns,
+            noise_mw=noise_mw,
+            busy_mw=milliwatts(self.cca_threshold_dbm),
+            energy_mw=milliwatts(self.energy_threshold_dbm),
+            faintest_mw=milliwatts(standard.faintest_dbm),
+            preamble_snr=10.0 ** (phy.preamble_snr_db / 10.0),
+            capture=10.0 ** ((self.capture_margin_db or 0.0) / 10.0),
+            capture_ns=0 if self.capture_margin_db is None else round(self.capture_window_us * US),
+            draws=DRAWS_IN_STORE,
+        )
+
+
+def ack_phy(phy: Any, standard: Standard) -> Any:
+    """The phy at the rate of acknowledgements: the highest mandatory one that is not above that of the data."""
+    rate = max(each for each in standard.ack_rates_bps if each <= phy.rate_bps)
+    return replace(phy, rate_bps=rate)
+
+
+def milliwatts(dbm: float) -> float:
+    """Of a power in dBm."""
+    return float(10.0 ** (dbm / 10.0))

@@ -1,0 +1,1 @@
+"""Compilation of the DCF kernels to machine code."""

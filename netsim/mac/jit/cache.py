@@ -1,0 +1,155 @@
+"""Functions compiled to machine code, where numba is installed; else as they are.
+
+The functions are written in the part of NumPy that numba compiles, and do the same operations in the same order either way:
+what they compute is the same to the last bit. `VCMVSP_COMPILED=0` in the environment turns compilation off.
+
+What has been compiled is kept in the user's cache folder, under a digest of all that it depends on: a change makes it compile
+anew.
+"""
+
+import contextlib
+import hashlib
+import importlib
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
+
+from vcmvsp.netsim.mac.jit.argument_block import Block, Layout
+
+_MAKERS = tuple(str(Path(__file__).with_name(f"compiled_{part}.py")) for part in ("make", "load"))
+_DIGEST_BYTES = 16  # in front of kept code: that of the code
+_functions: dict[tuple[tuple[str, ...], str, Layout, Layout], Callable[[int, int, int], int]] = {}  # that are loaded
+
+
+def available() -> bool:
+    """Whether functions will be compiled."""
+    return os.environ.get("VCMVSP_COMPILED", "1") != "0" and importlib.util.find_spec("numba") is not None
+
+
+class Compiled:
+    """A function of two named tuples of arrays and numbers, and of a number, compiled with all that it calls.
+
+    Args:
+        names: modules whose functions call each other, each those of modules before it; no others. A function ``f`` is compiled
+            from ``f_loop`` where its module has that too. They allocate no arrays.
+        entry: name of the function, in the last of them.
+        first, second: what it will be called with, or others of the same fields.
+    """
+
+    def __init__(self, names: tuple[str, ...], entry: str, first: Any, second: Any) -> None:
+        self._first, self._second = Block(first), Block(second)
+        self._function = _loaded(names, entry, self._first.layout, self._second.layout)
+
+    def __call__(self, first: Any, second: Any, number: int) -> int:
+        """Call it. Of tuples that are those of the call before nothing is copied."""
+        if first is not self._first.fields:
+            self._first = Block(first)
+        if second is not self._second.fields:
+            self._second = Block(second)
+        return self._function(self._first.address, self._second.address, number)
+
+
+def at_hand(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
+    """Whether what `Compiled` gives for these arguments was compiled before, and is loaded in no time."""
+    return _kept(_path(names, entry, Block(first).layout, Block(second).layout)) is not None
+
+
+def loaded(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
+    """Whether this process has loaded already what `Compiled` gives for these arguments."""
+    return (names, entry, Block(first).layout, Block(second).layout) in _functions
+
+
+def _loaded(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Callable[[int, int, int], int]:
+    key = names, entry, first, second
+    if key not in _functions:
+        _functions[key] = _function(*key)
+    return _functions[key]
+
+
+def _function(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Callable[[int, int, int], int]:
+    path = _path(names, entry, first, second)
+    code = _kept(path)
+    if code is None:
+        make: Any = importlib.import_module("vcmvsp.netsim.mac.jit.compiler")
+        modules = [_load(name, "compiled") for name in names]
+        code = make.machine_code(_linked(modules, entry, make.compiled), first, second)
+        _keep(path, code)
+    function: Callable[[int, int, int], int] = importlib.import_module("vcmvsp.netsim.mac.jit.loader").Loaded(code)
+    return function
+
+
+@cache
+def looped(names: tuple[str, ...], entry: str) -> Callable[..., int]:
+    """The function of the same loops that `Compiled` compiles, as they are: for arrays of a few numbers quicker than NumPy."""
+    return _linked([_load(name, "looped") for name in names], entry, lambda source: source)
+
+
+def _linked(modules: list[ModuleType], entry: str, make: Callable[[FunctionType], Any]) -> Callable[..., int]:
+    """The function, where all functions of the modules call what is made of their loops."""
+    done: dict[str, object] = {}
+    for module in modules:
+        for name, value in list(vars(module).items()):
+            if isinstance(value, FunctionType) and value.__module__ == module.__name__:
+                done[name] = make(vars(module).get(f"{name}_loop", value))
+            if name in done:
+                setattr(module, name, done[name])
+    function: Callable[..., int] = getattr(modules[-1], entry)
+    return function
+
+
+def _load(name: str, purpose: str) -> ModuleType:
+    """Another copy of a module, under a name of its own."""
+    original = importlib.import_module(name)
+    spec = importlib.util.spec_from_file_location(f"{name}__{purpose}", str(original.__file__))
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{name} has no source file", name=name)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+# --- what has been compiled is kept ---
+
+
+def _path(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Path:
+    """Where it is kept: under a digest of the sources, the numbers in them that come from elsewhere, compiler and computer."""
+    digest = hashlib.blake2b(digest_size=16)
+    modules = [importlib.import_module(name) for name in names]
+    for module in modules:
+        digest.update(repr([each for each in vars(module).items() if isinstance(each[1], (int, float))]).encode())
+    for source in (*(str(module.__file__) for module in modules), *_MAKERS):
+        digest.update(Path(source).read_bytes())
+    host = importlib.import_module("vcmvsp.netsim.mac.jit.loader").host_name()
+    digest.update(repr((entry, first, second, host)).encode())
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vcmvsp"
+    return folder / f"{digest.hexdigest()}.code"
+
+
+def _kept(path: Path) -> bytes | None:
+    """Code that is kept there, and whole."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    digest, code = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    return code if digest == _digest(code) else None
+
+
+def _keep(path: Path, code: bytes) -> None:
+    """Keep code there, if possible: for whoever looks, whole or not at all."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(_digest(code) + code)
+        Path(file.name).replace(path)
+
+
+def _digest(code: bytes) -> bytes:
+    return hashlib.blake2b(code, digest_size=_DIGEST_BYTES).digest()

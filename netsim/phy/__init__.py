@@ -1,0 +1,1 @@
+"""Radio standards: air times, noise, error rates."""

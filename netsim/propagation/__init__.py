@@ -1,0 +1,1 @@
+"""Path loss, walls, body shadowing, shadowing and fading."""

@@ -1,0 +1,166 @@
+"""Walls: what the signal loses in the obstacles on its straight way."""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import NonNegative
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, Paths
+from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, Frequency
+
+ITU_MATERIALS: dict[str, tuple[float, float, float, float]] = {
+    "concrete": (5.24, 0.0, 0.0462, 0.7822),
+    "brick": (3.91, 0.0, 0.0238, 0.16),
+    "plasterboard": (2.73, 0.0, 0.0085, 0.9395),
+    "wood": (1.99, 0.0, 0.0047, 1.0718),
+    "glass": (6.31, 0.0, 0.0036, 1.3394),
+    "metal": (1.0, 0.0, 1e7, 0.0),
+}
+"""ITU-R P.2040-3, table 3: relative permittivity ``a f^b`` and conductivity ``c f^d`` S/m, f in GHz (1 to 40 GHz)."""
+
+_DARK_DB = 300.0  # a loss that nothing survives, finite
+
+
+class Sightline(Protocol):
+    """What stands between points, as the physics knows it: m obstacles of a material and a thickness each."""
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Of each obstacle, (m,)."""
+
+    @property
+    def thickness_m(self) -> Floats:
+        """The shortest edge of each obstacle, (m,)."""
+
+    def crossings(self, tx: Floats, rx: Floats) -> tuple[Bools, Floats]:
+        """Which obstacles the straight lines from ``tx`` (3,) to ``rx`` (n, 3) pass through, (n, m), and how far, (n, m) m.
+
+        The same from both ends, and for each receiver whoever else is asked about.
+        """
+
+
+class Through(NamedTuple):
+    """What lies on n paths."""
+
+    loss_db: Floats  # (n,)
+    walls: Ints  # (n,) how many
+    materials: tuple[str, ...]  # (n,) e.g. "2 brick, 1 wood"; "": none
+
+
+class _Walls(ABC):
+    """Obstacles that each take a loss of their own from what passes through them."""
+
+    sightline: Sightline
+    cap_db: float
+
+    @property
+    @abstractmethod
+    def _walls_db(self) -> Floats:
+        """Loss of each obstacle, (m,) dB."""
+
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing stands in the way anywhere."""
+        return not self.sightline.materials
+
+    @cached_property
+    def _by_kind(self) -> tuple[list[str], Floats]:
+        """The materials there are, k of them, and which each obstacle is of, (m, k): 1 or 0."""
+        kinds = sorted(set(self.sightline.materials))
+        return kinds, np.array([[material == kind for kind in kinds] for material in self.sightline.materials], np.float64)
+
+    @cached_property
+    def _words(self) -> dict[tuple[int, ...], str]:
+        """What was said so far of so many obstacles of each material."""
+        return {}
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Loss of each path by walls, (n,) dB."""
+        return self.through(paths).loss_db
+
+    def through(self, paths: Paths) -> Through:
+        """What lies between, on each path."""
+        count = len(paths.distance_m)
+        if self.nothing:
+            return Through(np.zeros(count), np.zeros(count, np.int64), ("",) * count)
+        crossed, _ = self.sightline.crossings(paths.tx, paths.rx)
+        loss = np.minimum(np.where(crossed, self._walls_db, 0.0).sum(axis=-1), self.cap_db)
+        kinds, of_kind = self._by_kind
+        each = (crossed.astype(np.float64) @ of_kind).astype(np.int64)  # products of integers take many times as long
+        words = self._words
+        found = [tuple(row) for row in each.tolist()]
+        for row in found:
+            if row not in words:
+                words[row] = ", ".join(f"{n} {kind}" for n, kind in zip(row, kinds, strict=True) if n)
+        return Through(loss, each.sum(axis=-1), tuple(map(words.__getitem__, found)))
+
+
+@dataclass(frozen=True)
+class ItuWalls(_Walls):
+    """Each obstacle on the way takes the loss of a slab of its material and thickness (`slab_loss_db`), whatever the angle."""
+
+    sightline: Sightline
+    frequency_hz: Frequency = 2.4e9  # of the carrier
+    cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
+
+    def __post_init__(self) -> None:
+        for material in self.sightline.materials:
+            _require_known(material)
+
+    @cached_property
+    def _walls_db(self) -> Floats:
+        sizes = zip(self.sightline.materials, self.sightline.thickness_m.tolist(), strict=True)
+        return np.array([min(_DARK_DB, slab_loss_db(material, size, self.frequency_hz)) for material, size in sizes])
+
+
+@dataclass(frozen=True)
+class FixedWalls(_Walls):
+    """Each obstacle on the way takes the same, or what ``materials_db`` says of its material.
+
+    The default is the Wireless Simulation Server's (``eAttenFac``); it has no cap, its ``eMaxObs`` is used nowhere.
+    ns-3 has wood 4, concrete 15, with windows 7, stone 12 dB (``BuildingsPropagationLossModel``), and 5 dB between rooms.
+    """
+
+    sightline: Sightline
+    wall_db: NonNegative = 6.325  # loss of each obstacle
+    materials_db: dict[str, NonNegative] | None = None  # by material: ``{ brick = 3.5 }``; None: all are alike
+    cap_db: NonNegative = _DARK_DB  # of all walls together: more finds a way round
+
+    @cached_property
+    def _walls_db(self) -> Floats:
+        known = self.materials_db or {}
+        return np.array([known.get(material, self.wall_db) for material in self.sightline.materials])
+
+
+def slab_loss_db(material: str, thickness_m: float, frequency_hz: float) -> float:
+    """Loss in dB of a slab of one of the `ITU_MATERIALS` at normal incidence.
+
+    The wave meets both faces again and again. How the echoes add up goes by millimetres that no map of a building has, so the
+    transmitted power is averaged over all phases between them: it is the sum of the powers of all echoes::
+
+        eta = a f^b - j 17.98 c f^d / f,   n = sqrt(eta)         (ITU-R P.2040-3, 3.1; f in GHz)
+        R = |(n - 1) / (n + 1)|^2                                power reflected at a face
+        T = |4 n / (n + 1)^2|^2                                  power that passes both faces
+        A = exp(-4 pi frequency / c0 |Im n| thickness)           power left after one passage
+        loss = -10 log10(T A / (1 - R^2 A^2))
+    """
+    _require_known(material)
+    a, b, c, d = ITU_MATERIALS[material]
+    gigahertz = frequency_hz * 1e-9
+    index = complex(a * gigahertz**b, -17.98 * c * gigahertz**d / gigahertz) ** 0.5
+    reflected = abs((index - 1.0) / (index + 1.0)) ** 2
+    passage = 4.0 * math.pi * frequency_hz / SPEED_OF_LIGHT * abs(index.imag) * thickness_m  # -ln A
+    both_faces = abs(4.0 * index / (index + 1.0) ** 2) ** 2
+    ratio = both_faces / (1.0 - (reflected * math.exp(-passage)) ** 2)
+    return 10.0 / math.log(10.0) * (passage - math.log(ratio))
+
+
+def _require_known(material: str) -> None:
+    if material not in ITU_MATERIALS:
+        allowed = ", ".join(ITU_MATERIALS)
+        raise ScenarioError(f"no loss is known for walls of {material!r}; known: {allowed}; or give kind = 'fixed'", key="kind")

@@ -1,0 +1,228 @@
+"""How programs come into a run: a socket that only this machine reaches, and the wait for one program of each vehicle."""
+
+import contextlib
+import errno
+import selectors
+import socket
+import stat
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.sockets.messages import (
+    MOST_UP,
+    PIECE,
+    VERSION,
+    Hello,
+    Refused,
+    Stream,
+    Up,
+    Welcome,
+    WireError,
+    parsed,
+    up,
+)
+from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.util.text import LONGEST_NAME, plain
+from vcmvsp.cosim.transport.endpoints import is_loopback
+
+MOST_STRANGERS = 64  # who have connected and not said who they are
+GREETING_S = 5.0  # within which they must
+MOST_TOLD = 20  # refusals
+
+Tell = Callable[[str], None]
+
+
+def check_endpoint(endpoint: str) -> None:
+    """Refuse what is no endpoint, or one that others can reach, with a `ValueError`."""
+    where = parsed(endpoint)
+    if isinstance(where, tuple) and not is_loopback(where[0]):
+        port = where[1]
+        problem = f"{endpoint}: programs bring no password, so none may come from other machines"
+        tunnel = f"ssh -L {port}:127.0.0.1:{port} THIS_MACHINE"
+        raise ValueError(f"{problem}: listen on tcp/127.0.0.1:{port} or unix/PATH, and let them come through {tunnel}")
+
+
+class Listener:
+    """Listens at an endpoint, until it is closed.
+
+    Attributes:
+        endpoint: where it really listens: a port 0 has become one that is free.
+
+    Raises:
+        ScenarioError: it cannot listen there.
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        where, self._path = parsed(endpoint), None
+        self.endpoint = endpoint
+        try:
+            if isinstance(where, str):
+                self.socket = _listening_here(where)
+                self._path = Path(where)
+            else:
+                host, port = where
+                family = socket.AF_INET6 if ":" in host else socket.AF_INET
+                self.socket = socket.create_server((host, port), family=family, backlog=MOST_STRANGERS)
+                self.endpoint = f"{endpoint.rpartition(':')[0]}:{self.socket.getsockname()[1]}"
+        except OSError as error:
+            taken = "another run may have it: " if error.errno == errno.EADDRINUSE else ""
+            problem = f"cannot listen on {endpoint}: {error.strerror or error}; {taken}give another endpoint"
+            raise ScenarioError(problem, key="sockets.listen") from error
+        self.socket.setblocking(False)
+
+    def close(self) -> None:
+        """Listen no more."""
+        self.socket.close()
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+            self._path = None
+
+
+def _listening_here(path: str) -> socket.socket:
+    """A socket that only this user reaches, in place of one that nobody listens on any more."""
+    end = socket.socket(socket.AF_UNIX)
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            if stat.S_ISSOCK(Path(path).stat().st_mode) and not _answers(path):
+                Path(path).unlink()
+        end.bind(path)
+        Path(path).chmod(0o600)  # nobody can connect before it listens
+        end.listen(MOST_STRANGERS)
+    except BaseException:
+        end.close()
+        raise
+    return end
+
+
+def _answers(path: str) -> bool:
+    with socket.socket(socket.AF_UNIX) as end:
+        return end.connect_ex(path) == 0
+
+
+class Gathering:
+    """Waits for one program of each vehicle. Strangers that say nothing, or nonsense, disturb nobody.
+
+    Args:
+        listener: where they come.
+        wanted: names of the vehicles.
+        run: name of the scenario.
+        vehicles: all of the run.
+        tell: takes lines for the user.
+    """
+
+    def __init__(self, listener: Listener, wanted: Sequence[str], run: str, vehicles: Sequence[str], tell: Tell) -> None:
+        self._listener, self._wanted, self._tell = listener, tuple(wanted), tell
+        self._welcome = Welcome(run, tuple(vehicles))
+        self._strangers: dict[Stream, float] = {}  # until when they may say who they are, oldest first
+        self._there: dict[str, Stream] = {}
+        self._told: set[str] = set()
+        self._selector = selectors.DefaultSelector()
+
+    def wait(self, timeout_s: float) -> dict[str, Stream]:
+        """The programs, by vehicle, when all are there.
+
+        Raises:
+            FederateError: some have not come in time.
+        """
+        until = time.monotonic() + timeout_s
+        self._selector.register(self._listener.socket, selectors.EVENT_READ)
+        try:
+            while missing := self._missing():
+                left = until - time.monotonic()
+                if left <= 0.0:
+                    late = f"no program has come for {missing} within {timeout_s:g} s (sockets.join_timeout_s)"
+                    advice = f"start one for each: cosim.sockets.connect(VEHICLE, '{self._listener.endpoint}')"
+                    raise FederateError("sockets", f"{late}; {advice}")
+                for key, _ in self._selector.select(min(left, GREETING_S)):
+                    if key.data is None:
+                        self._accept()
+                    else:
+                        self._read(key.data)
+                self._dismiss_silent()
+            there, self._there = self._there, {}
+            return there
+        finally:
+            self._selector.close()
+            for stream in (*self._strangers, *self._there.values()):
+                stream.socket.close()
+
+    def _missing(self) -> str:
+        return ", ".join(each for each in self._wanted if each not in self._there)
+
+    def _accept(self) -> None:
+        try:
+            end, _ = self._listener.socket.accept()
+        except OSError:  # it has gone again, or there are too many
+            return
+        end.setblocking(False)
+        stream = Stream(end, MOST_UP)
+        self._strangers[stream] = time.monotonic() + GREETING_S
+        self._selector.register(end, selectors.EVENT_READ, stream)
+        if len(self._strangers) > MOST_STRANGERS:
+            self._dismiss(next(iter(self._strangers)))
+
+    def _dismiss_silent(self) -> None:
+        now = time.monotonic()
+        for stream in [each for each, until in self._strangers.items() if until < now]:
+            self._dismiss(stream)
+
+    def _dismiss(self, stream: Stream) -> None:
+        self._strangers.pop(stream, None)
+        self._selector.unregister(stream.socket)
+        stream.socket.close()
+
+    def _read(self, stream: Stream) -> None:
+        if stream.socket.fileno() < 0:
+            return  # dismissed a moment ago
+        try:
+            piece = stream.socket.recv(PIECE)
+            stream.frames.feed(piece)
+            message = stream.frames.next()
+            word = None if message is None else up(message)
+        except BlockingIOError:
+            return
+        except (OSError, WireError):
+            piece, word = b"", None
+        if stream not in self._strangers:
+            self._lose(stream)
+        elif not piece:
+            self._dismiss(stream)
+        elif word is not None:
+            self._answer(stream, word)
+
+    def _lose(self, stream: Stream) -> None:
+        """A program has ended, or spoken, before the run has begun."""
+        (vehicle,) = [name for name, each in self._there.items() if each is stream]
+        del self._there[vehicle]
+        self._dismiss(stream)
+        self._tell(f"the program of {vehicle} has left; waiting for another")
+
+    def _answer(self, stream: Stream, word: Up) -> None:
+        """Welcome who has said who it is, or refuse it."""
+        why = self._refusal(word)
+        with contextlib.suppress(OSError):
+            stream.send(self._welcome if why is None else Refused(why))
+        if why is not None or not isinstance(word, Hello):
+            self._dismiss(stream)
+            return
+        del self._strangers[stream]
+        self._there[word.vehicle] = stream
+        self._tell(f"the program of {word.vehicle} has come; still waiting for: {self._missing() or 'none'}")
+
+    def _refusal(self, word: Up) -> str | None:
+        if not isinstance(word, Hello):
+            return "it does not say who it is"
+        if word.version != VERSION:
+            return f"it speaks version {word.version} of the protocol, the run {VERSION}: install the same vcmvsp for both"
+        if word.vehicle not in self._wanted:
+            why = unknown("vehicle", plain(word.vehicle, LONGEST_NAME), self._wanted) + " (sockets.vehicles)"
+        elif word.vehicle in self._there:
+            why = f"{word.vehicle} has a program already"
+        else:
+            return None
+        if why not in self._told and len(self._told) < MOST_TOLD:
+            self._told.add(why)
+            self._tell(f"refused a program: {why}")
+        return why

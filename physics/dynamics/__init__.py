@@ -1,0 +1,1 @@
+"""How vehicles and movable bodies move."""

@@ -1,0 +1,139 @@
+"""A fleet of quadrotors in flight: autopilots, rotors, air and rigid bodies, all of them at once.
+
+A step is `Fleet.wrench`, what acts on the bodies, and then `Fleet.integrate` for those in free air; those that may touch
+something are left to an engine that knows contacts, which writes what became of them into the fleet's arrays. `integrate` is
+the semi-implicit Euler method by which Bullet moves a free body, so a vehicle may change over at any step:
+
+    rate += dt J^-1 (torque - rate x J rate)      velocity += dt (force / m + g)      position += dt velocity
+    attitude = attitude exp(dt rate / 2)
+
+(All in the body's frame, where the new rate is the same before and after the rotation about it. Bullet also cuts rates to
+100 rad/s and turns to 45 degrees a step, which quadrotors do not reach.)
+
+Rotors: speeds follow the autopilot with a first-order lag; thrust and drag torque grow with their squares. Air: a force of
+``drag`` times the velocity against the air, along each axis of the body. Gyroscopic torques of the rotors are left out.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.physics.dynamics import rotorwash
+from vcmvsp.physics.dynamics.autopilot import Autopilot
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.dynamics.rigid_body import (
+    Floats,
+    column,
+    columns,
+    coupled,
+    gyration,
+    into_body,
+    precession,
+    rotations,
+    turned,
+)
+
+
+class Fleet:
+    """n quadrotors, a row each; they hover until they are told otherwise.
+
+    The state may be read, and written in place, between steps:
+
+    - ``position`` (n, 3) m and ``velocity`` (n, 3) m/s, world, of the centres of mass;
+    - ``attitude`` (n, 4) w, x, y, z; world_from_body; unit norm;
+    - ``rate`` (n, 3) rad/s, body;
+    - ``rotor`` (n, 4) rad/s: front, left, back, right.
+
+    Args:
+        models: one for each row.
+        positions: (n, 3) m, world, at the start.
+        headings: (n,) rad, at the start.
+        gravity: m/s2.
+    """
+
+    def __init__(self, models: Sequence[Quadrotor], positions: Any, headings: Any, gravity: float = 9.81) -> None:
+        n = len(models)
+        for model in models:
+            model.check_lift(gravity)
+        self._pilot = Autopilot(models, headings, gravity)
+        self._gravity, self._mass = gravity, column(models, "mass_kg")
+        inertia = columns([model.inertia for model in models], 3)
+        self._flexibility, self._gyration = 1.0 / inertia, gyration(inertia)
+        self._thrust_factor, self._lag_s = column(models, "thrust_factor"), column(models, "motor_lag_s")
+        self._arm, self._yaw_arm = column(models, "arm_m"), column(models, "torque_factor") / self._thrust_factor
+        self._resistance = -columns([model.drag for model in models], 3)
+        self._follow, self._step_s = np.zeros(n), 0.0  # what the rotors make up for of their lag in a step
+        self._wash = rotorwash.of(models)
+        self._rotation: Floats | None = None  # that of this step, where it is known already
+
+        # A column for each vehicle, so that NumPy works on rows that lie together.
+        self._state = np.zeros((13, n))
+        self._position, self._velocity, self._attitude, self._rate = np.split(self._state, (3, 6, 10))
+        self._position[:] = columns(positions, 3)
+        half = 0.5 * np.array(headings, float).reshape(n)
+        self._attitude[0], self._attitude[3] = np.cos(half), np.sin(half)
+        self._rotor = np.tile(np.sqrt(0.25 * self._mass * gravity / self._thrust_factor), (4, 1))
+        self.position, self.velocity, self.attitude = self._position.T, self._velocity.T, self._attitude.T
+        self.rate, self.rotor = self._rate.T, self._rotor.T
+
+    def set_velocity(self, row: int, linear: Sequence[float], yaw_rate: float) -> None:
+        """From now on move at ``linear`` m/s, world, and turn at ``yaw_rate`` rad/s; both cut to what the vehicle allows."""
+        self._pilot.set_velocity(row, linear, yaw_rate)
+
+    def set_waypoint(self, row: int, position: Sequence[float], yaw: float | None = None, speed: float | None = None) -> None:
+        """From now on go to ``position`` m and stay, facing ``yaw`` rad (None: as now), at most as fast as ``speed`` m/s."""
+        self._pilot.set_waypoint(row, position, yaw, speed)
+
+    def wrench(self, dt: float, wind: Any) -> tuple[Floats, Floats]:
+        """Let autopilots and rotors of all vehicles run on by ``dt`` s; what acts on the bodies meanwhile.
+
+        To be called once in every step of physics, for all vehicles.
+
+        Args:
+            dt: s.
+            wind: (n, 3) m/s, world.
+
+        Returns:
+            Force on the centre of mass (n, 3) N without gravity, and torque (n, 3) N m, both in the world frame.
+        """
+        rotation = self._rotation = rotations(self._attitude)
+        rotor = self._rotor
+        if dt != self._step_s:
+            self._follow, self._step_s = -np.expm1(-dt / self._lag_s), dt
+        wanted = self._pilot.rotor_speeds(dt, self._position, self._velocity, rotation, self._rate)
+        rotor += self._follow * (wanted - rotor)
+        thrust = self._thrust_factor * rotor * rotor
+        air = self._velocity - wind.T
+        if self._wash is not None:
+            self._wash.act(self._position, thrust, air)
+        pairs, differences = thrust[:2] + thrust[2:], thrust[:2] - thrust[2:]
+        body = np.empty((3, 2, len(self._mass)))
+        np.multiply(self._resistance, into_body(rotation, air), out=body[:, 0])
+        body[2, 0] += pairs[0] + pairs[1]
+        np.multiply(self._arm, differences[1], out=body[0, 1])
+        np.multiply(-self._arm, differences[0], out=body[1, 1])
+        np.multiply(self._yaw_arm, pairs[1] - pairs[0], out=body[2, 1])
+        body[:, 1] += precession(self._rate, body[:, 1], self._flexibility, self._gyration, dt)
+        terms = rotation[:, :, None] * body
+        world = terms[:, 0] + terms[:, 1] + terms[:, 2]
+        return world[:, 0].T, world[:, 1].T
+
+    def integrate(self, force: Any, torque: Any, dt: float) -> None:
+        """Move all on as free bodies by ``dt`` s under gravity and what acts on them.
+
+        After `wrench` in the same step, attitudes must still be the same as then.
+
+        Args:
+            force: (n, 3) N, world, on the centre of mass; without gravity.
+            torque: (n, 3) N m, world.
+            dt: s.
+        """
+        rotation = rotations(self._attitude) if self._rotation is None else self._rotation
+        self._rotation = None
+        torque = into_body(rotation, torque.T)
+        rate = self._rate + self._flexibility * (dt * (torque - self._gyration * coupled(self._rate)))
+        velocity = self._velocity + force.T * (dt / self._mass)
+        velocity[2] -= self._gravity * dt
+        after = (self._position + velocity * dt, velocity, turned(self._attitude, rate, dt), rate)
+        np.concatenate(after, out=self._state)

@@ -1,0 +1,66 @@
+"""Bodies of the world besides vehicles: those that can be pushed, and those that keep to a time-table; and outlines of all."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Array, Vec3
+from vcmvsp.physics.engine.interface import Motion, still
+from vcmvsp.physics.world.polygons import overlap_m
+from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.world.solids import Box, Cylinder, rectangle
+from vcmvsp.physics.world.world import Movable, Moving
+
+TOUCHES_M = 1e-9  # bodies that only touch do not overlap
+
+_SIDES = 16  # of the polygon that stands for a circle where outlines are compared
+_BROWN = (120, 100, 80)  # of bodies that name no colour
+
+
+def hull_of(solid: Box | Cylinder) -> Hull:
+    """The hull of a body of this shape, about its centre."""
+    own = solid.color or _BROWN
+    if isinstance(solid, Cylinder):
+        return Hull((2.0 * solid.radius, 2.0 * solid.radius, solid.height), kind="cylinder", color=own)
+    return Hull(solid.size, color=own)
+
+
+def start_of(movables: Sequence[Movable]) -> Motion:
+    """Movables where the world puts them, at rest."""
+    places = np.array([each.solid.center for each in movables], float).reshape(-1, 3)
+    return still(places, np.array([heading_of(each.solid) for each in movables], float))
+
+
+def heading_of(solid: Box | Cylinder) -> float:
+    """How far a solid is turned, rad."""
+    return solid.yaw_rad if isinstance(solid, Box) else 0.0
+
+
+def on_time(moving: Sequence[Moving], now_ns: int) -> Motion:
+    """Obstacles where their time-tables say they are, and as fast as they go on from there."""
+    now_s = now_ns / SECOND_NS
+    places = np.array([each.pose(now_s) for each in moving], float).reshape(-1, 4)
+    speeds = np.array([each.rates(now_s) for each in moving], float).reshape(-1, 4)
+    turning = np.zeros((len(moving), 3))
+    turning[:, 2] = speeds[:, 3]
+    return still(places[:, :3], places[:, 3])._replace(velocity=speeds[:, :3], angular_velocity=turning)
+
+
+def outline(hull: Hull, position: Vec3, heading: float) -> tuple[Array, float, float]:
+    """A level hull from above, corners (k, 2) m counter-clockwise, and its lowest and highest point, m."""
+    (length, width, height), (ahead, left, up) = hull.size, hull.offset
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y = position[0] + cos * ahead - sin * left, position[1] + sin * ahead + cos * left
+    if hull.kind == "cylinder":
+        angles = heading + np.arange(_SIDES) * (2.0 * np.pi / _SIDES)
+        corners = np.column_stack([x + 0.5 * length * np.cos(angles), y + 0.5 * width * np.sin(angles)])
+    else:
+        corners = rectangle(float(x), float(y), 0.5 * length, 0.5 * width, heading)
+    middle = position[2] + up
+    return corners, middle - 0.5 * height, middle + 0.5 * height
+
+
+def depth_m(a: tuple[Array, float, float], b: tuple[Array, float, float]) -> float:
+    """How far, m, one of two level hulls, as `outline` gives them, must be moved to be free of the other; 0 or less: it is."""
+    return min(overlap_m(a[0], b[0]), min(a[2], b[2]) - max(a[1], b[1]))

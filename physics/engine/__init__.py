@@ -1,0 +1,1 @@
+"""Protocol of a physics engine, commands to it, contacts from it."""

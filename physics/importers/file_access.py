@@ -1,0 +1,42 @@
+"""What all readers of files share: files that are not there, libraries that are not installed."""
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+from vcmvsp.cosim.errors import ScenarioError
+
+
+def require_file(path: str) -> None:
+    """Refuse, at the key ``path``, a file that is not there."""
+    if not Path(path).is_file():
+        raise ScenarioError(f"there is no file {path}", key="path")
+
+
+def text_of(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        ScenarioError: it cannot be read, or is no UTF-8.
+    """
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"cannot be read as text: {error}", source=str(path)) from error
+
+
+def library(name: str, path: str, install: str) -> Any:
+    """A module of a library that need not be installed, for the sake of a file.
+
+    Args:
+        name: of the module.
+        path: of the file, for the message.
+        install: the arguments of ``pip install``.
+
+    Raises:
+        ScenarioError: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ScenarioError(f"reading it needs {name}, which is not installed: pip install {install}", source=path) from error

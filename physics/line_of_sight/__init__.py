@@ -1,0 +1,1 @@
+"""Solids between two points."""

@@ -1,0 +1,81 @@
+"""Errors of readings: offset, drift, white noise, outliers, quantisation, as one table for all sensors.
+
+A reading is ``quantised(truth + bias + walk + drift + white + outlier)``. The drift is a first-order Gauss-Markov process: its
+autocorrelation is ``drift_sd^2 exp(-|t| / drift_time_s)``, and between readings dt apart it follows exactly
+``d' = a d + drift_sd sqrt(1 - a^2) n`` with ``a = exp(-dt / drift_time_s)`` (A. Gelb (ed.), Applied Optimal Estimation, 1974,
+chapter 3). The walk is a Wiener process that begins at 0: its variance after t seconds is ``walk^2 t``.
+"""
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability
+
+
+class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a reading errs, in the unit of what is read. A table that is given stands for all of it: what it leaves out is 0."""
+
+    bias: float = 0.0  # the same in every reading
+    bias_sd: NonNegative = 0.0  # standard deviation of a further bias, drawn once a run: from turn-on to turn-on
+    drift_sd: NonNegative = 0.0  # standard deviation of a bias that wanders about 0
+    drift_time_s: Positive = 100.0  # ... and its correlation time, s
+    walk: NonNegative = 0.0  # of a bias that wanders away: its standard deviation after 1 s, growing as the root of time
+    sigma: NonNegative = 0.0  # standard deviation of white noise
+    outlier_probability: Probability = 0.0  # of a reading to be far off
+    outlier: NonNegative = 0.0  # ... by this, upwards or downwards
+    quantum: NonNegative = 0.0  # readings are multiples of it; 0: not quantised
+
+
+class Errors:
+    """The errors of several channels that are read together, independent of each other.
+
+    All parameters are multiplied into draws whose number is always the same, so that none of them moves the others' draws: two
+    normal ones for each channel at the first reading, three normal and two uniform ones at every reading.
+    """
+
+    def __init__(self, channels: Sequence[Noise]) -> None:
+        columns = {name: np.array([getattr(each, name) for each in channels], float) for name in Noise.__struct_fields__}
+        self._bias, self._bias_sd, self._sigma = columns["bias"], columns["bias_sd"], columns["sigma"]
+        self._drift_sd, self._drift_time_s, self._walk = columns["drift_sd"], columns["drift_time_s"], columns["walk"]
+        self._outlier, self._probability = columns["outlier"], columns["outlier_probability"]
+        self._quantum = columns["quantum"]
+        self._step = np.where(self._quantum > 0.0, self._quantum, 1.0)
+        self._wanders, self._strays, self._steps = self._drift_sd.any(), self._probability.any(), self._quantum.any()
+        self._drift = np.zeros(len(channels))
+        self._last_ns: int | None = None
+        self._dt_ns = -1  # for which the next two hold
+        self._decay = self._kick = np.zeros(len(channels))
+
+    def read(self, truth: Array, now_ns: int, rng: np.random.Generator) -> Array:
+        """What is read of the truth, (channels,); readings are asked for in the order of time."""
+        if self._last_ns is None:
+            once = rng.standard_normal((2, len(self._bias)))
+            self._bias = self._bias + self._bias_sd * once[0]
+            self._drift = self._drift_sd * once[1]
+            self._last_ns = now_ns
+        dt_ns, self._last_ns = now_ns - self._last_ns, now_ns
+        white, kick, stride = rng.standard_normal((3, len(self._bias)))
+        chance, side = rng.random((2, len(self._bias)))
+        if dt_ns != self._dt_ns:
+            self._dt_ns, self._decay = dt_ns, np.exp(-1e-9 * dt_ns / self._drift_time_s)
+            self._kick = self._drift_sd * np.sqrt(1.0 - self._decay**2)
+        if self._wanders:
+            self._drift = self._decay * self._drift + self._kick * kick
+        self._bias = self._bias + (math.sqrt(1e-9 * dt_ns) * self._walk) * stride
+        reading: Array = truth + self._bias + self._drift + self._sigma * white
+        if self._strays:
+            reading += np.where(chance < self._probability, np.where(side < 0.5, -self._outlier, self._outlier), 0.0)
+        if self._steps:
+            reading = np.where(self._quantum > 0.0, self._step * np.round(reading / self._step), reading)
+        return reading
+
+
+def jump(probability: float, far_m: float, rng: np.random.Generator) -> tuple[float, float]:
+    """How far a fix is displaced, x and y m: now and then ``far_m`` in a random direction. Always two uniform draws."""
+    chance, direction = rng.random(2).tolist()
+    if chance >= probability:
+        return 0.0, 0.0
+    return far_m * math.cos(math.tau * direction), far_m * math.sin(math.tau * direction)

@@ -1,0 +1,271 @@
+"""The vehicles that a scenario can name, as sets of parameters; the engines know how each set moves.
+
+Where a vehicle is means its reference point: the middle of the wheel axle, projected onto the floor; the centre of mass of one
+that flies. Vehicles that fly with rotors are in `physics.vehicles.quadrotor`, those from a user's own files in `physics.vehicles.urdf`. Sources:
+
+* p2dx.p, amigo.p: robot parameter files of ARIA (ActivMedia/MobileRobots), where the effective track is 2 / DiffConvFactor.
+* Stage: the vehicle definitions of the Player/Stage simulator. Gazebo: those of the Gazebo simulator.
+* AMRISim: vehicle definitions of the USARSim family. MobileSim: simulator of the makers of both robots.
+* Manuals: masses and wheel radii of the makers' manuals as commonly quoted; not verified on a robot.
+* Assumed: a plausible value without a published source.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+from typing import NamedTuple, Protocol
+
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import NonNegative, Positive, Value, Vec3
+from vcmvsp.physics.sensors.pose_estimate import Fuser
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.sensors.sensor import Sensor
+
+POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
+
+
+class Vehicle(Protocol):
+    """What every vehicle has, whatever it is."""
+
+    @property
+    def radius_m(self) -> float:
+        """Of the circle that it is drawn with."""
+
+    @property
+    def height_m(self) -> float:
+        """From its lowest to its highest point, m."""
+
+    @property
+    def hull(self) -> Hull:
+        """Its outer shape, as others see and touch it."""
+
+
+class Servo(NamedTuple):
+    """How speeds follow a command where there is no body to move: a first-order lag within limits (see `physics.dynamics.kinematic_ground`)."""
+
+    tau_v_s: float = 0.0  # 0: the speed is the commanded one at once
+    tau_w_s: float = 0.0
+    accel: float = inf  # m/s2, of a growing v
+    decel: float = inf  # m/s2, of a falling v
+    yaw_accel: float = inf  # rad/s2
+    max_speed: float = inf  # m/s
+    max_yaw_rate: float = inf  # rad/s
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundVehicle:
+    """What all ground vehicles have."""
+
+    radius_m: Positive = 0.25  # of the circle that it is drawn with
+    height_m: Positive = 0.22  # from its lowest to its highest point
+
+    @property
+    def servo(self) -> Servo:
+        """How it moves as a point: exactly as commanded, unless a kind says otherwise."""
+        return Servo()
+
+    @property
+    def hull(self) -> Hull:
+        """A cylinder on the floor."""
+        return Hull((2.0 * self.radius_m, 2.0 * self.radius_m, self.height_m), (0.0, 0.0, 0.5 * self.height_m), "cylinder")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kinematic(GroundVehicle):
+    """The unicycle: its velocity is the command, at once and without limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag(GroundVehicle):
+    """A unicycle whose speeds follow the command with first-order lags, s."""
+
+    tau_v_s: NonNegative = 0.5  # lag of the forward speed
+    tau_w_s: NonNegative = 0.3  # lag of the yaw rate
+
+    @property
+    def servo(self) -> Servo:
+        """Lags without limits."""
+        return Servo(self.tau_v_s, self.tau_w_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inertial(Lag):
+    """`Lag` with the limits of a small robot: those of an AmigoBot in MobileSim (0.75 m/s, 0.3 and 0.75 m/s2).
+
+    ``accel`` limits a growing and ``decel`` a falling forward speed; these vehicles are not meant to reverse.
+    """
+
+    accel: Positive = 0.3  # m/s2, of a growing forward speed
+    decel: Positive = 0.75  # m/s2, of a falling one
+    yaw_accel: Positive = 1.5  # rad/s2, assumed
+    max_speed: Positive = 0.75  # m/s
+    max_yaw_rate: Positive = 1.75  # rad/s
+
+    @property
+    def servo(self) -> Servo:
+        """Lags within limits."""
+        limits = (self.accel, self.decel, self.yaw_accel, self.max_speed, self.max_yaw_rate)
+        return Servo(self.tau_v_s, self.tau_w_s, *limits)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DifferentialDrive(GroundVehicle):
+    """A robot of two driven wheels and a caster; a body in Bullet, elsewhere it moves exactly as commanded.
+
+    The firmware moves its set points of (v, w) towards the command within the limits below; two speed-controlled motors of
+    limited torque turn the wheels, and the friction between wheels and floor moves the robot.
+    """
+
+    mass_kg: Positive  # all of it, wheels included
+    length_m: Positive  # of the body's outline
+    width_m: Positive  # of the body's outline
+    axle_ahead_m: float  # of the middle of the outline
+    clearance_m: Positive  # between floor and body
+    mass_behind_m: Positive  # centre of mass of the body behind the axle; less than caster_behind_m, else it tips over
+    mass_height_m: Positive  # centre of mass of the body above the floor
+    caster_behind_m: Positive  # behind the axle
+    caster_friction: NonNegative = 0.05  # of caster and body: a caster rolls nearly without friction
+    wheel_radius_m: Positive  # of the driven wheels
+    wheel_mass_kg: Positive  # of each wheel
+    wheel_friction: NonNegative = 0.9  # rubber on a hard floor, assumed; times the floor's
+    track_m: Positive  # between the wheels' points of contact
+    torque: Positive  # N m, free at each wheel
+    max_speed: Positive  # m/s
+    max_yaw_rate: Positive  # rad/s
+    accel: Positive  # m/s2, away from standstill
+    decel: Positive  # m/s2, towards standstill
+    yaw_accel: Positive  # rad/s2, both ways
+
+    def __post_init__(self) -> None:
+        if 2.0 * self.wheel_mass_kg >= self.mass_kg:
+            raise ValueError(f"mass_kg = {self.mass_kg} must exceed that of both wheels, 2 x {self.wheel_mass_kg} kg")
+        if self.clearance_m >= self.height_m:
+            raise ValueError(f"clearance_m = {self.clearance_m} must be less than height_m = {self.height_m}")
+        if self.mass_behind_m >= self.caster_behind_m:
+            raise ValueError(f"mass_behind_m = {self.mass_behind_m} must be less than caster_behind_m = {self.caster_behind_m}")
+
+    @property
+    def hull(self) -> Hull:
+        """A box on the floor, with the wheels in it."""
+        return Hull((self.length_m, self.width_m, self.height_m), (-self.axle_ahead_m, 0.0, 0.5 * self.height_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class P2DX(DifferentialDrive):
+    """Pioneer 2-DX."""
+
+    radius_m: Positive = 0.25
+    height_m: Positive = 0.22  # Stage
+    mass_kg: Positive = 9.0  # manuals
+    length_m: Positive = 0.511  # p2dx.p
+    width_m: Positive = 0.425  # p2dx.p
+    axle_ahead_m: float = 0.04  # Stage
+    clearance_m: Positive = 0.05  # assumed
+    mass_behind_m: Positive = 0.03  # assumed
+    mass_height_m: Positive = 0.08  # assumed: the batteries lie low
+    caster_behind_m: Positive = 0.20  # assumed
+    wheel_radius_m: Positive = 0.0825  # manuals
+    wheel_mass_kg: Positive = 0.4  # assumed
+    track_m: Positive = 0.357  # p2dx.p; 0.33 between the middles of the tyres
+    torque: Positive = 1.2  # assumed: gives 3 m/s2
+    max_speed: Positive = 1.6  # AMRISim
+    max_yaw_rate: Positive = 8.73  # p2dx.p: 500 deg/s
+    accel: Positive = 0.3  # MobileSim
+    decel: Positive = 0.6  # MobileSim
+    yaw_accel: Positive = 1.75  # assumed: 100 deg/s2
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmigoBot(DifferentialDrive):
+    """AmigoBot, the small robot of Toh 2012."""
+
+    radius_m: Positive = 0.18
+    height_m: Positive = 0.15  # manuals
+    mass_kg: Positive = 3.6  # manuals
+    length_m: Positive = 0.330  # amigo.p
+    width_m: Positive = 0.279  # amigo.p
+    axle_ahead_m: float = 0.01  # Stage
+    clearance_m: Positive = 0.03  # assumed
+    mass_behind_m: Positive = 0.03  # assumed
+    mass_height_m: Positive = 0.06  # assumed
+    caster_behind_m: Positive = 0.12  # assumed
+    wheel_radius_m: Positive = 0.05  # manuals
+    wheel_mass_kg: Positive = 0.2  # assumed
+    track_m: Positive = 0.25  # Gazebo; amigo.p gives 0.182 as effective, which the body's width contradicts
+    torque: Positive = 0.35  # assumed: gives 4 m/s2
+    max_speed: Positive = 1.0  # amigo.p
+    max_yaw_rate: Positive = 5.24  # amigo.p: 300 deg/s
+    accel: Positive = 0.3  # MobileSim
+    decel: Positive = 0.75  # MobileSim
+    yaw_accel: Positive = 1.75  # assumed: 100 deg/s2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A vehicle in the air without a body: its velocity follows the command with a first-order lag, within its greatest speeds.
+
+    It always stays level. On its way to a way-point it follows, with the same lag, a point that moves on a straight line at
+    constant speed; so it slows down at the end only as far as the lag makes it.
+    """
+
+    radius_m: Positive = 0.25  # of the cylinder that it is drawn with
+    height_m: Positive = 0.1  # of that cylinder, around its position
+    tau_s: NonNegative = 0.0  # s; 0: it moves exactly as commanded. 0.4 is near to the quadrotor
+    max_speed: Positive = 10.0  # m/s, horizontal; assumed
+    max_climb: Positive = 5.0  # m/s, up and down; assumed
+    max_yaw_rate: Positive = 3.0  # rad/s; assumed
+
+    @property
+    def hull(self) -> Hull:
+        """A cylinder around its position."""
+        return Hull((2.0 * self.radius_m, 2.0 * self.radius_m, self.height_m), kind="cylinder")
+
+
+def flies(model: Vehicle | type[Vehicle]) -> bool:
+    """Whether it, or all of a class, takes commands of vehicles in the air."""
+    return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor)
+
+
+def body_of(model: Vehicle) -> Body:
+    """How much room a vehicle takes, for its agent."""
+    (length, width, _), (ahead, left, _), kind = model.hull[:3]
+    aside, round_m = 0.5 * width + abs(left), 0.5 * length + math.hypot(ahead, left)
+    if kind != "cylinder":
+        round_m = math.hypot(0.5 * length + abs(ahead), aside)
+    return Body(width_m=2.0 * aside, radius_m=round_m, flies=flies(model))
+
+
+class VehicleSpec(Value, frozen=True, kw_only=True):
+    """One vehicle of a run: what it is, where it starts, what it carries, and what it takes for its own pose."""
+
+    name: str
+    model: Vehicle
+    position: Vec3 = (0.0, 0.0, 0.0)  # m, world; on the ground z does not count; too low to fly: it stands on the floor
+    heading: float = 0.0  # rad
+    pose_source: str = "truth"  # "truth" | "odometry" | "positioning" | "fusion"
+    positioning: Positioning | None = None  # the sensor, if fitted
+    fusion: Fuser | None = None  # makes one pose of odometry and fixes, if that is its source; every run has its own copy
+    sensors: Mapping[str, Sensor] = {}  # others, by name
+
+    def __post_init__(self) -> None:
+        key = "pose_source"
+        if self.pose_source not in POSE_SOURCES:
+            raise ScenarioError(f'"{self.pose_source}" is none of {", ".join(POSE_SOURCES)}', key=key)
+        if self.pose_source == "positioning" and self.positioning is None:
+            raise ScenarioError('"positioning" needs the sensor of that name to be fitted to the vehicle', key=key)
+        if self.fusion is not None and self.positioning is None:
+            raise ScenarioError('"fusion" needs the sensor "positioning" to be fitted to the vehicle', key=key)
+        if (self.pose_source == "odometry" or self.fusion is not None) and flies(self.model):
+            raise ScenarioError(f'"{self.pose_source}" needs wheels, which a vehicle that flies has none of', key=key)
+
+    @property
+    def start(self) -> Vec3:
+        """Where it really starts: on the ground, z = 0; in the air, not lower than its hull lets it stand on the floor."""
+        x, y, z = self.position
+        hull = self.model.hull
+        lowest = 0.5 * hull.size[2] - hull.offset[2]
+        return (x, y, max(z, lowest) if z >= 0.0 else z) if flies(self.model) else (x, y, 0.0)

@@ -1,0 +1,1 @@
+"""What surrounds vehicles: solids, floor, targets, geometry; the scene at one instant."""

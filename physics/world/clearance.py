@@ -1,0 +1,173 @@
+"""How near the nearest solid is: to one place, and to all places that vehicles came by."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Array
+from vcmvsp.physics.world.shapes import Group
+from vcmvsp.physics.world.solids import Cylinder
+from vcmvsp.physics.world.world import Moving, World, made_once
+
+_STRETCH = 32  # places of a way that share a bounding box
+_AT_ONCE = 256  # stretches that are looked at place by place in one go
+_GAPS_AT_ONCE = 1 << 20  # of boxes, which bounds the memory that they take
+
+
+class Near(NamedTuple):
+    """The point of all solids that is nearest to a place."""
+
+    distance_m: float
+    point: Array  # (3,) m, world
+
+
+class Clearance:
+    """Distances to the solids of a world; the floor is none of them. A mesh has no inside, and is 0 away only on its faces."""
+
+    def __init__(self, world: World) -> None:
+        groups, self._triangles = world.shapes.groups, world.shapes.triangles
+        low = [np.column_stack([group.corners.min(axis=1), group.bottom]) for group in groups]
+        high = [np.column_stack([group.corners.max(axis=1), group.top]) for group in groups]
+        self._low = np.ascontiguousarray(np.concatenate([*low, self._triangles.min(axis=1)]).T)  # of all pieces, (3, p) m
+        self._high = np.ascontiguousarray(np.concatenate([*high, self._triangles.max(axis=1)]).T)
+        ends = np.cumsum([0, *(len(group.bottom) for group in groups)]).tolist()
+        self._groups = list(zip(groups, ends[:-1], ends[1:], strict=True))
+        self._first_triangle = ends[-1]
+
+    def nearest(self, place: Array, reach_m: float) -> Near | None:
+        """The nearest point of any solid, if it is less than ``reach_m`` away; inside a solid that is the place itself."""
+        at = place[:, None]
+        (near,) = np.nonzero(((self._low - reach_m < at) & (at < self._high + reach_m)).all(axis=0))  # by bounding boxes
+        if not near.size:
+            return None
+        candidates = self._points(near, np.broadcast_to(place, (len(near), 3)))
+        distances = np.linalg.norm(candidates - place, axis=1)
+        best = int(distances.argmin())
+        return Near(float(distances[best]), candidates[best]) if distances[best] < reach_m else None
+
+    def least_m(self, way: Array, below_m: float = math.inf) -> float:
+        """The smallest distance of any place of a way (k, 3) m to any solid, m, or ``below_m`` if none is smaller.
+
+        Boxes around the way, around stretches of it, and around the solids leave few places to be measured, nearest first.
+        """
+        if not len(way) or not self._low.shape[1]:
+            return below_m
+        gaps = _gaps(way.min(axis=0)[:, None], way.max(axis=0)[:, None], self._low, self._high)
+        below_m = self._measured(gaps.argmin(axis=0, keepdims=True), way[:1], below_m)
+        (pieces,) = np.nonzero(gaps < below_m * below_m)
+        filled = np.concatenate([way, np.repeat(way[-1:], -len(way) % _STRETCH, axis=0)])
+        stretches = filled.reshape(-1, _STRETCH, 3)
+        rows = max(1, _GAPS_AT_ONCE // max(1, len(pieces)))
+        for first in range(0, len(stretches) if len(pieces) else 0, rows):
+            below_m = self._along(stretches[first : first + rows], pieces, below_m)
+        return below_m
+
+    def _along(self, stretches: Array, pieces: Array, below_m: float) -> float:
+        """The same of stretches (b, k, 3) m of a way and some of the pieces."""
+        low, high = stretches.min(axis=1)[:, :, None], stretches.max(axis=1)[:, :, None]
+        gaps = _gaps(low, high, self._low[:, pieces], self._high[:, pieces])
+        below_m = self._measured(pieces[gaps.argmin(axis=1)], stretches[:, 0], below_m)  # nearly all others drop out
+        stretch, piece = np.nonzero(gaps < below_m * below_m)
+        gap = gaps[stretch, piece]
+        order = np.argsort(gap)
+        for chosen in np.split(order, range(_AT_ONCE, len(order), _AT_ONCE)):
+            if not chosen.size or gap[chosen[0]] >= below_m * below_m:
+                break
+            places, near = stretches[stretch[chosen]], pieces[piece[chosen]]
+            at = places.transpose(0, 2, 1)
+            pair, place = np.nonzero(_gaps(at, at, self._low.T[near, :, None], self._high.T[near, :, None]) < below_m * below_m)
+            below_m = self._measured(near[pair], places[pair, place], below_m)
+        return below_m
+
+    def _measured(self, pieces: Array, places: Array, below_m: float) -> float:
+        """The smallest distance of a piece to the place (3,) m beside it, or ``below_m``."""
+        distances = np.linalg.norm(self._points(pieces, places) - places, axis=1)
+        return min(below_m, float(distances.min(initial=math.inf)))
+
+    def _points(self, pieces: Array, places: Array) -> Array:
+        """Of each of q pieces the point that is nearest to the place (q, 3) m beside it, (q, 3) m."""
+        points = np.empty((len(pieces), 3))
+        for group, first, end in self._groups:
+            own = (pieces >= first) & (pieces < end)
+            if own.any():
+                points[own] = _of_prisms(group, pieces[own] - first, places[own])
+        own = pieces >= self._first_triangle
+        if own.any():
+            points[own] = _of_triangles(self._triangles[pieces[own] - self._first_triangle], places[own])
+        return points
+
+
+def least_clearance_m(world: World, time_ns: Array, position: Array) -> float | None:
+    """The smallest distance of vehicles to anything in their way, solid or obstacle with a time-table, at any of m instants, m.
+
+    Movables and the floor do not count.
+
+    Args:
+        world: what is in the way.
+        time_ns: (m,) the instants.
+        position: (3, m, n) m, world, of n vehicles; NaN where there was none.
+
+    Returns:
+        None: there was nothing, or nobody.
+    """
+    solids, least = made_once(world, Clearance), math.inf
+    for way in position.transpose(2, 1, 0):
+        least = solids.least_m(way[np.isfinite(way).all(axis=1)], least)
+    for each in world.moving:
+        least = float(np.fmin.reduce(_to_moving(each, time_ns, position), axis=None, initial=least))
+    return least if least < math.inf else None
+
+
+def _to_moving(moving: Moving, time_ns: Array, position: Array) -> Array:
+    """Distances (m, n) m of places to an obstacle where it is at their instants."""
+    x, y, z, yaw = np.array([moving.pose(now_ns / SECOND_NS) for now_ns in time_ns.tolist()]).reshape(-1, 4).T[:, :, None]
+    dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
+    solid = moving.solid
+    if isinstance(solid, Cylinder):
+        beyond = [np.hypot(dx, dy) - solid.radius, np.abs(dz) - 0.5 * solid.height]
+    else:
+        cos, sin, half = np.cos(yaw), np.sin(yaw), 0.5 * np.array(solid.size)
+        local = (cos * dx + sin * dy, cos * dy - sin * dx, dz)
+        beyond = [np.abs(each) - reach for each, reach in zip(local, half, strict=True)]
+    distance: Array = np.sqrt(sum(np.maximum(each, 0.0) ** 2 for each in beyond))
+    return distance
+
+
+def _gaps(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
+    """Squared distances (..., p) m2 of boxes, whose corners broadcast to (..., 3, p) m."""
+    total: Array = np.zeros(())
+    for axis in range(3):
+        gap = np.maximum(other_low[..., axis, :] - high[..., axis, :], low[..., axis, :] - other_high[..., axis, :])
+        np.maximum(gap, 0.0, out=gap)
+        total = total + np.multiply(gap, gap, out=gap)
+    return total
+
+
+def _of_prisms(group: Group, numbers: Array, places: Array) -> Array:
+    """The nearest point of each of these upright convex prisms to the place (q, 3) m beside it, (q, 3) m."""
+    corners, flat = group.corners[numbers], places[:, :2]
+    edges = np.roll(corners, -1, axis=1) - corners
+    to = flat[:, None] - corners
+    inside = (edges[..., 0] * to[..., 1] - edges[..., 1] * to[..., 0] >= 0.0).all(axis=1)
+    along = np.clip((to * edges).sum(axis=2) / (edges * edges).sum(axis=2), 0.0, 1.0)
+    feet = corners + along[..., None] * edges
+    best = ((feet - flat[:, None]) ** 2).sum(axis=2).argmin(axis=1)
+    points = np.where(inside[:, None], flat, feet[np.arange(len(feet)), best])
+    return np.column_stack([points, np.clip(places[:, 2], group.bottom[numbers], group.top[numbers])])
+
+
+def _of_triangles(triangles: Array, places: Array) -> Array:
+    """The nearest point of each triangle to the place beside it, (t, 3) m: the foot of the perpendicular, or one on an edge."""
+    edges = np.roll(triangles, -1, axis=1) - triangles
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    square = (normals * normals).sum(axis=1)
+    to = places[:, None] - triangles
+    inside = ((np.cross(edges, to) * normals[:, None]).sum(axis=2) >= 0.0).all(axis=1) & (square > 0.0)
+    height = (to[:, 0] * normals).sum(axis=1) / np.where(square > 0.0, square, 1.0)
+    along = np.clip((to * edges).sum(axis=2) / np.maximum((edges * edges).sum(axis=2), 1e-300), 0.0, 1.0)
+    feet = triangles + along[..., None] * edges
+    best = ((feet - places[:, None]) ** 2).sum(axis=2).argmin(axis=1)
+    points: Array = np.where(inside[:, None], places - height[:, None] * normals, feet[np.arange(len(feet)), best])
+    return points

@@ -1,0 +1,204 @@
+"""Solids that stand still: boxes, cylinders, prisms, meshes; and the convex pieces that everything else is made to understand.
+
+Whoever looks at a world (collisions, range scanners, cameras, the radio, pictures) looks at the same pieces: convex prisms with
+a vertical axis (`Upright`), and the triangles of meshes. A cylinder is a regular polygon to all of them alike.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.types import Array, Positive, Vec3
+from vcmvsp.physics.world.polygons import convex_parts, problem_of
+
+_Level = Annotated[int, msgspec.Meta(ge=0, le=255)]
+Color = tuple[_Level, _Level, _Level]  # red, green, blue
+Point2 = tuple[float, float]
+
+_SAGITTA_M = 0.002  # a cylinder's polygon is nowhere further inside the circle than this, as long as 64 corners do
+_FEWEST, _MOST = 16, 64
+
+MATERIAL_COLORS: dict[str, Color] = {
+    "concrete": (168, 166, 160),
+    "brick": (164, 84, 66),
+    "plasterboard": (232, 228, 218),
+    "wood": (176, 128, 80),
+    "glass": (150, 190, 205),
+    "metal": (130, 136, 144),
+    "stone": (140, 134, 122),
+}
+"""What solids look like that name no colour of their own."""
+
+_PLAIN: Color = (176, 176, 176)  # of a material that is not among them
+
+
+class Upright(NamedTuple):
+    """A convex prism with a vertical axis."""
+
+    corners: Array  # (k, 2) m, counter-clockwise seen from above
+    bottom: float  # m
+    top: float
+
+
+class Solid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What all solids have.
+
+    Args:
+        material: what it is made of, a name for the radio's obstruction loss.
+        color: red, green, blue, 0 to 255; default: that of its material.
+    """
+
+    material: str = "concrete"
+    color: Color | None = None
+
+    @property
+    def words(self) -> str:
+        """What it is and where, for messages."""
+        raise NotImplementedError
+
+    def uprights(self) -> Sequence[Upright]:
+        """Convex prisms that fill it and do not overlap."""
+        raise NotImplementedError
+
+
+class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="box"):
+    """A wall, a table, a building. Where it may be a cylinder as well: ``kind = "box"``.
+
+    Args:
+        center: of the box, m, world; a box on the floor has its centre at half its height.
+        size: length, width and height, m, before it is turned.
+        yaw_rad: turned by this about the vertical through its centre.
+    """
+
+    center: Vec3
+    size: Vec3
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(value) for value in (*self.center, *self.size, self.yaw_rad)) or min(self.size) <= 0.0:
+            raise ValueError(f"a box needs finite numbers and three positive sizes, not center {self.center}, size {self.size}")
+
+    @property
+    def words(self) -> str:
+        """What it is and where, for messages."""
+        return f"the box at {self.center}, size {self.size}"
+
+    def uprights(self) -> list[Upright]:
+        """Itself."""
+        (x, y, z), (length, width, height) = self.center, self.size
+        corners = rectangle(x, y, 0.5 * length, 0.5 * width, self.yaw_rad)
+        return [Upright(corners, z - 0.5 * height, z + 0.5 * height)]
+
+
+class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="cylinder"):
+    """A pillar, a tree trunk, a tank. Where it may be a box as well: ``kind = "cylinder"``.
+
+    Args:
+        center: of the cylinder, m, world.
+        radius: of the cylinder, m.
+        height: of the cylinder, m.
+    """
+
+    center: Vec3
+    radius: Positive
+    height: Positive
+
+    def __post_init__(self) -> None:
+        numbers = (*self.center, self.radius, self.height)
+        if not all(math.isfinite(value) for value in numbers) or min(self.radius, self.height) <= 0.0:
+            sizes = f"radius {self.radius}, height {self.height}"
+            raise ValueError(f"a cylinder needs finite numbers, and positive sizes, not center {self.center}, {sizes}")
+
+    @property
+    def words(self) -> str:
+        """What it is and where, for messages."""
+        return f"the cylinder at {self.center}, radius {self.radius:g}, height {self.height:g}"
+
+    def uprights(self) -> list[Upright]:
+        """A regular polygon inside the circle."""
+        x, y, z = self.center
+        sides = math.ceil(math.pi / math.acos(1.0 - min(_SAGITTA_M / self.radius, 0.5)))
+        angles = math.tau * np.arange(max(_FEWEST, min(sides, _MOST))) / max(_FEWEST, min(sides, _MOST))
+        corners = np.column_stack([x + self.radius * np.cos(angles), y + self.radius * np.sin(angles)])
+        return [Upright(corners, z - 0.5 * self.height, z + 0.5 * self.height)]
+
+
+class Prism(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Any outline, raised: a building of many corners, the outer wall of a room.
+
+    Args:
+        outline: corners, m, world, either way round, not crossing itself; it need not be convex.
+        holes: outlines within it that are left open: courtyards.
+        bottom: above the floor, m.
+        height: from bottom to top, m.
+    """
+
+    outline: tuple[Point2, ...]
+    height: Positive
+    bottom: float = 0.0
+    holes: tuple[tuple[Point2, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        if problem := problem_of(self.outline, self.holes):
+            raise ValueError(f"the outline of a prism {problem}")
+        if not math.isfinite(self.bottom) or not math.isfinite(self.height) or self.height <= 0.0:
+            raise ValueError(f"a prism needs a finite bottom and a positive height, not {self.bottom} and {self.height}")
+
+    @property
+    def words(self) -> str:
+        """What it is and where, for messages."""
+        return f"the prism of {len(self.outline)} corners, the first at {self.outline[0]}"
+
+    def uprights(self) -> list[Upright]:
+        """Its convex parts."""
+        return [Upright(part, self.bottom, self.bottom + self.height) for part in convex_parts(self.outline, self.holes)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles, closed or not, e.g. from a file.
+
+    Args:
+        triangles: (t, 3, 3) m, world; counter-clockwise seen from outside. Finite.
+        material: as `Solid`.
+        color: as `Solid`.
+    """
+
+    triangles: Array
+    material: str = "concrete"
+    color: Color | None = None
+
+    def __post_init__(self) -> None:
+        if self.triangles.ndim != 3 or self.triangles.shape[1:] != (3, 3):
+            raise ValueError(f"a mesh needs triangles of shape (t, 3, 3), not {self.triangles.shape}")
+        if not np.isfinite(self.triangles).all():
+            (bad,) = np.nonzero(~np.isfinite(self.triangles).all(axis=(1, 2)))
+            raise ValueError(f"triangle {bad[0]} of a mesh has a corner that is not finite")
+
+    @property
+    def words(self) -> str:
+        """What it is, for messages."""
+        return f"the mesh of {len(self.triangles)} triangles"
+
+    def uprights(self) -> Sequence[Upright]:
+        """None: it is seen by its triangles."""
+        return ()
+
+
+AnySolid = Solid | Mesh
+
+
+def color_of(solid: AnySolid) -> Color:
+    """Its own colour, or that of its material."""
+    return solid.color or MATERIAL_COLORS.get(solid.material, _PLAIN)
+
+
+def rectangle(x: float, y: float, half_length: float, half_width: float, yaw: float) -> Array:
+    """The corners of a rectangle around (x, y), (4, 2) m, counter-clockwise; its length lies along ``yaw``, rad."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    a, b = half_length, half_width
+    return np.array([(x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))])

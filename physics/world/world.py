@@ -1,0 +1,209 @@
+"""What surrounds the vehicles: a flat floor, solids on it, things that move, wind and light.
+
+One description serves all: Bullet collides with its triangles (`World.mesh`), scanners, cameras and the radio look at its
+pieces (`World.shapes`).
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Vec3
+from vcmvsp.physics.world.overlap import Blocking, outside_m
+from vcmvsp.physics.world.floor import Ground
+from vcmvsp.physics.world.shapes import Shapes, mesh_of, shapes_of
+from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder
+from vcmvsp.physics.world.targets import PlacedTarget
+
+__all__ = ["Ground", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]
+
+T = TypeVar("T")
+
+
+class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A rectangle of the floor with a friction of its own for robots: ice, mud. Where zones overlap, the last one counts.
+
+    Args:
+        center: x, y, m.
+        size: length and width, m, before it is turned.
+        yaw_rad: turned by this.
+        friction: multiplies that of robots on it, in place of the floor's; movables and quadrotors keep to the floor's.
+        color: it is painted in, if at all.
+    """
+
+    center: tuple[float, float]
+    size: tuple[float, float]
+    yaw_rad: float = 0.0
+    friction: NonNegative
+    color: Color | None = None
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (*self.center, *self.size, self.yaw_rad))) or min(self.size) <= 0.0:
+            raise ValueError(f"a zone needs finite numbers and two positive sizes, not center {self.center}, size {self.size}")
+
+
+class Wind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Air that moves: the same everywhere, steady or in gusts.
+
+    Args:
+        velocity: of the mean wind, m/s, world.
+        gust: standard deviation of what is added to each horizontal component, m/s (half of it vertically).
+        gust_time_s: correlation time of the gusts.
+    """
+
+    velocity: Vec3 = (0.0, 0.0, 0.0)
+    gust: NonNegative = 0.0
+    gust_time_s: Positive = 2.0
+
+
+class Light(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A sun without shadows: how bright a face is depends on its direction.
+
+    Args:
+        direction: from the world to the sun, any length.
+        ambient: brightness of faces turned away from it; faces turned to it have 1.
+    """
+
+    direction: Vec3 = (0.3, 0.2, 1.0)
+    ambient: Probability = 0.6
+
+    def __post_init__(self) -> None:
+        if not any(self.direction) or not all(map(math.isfinite, self.direction)):
+            raise ValueError(f"light needs a direction of some length, not {self.direction}")
+
+
+class Movable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A body that can be pushed, with the shape and place of ``solid`` at the start.
+
+    Args:
+        name: unique in the world.
+        solid: a `Box` or a `Cylinder`: ``{ kind = "box", center = [2, 0, 0.2], size = [0.4, 0.4, 0.4] }``.
+        mass_kg: evenly distributed.
+        friction: of its faces.
+    """
+
+    name: str
+    solid: Box | Cylinder
+    mass_kg: Positive
+    friction: NonNegative = 0.5
+
+
+class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An obstacle that keeps to a time-table, whatever stands in its way: at ``way[i]`` at ``times_s[i]``, straight between.
+
+    Args:
+        name: unique in the world.
+        solid: a `Box` or a `Cylinder`; where it says it is does not matter.
+        times_s: increasing.
+        way: centre of the solid, x, y, z m, and its yaw, rad, at each of the times.
+        loop: begin again after the last time; else it stays there.
+    """
+
+    name: str
+    solid: Box | Cylinder
+    times_s: tuple[float, ...]
+    way: tuple[tuple[float, float, float, float], ...]
+    loop: bool = False
+
+    def __post_init__(self) -> None:
+        rising = all(a < b for a, b in zip(self.times_s, self.times_s[1:], strict=False))
+        numbers = (*self.times_s, *(value for place in self.way for value in place))
+        if not rising or len(self.times_s) != len(self.way) or not self.way or not all(map(math.isfinite, numbers)):
+            raise ValueError(f"the moving obstacle {self.name!r} needs as many finite places in way as increasing times_s")
+
+    def pose(self, time_s: float) -> tuple[float, float, float, float]:
+        """Where its centre is, x, y, z m, and its yaw, rad."""
+        time_s = self._in_table(time_s)
+        columns = zip(*self.way, strict=True)
+        x, y, z, yaw = (float(np.interp(time_s, self.times_s, column)) for column in columns)
+        return x, y, z, yaw
+
+    def rates(self, time_s: float) -> tuple[float, float, float, float]:
+        """How fast its centre goes on from there, m/s, and it turns, rad/s; jumping back to the first place does not count."""
+        time_s = self._in_table(time_s)
+        k = bisect_right(self.times_s, time_s)
+        if k in (0, len(self.times_s)):
+            return 0.0, 0.0, 0.0, 0.0
+        span_s = self.times_s[k] - self.times_s[k - 1]
+        x, y, z, yaw = ((there - here) / span_s for here, there in zip(self.way[k - 1], self.way[k], strict=True))
+        return x, y, z, yaw
+
+    def _in_table(self, time_s: float) -> float:
+        """The time of the table that stands for a time of the run."""
+        first, last = self.times_s[0], self.times_s[-1]
+        return first + (time_s - first) % (last - first) if self.loop and last > first else time_s
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A flat floor at z = 0 and what is on and above it.
+
+    Args:
+        solids: what stands still.
+        movables: bodies that can be pushed.
+        moving: obstacles that keep to a time-table.
+        targets: flat things on the floor that somebody is to find.
+        floor_friction: multiplies the friction of what rolls or slides on it.
+        zones: parts of the floor with another friction.
+        ground: how the floor looks.
+        wind: see `Wind`.
+        light: see `Light`.
+        bounds: west, south, east and north end, m: vehicles start inside. None: no end.
+        name: for titles and messages.
+    """
+
+    solids: tuple[AnySolid, ...] = ()
+    movables: tuple[Movable, ...] = ()
+    moving: tuple[Moving, ...] = ()
+    targets: tuple[PlacedTarget, ...] = ()
+    floor_friction: NonNegative = 1.0
+    zones: tuple[Zone, ...] = ()
+    ground: Ground = field(default_factory=Ground)
+    wind: Wind = field(default_factory=Wind)
+    light: Light = field(default_factory=Light)
+    bounds: tuple[float, float, float, float] | None = None
+    name: str = "world"
+
+    @cached_property
+    def shapes(self) -> Shapes:
+        """Its solids in pieces, for whoever looks at all of them at once."""
+        return shapes_of(self.solids)
+
+    def mesh(self) -> tuple[Array, Array]:
+        """All solids as one mesh: vertices (v, 3) m, and triangles (t, 3) int, counter-clockwise seen from outside."""
+        return mesh_of(self.shapes)
+
+    def outside(self, x: float, y: float) -> float:
+        """How far a place lies beyond the bounds, m; 0: inside, or there are none."""
+        return 0.0 if self.bounds is None else outside_m(self.bounds, x, y)
+
+    def blocking(self, corners: Array, bottom: float, top: float) -> tuple[AnySolid, float] | None:
+        """What a body would be inside of: the solid that it reaches into most, and how far it must be moved to be free, m.
+
+        Args:
+            corners: convex outline of the body from above, (k, 2) m, counter-clockwise.
+            bottom: m.
+            top: m.
+        """
+        found = self._blocking.deepest(corners, bottom, top)
+        return None if found is None else (self.solids[found[0]], found[1])
+
+    @cached_property
+    def _blocking(self) -> Blocking:
+        return Blocking(self.shapes)
+
+
+def made_once(world: World, make: Callable[[World], T]) -> T:
+    """What ``make`` makes of a world, kept as long as the world is: worlds never change."""
+    kept: dict[str, Any] = vars(world)  # where a cached property keeps its value
+    name = f"_{make.__module__}.{make.__qualname__}"
+    if name not in kept:
+        kept[name] = make(world)
+    made: T = kept[name]
+    return made

@@ -1,0 +1,31 @@
+"""Worlds that hold what the scenario lists, and nothing else."""
+
+from dataclasses import dataclass, field
+
+from vcmvsp.physics.world.floor import Ground
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds.surroundings import BARE, Bounds, Surroundings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Empty(Surroundings):
+    """A floor, and nothing on it but what is listed (kind ``empty``)."""
+
+    ground: Ground = BARE  # how the floor looks
+    bounds: Bounds | None = None  # west, south, east, north end, m: vehicles start inside; None: no end
+
+    def build(self) -> World:
+        """The world itself."""
+        return self.complete("empty", ground=self.ground, bounds=self.bounds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Boxes(Empty):
+    """Boxes as the scenario lists them (kind ``boxes``): ``boxes = [{ center = [2, 0, 0.5], size = [0.2, 4, 1] }]``."""
+
+    boxes: tuple[Box, ...] = field()  # without a default: whoever asks for boxes lists them
+
+    def build(self) -> World:
+        """The world itself."""
+        return self.complete("boxes", ground=self.ground, bounds=self.bounds)

@@ -1,0 +1,313 @@
+"""All methods, through `Steering`: fields of boxes, every kind of scanner, and what they must not do."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
+from vcmvsp.agents.avoidance.gaps import gaps_ahead
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.cosim.agent import VehicleInfo
+from vcmvsp.cosim.types import Scan
+from tests.support.agents.obstacle_fields import (
+    WHEELS,
+    WINGS,
+    Box,
+    scattered,
+    seen_from,
+    steered,
+    steering,
+    sweep,
+)
+
+FIELD = PotentialField(core=0.3, reach=0.8)
+METHODS = [FIELD, Gap(), Vfh(), DynamicWindow()]
+NAMES = [type(each).__name__ for each in METHODS]
+IN_THE_AIR = [PotentialField(), Gap(), Vfh()]
+AHEAD: list[Box] = [((0.7, -0.25), (1.2, 0.25))]
+ALONG: dict[str, Any] = {
+    "half a turn": {},
+    "from 0": {"fov": math.tau, "first": 0.0},
+    "turned": {"fov": math.tau, "first": 2.9},
+}
+RING: Any = {"beams": 32, "fov": math.tau, "first": 0.0}
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+@pytest.mark.parametrize("scanner", ALONG)
+@pytest.mark.parametrize("every", [1, 4])
+def test_it_touches_nothing_and_mostly_gets_there(method: Settings, scanner: str, every: int) -> None:
+    rng = np.random.default_rng(5)
+    ways = [
+        steered(method, scattered(rng), (6.0, 0.0), every=every, seconds=45.0, beams=121, **ALONG[scanner]) for _ in range(3)
+    ]
+    assert min(way.clearance for way, _ in ways) > WHEELS.radius_m
+    assert sum(there for _, there in ways) >= (1 if method is FIELD else 2)
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_gaps_lead_through_fields_of_boxes(level: int) -> None:
+    """Their middles alone do not: what stands nearer than a gap reaches into the way there."""
+    rng, stuck = np.random.default_rng(5), 0
+    for k in range(18):
+        boxes = scattered(rng)
+        if k in {4, 5, 7, 10, 14, 15, 17}:  # where heading for the middle stood for ever
+            way, there = steered(Gap(level=level), boxes, (6.0, 0.0), seconds=45.0)
+            stuck += not there
+            assert level == 1 or way.clearance > WHEELS.radius_m  # at level 1 nothing slows it down near things
+            turns = [each.yaw_rate for each in way.decisions if each.mode == "turn"]
+            assert sum(a != b for a, b in pairwise(turns)) <= 3  # it does not tremble
+    assert stuck <= 1  # between two boxes it still turns to and fro at one place
+
+
+@pytest.mark.parametrize("start", [(-1.8, 1.3, 0.0), (-1.0, -1.2, 0.3), (-0.8, 0.9, -0.3)])
+def test_gaps_lead_through_a_door_that_is_seen_from_the_side(start: tuple[float, float, float]) -> None:
+    walls: list[Box] = [
+        ((-0.01, 0.35), (0.01, 4.0)),
+        ((-0.01, -4.0), (0.01, -0.35)),
+        ((-3.01, -4.0), (-3.0, 4.0)),
+        ((-3.0, 4.0), (0.0, 4.01)),
+        ((-3.0, -4.01), (0.0, -4.0)),
+    ]
+    way, there = steered(Gap(), walls, (2.0, 0.4), start=start)
+    assert there
+    assert way.clearance > WHEELS.radius_m
+
+
+@pytest.mark.parametrize("bad", [math.nan, 0.0, -math.inf])
+@pytest.mark.parametrize("speed", [0.0, 0.1])
+@pytest.mark.parametrize("method", IN_THE_AIR)
+def test_a_beam_that_is_out_of_order_drives_nobody_on(method: Settings, speed: float, bad: float) -> None:
+    for beam in range(0, 32, 5):
+        made, fastest = steering(method, WINGS), 0.0
+        for tick in range(20):
+            scan = sweep((0.0, 0.0, 0.0), [], tick, **RING)
+            if tick >= 2:
+                scan.ranges[beam] = bad
+            decision = made.steer(seen_from((0.0, 0.0, 0.0), scan, tick), Task((speed, 0.0)))
+            fastest = max(fastest, math.hypot(*decision.velocity))
+        assert fastest <= speed + 1e-9
+
+
+def hovering(method: Settings, task: Task, boxes: list[Box]) -> float:
+    made = steering(method, WINGS)
+    decision = made.steer(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), boxes, **RING), 0), task)
+    return math.hypot(*decision.velocity)
+
+
+@pytest.mark.parametrize("method", [Gap(), Vfh()])
+@pytest.mark.parametrize("yaw_rate", [0.0, 1e-6, 0.1])
+def test_whoever_hovers_goes_on_hovering(method: Settings, yaw_rate: float) -> None:
+    for aim, leader in ((None, None), ((3.0, 0.0), None), ((0.02, 0.0), (1.0, 0.0))):
+        assert hovering(method, Task((0.0, 0.0), yaw_rate, aim, leader), AHEAD) == 0.0
+
+
+@pytest.mark.parametrize("method", [Gap(), Vfh()])
+def test_whoever_keeps_a_place_in_the_air_stays_near_it(method: Settings) -> None:
+    """Its place is 2 cm off, and something stands 0.7 m away: no reason to go elsewhere, nor to hurry."""
+    for aside in np.linspace(-math.pi, math.pi, 9):
+        aim = 0.02 * math.cos(aside), 0.02 * math.sin(aside)
+        assert hovering(method, Task((0.8 * aim[0], 0.8 * aim[1]), 0.0, aim, (1.0, 1.0)), AHEAD) <= 0.017
+
+
+def test_a_follower_in_the_air_catches_up_no_faster_than_its_place_is_far() -> None:
+    task = Task((0.1, 0.0), 0.0, (0.5, 0.0), (1.0, 0.0))
+    assert hovering(Vfh(level=1), task, AHEAD) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("speed", [0.5, 3.0])
+def test_what_vanishes_is_not_believed_wherever_the_speed_was_limited(speed: float) -> None:
+    made, task = steering(PotentialField(max_speed=3.0), WINGS), Task((speed, 0.0), max_speed=3.0)
+    near = [((2.9 if speed > 1.0 else 1.1, -3.0), (3.5, 3.0))]
+    before = made.steer(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), near, **RING), 0), task)
+    after = made.steer(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [], 1, **RING), 1), task)
+    assert made.level >= 1
+    assert math.hypot(*after.velocity) <= math.hypot(*before.velocity) + 1e-9 < speed
+
+
+def test_what_a_method_takes_for_its_speed_is_what_was_commanded() -> None:
+    """Five seconds it stood, blind or with nowhere to go: the window begins at standstill."""
+    for stands in (None, sweep((0.0, 0.0, 0.0), [])):
+        made = steering(DynamicWindow())
+        for tick in range(30):
+            made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [], tick), tick), (0.6, 0.0), (9.0, 0.0))
+        for tick in range(30, 80):
+            here = seen_from((0.0, 0.0, 0.0), stands and sweep((0.0, 0.0, 0.0), [], tick), tick)
+            made.limit(here, (0.0, 0.0))
+        here = seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [((1.15, -0.25), (1.6, 0.25))], 80), 80)
+        assert made.drive(here, (0.05, 0.0), (9.0, 0.0)).velocity[0] <= 0.05 + 1e-9
+
+
+class Asked:
+    """Keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.now = list[tuple[float, float]]()
+
+    def decide(self, view: View, task: Task) -> Any:
+        self.now.append(task.now)
+        return Vfh().method(WHEELS, 0.1).decide(view, task)
+
+
+def test_a_method_is_told_what_was_commanded_after_all_limits() -> None:
+    made, asked = steering(Vfh()), Asked()
+    made._method = asked
+    wall: list[Box] = [((0.4, -0.1), (0.5, 0.1))]
+    for tick in range(3):
+        made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, tick), tick), (0.5, 0.1), (0.3, 0.0))
+    made.limit(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 3), 3), (0.02, 0.2))
+    last = made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 4), 4), (0.5, 0.1), (0.3, 0.0))
+    assert asked.now[0] == (0.0, 0.0)
+    assert asked.now[1][0] <= 0.4 * (0.4 - 0.23 - 0.03) + 1e-9  # 0.4 m away, it keeps 0.23 m
+    assert asked.now[3] == (0.02, 0.2)
+    made.steer(seen_from((0.0, 0.0, 0.0), None, 5), Task((0.5, 0.0)))
+    made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 6), 6), (0.5, 0.1), (0.3, 0.0))
+    assert asked.now[4] == (0.0, 0.0) != (last.velocity[0], last.yaw_rate)
+
+
+# --- where beams point ---
+
+
+def ring(first: float, ranges: list[float]) -> View:
+    found = view_of(Scan(ranges=np.array(ranges), angle_min=first, angle_step=math.tau / len(ranges), range_max=20.0))
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("first", [0.0, -math.pi, 2.0, 5.0])
+def test_more_room_is_on_the_side_where_it_is_wherever_the_beams_begin(first: float) -> None:
+    bearings = first + math.tau / 36 * np.arange(36)
+    for side in (1, -1):
+        assert ring(first, np.where(side * np.sin(bearings) > 0.1, 5.0, 0.5).tolist()).roomier_side(1.4) == side
+    assert ring(first, [0.5] * 36).roomier_side(1.4) == 1
+
+
+@pytest.mark.parametrize("method", [Vfh(), DynamicWindow(), Gap()])
+@pytest.mark.parametrize("first", [0.0, -math.pi, 2.9])
+def test_where_there_is_no_way_it_turns_to_the_side_with_more_room(method: Settings, first: float) -> None:
+    for side in (1, -1):
+        walls: list[Box] = [((0.26, -3.0), (0.4, 3.0)), ((-0.4, -3.0), (-0.26, 3.0))]
+        near, far = sorted((side * 0.3, side * 0.4)), sorted((-side * 0.8, -side * 0.9))
+        walls += [((-3.0, near[0]), (3.0, near[1])), ((-3.0, far[0]), (3.0, far[1]))]
+        decision = steering(method).drive(
+            seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), walls, beams=180, fov=math.tau, first=first), 0), (0.3, 0.0)
+        )
+        assert (decision.mode, decision.velocity[0]) == ("turn", 0.0)
+        assert math.copysign(1.0, decision.yaw_rate) == -side
+
+
+@pytest.mark.parametrize("turns", [-1, 0, 1])
+def test_a_bearing_is_found_however_many_turns_away(turns: int) -> None:
+    """A scanner that looks back, with a gap straight where one wants to go."""
+    first, step = math.radians(80.0), math.radians(1.0)
+    ranges = np.full(181, 0.8)
+    ranges[150:176] = 5.0  # 230 to 255 degrees
+    view = view_of(Scan(ranges=ranges, angle_min=first, angle_step=step, range_max=20.0))
+    assert view is not None
+    found, places = gaps_ahead(view, math.radians(-118.0) + math.tau * turns, 1.2)
+    assert np.degrees(found.bearing).tolist() == pytest.approx([242.5])
+    assert np.degrees(places).tolist() == pytest.approx([242.5])
+    for bearing in np.radians(range(-360, 361, 7)):
+        if view.sees(bearing):
+            assert len(gaps_ahead(view, bearing, 1.2)[0].begin) <= 2
+
+
+# --- where the task goes slowly, or not at all ---
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+def test_whoever_turns_on_the_spot_before_it_ever_drove_only_turns(method: Settings) -> None:
+    walls = [*AHEAD, ((-1.0, -0.1), (-0.55, 0.1))]
+    made = steering(method)
+    for tick in range(10):
+        here = seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), walls, tick, fov=math.tau), tick)
+        assert made.drive(here, (0.0, 0.8), (3.0, 0.0)).velocity[0] == 0.0
+
+
+@pytest.mark.parametrize("v", [0.0, 0.05])
+def test_what_is_behind_does_not_drive_a_robot_on(v: float) -> None:
+    made = steering(PotentialField())
+    behind: list[Box] = [((-1.2, -0.25), (-0.7, 0.25))]
+    for tick in range(10):
+        here = seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), behind, tick, fov=math.tau), tick)
+        assert 0.0 <= made.drive(here, (v, 0.8)).velocity[0] <= v
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.05, 0.1])
+def test_between_two_boxes_the_field_does_not_turn_to_and_fro(aside: float) -> None:
+    boxes: list[Box] = [((0.75, 0.1 + aside), (1.25, 0.6 + aside)), ((0.75, -0.6 + aside), (1.25, -0.1 + aside))]
+    way, _ = steered(PotentialField(), boxes, (6.0, 0.0), seconds=30.0)
+    rates = [each.yaw_rate for each in way.decisions if abs(each.yaw_rate) > 0.05]
+    assert sum(a * b < 0.0 for a, b in pairwise(rates)) <= 3
+
+
+def test_what_flies_takes_up_its_task_though_things_are_near_that_it_does_not_see_beyond() -> None:
+    """It keeps its heading, and its aim is out of view: on wheels it would first have to see that the way is free."""
+    made, here = steering(Gap(), WINGS), (0.0, 0.0, 0.0)
+    made.steer(seen_from(here, sweep(here, AHEAD, 0), 0), Task((0.3, 0.0), 0.0, (3.0, 0.0)))
+    beside: list[Box] = [((0.9, -0.9), (1.0, -0.7))]
+    back = Task((-0.3, 0.0), 0.0, (-3.0, 0.0))
+    assert made.steer(seen_from(here, sweep(here, beside, 1), 1), back).mode == "task"
+
+
+# --- scanners that change ---
+
+
+def test_other_beams_are_believed_after_half_a_second() -> None:
+    made, here = steering(Gap()), (0.0, 0.0, 0.0)
+    modes = [made.drive(seen_from(here, sweep(here, [], 0, beams=2), 0), (0.3, 0.0)).mode]
+    modes += [made.drive(seen_from(here, sweep(here, [], k), k), (0.3, 0.0)).mode for k in range(1, 10)]
+    assert modes == ["task"] + ["blind"] * 5 + ["task"] * 4
+
+
+def test_beams_that_always_lie_otherwise_are_never_believed() -> None:
+    made, here = steering(Gap()), (0.0, 0.0, 0.0)
+    modes = {made.drive(seen_from(here, sweep(here, [], k, beams=100 + k), k), (0.3, 0.0)).mode for k in range(1, 30)}
+    again = made.drive(seen_from(here, sweep(here, [], 30, beams=101), 30), (0.3, 0.0)).mode
+    assert (modes, again) == ({"task", "blind"}, "task")  # those of the first scan
+
+
+def test_a_scan_of_the_future_is_none() -> None:
+    made, here = steering(Gap()), (0.0, 0.0, 0.0)
+    modes = [made.drive(seen_from(here, sweep(here, [], 3), k), (0.3, 0.0)).mode for k in range(5)]
+    assert modes == ["blind", "blind", "blind", "task", "task"]
+
+
+# --- scanners that sit elsewhere, or look elsewhere ---
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+def test_one_whose_scanner_sits_behind_its_middle_keeps_as_far_away(method: Settings) -> None:
+    """A wall across the way: with ranges taken for those from its middle, it would come nearer by how far that is off."""
+    made, x, wall = Steering(method), 0.0, [((2.0, -5.0), (2.2, 5.0))]
+    made.start(
+        VehicleInfo(
+            name="a",
+            vehicles=("a",),
+            period_s=0.1,
+            latency_s=0.0,
+            seed=1,
+            body=WHEELS,
+            sensors=("scan",),
+            beside_m={"scan": 0.15},
+        )
+    )
+    for tick in range(300):
+        scan = sweep((x - 0.15, 0.0, 0.0), wall, tick)
+        x += 0.1 * made.drive(seen_from((x, 0.0, 0.0), scan, tick, 0.3), (0.3, 0.0)).velocity[0]
+    assert 2.0 - x >= method.kept_m(WHEELS) - 1e-9
+
+
+def test_a_robot_hardly_moves_to_where_its_scanner_does_not_look() -> None:
+    for method in METHODS:
+        made, here = steering(method), (0.0, 0.0, 0.0)
+        back = sweep(here, [], fov=math.pi, first=0.5 * math.pi)
+        assert made.drive(seen_from(here, back, 0), (0.6, 0.1)) == ((0.1, 0.0), 0.1, "task")
+        assert made.drive(seen_from(here, back, 0), (-0.3, 0.0)).velocity == (-0.3, 0.0)
+        made = steering(method)
+        assert made.drive(seen_from(here, sweep(here, []), 0), (-0.3, 0.0)).velocity == (-0.1, 0.0)
+        assert made.drive(seen_from(here, sweep(here, []), 0), (0.6, 0.0)).velocity == (0.6, 0.0)

@@ -1,0 +1,212 @@
+"""The dynamic window: how far an arc leads, that it can always stop on it, and where a vehicle goes then."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.agents.avoidance import DynamicWindow, Method, Task, View, view_of
+from vcmvsp.agents.avoidance.dynamic_window import clearances
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.frames import arc, rotate2
+from vcmvsp.cosim.types import Array, Scan
+from tests.support.agents.obstacle_fields import Box, Point, Pose, Way, drive
+
+ROBOT = Body(width_m=0.33, radius_m=0.216)
+KEEP = 0.266
+GOAL = (3.0, 0.0)
+PERIOD_S, BRAKING = 0.1, 0.3
+
+
+def scan(ranges: Array, fov: float = math.pi) -> View:
+    n = len(ranges)
+    step = fov / n if fov == math.tau else fov / (n - 1)
+    found = view_of(Scan(ranges=np.asarray(ranges, float), angle_min=-fov / 2, angle_step=step, range_max=20.0))
+    assert found is not None
+    return found
+
+
+def points_of(view: View) -> Array:
+    seen = np.isfinite(view.ranges)
+    found: Array = view.units[seen] * view.ranges[seen, None]
+    return found
+
+
+def rooms(seed: int, beams: int = 181) -> Array:
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
+
+
+def along(curvature: float, length: float, step: float = 2e-4) -> Array:
+    """Places on an arc, (n, 2)."""
+    ways = np.arange(0.0, length + step, step)
+    half = 0.5 * curvature * ways
+    chord = ways * np.sinc(half / math.pi)
+    return np.column_stack([chord * np.cos(half), chord * np.sin(half)])
+
+
+def stopping_m(v: float) -> float:
+    return v * PERIOD_S + v * v / (2.0 * BRAKING)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.integers(0, 2**32), st.sampled_from((0.0, 1e-12, 1e-6, 0.01)) | st.floats(0.0, 8.0), st.booleans(), st.floats(0.05, 0.6)
+)
+def test_an_arc_leads_as_far_as_small_steps_on_it_do(seed: int, curvature: float, to_right: bool, keep: float) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.5, 1.5, (12, 2))
+    points = points[np.hypot(*points.T) > keep + 1e-3]
+    curvature = -curvature if to_right else curvature
+    length = 1.5 if curvature == 0.0 else min(1.5, math.tau / abs(curvature))
+    places = along(curvature, length)
+    apart = np.hypot(*(places[:, None, :] - points).T).min(axis=0, initial=math.inf)
+    touched = np.flatnonzero(apart < keep)
+    found = float(clearances(points, np.array([curvature]), keep)[0])
+    if len(touched):
+        assert found == pytest.approx(2e-4 * touched[0], abs=1e-3)
+    elif apart.min() > keep + 1e-6:
+        assert found > length - 1e-3
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**32), st.floats(-3.0, 3.0))
+def test_many_arcs_at_once_lead_as_far_as_each_alone(seed: int, turned: float) -> None:
+    points = np.random.default_rng(seed).uniform(-1.5, 1.5, (30, 2))
+    curvatures = np.linspace(-4.0, 4.0, 23) + turned
+    alone = [min(float(clearances(point[None], np.array([k]), KEEP)[0]) for point in points) for k in curvatures]
+    assert clearances(points, curvatures, KEEP) == pytest.approx(alone)
+
+
+def test_what_is_touched_stops_whoever_goes_towards_it_and_nobody_who_leaves() -> None:
+    for x, free in ((0.1, 0.0), (-0.1, math.inf)):
+        assert clearances(np.array([[x, 0.05]]), np.zeros(1), KEEP)[0] >= min(free, 1e6)
+        assert (clearances(np.array([[x, 0.05]]), np.zeros(1), KEEP)[0] == 0.0) == (free == 0.0)
+    assert clearances(np.array([[0.0, 0.2]]), np.array([5.0, 100.0]), KEEP).tolist() == [0.0, 0.0]  # also where it is circled
+    assert clearances(np.empty((0, 2)), np.array([0.0, 1.0]), KEEP).tolist() == [math.inf, math.inf]
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.integers(0, 2**32), st.floats(0.0, 0.6), st.floats(-1.0, 1.0), st.floats(-1.5, 1.5), st.sampled_from((math.pi, math.tau))
+)
+def test_whatever_it_commands_it_can_stop_before_it_touches_anything(
+    seed: int, v: float, w: float, y: float, fov: float
+) -> None:
+    method, now = DynamicWindow().method(ROBOT, PERIOD_S), (v, w)
+    view = scan(rooms(seed), fov)
+    for _ in range(3):
+        decision = method.decide(view, Task((v, 0.0), w, (2.0, y), now=now))
+        now = decision.velocity[0], decision.yaw_rate
+        speed = decision.velocity[0]
+        assert speed >= 0.0
+        assert decision.velocity[1] == 0.0
+        if speed > 1e-6:
+            places = along(decision.yaw_rate / speed, stopping_m(speed), 1e-3)
+            assert np.hypot(*(places[:, None, :] - points_of(view)).T).min() > KEEP - 1e-3
+
+
+@given(st.integers(0, 2**32))
+def test_it_stays_in_the_window_that_its_accelerations_open(seed: int) -> None:
+    set_to = DynamicWindow()
+    method, ranges = set_to.method(ROBOT, PERIOD_S), rooms(seed) + 0.3
+    last = method.decide(scan(np.full(181, math.inf)), Task((0.3, 0.0), 0.2, (2.0, 0.0)))
+    for k in range(5):
+        task = Task((0.3, 0.0), 0.2, (2.0, 0.0), (2.0, 0.0), now=(last.velocity[0], last.yaw_rate))  # it may catch up
+        now = method.decide(scan(ranges - 0.02 * k), task)
+        if now.mode == "avoid":
+            assert abs(now.velocity[0] - last.velocity[0]) <= set_to.acceleration * PERIOD_S + 1e-12
+            assert abs(now.yaw_rate - last.yaw_rate) <= set_to.turn_acceleration * PERIOD_S + 1e-12
+        last = now
+
+
+@given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), st.none() | st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
+def test_where_all_is_free_the_task_is_left_as_it_is(v: float, w: float, aim: Point | None) -> None:
+    for view in (scan(np.full(64, math.inf), math.tau), scan(np.full(64, 2.0))):
+        task = Task((v, 0.0), w, aim)
+        assert DynamicWindow().method(ROBOT, PERIOD_S).decide(view, task) == (task.velocity, w, "task")
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32), st.floats(0.1, 2.0))
+def test_a_mirrored_scan_gives_the_mirrored_decision(seed: int, y: float) -> None:
+    ranges = rooms(seed)
+    one, other = DynamicWindow().method(ROBOT, PERIOD_S), DynamicWindow().method(ROBOT, PERIOD_S)
+    for k in range(3):
+        left = one.decide(scan(ranges + 0.1 * k), Task((0.3, 0.0), 0.1 * y, (1.5, y)))
+        right = other.decide(scan(ranges[::-1] + 0.1 * k), Task((0.3, 0.0), -0.1 * y, (1.5, -y)))
+        assert left.mode == right.mode
+        assert left.velocity == pytest.approx(right.velocity)
+        assert left.yaw_rate == pytest.approx(-right.yaw_rate)
+
+
+def test_where_there_is_no_way_it_turns_to_one_side() -> None:
+    for ranges in (np.zeros(64), np.full(64, 0.28)):
+        method = DynamicWindow().method(ROBOT, PERIOD_S)
+        decisions = [method.decide(scan(ranges), Task((0.3, 0.0), 0.0, (2.0, 0.3))) for _ in range(5)]
+        assert all(each.velocity == (0.0, 0.0) and each.mode == "turn" for each in decisions)
+        assert len({each.yaw_rate for each in decisions}) == 1
+        assert abs(decisions[0].yaw_rate) == 0.6
+
+
+@given(st.integers(0, 2**32), st.sampled_from((math.pi, math.tau)))
+def test_nothing_makes_it_raise_or_go_faster_than_it_may(seed: int, fov: float) -> None:
+    rng = np.random.default_rng(seed)
+    method = DynamicWindow().method(ROBOT, PERIOD_S)
+    for aim in ((2.0, 0.4), (0.0, 0.0), (-1.0, 0.2), None):
+        ranges = rng.choice([0.0, 0.01, 0.2, 0.27, 0.9, 1.3, 5.0, math.inf], 64)
+        decision = method.decide(scan(ranges, fov), Task((0.3, 0.0), 0.1, aim, (2.5, 0.0), 0.6))
+        assert 0.0 <= decision.velocity[0] <= 0.6 + 1e-12
+
+
+def test_what_flies_is_refused() -> None:
+    with pytest.raises(ValueError, match='"dynamic_window": for vehicles on wheels'):
+        DynamicWindow().method(Body(width_m=0.5, radius_m=0.25, flies=True), PERIOD_S)
+
+
+def to_goal(pose: Pose) -> Task:
+    """Straight to it, turning on the spot before where it lies aside."""
+    aim = rotate2(GOAL[0] - pose[0], GOAL[1] - pose[1], -pose[2])
+    aside = math.atan2(aim[1], aim[0])
+    return Task((0.0 if abs(aside) > 0.8 else min(0.3, math.hypot(*aim)), 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim)
+
+
+def there(pose: Pose) -> bool:
+    return math.dist(pose[:2], GOAL) < 0.15
+
+
+def driven(method: Method, start: Pose, **options: object) -> Way:
+    return drive(method, start, to_goal, there, beams=128, fov=math.pi, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("start", np.random.default_rng(1).uniform((-3.5, -0.6, -0.6), (-2.5, 0.6, 0.6), (20, 3)).tolist())
+def test_it_gets_around_a_pillar(start: list[float]) -> None:
+    x, y, yaw = start
+    way = driven(DynamicWindow().method(ROBOT, PERIOD_S), (x, y, yaw), seconds=100.0)
+    assert there(way.end)
+    assert way.clearance > KEEP - 0.02  # what is between two beams is not seen
+
+
+def test_it_goes_through_a_door_and_touches_nothing_where_there_is_none() -> None:
+    door: list[Box] = [((-0.1, -5.0), (0.1, -0.45)), ((-0.1, 0.45), (0.1, 5.0))]
+    way = driven(DynamicWindow().method(ROBOT, PERIOD_S), (-3.0, 0.3, 0.1), boxes=door)
+    assert there(way.end)
+    assert way.clearance > KEEP - 0.02
+    wall: list[Box] = [
+        ((-0.1, -5.0), (0.1, 5.0)),
+        ((-4.0, -2.0), (0.0, -1.9)),
+        ((-4.0, 1.9), (0.0, 2.0)),
+        ((-4.1, -2.0), (-4.0, 2.0)),
+    ]
+    way = driven(DynamicWindow().method(ROBOT, PERIOD_S), (-3.0, 0.3, 0.1), boxes=wall)
+    assert way.end[0] < -0.1
+    assert way.clearance > KEEP - 0.02
+
+
+def test_arcs_are_those_of_the_vehicle() -> None:
+    """The arcs of these tests are the motion that commands mean."""
+    for curvature in (0.0, 0.5, -3.0):
+        x, y, _ = arc((0.0, 0.0, 0.0), 0.4, 0.4 * curvature, 2.0)
+        assert along(curvature, 0.8)[4000] == pytest.approx((x, y))

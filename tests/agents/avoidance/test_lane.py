@@ -1,0 +1,99 @@
+"""A lane is free when no return lies in it, whatever else there is."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from vcmvsp.agents.avoidance.lane import ASIDE, free_m, lane_free, ways
+from vcmvsp.agents.avoidance.view import View, view_of
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Array, Scan
+from tests.support.agents.scans import ranges_of, view, wall_with_doors
+
+Ranges = arrays.arrays(float, 36, elements=st.sampled_from([0.0, 0.5, math.inf]) | st.floats(0.0, 3.0))
+
+
+def held(scan: View, bearing: float, half: float, length: float) -> bool:
+    """Whether a return lies in the lane, one beam after the other."""
+    for distance, angle in zip(scan.ranges.tolist(), scan.bearings.tolist(), strict=True):
+        if distance < math.inf:
+            ahead, aside = math.cos(angle - bearing), abs(math.sin(angle - bearing))
+            if ahead >= ASIDE and distance * ahead <= length and distance * aside < half:
+                return True
+    return False
+
+
+@given(Ranges, st.floats(-4.0, 4.0), st.floats(0.0, 1.0), st.floats(0.0, 2.0), st.sampled_from([math.pi, math.tau]))
+def test_a_lane_is_free_of_returns(ranges: Array, bearing: float, half: float, length: float, fov: float) -> None:
+    scan = view(ranges, fov)
+    free, rounding = lane_free(scan, bearing, half, length), 1e-9
+    if held(scan, bearing, half - rounding, length - rounding):
+        assert not free
+    if not held(scan, bearing, half + rounding, length + rounding):
+        assert free
+    if free:
+        assert lane_free(scan, bearing, 0.5 * half, 0.5 * length)
+    else:
+        assert not lane_free(scan, bearing, half + 0.1, length + 0.1)
+
+
+@pytest.mark.parametrize("aside_deg", [0, 30, 80, -45])
+def test_a_door_lets_a_lane_through_that_is_narrower(aside_deg: int) -> None:
+    aside = math.radians(aside_deg)
+    scan = view(ranges_of(wall_with_doors(1.0, [(-0.4, 0.4)]), (0.0, 0.0, -aside), fov=math.tau, beams=2048), math.tau)
+    assert lane_free(scan, aside, 0.39, 2.0)
+    assert not lane_free(scan, aside, 0.41, 2.0)
+    assert lane_free(scan, aside, 0.41, 0.98)  # it ends before the door
+
+
+def test_a_wall_beside_it_is_not_in_it() -> None:
+    scan = view(ranges_of([((-9.0, 0.45), (9.0, 0.45)), ((-9.0, -0.45), (9.0, -0.45))]))
+    assert lane_free(scan, 0.0, 0.44, 8.0)
+    assert not lane_free(scan, 0.0, 0.46, 8.0)
+    assert not lane_free(scan, 0.2, 0.3, 2.0)
+
+
+def test_what_is_touched_behind_is_not_ahead() -> None:
+    ranges = np.full(360, math.inf)
+    ranges[0] = 0.0  # straight behind
+    scan = view(ranges, math.tau)
+    assert lane_free(scan, 0.0, 0.3, 1.0)
+    assert not lane_free(scan, math.pi, 0.3, 1.0)
+    ranges[180] = 0.0
+    assert not lane_free(view(ranges, math.tau), 0.0, 0.3, 1.0)
+
+
+@given(Ranges, st.floats(0.05, 0.6), st.floats(0.1, 2.0), st.sampled_from([math.pi, math.tau]), st.sampled_from([0.0, 2.9]))
+def test_ways_are_those_that_a_disc_can_follow(ranges: Array, half: float, length: float, fov: float, first: float) -> None:
+    """One beam after the other, and as far as a disc gets straight on."""
+    scan = view_of(Scan(ranges=ranges, angle_min=first, angle_step=fov / (36 if fov == math.tau else 35), range_max=20.0))
+    assert scan is not None
+    for bearing, free in zip(scan.bearings.tolist(), ways(scan, half, length).tolist(), strict=True):
+        near = [(d, b) for d, b in zip(scan.ranges.tolist(), scan.bearings.tolist(), strict=True) if d <= length]
+        room = [abs(wrap(b - bearing)) - math.asin(min(1.0, half / max(d, half))) for d, b in near]
+        if min(room, default=1.0) > 1e-6:
+            assert free
+            assert free_m(scan, bearing, half, length) == math.inf
+        if min(room, default=1.0) < -1e-6:
+            assert not free
+            assert free_m(scan, bearing, half, length) <= length
+
+
+def test_how_far_a_disc_gets_to_a_wall() -> None:
+    scan = view(ranges_of([((1.0, -9.0), (1.0, 9.0))], beams=2048))
+    assert free_m(scan, 0.0, 0.3, 3.0) == pytest.approx(0.7, abs=1e-3)
+    assert free_m(scan, 0.0, 0.3, 0.9) == math.inf
+    assert free_m(scan, 1.0, 0.3, 3.0) == pytest.approx(0.7 / math.cos(1.0), abs=2e-2)
+    assert free_m(view(np.zeros(181)), 0.0, 0.3, 3.0) <= 0.0
+
+
+def test_a_return_exactly_aside_is_in_the_lane() -> None:
+    """Quarter turns are rounded."""
+    ranges = np.full(181, math.inf)
+    ranges[[0, 180]] = 0.2
+    assert not lane_free(view(ranges), 0.0, 0.3, 1.0)
+    assert lane_free(view(ranges), 0.0, 0.19, 1.0)

@@ -1,0 +1,299 @@
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.agents.avoidance import PotentialField, Task, View, view_of
+from vcmvsp.agents.avoidance.method import Method
+from vcmvsp.agents.avoidance.potential_field import repulsion
+from vcmvsp.agents.formation import axle_velocity
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.frames import rotate2, wrap
+from vcmvsp.cosim.types import Scan
+from tests.support.agents.obstacle_fields import PILLAR, Box, Point, Pose, Way, clearance, drive, fly, look
+
+AIR = Body(width_m=0.4, radius_m=0.25, flies=True)
+ROBOT = Body(width_m=0.33, radius_m=0.216)  # an AmigoBot
+REACH, CORE = 1.2, 0.6
+MM = 0.001
+RANGES = st.one_of(st.floats(0.0, 3.0), st.just(math.inf))
+
+
+def field(body: Body = AIR, **settings: float) -> Method:
+    return PotentialField(**settings).method(body, 0.1)  # type: ignore[arg-type]
+
+
+def seen(ranges: list[float], fov: float = math.tau) -> View:
+    n = len(ranges)
+    first, step = (0.0, math.tau / n) if fov >= math.tau else (-fov / 2, fov / (n - 1))
+    view = view_of(Scan(ranges=np.array(ranges), angle_min=first, angle_step=step, range_max=6.0))
+    assert view is not None
+    return view
+
+
+def one(range_m: float, beam: int = 0, beams: int = 32) -> View:
+    """A single return."""
+    return seen([range_m if i == beam else math.inf for i in range(beams)])
+
+
+def ahead(speed: float, max_speed: float = 0.6) -> Task:
+    return Task((speed, 0.0), max_speed=max_speed)
+
+
+def passed(place: Point | Pose) -> bool:
+    return place[0] > 4.0
+
+
+def to(goal: Point, method: Method, start: Point, *, beams: int = 32, seconds: float = 60.0, yaw: float = 0.0) -> Way:
+    """A flight to a goal: 0.3 m/s, and slower over the last 0.375 m; it is there at 0.1 m."""
+
+    def task(place: Point) -> Task:
+        dx, dy = goal[0] - place[0], goal[1] - place[1]
+        left = math.hypot(dx, dy)
+        return Task((dx / left * min(0.3, 0.8 * left), dy / left * min(0.3, 0.8 * left)))
+
+    return fly(method, start, task, lambda p: math.dist(p, goal) < 0.1, beams=beams, seconds=seconds, yaw=yaw)
+
+
+def drive_to(
+    goal: Point, start: Pose, boxes: Sequence[Box] = (PILLAR,), *, beams: int = 128, fov: float = math.tau
+) -> tuple[Way, bool]:
+    """A robot's way to a goal, and whether it is there: it turns towards it, and drives as far as it looks there."""
+
+    def task(pose: Pose) -> Task:
+        bearing = wrap(math.atan2(goal[1] - pose[1], goal[0] - pose[0]) - pose[2])
+        return Task((0.3 * max(0.0, math.cos(bearing)), 0.0), max(-0.8, min(0.8, 1.5 * bearing)))
+
+    way = drive(field(ROBOT), start, task, lambda pose: math.dist(pose[:2], goal) < 0.1, boxes=boxes, beams=beams, fov=fov)
+    return way, math.dist(way.end[:2], goal) < 0.1
+
+
+# The force
+
+
+@pytest.mark.parametrize(("range_m", "push"), [(0.9, 1.0), (0.7, 5.0), (1.1, 0.2), (1.2, 0.0), (2.0, 0.0), (math.inf, 0.0)])
+def test_one_beam_of_32_pushes_as_printed(range_m: float, push: float) -> None:
+    x, y, most = repulsion(one(range_m), REACH, CORE)
+    assert (x, y, most) == pytest.approx((-push, 0.0, push), abs=1e-12)
+
+
+@pytest.mark.parametrize("range_m", [0.65, 0.6, 0.3, 0.0, math.nan, -math.inf])
+def test_at_the_core_and_inside_it_pushes_away_with_11_and_no_more(range_m: float) -> None:
+    x, y, most = repulsion(one(range_m, beam=8), REACH, CORE)
+    assert (x, y, most) == pytest.approx((0.0, -11.0, 11.0), abs=1e-12)
+
+
+@given(ranges=st.lists(RANGES, min_size=2, max_size=64))
+def test_no_scan_pushes_with_more_than_11_of_each_of_32_beams(ranges: list[float]) -> None:
+    x, y, most = repulsion(seen(ranges), REACH, CORE)
+    assert math.hypot(x, y) <= most * (1 + 1e-12) <= 11 * 32 * (1 + 1e-9)
+
+
+@given(ranges=st.lists(RANGES, min_size=3, max_size=64))
+def test_a_mirrored_scan_pushes_the_mirrored_way(ranges: list[float]) -> None:
+    x, y, _ = repulsion(seen(ranges), REACH, CORE)
+    mirrored = repulsion(seen([ranges[0], *reversed(ranges[1:])]), REACH, CORE)
+    assert mirrored[:2] == pytest.approx((x, -y), abs=1e-9)
+
+
+@given(ranges=st.lists(RANGES, min_size=3, max_size=64), by=st.integers(0, 63))
+def test_a_turned_scan_pushes_the_turned_way(ranges: list[float], by: int) -> None:
+    n = len(ranges)
+    x, y, _ = repulsion(seen(ranges), REACH, CORE)
+    turned = repulsion(seen([ranges[(i - by) % n] for i in range(n)]), REACH, CORE)
+    assert turned[:2] == pytest.approx(rotate2(x, y, by * math.tau / n), abs=1e-9)
+
+
+def test_the_push_is_that_of_the_angle_filled_and_not_of_the_resolution() -> None:
+    pushes = [repulsion(look((-1.1, 0.05, 0.0), [PILLAR], beams=n), REACH, CORE)[:2] for n in (512, 1024, 4096)]
+    assert pushes[0] == pytest.approx(pushes[2], rel=0.03)
+    assert pushes[1] == pytest.approx(pushes[2], rel=0.015)
+
+
+def test_what_is_seen_pushes_the_same_when_less_is_seen_beside_it() -> None:
+    whole = repulsion(look((-1.1, 0.05, 0.0), [PILLAR], beams=512), REACH, CORE)
+    half = repulsion(look((-1.1, 0.05, 0.0), [PILLAR], beams=257, fov=math.pi), REACH, CORE)
+    behind = repulsion(look((-1.1, 0.05, math.pi), [PILLAR], beams=257, fov=math.pi), REACH, CORE)
+    assert half == pytest.approx(whole, rel=1e-9)
+    assert behind == (0.0, 0.0, 0.0)
+
+
+# In the air
+
+
+@pytest.mark.parametrize("c", [0.5, 1.0, 3.0])
+def test_cruise_balances_at_the_closed_form(c: float) -> None:
+    balance = (REACH + c * CORE) / (1 + c)
+    decision = field(tang=0.0).decide(one(balance), ahead(0.1 * c))
+    assert decision.velocity == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert field(tang=0.0).decide(one(balance + 0.01), ahead(0.1 * c)).velocity[0] > 0.0
+    assert field(tang=0.0).decide(one(balance - 0.01), ahead(0.1 * c)).velocity[0] < 0.0
+
+
+def test_nothing_in_reach_leaves_the_task_as_it_is() -> None:
+    task = Task((2.0, -0.1), 0.7)
+    assert field().decide(one(1.2), task) == ((2.0, -0.1), 0.7, "task")
+
+
+@given(ranges=st.lists(RANGES, min_size=2, max_size=64), vx=st.floats(-3, 3), vy=st.floats(-3, 3), most=st.floats(0.1, 3.0))
+def test_in_the_field_it_is_never_faster_than_it_may_be(ranges: list[float], vx: float, vy: float, most: float) -> None:
+    decision = field().decide(seen(ranges), Task((vx, vy), 0.3, max_speed=most))
+    assert decision.yaw_rate == 0.3
+    if min(ranges) < REACH:
+        assert decision.mode == "avoid"
+        assert math.hypot(*decision.velocity) <= most * (1 + 1e-9)
+
+
+def test_the_side_is_kept_until_nothing_is_in_reach() -> None:
+    left, right, free = one(0.9, beam=1), one(0.9, beam=31), one(math.inf)
+    fresh = {view is left: field().decide(view, ahead(0.3)).velocity[1] for view in (left, right)}
+    assert fresh[True] < 0.0 < fresh[False]  # past what it meets, on the nearer side
+    method = field()
+    assert method.decide(left, ahead(0.3)).velocity[1] == fresh[True]
+    assert method.decide(right, ahead(0.3)).velocity[1] < 0.0  # as it has begun
+    method.decide(free, ahead(0.3))
+    assert method.decide(right, ahead(0.3)).velocity[1] == fresh[False]
+
+
+def test_straight_ahead_is_passed_on_the_right() -> None:
+    assert field().decide(one(0.9), ahead(0.3)).velocity == pytest.approx((0.2, -0.1), abs=1e-12)
+
+
+def test_a_vehicle_that_hovers_is_pushed_to_the_edge_of_the_reach_and_rests() -> None:
+    way = fly(field(), (-0.5, 0.0), lambda place: Task((0.0, 0.0)), lambda place: False)
+    assert clearance(way.end[:2], [PILLAR]) == pytest.approx(REACH, abs=0.01)
+    assert math.hypot(*way.decisions[-1].velocity) < 1e-5
+
+
+@pytest.mark.parametrize(("y0", "least"), [(0.1, 0.795), (0.2, 0.796), (0.4, 0.799)])
+def test_fig_28_a_flight_past_a_pillar_is_pushed_aside_and_goes_on_straight(y0: float, least: float) -> None:
+    way = fly(field(tang=0.0), (-3.0, y0), lambda place: ahead(0.3), passed)
+    assert way.clearance == pytest.approx(least, abs=MM)
+    assert way.end[1] == pytest.approx(1.36, abs=0.005)
+    assert way.decisions[-1].mode == "task"
+    led = fly(field(), (-3.0, y0), lambda place: ahead(0.3), passed)  # the term that leads around changes little here
+    assert (led.clearance, abs(led.end[1])) == pytest.approx((least, 1.36), abs=0.02)
+
+
+def test_fig_28_a_stronger_field_keeps_it_farther_off() -> None:
+    way = fly(field(tang=0.0, gain=0.3), (-3.0, 0.2), lambda place: ahead(0.3), passed)
+    assert (way.clearance, way.end[1]) == pytest.approx((0.919, 1.43), abs=0.005)
+
+
+def test_as_printed_it_stops_before_what_stands_in_the_way_to_its_goal() -> None:
+    way = to((4.0, 0.0), field(tang=0.0), (-3.0, 0.0))
+    assert way.end[0] == pytest.approx(-1.137, abs=MM)
+    assert math.hypot(*way.decisions[-1].velocity) < 1e-6
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0])
+def test_led_around_it_reaches_its_goal(yaw: float) -> None:
+    way = to((4.0, 0.0), field(), (-3.0, 0.0), yaw=yaw)
+    assert way.seconds == pytest.approx(25.6, abs=0.1 if yaw == 0.0 else 1.0)
+    assert way.clearance == pytest.approx(0.788, abs=MM if yaw == 0.0 else 0.02)
+
+
+@pytest.mark.parametrize(("beams", "least"), [(16, 0.763), (32, 0.791), (64, 0.794), (128, 0.794)])
+def test_the_resolution_hardly_matters(beams: int, least: float) -> None:
+    way = to((4.0, 0.2), field(tang=0.0), (-3.0, 0.2), beams=beams)
+    assert math.dist(way.end[:2], (4.0, 0.2)) < 0.1
+    assert way.clearance == pytest.approx(least, abs=MM)
+
+
+@pytest.mark.parametrize(("speed", "least", "exactly"), [(1.0, 0.613, 0.580), (2.0, 0.404, 0.316), (3.0, 0.167, 0.074)])
+def test_a_fast_vehicle_with_a_lag_enters_the_core(speed: float, least: float, exactly: float) -> None:
+    """The first figures come of a lag that is stepped once a period; solved exactly, it lets the vehicle come nearer still."""
+    for fine, expected in ((False, least), (True, exactly)):
+        way = fly(
+            field(tang=0.0), (-5.0, 0.2), lambda place: ahead(speed, 2 * speed), passed, lag_s=0.5, fine=fine, seconds=20.0
+        )
+        assert way.clearance == pytest.approx(expected, abs=0.01)
+
+
+# On wheels
+
+
+def test_the_hand_of_a_robot_goes_where_that_of_a_vehicle_in_the_air_goes() -> None:
+    view, task = one(1.0, beam=2), Task((0.3, 0.0), 0.2)
+    hand = field().decide(view, Task((0.3, 0.2 * ROBOT.radius_m))).velocity
+    v, w = axle_velocity(*hand, 0.0, ROBOT.radius_m)
+    decision = field(ROBOT).decide(view, task)
+    assert (*decision.velocity, decision.yaw_rate) == pytest.approx((v, 0.0, w))
+    assert decision.mode == "avoid"
+
+
+@given(
+    scans=st.lists(st.lists(RANGES, min_size=8, max_size=8), min_size=1, max_size=5),
+    v=st.floats(-0.1, 0.6),
+    w=st.floats(-1.2, 1.2),
+)
+def test_a_robot_reverses_no_faster_than_its_task_and_turns_no_faster_than_it_can(
+    scans: list[list[float]], v: float, w: float
+) -> None:
+    method = field(ROBOT)
+    for ranges in scans:
+        decision = method.decide(seen(ranges), Task((v, 0.0), w))
+        assert decision.velocity[1] == 0.0
+        assert min(v, 0.0) <= decision.velocity[0] <= 0.6
+        assert abs(decision.yaw_rate) <= 1.2 * (1 + 1e-9)
+        if decision.mode == "turn":
+            assert (decision.velocity, abs(decision.yaw_rate)) == ((0.0, 0.0), 0.6)
+
+
+def test_a_robot_that_stands_remains_standing() -> None:
+    assert field(ROBOT).decide(one(0.3), Task((0.0, 0.0))) == ((0.0, 0.0), 0.0, "task")
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_robot_that_is_pushed_back_turns_on_the_spot_one_way_until_it_can_go(side: int) -> None:
+    way = drive(field(ROBOT, tang=0.0), (-0.9, 0.05 * side, 0.0), lambda pose: ahead(0.3), passed, seconds=20.0)
+    modes = [decision.mode for decision in way.decisions]
+    turns = modes.index("avoid")
+    assert modes == ["turn"] * turns + ["avoid"] * modes.count("avoid") + ["task"] * modes.count("task")
+    assert {decision.yaw_rate for decision in way.decisions[:turns]} == {0.6 * side}
+    assert way.decisions[-1].mode == "task"  # it has left
+    assert way.clearance == pytest.approx(0.65, abs=MM)  # it has come no nearer than it was
+
+
+@pytest.mark.parametrize(("beams", "fov"), [(32, math.tau), (512, math.tau), (181, math.pi)])
+@pytest.mark.parametrize("y0", [-0.3, 0.0, 0.1])
+def test_a_robot_gets_around_a_pillar_without_entering_its_core(beams: int, fov: float, y0: float) -> None:
+    way, there = drive_to((4.0, 0.0), (-3.0, y0, 0.0), beams=beams, fov=fov)
+    assert there
+    assert way.seconds < 32.0
+    assert way.clearance > CORE
+    modes = [decision.mode for decision in way.decisions]
+    assert sum(a != b for a, b in pairwise(modes)) == 2  # around it once, and no wavering
+
+
+def gate(width: float) -> list[Box]:
+    """A wall of 10 m with one gate."""
+    return [((-0.1, width / 2), (0.1, 5.0)), ((-0.1, -5.0), (0.1, -width / 2))]
+
+
+@pytest.mark.parametrize(("width", "through"), [(0.9, False), (1.2, False), (1.6, True)])
+@pytest.mark.parametrize("y0", [0.0, 0.3])
+def test_a_gate_hardly_wider_than_the_reach_is_closed_and_safe(width: float, y0: float, through: bool) -> None:
+    way, there = drive_to((4.0, 0.0), (-3.0, y0, 0.0), gate(width))
+    assert there == through
+    assert way.clearance > CORE
+
+
+# The table
+
+
+def test_it_is_read_from_a_scenario_with_its_defaults() -> None:
+    settings = msgspec.convert({"kind": "potential_field"}, PotentialField)
+    assert settings == PotentialField(reach=1.2, core=0.6, gain=0.1, tang=1.0)
+    assert (settings.reach_m, settings.kept_m(AIR)) == (1.2, 0.6)
+    assert settings.kept_m(Body(width_m=2.0, radius_m=1.0)) == 1.05
+
+
+def test_a_reach_within_the_core_is_refused() -> None:
+    with pytest.raises(msgspec.ValidationError, match=r"reach must be greater than core \+ 0\.05 m = 0\.85 m, not 0\.8 m"):
+        msgspec.convert({"kind": "potential_field", "reach": 0.8, "core": 0.8}, PotentialField)

@@ -1,0 +1,246 @@
+"""VFH+: what is enlarged, what is blocked and for how long, and where a vehicle goes then."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.agents.avoidance import Method, Task, Vfh, View, view_of
+from vcmvsp.agents.avoidance.vfh import _Vfh, histogram, openings
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.frames import rotate2, wrap
+from vcmvsp.cosim.types import Array, Scan
+from tests.support.agents.obstacle_fields import Point, Pose, Way, drive, fly
+
+ROBOT = Body(width_m=0.33, radius_m=0.216)
+DRONE = Body(width_m=0.5, radius_m=0.25, flies=True)
+GOAL = (3.0, 0.0)
+AHEAD = Task((0.3, 0.0))
+
+
+def scan(ranges: Array, *, fov: float = math.pi) -> View:
+    n = len(ranges)
+    step = fov / n if fov == math.tau else fov / (n - 1)
+    found = view_of(Scan(ranges=np.asarray(ranges, float), angle_min=-fov / 2, angle_step=step, range_max=20.0))
+    assert found is not None
+    return found
+
+
+def posts(*places: tuple[float, float], beams: int = 361, fov: float = math.tau) -> View:
+    """Thin posts at (distance, bearing), each on the nearest beam."""
+    view = scan(np.full(beams, math.inf), fov=fov)
+    ranges = view.ranges.copy()
+    for distance, bearing in places:
+        ranges[int(np.abs((view.bearings - bearing + math.pi) % math.tau - math.pi).argmin())] = distance
+    return view._replace(ranges=ranges)
+
+
+def to_goal(pose: Pose, goal: Point = GOAL, speed: float = 0.3) -> Task:
+    """Straight to it, turning on the spot before where it lies aside."""
+    aim = rotate2(goal[0] - pose[0], goal[1] - pose[1], -pose[2])
+    aside = math.atan2(aim[1], aim[0])
+    return Task((0.0 if abs(aside) > 0.8 else min(speed, math.hypot(*aim)), 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim)
+
+
+def there(pose: tuple[float, ...], goal: Point = GOAL) -> bool:
+    return math.dist(pose[:2], goal) < 0.15
+
+
+@given(
+    st.floats(0.05, 3.0),
+    st.floats(-math.pi, math.pi),
+    st.floats(0.1, 0.8),
+    st.sampled_from((36, 72, 128)),
+)
+def test_an_obstacle_stands_in_the_directions_in_which_a_disc_would_touch_it(
+    distance: float, bearing: float, keep: float, sectors: int
+) -> None:
+    view = view_of(Scan(ranges=np.array([distance, math.inf]), angle_min=bearing, angle_step=1.0, range_max=20.0))
+    assert view is not None
+    near = histogram(view, keep, sectors)
+    for k in range(sectors):
+        off = abs(wrap(math.tau * k / sectors - bearing))
+        aside = distance * math.sin(off)  # how far the post is from the line that the disc goes along
+        if abs(aside - keep) < 1e-9 or abs(off - math.pi / 2) < 1e-9:
+            continue
+        touches = off < math.pi / 2 and aside < keep
+        assert near[k] == (distance if touches else math.inf)
+
+
+def test_what_is_enlarged_covers_the_angle_whose_sine_is_radius_over_distance() -> None:
+    near = histogram(posts((1.0, 0.0), beams=720), 0.4, 720)
+    assert 0.5 * np.isfinite(near).sum() == pytest.approx(math.degrees(2.0 * math.asin(0.4)), abs=0.5)
+
+
+@given(st.lists(st.booleans(), min_size=8, max_size=40))
+def test_openings_are_the_runs_of_free_sectors_around_the_turn(free: list[bool]) -> None:
+    found = [[(first + k) % len(free) for k in range(count)] for first, count in openings(np.array(free))]
+    assert sorted(k for run in found for k in run) == [k for k, each in enumerate(free) if each]
+    if not all(free):
+        for run in found:
+            assert not free[run[0] - 1]
+            assert not free[(run[-1] + 1) % len(free)]
+
+
+def test_a_sector_is_blocked_from_near_and_freed_from_afar() -> None:
+    method = Vfh(blocked_m=1.2, freed_m=1.4).method(DRONE, 0.1)
+    modes = [method.decide(posts((distance, 0.0)), AHEAD).mode for distance in (1.3, 1.1, 1.3, 1.39, 1.41, 1.3)]
+    assert modes == ["task", "avoid", "avoid", "avoid", "task", "task"]
+
+
+def test_a_wide_opening_is_entered_forty_degrees_beside_its_edge() -> None:
+    view = posts((1.0, 0.0), beams=360)
+    decision = Vfh(keep_m=0.49).method(DRONE, 0.1).decide(view, AHEAD)  # blocked to 29.3 degrees: the first free one is at 30
+    assert abs(math.degrees(math.atan2(decision.velocity[1], decision.velocity[0]))) == pytest.approx(70.0)
+    assert math.hypot(*decision.velocity) == pytest.approx(0.3)
+
+
+def test_a_narrow_opening_is_entered_in_its_middle() -> None:
+    view = posts((1.0, math.radians(-60.0)), (1.0, math.radians(80.0)), (1.0, 0.2 + math.pi), beams=360, fov=math.tau)
+    decision = Vfh(keep_m=0.9, wide_deg=200.0).method(DRONE, 0.1).decide(view, AHEAD)  # each blocks 64 degrees on either side
+    assert math.degrees(math.atan2(decision.velocity[1], decision.velocity[0])) == pytest.approx(10.0, abs=3.0)
+
+
+def test_it_keeps_to_the_side_it_has_chosen() -> None:
+    method = Vfh().method(DRONE, 0.1)
+    first = method.decide(posts((1.0, 0.05)), AHEAD).velocity[1]  # a little to the left: past it on the right
+    assert first < 0.0
+    assert method.decide(posts((1.0, -0.05)), AHEAD).velocity[1] < 0.0
+    assert Vfh().method(DRONE, 0.1).decide(posts((1.0, -0.05)), AHEAD).velocity[1] > 0.0
+
+
+def test_what_is_blocked_stays_in_its_place_while_the_vehicle_turns() -> None:
+    """A post that is seen once and then at a distance between both thresholds, from a robot that turns as it was told to."""
+    method = Vfh().method(ROBOT, 0.1)
+    bearing, now = 0.0, (0.0, 0.0)
+    for _ in range(8):
+        decision = method.decide(posts((1.1 if bearing == 0.0 else 1.3, bearing), beams=720), AHEAD._replace(now=now))
+        assert decision.mode == "avoid"
+        now = decision.velocity[0], decision.yaw_rate
+        bearing -= 0.1 * decision.yaw_rate
+
+
+def test_the_direction_before_stays_in_its_place_while_the_vehicle_turns() -> None:
+    method = Vfh().method(ROBOT, 0.1)
+    assert isinstance(method, _Vfh)
+    rate = method.decide(posts((1.0, 0.1)), AHEAD).yaw_rate
+    before = method._previous
+    method.decide(posts((1.0, 0.1)), Task((0.0, 0.0), now=(0.0, rate)))
+    assert rate < 0.0
+    assert method._previous == pytest.approx(before - 0.1 * rate)
+
+
+def test_a_moving_robot_does_not_turn_past_what_its_circle_touches() -> None:
+    beside = posts((0.9, math.radians(-40.0)), beams=361, fov=math.pi)
+    right = Task((0.6, 0.0), -0.8, (0.3, -1.7))  # its aim is at -80 degrees
+    assert Vfh().method(ROBOT, 0.1).decide(beside, right).mode == "task"  # it stands yet
+    moving = right._replace(now=(0.6, 0.0))  # at 0.6 m/s and 1.2 rad/s the circle has a radius of 0.5 m
+    decision = Vfh().method(ROBOT, 0.1).decide(beside, moving)
+    assert decision.mode == "avoid"
+    assert decision.yaw_rate > -1.5 * math.radians(40.0)
+
+
+@given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), st.none() | st.tuples(st.floats(-3, 3), st.floats(-3, 3)), st.booleans())
+def test_where_all_is_free_the_task_is_left_as_it_is(v: float, w: float, aim: Point | None, flies: bool) -> None:
+    for view in (scan(np.full(64, math.inf), fov=math.tau), scan(np.full(64, 2.0))):
+        task = Task((v, 0.0), w, aim)
+        assert Vfh().method(DRONE if flies else ROBOT, 0.1).decide(view, task) == (task.velocity, w, "task")
+
+
+def rooms(seed: int, beams: int = 181) -> Array:
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32), st.floats(0.1, 2.0), st.booleans())
+def test_a_mirrored_scan_gives_the_mirrored_decision(seed: int, y: float, flies: bool) -> None:
+    ranges, body = rooms(seed), DRONE if flies else ROBOT
+    one, other = Vfh().method(body, 0.1), Vfh().method(body, 0.1)
+    for k in range(3):
+        task = Task((0.3, 0.1 * y if flies else 0.0), 0.1 * y, (1.5, y))
+        (vx, vy), w = task.velocity, task.yaw_rate
+        left = one.decide(scan(ranges + 0.1 * k), task)
+        right = other.decide(scan(ranges[::-1] + 0.1 * k), Task((vx, -vy), -w, (1.5, -y)))
+        if left.mode == "turn":
+            assert right.mode == "turn"
+            return
+        assert (*left.velocity, left.yaw_rate) == pytest.approx((right.velocity[0], -right.velocity[1], -right.yaw_rate))
+
+
+@given(st.integers(0, 2**32))
+def test_nothing_makes_it_raise_or_go_faster_than_it_may(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = rng.choice([0.0, 0.01, 0.2, 0.9, 1.3, 5.0, math.inf], 64)
+    for body in (ROBOT, DRONE):
+        method = Vfh().method(body, 0.1)
+        for fov in (math.pi, math.tau):
+            decision = method.decide(scan(ranges, fov=fov), Task((0.3, 0.0), 0.1, (2.0, 0.4), (2.5, 0.0), 0.6))
+            assert math.hypot(*decision.velocity) <= 0.6 + 1e-12
+            assert body.flies or (decision.velocity[1] == 0.0 and decision.velocity[0] >= 0.0)
+
+
+def test_where_there_is_no_way_it_turns_to_one_side() -> None:
+    for body in (ROBOT, DRONE):
+        for ranges in (np.zeros(64), np.full(64, 0.4)):
+            method = Vfh().method(body, 0.1)
+            decisions = [method.decide(scan(ranges), Task((0.3, 0.0), 0.0, (2.0, 0.3))) for _ in range(5)]
+            assert all(each.velocity == (0.0, 0.0) and each.mode == "turn" for each in decisions)
+            assert len({each.yaw_rate for each in decisions}) == 1
+            assert abs(decisions[0].yaw_rate) == 0.6
+
+
+def starts(count: int) -> list[Pose]:
+    rng = np.random.default_rng(1)
+    return [tuple(rng.uniform((-3.5, -0.6, -0.6), (-2.5, 0.6, 0.6)).tolist()) for _ in range(count)]
+
+
+def driven(method: Method, start: Pose, **options: object) -> Way:
+    return drive(method, start, to_goal, there, beams=128, fov=math.pi, seconds=60.0, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("start", starts(20))
+def test_on_wheels_it_gets_around_a_pillar(start: Pose) -> None:
+    way = driven(Vfh().method(ROBOT, 0.1), start)
+    assert there(way.end)
+    assert way.clearance > ROBOT.radius_m + 0.05
+    modes = [each.mode for each in way.decisions]
+    assert sum(a != b for a, b in pairwise(modes)) <= 4  # it does not dither
+
+
+def test_on_wheels_it_gets_around_a_wall_and_through_a_door() -> None:
+    wall, door = [((-0.1, -2.0), (0.1, 2.0))], [((-0.1, -5.0), (0.1, -0.45)), ((-0.1, 0.45), (0.1, 5.0))]
+    for boxes in (wall, door):
+        way = driven(Vfh().method(ROBOT, 0.1), (-3.0, 0.3, 0.1), boxes=boxes)
+        assert there(way.end)
+        assert way.clearance > ROBOT.radius_m + 0.05
+
+
+def test_in_the_air_it_gets_around_a_pillar() -> None:
+    for y in (-0.3, 0.0, 0.2):
+        for yaw in (0.0, 2.0):
+            way = fly(Vfh().method(DRONE, 0.1), (-3.0, y), lambda at: Task(_towards(at), 0.0, None), there, yaw=yaw)
+            assert there(way.end)
+            assert way.clearance > DRONE.radius_m + 0.05
+
+
+def _towards(place: Point) -> Point:
+    dx, dy = GOAL[0] - place[0], GOAL[1] - place[1]
+    return 0.3 * dx / math.hypot(dx, dy), 0.3 * dy / math.hypot(dx, dy)
+
+
+def test_in_a_closed_room_it_touches_nothing() -> None:
+    room = [((-2.0, -1.5), (2.0, -1.4)), ((-2.0, 1.4), (2.0, 1.5)), ((-2.0, -1.5), (-1.9, 1.5)), ((1.9, -1.5), (2.0, 1.5))]
+    way = driven(Vfh().method(ROBOT, 0.1), (0.0, 0.0, 0.4), boxes=room)
+    assert not there(way.end)
+    assert way.clearance > ROBOT.radius_m
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"freed_m = 1: must not be less than blocked_m = 1.2"):
+        Vfh(freed_m=1.0).method(ROBOT, 0.1)
+    with pytest.raises(ValueError, match=r"blocked_m = 1.2: must be more than what is kept away from things, 1.5 m"):
+        Vfh(keep_m=1.5).method(ROBOT, 0.1)

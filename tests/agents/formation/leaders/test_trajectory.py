@@ -1,0 +1,249 @@
+import math
+from pathlib import Path as FilePath
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.leaders.leader import Leader
+from vcmvsp.agents.formation.reports.prediction import DeadReckoning
+from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import arc
+from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.types import Message
+from tests.support.agents.agent_loop import Floats, Pose, observe, received
+
+
+def commands(agent: Trajectory, duration_s: float, period_s: float = 0.1) -> Floats:
+    """(ticks, 3): t in s, v in m/s, w in rad/s."""
+    agent.start(VehicleInfo(name="car1", vehicles=("car1",), period_s=period_s, latency_s=0.0, seed=1))
+    radio, rows = Radio("car1", ("car1",)), []
+    for tick in range(round(duration_s / period_s)):
+        now_ns = round(tick * period_s * 1e9)
+        command = agent.act(observe((0.0, 0.0, 0.0), now_ns), radio)
+        rows.append((now_ns / 1e9, command.linear[0], command.yaw_rate))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ("path", "v", "w"),
+    [
+        ("straight", lambda t: 0.3 + 0.0 * t, lambda t: 0.0 * t),
+        ("circle", lambda t: 0.3 + 0.0 * t, lambda t: 0.15 + 0.0 * t),
+        ("slalom", lambda t: 0.3 + 0.0 * t, lambda t: 0.4 * np.sin(2 * np.pi * t / 16)),
+        ("stopgo", lambda t: 0.3 * (1 + 0.5 * np.sin(2 * np.pi * t / 9)), lambda t: 0.3 * np.sin(2 * np.pi * t / 16)),
+    ],
+)
+def test_the_standard_paths_are_their_formulas(path: Any, v: Any, w: Any) -> None:
+    t, got_v, got_w = commands(Trajectory(path), 40.0).T
+    np.testing.assert_allclose(got_v, v(t), atol=1e-12)
+    np.testing.assert_allclose(got_w, w(t), atol=1e-12)
+
+
+def test_the_random_path_is_the_documented_sequence() -> None:
+    """Written again from its description, for 0.3 m/s at 10 Hz: v* in 0.1 .. 0.45, w* in -0.35 .. 0.35."""
+    draws, v, w = np.random.default_rng(7), 0.3, 0.0
+    for tick, (_, got_v, got_w) in enumerate(commands(Trajectory("random"), 60.0)):
+        if tick % 20 == 0:
+            v_star, w_star = draws.uniform(0.1, 0.45), draws.uniform(-0.35, 0.35)
+        v += np.clip(v_star - v, -0.03, 0.03)
+        w += np.clip(w_star - w, -0.06, 0.06)
+        assert (got_v, got_w) == pytest.approx((v, w), abs=1e-12)
+
+
+def test_a_random_path_depends_on_its_seed_alone() -> None:
+    once, again, other = (commands(Trajectory("random", path_seed=seed), 20.0) for seed in (7, 7, 8))
+    assert np.array_equal(once, again)
+    assert not np.allclose(once, other)
+
+
+def test_the_circle_closes_after_one_turn() -> None:
+    turn_s, pose = 2 * math.pi / 0.15, (0.0, 0.0, 0.0)
+    radii = []
+    for _ in range(100):
+        pose = arc(pose, 0.3, 0.15, turn_s / 100)
+        radii.append(math.hypot(pose[0], pose[1] - 2.0))
+    assert radii == pytest.approx([2.0] * 100)
+    assert pose == pytest.approx((0.0, 0.0, 2 * math.pi), abs=1e-9)
+
+
+@pytest.mark.parametrize(("path", "standard"), [("circle", 0.15), ("slalom", 0.4), ("stopgo", 0.3)])
+def test_speed_and_yaw_rate_scale_a_path(path: Any, standard: float) -> None:
+    base, twice = commands(Trajectory(path), 20.0), commands(Trajectory(path, 0.6, 2 * standard), 20.0)
+    np.testing.assert_allclose(twice[:, 1:], 2 * base[:, 1:], atol=1e-12)
+
+
+def test_speed_and_yaw_rate_bound_a_random_path_and_its_accelerations_stay() -> None:
+    _, v, w = commands(Trajectory("random", 1.0, 0.7), 200.0, period_s=0.5).T
+    assert 1 / 3 <= v.min() < 0.6 < 1.2 < v.max() <= 1.5
+    assert -0.7 <= w.min() < -0.4 < 0.4 < w.max() <= 0.7
+    assert np.abs(np.diff(v)).max() == pytest.approx(0.3 * 0.5)
+    assert np.abs(np.diff(w)).max() == pytest.approx(0.6 * 0.5)
+
+
+def test_the_period_of_stop_and_go_can_be_set_and_it_can_go_straight() -> None:
+    t, v, w = commands(Trajectory("stopgo", 0.4, 0.0, surge_s=5.0), 20.0).T
+    np.testing.assert_allclose(v, 0.4 * (1 + 0.5 * np.sin(2 * np.pi * t / 5)), atol=1e-12)
+    assert np.abs(w).max() == 0.0
+
+
+def reports(agent: Leader, duration_s: float, period_s: float = 0.1) -> list[dict[str, Any]]:
+    """What a leader tells."""
+    agent.start(VehicleInfo(name="car1", vehicles=("car1", "car2"), period_s=period_s, latency_s=0.0, seed=1))
+    radio = Radio("car1", ("car1", "car2"))
+    for tick in range(round(duration_s / period_s)):
+        agent.act(observe((0.0, 0.0, 0.0), round(tick * period_s * 1e9)), radio)
+    return [message.body for message in radio.drain()]  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("path", ["straight", "circle", "slalom", "stopgo", "random"])
+@pytest.mark.parametrize("period_s", [0.1, 0.5, 0.03])
+def test_a_plan_is_what_comes_and_changes_nothing(path: Any, period_s: float) -> None:
+    plain = commands(Trajectory(path), 60.0, period_s)[:, 1:]
+    told = reports(Trajectory(path, estimator="plan"), 60.0, period_s)
+    assert [(each["v"], each["w"]) for each in told] == list(map(tuple, plain))
+    for tick in range(len(told) - 20):
+        assert told[tick]["dt"] == pytest.approx(period_s)
+        np.testing.assert_allclose(np.reshape(told[tick]["plan"], (20, 2)), plain[tick + 1 : tick + 21], atol=1e-9)
+
+
+def test_accelerations_are_differences_of_commands() -> None:
+    t, v, w = commands(Trajectory("random"), 30.0).T
+    told = reports(Trajectory("random", estimator="acc"), 30.0)
+    assert (told[0]["a"], told[0]["al"]) == (0.0, 0.0)  # nothing came before
+    np.testing.assert_allclose([each["a"] for each in told[1:]], np.diff(v) / np.diff(t), atol=1e-6)
+    np.testing.assert_allclose([each["al"] for each in told[1:]], np.diff(w) / np.diff(t), atol=1e-6)
+
+
+class Wants(DeadReckoning):
+    """An estimator of one's own that needs both."""
+
+    needs = ("a", "plan")
+
+
+@pytest.mark.parametrize(
+    ("params", "more"),
+    [
+        ({}, []),
+        ({"estimator": "hold"}, []),
+        ({"estimator": "acc"}, ["a", "al"]),
+        ({"estimator": "plan"}, ["plan", "dt"]),
+        ({"tell": ["a"], "estimator": "plan"}, ["a", "al", "plan", "dt"]),
+        ({"estimator": f"{__name__}:Wants"}, ["a", "al", "plan", "dt"]),
+        ({"estimator": Wants()}, ["a", "al", "plan", "dt"]),
+    ],
+)
+def test_a_leader_tells_what_the_estimator_of_its_followers_needs(params: dict[str, Any], more: list[str]) -> None:
+    leader = call(Trajectory, {"path": "slalom", **params})
+    body = reports(leader, 0.2)[-1]
+    assert list(body) == ["seq", "t_ns", "x", "y", "th", "v", "w", *more]
+    size = len(msgspec.msgpack.encode(body))
+    assert size <= 76 + 24 * ("a" in more) + 380 * ("plan" in more)
+
+
+def test_nothing_else_can_be_told() -> None:
+    with pytest.raises(ScenarioError, match=r"tell: must be .*'a', 'plan'"):
+        call(Trajectory, {"tell": ["jerk"]})
+
+
+class Waltz(Leader):
+    """A leader of one's own, which makes no plans."""
+
+    def speeds(self, obs: Observation) -> tuple[float, float]:
+        return 0.3, 0.5 * math.sin(obs.time_s)
+
+
+def test_a_leader_of_ones_own_says_how_it_moves_and_no_more() -> None:
+    told = reports(call(Waltz, {"estimator": "plan", "tell": ["a"]}), 5.0)
+    assert [each["w"] for each in told] == pytest.approx([0.5 * math.sin(tick / 10) for tick in range(50)])
+    assert all(("a" in each, "plan" in each) == (True, False) for each in told)
+
+
+def test_the_leader_of_the_readme_works() -> None:
+    readme = (FilePath(__file__).parents[2] / "agents" / "README.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    exec(next(block for block in readme.split("```python\n") if "class Waltz" in block).split("```")[0], names)
+    told = reports(names["Waltz"](), 1.0)
+    assert [(each["v"], each["w"]) for each in told] == [(0.3, 0.5 * math.sin(tick / 10)) for tick in range(10)]
+
+
+LINE = Formation(shape="line", spacing=1.0, changes=((0.5, "column"), (1.0, "line")))
+
+
+def told_of_shapes(*heard: tuple[int, dict[str, Any]], formation: Formation = LINE) -> list[tuple[Any, Any, Any]]:
+    """Shape, number and order in each report of a leader of five, of which some are heard, by ticks."""
+    names = tuple(f"car{number}" for number in range(1, 6))
+    leader, radio = Trajectory("straight", formation=formation), Radio("car1", names)
+    leader.start(VehicleInfo(name="car1", vehicles=names, period_s=0.1, latency_s=0.0, seed=1))
+    for tick in range(15):
+        came = [received(Message(sender=body["from"], body=body, size_bytes=60)) for at, body in heard if at == tick]
+        leader.act(observe((1.0, 2.0, math.pi / 2), tick * 100_000_000, came), radio)
+    return [(body.get("shape"), body.get("sn"), body.get("order")) for body in (each.body for each in radio.drain())]  # type: ignore[union-attr]
+
+
+def test_a_leader_changes_the_shape_at_its_times_and_says_so() -> None:
+    told = told_of_shapes()
+    assert told[:5] == [(None, None, None)] * 5
+    assert [each[:2] for each in told[5:10]] == [("column", 1)] * 5
+    assert [each[:2] for each in told[10:]] == [("line", 2)] * 5
+
+
+def test_places_are_dealt_out_by_where_members_were_heard_to_be() -> None:
+    """Members that report themselves along a column, in another order: each gets the place where it stands."""
+    behind = {"car2": 3.0, "car3": 1.0, "car4": 4.0, "car5": 2.0}  # m; the leader is at (1, 2) and looks north
+    heard = [
+        (3, {"from": name, "t_ns": 200_000_000, "x": 1.0, "y": 2.0 - away, "th": 1.57, "v": 0.0, "w": 0.0})
+        for name, away in behind.items()
+    ]
+    shape, number, order = told_of_shapes(*heard)[6]
+    assert (shape, number) == ("column", 1)
+    assert order == [0, 2, 4, 1, 3]  # by place: car1, car3, car5, car2, car4
+
+
+def test_only_the_first_of_a_formation_leads_it() -> None:
+    leader = Trajectory(formation=Formation(members=("car2", "car1")))
+    with pytest.raises(ValueError, match="formation: car1 does not lead this team, car2 does; name it first in members"):
+        leader.start(VehicleInfo(name="car1", vehicles=("car1", "car2"), period_s=0.1, latency_s=0.0, seed=1))
+
+
+def test_wrong_paths_are_refused() -> None:
+    with pytest.raises(ValueError, match="not one of straight, circle, slalom, stopgo, random"):
+        Trajectory("spiral")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="a straight path has no yaw rate"):
+        Trajectory("straight", yaw_rate=0.1)
+
+
+def test_every_tick_is_reported_with_pose_and_command() -> None:
+    agent, radio = Trajectory("slalom"), Radio("car1", ("car1", "car2"))
+    pose: Pose = (1.5, -2.0, 0.7)
+    for tick in range(3):
+        command = agent.act(observe(pose, tick * 100_000_000, v=9.0, w=9.0), radio)
+        (message,) = radio.drain()
+        assert message.to is None
+        body = message.body
+        assert isinstance(body, dict)
+        assert list(body) == ["seq", "t_ns", "x", "y", "th", "v", "w"]
+        assert (body["seq"], body["t_ns"], body["v"], body["w"]) == (
+            tick,
+            tick * 100_000_000,
+            command.linear[0],
+            command.yaw_rate,
+        )
+        assert (body["x"], body["y"], body["th"]) == pytest.approx(pose, abs=1e-12)
+        assert message.size_bytes == len(msgspec.msgpack.encode(body)) <= 76
+
+
+def test_a_follower_with_broadcast_reports_its_measured_speed_even_while_it_waits() -> None:
+    agent, radio = LeaderFollower("car1", broadcast=True), Radio("car2", ("car1", "car2", "car3"))
+    agent.act(observe((1.0, 2.0, 2.5), 300_000_000, v=-0.2, w=0.4), radio)
+    (message,) = radio.drain()
+    body = message.body
+    assert isinstance(body, dict)
+    assert body == pytest.approx({"seq": 0, "t_ns": 300_000_000, "x": 1.0, "y": 2.0, "th": 2.5, "v": -0.2, "w": 0.4})
+    agent = LeaderFollower("car1", broadcast=False)
+    agent.act(observe((1.0, 2.0, 2.5), 400_000_000), radio)
+    assert radio.drain() == []

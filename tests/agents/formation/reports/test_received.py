@@ -1,0 +1,215 @@
+"""What a follower believes: the newest report that makes sense, whatever else the air brings and in whatever order."""
+
+import math
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.agents.formation import Hold, LeaderFollower, Trajectory
+from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.config.registry import find
+from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.types import Message, Reception, Velocity
+from tests.support.agents.agent_loop import observe, received
+
+TICK_NS = 100_000_000
+POSE = (-1.0, -0.4, 0.1)
+SILENT = Radio("me", ("me",))
+
+
+def heard(body: Any, sender: str = "leader") -> Reception:
+    return received(Message(sender=sender, body=body, size_bytes=76))
+
+
+def body_of(tick: int, **changes: Any) -> dict[str, Any]:
+    """What a leader on a circle reports at a tick."""
+    th = 0.015 * tick
+    body = {
+        "seq": tick,
+        "t_ns": tick * TICK_NS,
+        "x": 2 * math.sin(th),
+        "y": 2 - 2 * math.cos(th),
+        "th": th,
+        "v": 0.3,
+        "w": 0.15,
+    }
+    return {**body, **changes}
+
+
+def told(*receptions: Reception, at_tick: int = 20, **params: Any) -> tuple[Velocity, dict[str, float | str | bool]]:
+    """Command and notes of a fresh follower that has heard all this by ``at_tick``."""
+    follower = LeaderFollower("leader", bearing_deg=30.0, **params)
+    command = follower.act(observe(POSE, at_tick * TICK_NS, receptions), SILENT)
+    return command, follower.drain_notes()
+
+
+NUMBERS = st.one_of(st.floats(), st.integers(-(2**63), 2**64 - 1))
+ANYTHING = st.one_of(NUMBERS, st.none(), st.booleans(), st.text(max_size=3), st.lists(st.floats(), max_size=2))
+GARBAGE = st.one_of(
+    st.builds(  # a key that is missing
+        lambda key: {name: value for name, value in body_of(20).items() if name != key},
+        st.sampled_from(["t_ns", "x", "y", "th", "v", "w"]),
+    ),
+    st.builds(  # a value that is not finite, absurd or not a number
+        lambda key, value: body_of(20, **{key: value}),
+        st.sampled_from(["x", "y", "th", "v", "w"]),
+        st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -1e12, 2**64 - 1, None, "1.0", [1.0], {}]),
+    ),
+    st.builds(
+        lambda t_ns: body_of(20, t_ns=t_ns), st.sampled_from([20 * TICK_NS + 1, 2**62, 1.9e9, math.nan, None, "0", True])
+    ),
+    st.binary(max_size=20),
+    st.dictionaries(st.text(max_size=4), ANYTHING, max_size=5),
+)
+
+
+@given(
+    ticks=st.lists(st.integers(0, 20), min_size=1, max_size=8),
+    garbage=st.lists(GARBAGE, max_size=5),
+    others=st.lists(st.integers(0, 20), max_size=3),
+    data=st.data(),
+)
+def test_the_newest_report_wins_over_late_ones_copies_and_nonsense(
+    ticks: list[int], garbage: list[Any], others: list[int], data: st.DataObject
+) -> None:
+    noise = [heard(body) for body in garbage] + [heard(body_of(tick, x=99.0), sender="somebody") for tick in others]
+    mixed = data.draw(st.permutations([heard(body_of(tick)) for tick in ticks] + noise))
+    command, notes = told(*mixed)
+    expected, expected_notes = told(heard(body_of(max(ticks))))
+    assert command == expected
+    assert notes.pop("refused", 0) == sum(not isinstance(body, bytes) for body in garbage)  # bytes are a program's
+    assert notes == expected_notes
+
+
+@given(
+    batches=st.lists(st.lists(st.integers(0, 12), max_size=4), min_size=1, max_size=10),
+)
+def test_a_report_is_kept_from_tick_to_tick_until_a_newer_one_comes(batches: list[list[int]]) -> None:
+    follower, newest = LeaderFollower("leader", bearing_deg=30.0), -1
+    for i, batch in enumerate(batches):
+        newest = max([newest, *batch])
+        command = follower.act(observe(POSE, (12 + i) * TICK_NS, [heard(body_of(tick)) for tick in batch]), SILENT)
+        notes = follower.drain_notes()
+        if newest < 0:
+            assert (command, notes) == (Velocity(), {"status": "waiting"})
+        else:
+            assert notes["age_s"] == pytest.approx((12 + i - newest) * 0.1, abs=1e-12)
+            assert command == told(heard(body_of(newest)), at_tick=12 + i)[0]
+
+
+@given(
+    changes=st.dictionaries(st.sampled_from(["t_ns", "x", "y", "th", "v", "w", "seq"]), ANYTHING),
+    estimator=st.sampled_from(["hold", "dr"]),
+)
+def test_no_message_makes_a_command_that_is_not_a_number(changes: dict[str, Any], estimator: str) -> None:
+    crossed_the_air = msgspec.msgpack.decode(msgspec.msgpack.encode(body_of(5, **changes)))
+    command, _ = told(heard(crossed_the_air), estimator=estimator)
+    assert math.isfinite(command.linear[0])
+    assert math.isfinite(command.yaw_rate)
+
+
+def test_a_clock_that_is_ahead_within_its_bound_is_believed_and_counts_as_age_zero() -> None:
+    early = heard(body_of(20, t_ns=20 * TICK_NS + 5_000_000))
+    assert told(early)[1] == {"status": "waiting", "refused": 1}
+    command, notes = told(early, clock_bound_s=0.005)
+    assert notes["age_s"] == 0.0
+    assert command == told(heard(body_of(20)))[0]
+
+
+def test_a_program_that_goes_on_talking_does_not_hide_that_its_agent_is_silent() -> None:
+    listening = Listening(["leader"], 0.0)
+    for tick, body in enumerate([body_of(0), b"\x00", msgspec.msgpack.encode(body_of(2)), b""]):
+        listening.take(observe(POSE, tick * TICK_NS, [heard(body)]))
+    assert (listening.absent_ns("leader", 3 * TICK_NS), listening.refused) == (3 * TICK_NS, 0)
+    listening.take(observe(POSE, 4 * TICK_NS, [heard({"ack": 1})]))
+    assert listening.absent_ns("leader", 4 * TICK_NS) == 0
+
+
+def test_until_the_leader_is_heard_the_follower_stands_still() -> None:
+    assert told() == (Velocity(), {"status": "waiting"})
+    assert told(heard(body_of(20), sender="car3"))[1] == {"status": "waiting"}
+
+
+@pytest.mark.parametrize("estimator", ["hold", "dr"])
+def test_when_the_leader_falls_silent_the_follower_slows_to_a_stop_and_goes_on_when_it_is_back(estimator: str) -> None:
+    follower = LeaderFollower("leader", bearing_deg=30.0, estimator=estimator, timeout_s=3.0, fade_s=1.0)
+    commands, states = [], []
+    for tick in range(61):
+        receptions = [heard(body_of(tick))] if tick in (0, 60) else []
+        commands.append(follower.act(observe(POSE, tick * TICK_NS, receptions), SILENT))
+        states.append(follower.drain_notes()["status"])
+    assert states == ["following"] * 30 + ["leader lost"] * 30 + ["following"]
+    last = commands[29]
+    for tick in range(30, 60):  # the last command, on its own arc, to standstill within a second
+        left = max(0.0, 1.0 - (tick - 30) * 0.1)
+        assert commands[tick].linear[0] == pytest.approx(last.linear[0] * left, abs=1e-12)
+        assert commands[tick].yaw_rate == pytest.approx(last.yaw_rate * left, abs=1e-12)
+    assert commands[59] == Velocity()
+    assert commands[60] != Velocity()
+
+
+def test_commands_keep_within_their_limits() -> None:
+    far = heard(body_of(20, x=50.0, y=30.0, v=0.0, w=0.0))
+    free = told(far, handle=0.4)[0]
+    assert free.linear[0] > 30.0
+    assert free.yaw_rate > 20.0
+    limited = told(far, handle=0.4, max_speed=1.6, max_yaw_rate=1.75)[0]
+    assert (limited.linear[0], limited.yaw_rate) == (1.6, 1.75)
+    back = heard(body_of(20, x=-50.0, y=-30.0, v=0.0, w=0.0))
+    assert told(back)[0].linear[0] == -0.1
+    backed = told(back, handle=0.4, max_reverse=0.3, max_yaw_rate=1.0)[0]
+    assert (backed.linear[0], backed.yaw_rate) == (-0.3, -1.0)
+
+
+@pytest.mark.parametrize("bearing_deg", [90.0, -90.0, 180.0, 120.0])
+def test_a_slot_that_is_not_behind_needs_a_handle(bearing_deg: float) -> None:
+    with pytest.raises(ValueError, match=r"does not put this vehicle behind its leader .* give one, e.g. handle = 0.4"):
+        LeaderFollower("leader", 1.0, bearing_deg)
+    LeaderFollower("leader", 1.0, bearing_deg, handle=0.4)
+
+
+def test_the_slot_is_announced_for_measuring() -> None:
+    follows = LeaderFollower("car1", 1.0, 30.0).follows
+    assert follows is not None
+    assert follows.leader == "car1"
+    assert follows.handle_m == pytest.approx(0.8660254)
+    assert follows.slot == pytest.approx((-0.8660254, -0.5))
+    short = LeaderFollower("car1", 2.0, -60.0, handle=0.3).follows
+    assert short is not None
+    assert short.slot == pytest.approx((-1.0, 1.7320508))
+    assert short.handle_m == 0.3
+
+
+@pytest.mark.parametrize("leader", ["car7", "car2"])
+def test_a_leader_that_is_not_another_vehicle_is_refused(leader: str) -> None:
+    info = VehicleInfo(name="car2", vehicles=("car1", "car2"), period_s=0.1, latency_s=0.0, seed=1)
+    with pytest.raises(ValueError, match=r"is not another vehicle of this run \(car1\)"):
+        LeaderFollower(leader).start(info)
+    LeaderFollower("car1").start(info)
+
+
+def test_a_scenario_reaches_both_agents_by_their_short_names() -> None:
+    assert find("agent", "trajectory") is Trajectory
+    assert find("agent", "leader_follower") is LeaderFollower
+    follower = call(LeaderFollower, {"leader": "car1", "distance": 1, "bearing_deg": 30, "estimator": "hold"})
+    assert type(follower.estimator) is Hold
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"leader": "car1", "distance": -1.0}, r"agent.distance: must be a number > 0"),
+        ({"leader": "car1", "bearing_deg": 90.0}, r"agent: .* give one, e.g. handle = 0.4"),
+        ({"leader": "car1", "estimator": "hodl"}, r"agent.estimator: unknown estimator 'hodl'; did you mean 'hold'\?"),
+        ({"leader": "car1", "fade_s": 0}, r"agent.fade_s: must be a number > 0"),
+        ({}, r"agent.leader: is missing"),
+    ],
+)
+def test_wrong_values_of_a_scenario_are_named(table: dict[str, Any], says: str) -> None:
+    with pytest.raises(ScenarioError, match=says):
+        call(LeaderFollower, table, key="agent")

@@ -1,0 +1,256 @@
+"""Several algorithms on one vehicle: who is asked, who is obeyed, and how the command gets from one to another."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.agents.mission.runner import Command, Runner
+from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.types import Message, Reception, Vec3, VehicleState, Velocity, Waypoint
+
+T = 0.1
+WINGS, WHEELS = Body(width_m=0.5, radius_m=0.25, flies=True), Body(width_m=0.4, radius_m=0.25)
+POINT = Waypoint(position=(5.0, 0.0, 3.0))
+
+
+class Says(Agent):
+    """Answers in turn what it is given, the last one for ever; remembers what it heard; sends its name and how often."""
+
+    sensors: tuple[str, ...] | None = ("gps",)
+
+    def __init__(self, name: str, *answers: Command | None) -> None:
+        self.name, self.answers, self.asked = name, answers, 0
+        self.heard, self.calls = list[Reception](), list[str]()
+
+    def start(self, info: VehicleInfo) -> None:
+        self.calls.append("start")
+
+    def act(self, obs: Observation, radio: Radio) -> Command | None:
+        self.heard += obs.heard
+        self.asked += 1
+        self.calls.append("act")
+        self.note(asked=self.asked)
+        radio.send(who=self.name, asked=self.asked)
+        return self.answers[min(self.asked, len(self.answers)) - 1]
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+class Waits(Says):
+    """Only listens while it is suspended."""
+
+    def stand_by(self, obs: Observation, radio: Radio) -> None:
+        self.heard += obs.heard
+        self.calls.append("stand_by")
+
+
+class Slower(Says):
+    """Gets around things by half the speed that is wanted."""
+
+    def around(self, obs: Observation, radio: Radio, wanted: Command | None) -> Command | None:
+        self.calls.append(f"around {getattr(wanted, 'linear', wanted)}")
+        return going(*(0.5 * v for v in wanted.linear)) if isinstance(wanted, Velocity) else self.answers[0]
+
+
+def going(*linear: float, turn: float = 0.0) -> Velocity:
+    x, y, z = (*linear, 0.0, 0.0, 0.0)[:3]
+    return Velocity(linear=(x, y, z), yaw_rate=turn)
+
+
+def runner_of(*agents: Says, acceleration: float = 1.0, body: Body = WINGS) -> Runner:
+    runner = Runner({agent.name: agent for agent in agents}, acceleration=acceleration, yaw_acceleration=2.0)
+    runner.start(VehicleInfo(name="a", vehicles=("a", "b"), period_s=T, latency_s=0.0, seed=1, body=body))
+    return runner
+
+
+RADIO = Radio("a", ("a", "b"))
+
+
+def ask(
+    runner: Runner,
+    tick: int,
+    commander: str,
+    *,
+    task: str | None = None,
+    why: str = "",
+    heard: tuple[Reception, ...] = (),
+    velocity: Vec3 = (0.0, 0.0, 0.0),
+    yaw: float = 0.0,
+    turning: float = 0.0,
+) -> Any:
+    state = VehicleState(
+        position=(0.0, 0.0, 3.0), velocity=velocity, attitude=quaternion_from_yaw(yaw), angular_velocity=(0.0, 0.0, turning)
+    )
+    obs = Observation(vehicle="a", time_ns=tick * 100_000_000, state=state, readings={}, heard=heard)
+    runner.look(obs)
+    return runner.act(obs, RADIO, commander, task=task, why=why)
+
+
+# --- who is asked ---
+
+
+def test_the_commander_is_obeyed_and_the_others_hear_send_and_go_on() -> None:
+    search, track = Says("search", going(1.0)), Waits("track", going(2.0))
+    runner = runner_of(search, track)
+    message = Reception(message=Message(sender="b", body={}, size_bytes=0), rssi_dbm=-50.0, sent_ns=0, received_ns=0)
+    RADIO.drain()
+    assert ask(runner, 0, "search", heard=(message,)) == going(1.0)
+    ask(runner, 1, "track", heard=(message,))
+    ask(runner, 2, "search")
+    runner.close()
+    assert search.calls == ["start", "act", "act", "act", "close"]
+    assert track.calls == ["start", "stand_by", "act", "stand_by", "close"]
+    assert len(search.heard) == len(track.heard) == 2
+    sent = [(m.body["who"], m.body["asked"]) for m in RADIO.drain() if isinstance(m.body, dict)]
+    assert sent == [("search", 1), ("search", 2), ("track", 1), ("search", 3)]
+
+
+def test_a_suspended_algorithm_has_its_state_afterwards() -> None:
+    """It was asked at every tick, and what it wants now counts again."""
+    search, track = Says("search", *(going(0.01 * n) for n in range(100))), Says("track", going())
+    runner = runner_of(search, track)
+    commanders = ["search"] * 3 + ["track"] * 5 + ["search"] * 3
+    commands = [ask(runner, tick, commander) for tick, commander in enumerate(commanders)]
+    assert commands == [going(0.01 * n) if c == "search" else going() for n, c in enumerate(commanders)]
+
+
+def test_who_leaves_the_last_command_in_force_means_its_own() -> None:
+    search, track = Says("search", going(0.05), None), Says("track", going(-0.05))
+    runner = runner_of(search, track)
+    assert [ask(runner, n, c) for n, c in enumerate(("search", "track", "search"))] == [going(0.05), going(-0.05), going(0.05)]
+
+
+def test_a_commander_that_has_never_had_one_stands_still() -> None:
+    runner = runner_of(Says("search", going(0.05)), Says("track", None))
+    assert [ask(runner, n, c) for n, c in enumerate(("track", "search", "track"))] == [None, going(0.05), going()]
+
+
+def test_avoidance_is_asked_last_and_knows_what_the_task_wants() -> None:
+    around, search, track = Slower("avoid1", None), Says("search", going(1.0), going(2.0)), Says("track", going(3.0))
+    runner = runner_of(around, search, track, acceleration=1e9)
+    assert ask(runner, 0, "search") == going(1.0)
+    assert ask(runner, 1, "avoid1", task="search") == going(1.0)
+    assert ask(runner, 2, "avoid1", task="track") == going(1.5)
+    assert around.calls[1:] == ["around (1.0, 0.0, 0.0)", "around (2.0, 0.0, 0.0)", "around (3.0, 0.0, 0.0)"]
+
+
+def test_avoidance_gets_around_things_on_the_way_that_the_task_wants_by_then() -> None:
+    """It is on its way while it gets around something, so it does not stand by; others do."""
+    around, search, track = Slower("avoid", None), Waits("search", *(going(n) for n in (1.0, 2.0, 3.0, 4.0))), Waits("track")
+    runner = runner_of(around, search, track, acceleration=1e9)
+    commands = [ask(runner, n, c, task="search") for n, c in enumerate(("search", "avoid", "avoid", "search"))]
+    assert commands == [going(1.0), going(1.0), going(1.5), going(4.0)]
+    assert search.calls == ["start"] + 4 * ["act"]
+    assert track.calls == ["start"] + 4 * ["stand_by"]
+
+
+def test_one_agent_may_have_several_names_and_is_asked_once() -> None:
+    around = Slower("avoid", going(1.0))
+    runner = Runner({"avoid1": around, "avoid2": around}, acceleration=1.0, yaw_acceleration=1.0)
+    runner.start(VehicleInfo(name="a", vehicles=("a",), period_s=T, latency_s=0.0, seed=1, body=WINGS))
+    assert ask(runner, 0, "avoid1") == ask(runner, 1, "avoid2") == going(1.0)
+    assert around.calls == ["start", "around None", "around None"]
+
+
+def test_what_they_look_at_and_what_they_note() -> None:
+    search, track = Says("search", going()), Says("track", going())
+    track.sensors = ("camera", "gps")
+    runner = runner_of(search, track)
+    assert runner.sensors == ("gps", "camera")
+    ask(runner, 0, "search")
+    ask(runner, 1, "search")
+    assert runner.said == {"search": {"asked": 2.0}, "track": {"asked": 2.0}}
+    track.sensors = None
+    assert runner.sensors is None
+
+
+def test_who_commands_since_when_and_why_is_noted_when_it_changes() -> None:
+    runner = runner_of(Says("search", going()), Says("track", going()))
+    notes = []
+    for tick, commander in enumerate(("search", "search", "track", "search")):
+        ask(runner, tick, commander, why=f"{tick}")
+        notes.append(runner.notes)
+    assert notes == [
+        {"commander": "search", "since_s": 0.0, "why": "0"},
+        {},
+        {"commander": "track", "since_s": 0.2, "why": "2"},
+        {"commander": "search", "since_s": pytest.approx(0.3), "why": "3"},
+    ]
+
+
+# --- take-over ---
+
+
+def test_a_take_over_runs_up_at_the_acceleration_that_the_vehicle_has() -> None:
+    """From 0.4 m/s east to 0.3 m/s north is 0.5 m/s; at 1 m/s2 that takes five ticks, the yaw rate at 2 rad/s2 two."""
+    runner = runner_of(Says("search", going(0.4)), Says("track", going(0.0, 0.3, turn=-0.4)))
+    ask(runner, 0, "search")
+    commands = [ask(runner, tick, "track") for tick in range(1, 7)]
+    assert [each.linear[:2] for each in commands[:4]] == [pytest.approx((0.4 - 0.08 * n, 0.06 * n)) for n in (1, 2, 3, 4)]
+    assert [each.yaw_rate for each in commands[:2]] == pytest.approx([-0.2, -0.4])
+    assert commands[5] == going(0.0, 0.3, turn=-0.4)
+
+
+def test_once_it_has_got_there_the_commander_may_do_what_it_likes() -> None:
+    runner = runner_of(Says("search", going(0.1)), Says("track", going(0.1), going(0.2), going(9.0)))
+    ask(runner, 0, "search")
+    assert [ask(runner, tick, "track").linear[0] for tick in (1, 2)] == [0.2, 9.0]  # it was asked at the first tick, too
+
+
+def test_from_a_way_point_the_run_up_begins_at_what_the_vehicle_does() -> None:
+    search, track = Says("search", POINT), Says("track", going(0.0))
+    runner = runner_of(search, track)
+    assert ask(runner, 0, "search") == POINT
+    assert ask(runner, 1, "track", velocity=(0.0, 2.0, 0.0), turning=0.5) == going(0.0, 1.9, turn=0.3)
+    assert ask(runner, 2, "search", velocity=(0.0, 1.9, 0.0)) == POINT
+    pointed = runner_of(Says("search", going(0.0)), Says("track", POINT, POINT, going(9.0)))
+    assert [ask(pointed, n, c) for n, c in enumerate(("search", "track", "track"))] == [going(0.0), POINT, going(9.0)]
+    wheels = runner_of(Says("search", POINT), Says("track", going(0.0)), body=WHEELS)
+    ask(wheels, 0, "search")
+    command = ask(wheels, 1, "track", velocity=(0.0, 2.0, 0.0), yaw=0.5 * math.pi)
+    assert command.linear == pytest.approx((1.9, 0.0, 0.0))  # on wheels, ahead
+
+
+speeds = st.floats(-5.0, 5.0)
+answers = st.lists(st.none() | st.builds(going, speeds, speeds, speeds, turn=st.floats(-2.0, 2.0)), min_size=1, max_size=8)
+
+
+@given(
+    st.lists(answers, min_size=3, max_size=3), st.lists(st.sampled_from("abc"), min_size=2, max_size=60), st.floats(0.1, 20.0)
+)
+def test_no_take_over_makes_the_command_jump(said: list[list[Any]], commanders: list[str], acceleration: float) -> None:
+    """Jumps are those of one commander, who has got to its own command before; at a take-over there are none."""
+    agents = [Says(name, *each) for name, each in zip("abc", said, strict=True)]
+    runner = runner_of(*agents, acceleration=acceleration)
+    commands = [ask(runner, tick, commander) for tick, commander in enumerate(commanders)]
+    for (before, old), (after, new) in pairwise(zip(commanders, commands, strict=True)):
+        if before != after and old is not None:
+            assert math.dist(new.linear, old.linear) <= acceleration * T * (1.0 + 1e-9) + 1e-12
+            assert abs(new.yaw_rate - old.yaw_rate) <= 2.0 * T * (1.0 + 1e-9) + 1e-12
+
+
+def wish(tick: int) -> tuple[float, float, float]:
+    return 3.0 * math.sin(tick), 3.0 * math.cos(1.7 * tick), 0.0
+
+
+@pytest.mark.parametrize("wanted", [lambda tick: (2.0, -1.0, 0.5), wish])
+def test_a_run_up_ends_where_the_commander_wants(wanted: Callable[[int], Vec3]) -> None:
+    """At one that holds after the way there at that acceleration; on the way it never gets further from what is wanted."""
+    track = Says("track", *(going(*wanted(tick)) for tick in range(100)))
+    runner = runner_of(Says("search", going(-1.0)), track, acceleration=2.0)
+    last = ask(runner, 0, "search").linear
+    for tick in range(1, 60):
+        command = ask(runner, tick, "track").linear
+        assert math.dist(command, wanted(tick)) <= max(0.0, math.dist(last, wanted(tick)) - 0.2) + 1e-9 or command == wanted(
+            tick
+        )
+        last = command
+    if wanted is not wish:
+        assert last == (2.0, -1.0, 0.5)

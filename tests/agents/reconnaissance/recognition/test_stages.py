@@ -1,0 +1,179 @@
+"""What each stage of recognition tells apart, and what it cannot."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.agents.reconnaissance.recognition import Target
+from vcmvsp.agents.reconnaissance.recognition import colour as colours
+from vcmvsp.agents.reconnaissance.recognition.detector import RINGS, _Search
+from vcmvsp.agents.reconnaissance.recognition.ground import BLUE, RED, glyph, mirrored
+from vcmvsp.agents.reconnaissance.recognition.match import Pose, match, vertex
+from vcmvsp.agents.reconnaissance.recognition.polar import FULL, TURNS, Rings, rotation
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Array
+
+MIDDLE = (np.array([23.5]), np.array([23.5]), np.array([48.0]))  # of a patch, and its side
+TEMPLATE = Target("glyph", glyph(), 2.0).template(48)
+
+
+def turned(picture: Array, angle: float, side: int = 48) -> Array:
+    """In the middle of a grey picture of 144 x 144, counter-clockwise."""
+    M = cv2.getRotationMatrix2D((0.5 * (picture.shape[1] - 1),) * 2, math.degrees(angle), side / picture.shape[1])
+    M[:, 2] += 71.5 - 0.5 * (picture.shape[1] - 1)
+    smooth = cv2.GaussianBlur(picture, (0, 0), 0.35 * picture.shape[1] / side)
+    return np.asarray(cv2.warpAffine(smooth, M, (144, 144), flags=cv2.INTER_AREA, borderValue=(110, 110, 110)))
+
+
+def rings(picture: Array, side: float = 48.0) -> tuple[float, Array]:
+    """The cosine with the target in the middle of a picture, and the spectra."""
+    at = np.array([71.5])
+    spectra = FULL.spectra(picture, at, at, np.array([side]))
+    return float(FULL.signatures(spectra).unit[0] @ TEMPLATE.full.unit[0]), spectra[:, 0]
+
+
+def test_reduced_pictures_have_their_edges_in_the_same_places() -> None:
+    """Also where the size is no multiple of the reduction's; an odd row and column at the end are left out."""
+    search = _Search(np.zeros((53, 101, 3), np.uint8), left=7, top=9, inside=(0.0, 0.0, 0.0, 0.0)).reduced(0.3)
+    assert search.image.shape[:2] == (16, 30)
+    u, v = np.array([7 - 0.5, 7 + 100 - 0.5]), np.array([9 - 0.5, 9 + 52 - 0.5])
+    across, down = search.within(u, v)
+    assert np.allclose(across, [-0.5, 29.5])
+    assert np.allclose(down, [-0.5, 15.5])
+    assert np.allclose(search.whole(across, down), (u, v))
+
+
+@pytest.mark.parametrize(("more", "less"), [(RED, BLUE), (BLUE, RED)])
+def test_hues_are_the_most_frequent_first_with_their_shares(more: tuple[int, ...], less: tuple[int, ...]) -> None:
+    picture = np.full((40, 40, 3), 128, np.uint8)  # pale: no hue
+    picture[:10] = less
+    picture[10:30] = more
+    found = colours.hues(picture)
+    assert found.shares == (0.5, 0.25)
+    first, second = cv2.cvtColor(np.array([[more, less]], np.uint8), cv2.COLOR_RGB2HSV)[0, :, 0].tolist()
+    assert (found.label[first], found.label[second], found.label[60], found.label[255]) == (1, 2, 0, 0)
+
+
+def test_no_more_than_four_hues_and_none_that_is_rare() -> None:
+    """Six hues 30 apart, from 2 % to 30 %."""
+    hsv = np.full((100, 10, 3), 200, np.uint8)
+    rows = (30, 25, 20, 15, 8, 2)
+    hsv[:, :, 0] = np.repeat(30 * np.arange(6), rows)[:, None]
+    assert colours.hues(np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))).shares == (0.3, 0.25, 0.2, 0.15)
+    hsv[:90, :, 0] = 0
+    hsv[90:98, :, 0] = 120
+    assert colours.hues(np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))).shares == (0.9, 0.08)
+
+
+def test_hues_go_round_in_a_circle() -> None:
+    """Reds lie on both sides of 0."""
+    hsv = np.full((20, 20, 3), 200, np.uint8)
+    hsv[:10, :, 0], hsv[10:, :, 0] = 178, 1
+    assert colours.hues(np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))).shares == (1.0,)
+
+
+def test_a_place_scores_no_more_for_a_hue_than_the_target_has_of_it() -> None:
+    """Four sevenths red, two blue: all red is worth two thirds, all blue one third, these shares all, however arranged."""
+    row = np.array([RED] * 4 + [BLUE] * 2 + [(128, 128, 128)], np.uint8)
+    wanted = colours.hues(np.tile(row, (7, 3, 1)))
+    for picture, expected in (
+        (np.full((63, 63, 3), RED, np.uint8), 2 / 3),
+        (np.full((63, 63, 3), BLUE, np.uint8), 1 / 3),
+        (np.full((63, 63, 3), 128, np.uint8), 0.0),
+        (np.tile(row[::-1][:, None], (9, 63, 1)), 1.0),
+    ):
+        scores = colours.scores(cv2.cvtColor(picture, cv2.COLOR_RGB2HSV), wanted, 21)
+        assert scores[31, 31] / 255 == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("angle", np.linspace(-3.1, 3.1, 12).tolist())
+def test_turning_changes_neither_magnitudes_nor_what_is_found(angle: float) -> None:
+    picture = turned(glyph(), angle)
+    cosine, spectrum = rings(picture)
+    assert cosine > 0.97
+    told = rotation(spectrum, TEMPLATE.full.spectra[:, 0])
+    assert abs(wrap(told - angle)) < math.radians(2.0)
+    score, pose = match(picture, TEMPLATE, Pose(71.5, 71.5, told, 48.0))
+    assert score > 0.95
+    assert abs(wrap(pose.angle - angle)) < math.radians(0.5)
+    assert math.dist((pose.u, pose.v), (71.5, 71.5)) < 0.3
+
+
+def test_a_negative_differs_in_its_means_alone() -> None:
+    """Of all harmonics only the 0 has a sign: the cosine loses twice its part."""
+    negative = FULL.spectra(255 - TEMPLATE.patch, *MIDDLE)
+    means = TEMPLATE.full.unit[0, : TEMPLATE.full.spectra.shape[2]]
+    cosine = float(FULL.signatures(negative).unit[0] @ TEMPLATE.full.unit[0])
+    assert cosine == pytest.approx(1.0 - 2.0 * float(means @ means), abs=0.01)
+    assert cosine < RINGS
+
+
+@given(steps=st.integers(0, TURNS - 1))
+@settings(max_examples=20)
+def test_phases_tell_a_turn_exactly(steps: int) -> None:
+    """A ring turned by phi is the ring with phases: no picture is needed."""
+    spectrum = TEMPLATE.full.spectra[:, 0]
+    angle = math.tau * steps / TURNS
+    phases = np.exp(-1j * np.arange(len(spectrum)) * angle)[:, None]
+    assert abs(wrap(rotation(spectrum * phases, spectrum) - angle)) < 1e-5
+
+
+def test_magnitudes_do_not_tell_a_mirror_image_but_correlation_does() -> None:
+    picture = turned(mirrored(glyph()), 0.7)
+    cosine, spectrum = rings(picture)
+    assert cosine > 0.97
+    best = max(match(picture, TEMPLATE, Pose(71.5, 71.5, angle, 48.0))[0] for angle in np.linspace(-math.pi, math.pi, 73))
+    assert best < 0.65
+    assert match(picture, TEMPLATE, Pose(71.5, 71.5, rotation(spectrum, TEMPLATE.full.spectra[:, 0]), 48.0))[0] < 0.65
+
+
+def test_correlation_alone_is_lost_where_the_picture_is_turned() -> None:
+    """Why it is turned back first: beyond a few degrees little is left of it."""
+    scores = {}
+    for degrees in (0, 10, 20, 40):
+        patch = turned(glyph(), math.radians(degrees))[44:100, 44:100]
+        scores[degrees] = float(cv2.matchTemplate(patch, TEMPLATE.patch, cv2.TM_CCOEFF_NORMED).max())
+    assert scores[0] > 0.95
+    assert scores[0] > scores[10] > scores[20] > scores[40]
+    assert scores[20] < 0.75
+
+
+def test_templates_are_blurred_as_the_camera_blurs() -> None:
+    """A target of 16 px a side is more like the template for 16 px than like a sharp one; one of 64 px the other way round."""
+    for side, other in ((16, 200), (64, 16)):
+        picture, start = turned(glyph(), 0.0, side), Pose(71.5, 71.5, 0.0, float(side))
+        target = Target("glyph", glyph(), 2.0)
+        assert match(picture, target.template(side), start)[0] > match(picture, target.template(other), start)[0] + 0.005
+
+
+@given(shift=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), scale=st.floats(0.95, 1.05))
+@settings(max_examples=20, deadline=None)
+def test_matching_corrects_place_and_size(shift: tuple[float, float], scale: float) -> None:
+    picture = turned(glyph(), 0.3)
+    score, pose = match(picture, TEMPLATE, Pose(71.5 + shift[0], 71.5 + shift[1], 0.33, 48.0 * scale))
+    assert score > 0.95
+    assert math.dist((pose.u, pose.v), (71.5, 71.5)) < 0.5
+    assert pose.side_px == pytest.approx(48.0, rel=0.025)  # at worst 2.35 %, of 845 places and sizes on a grid
+
+
+def test_all_patches_at_once_are_each_patch_alone() -> None:
+    rng = np.random.default_rng(2)
+    picture = rng.integers(0, 255, (100, 120, 3), np.uint8)
+    u, v, side = rng.uniform(20, 80, 7), rng.uniform(20, 80, 7), rng.uniform(20, 40, 7)
+    some = Rings(36, 12)
+    together = some.signatures(some.spectra(picture, u, v, side)).unit
+    for i in range(7):
+        part = slice(i, i + 1)
+        alone = some.signatures(some.spectra(picture, u[part], v[part], side[part])).unit
+        assert np.allclose(together[i], alone[0], atol=1e-6)
+
+
+@given(at=st.floats(-0.5, 0.5), bend=st.floats(0.1, 10.0), height=st.floats(-5.0, 5.0))
+def test_the_vertex_of_a_parabola_is_exact(at: float, bend: float, height: float) -> None:
+    values = height - bend * (np.arange(-2, 3) - at) ** 2
+    assert vertex(values, 2) == pytest.approx(at, abs=1e-9)
+    assert vertex(values, 0) == vertex(values, 4) == 0.0

@@ -1,0 +1,158 @@
+"""From pixels of a camera that looks down to the ground and back: by closed forms, and as the simulated camera sees it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.agents.reconnaissance.ground_point import Nadir, nadir_of, turned
+from vcmvsp.cosim.frames import product, quaternion_from_yaw, rotate2
+from vcmvsp.cosim.types import Image, VehicleState
+from vcmvsp.physics.sensors.camera import NadirCamera
+
+F, WIDTH, HEIGHT = 400.0, 640, 480
+
+Point = tuple[float, float]
+angles = st.floats(-math.pi, math.pi)
+tilts = st.floats(-0.3, 0.3)
+places = st.tuples(st.floats(-8.0, 8.0), st.floats(-6.0, 6.0))
+
+
+def attitude_of(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> tuple[float, float, float, float]:
+    about_y = (math.cos(0.5 * pitch), 0.0, math.sin(0.5 * pitch), 0.0)
+    about_x = (math.cos(0.5 * roll), math.sin(0.5 * roll), 0.0, 0.0)
+    return product(quaternion_from_yaw(yaw), product(about_y, about_x))
+
+
+def nadir(
+    x: float = 0.0, y: float = 0.0, height: float = 20.0, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0
+) -> Nadir:
+    return Nadir((x, y, height), attitude_of(yaw, pitch, roll), F, WIDTH, HEIGHT)
+
+
+@given(st.floats(0.0, WIDTH - 1.0), st.floats(0.0, HEIGHT - 1.0), st.floats(1.0, 60.0), angles)
+def test_without_tilt_forward_is_up_in_the_picture_and_left_is_left(u: float, v: float, height: float, yaw: float) -> None:
+    forward, left = (239.5 - v) * height / F, (319.5 - u) * height / F
+    x, y = rotate2(forward, left, yaw)
+    assert nadir(3.0, -2.0, height, yaw).ground_point((u, v)) == pytest.approx((3.0 + x, y - 2.0), abs=1e-9)
+
+
+@given(places, angles, tilts, tilts, st.floats(2.0, 60.0))
+def test_the_pixel_of_a_place_shows_that_place_whatever_the_attitude(
+    place: Point, yaw: float, pitch: float, roll: float, height: float
+) -> None:
+    seen = nadir(1.0, 2.0, height, yaw, pitch, roll)
+    pixel = seen.pixel(place)
+    if pixel is None:
+        assert math.dist(place, (1.0, 2.0)) > height
+    else:
+        assert seen.ground_point(pixel) == pytest.approx(place, abs=1e-6 * height * (1.0 + max(map(abs, pixel)) / F) ** 2)
+
+
+def test_a_camera_whose_nose_is_down_looks_back_and_one_whose_left_side_is_up_looks_left() -> None:
+    """The optical axis meets the ground at h tan(tilt); a nose that goes down (pitch > 0) turns the belly backwards."""
+    middle = nadir().middle
+    assert nadir(pitch=0.2).ground_point(middle) == pytest.approx((-20.0 * math.tan(0.2), 0.0))
+    assert nadir(roll=0.2).ground_point(middle) == pytest.approx((0.0, 20.0 * math.tan(0.2)))
+
+
+def test_the_formula_of_one_who_forgets_the_tilt_is_off_by_that() -> None:
+    """What the ray is for: at 20 m and 0.1 rad the target is 2 m beside where the level formula has it."""
+    pixel = nadir(roll=0.1).pixel((0.0, 0.0))
+    assert pixel is not None
+    wrong = nadir().ground_point(pixel)
+    assert wrong == pytest.approx((0.0, -20.0 * math.tan(0.1)))
+
+
+def test_the_sky_is_no_place_and_neither_is_what_a_camera_in_the_ground_sees() -> None:
+    assert nadir(pitch=1.2).ground_point((320.0, 470.0)) is None
+    assert nadir(height=0.0).ground_point((320.0, 240.0)) is None
+    assert nadir(height=-1.0).ground_point((320.0, 240.0)) is None
+    assert nadir().ground_point((math.nan, 240.0)) is None
+    assert nadir(pitch=math.pi).pixel((0.0, 0.0)) is None
+    assert nadir(pitch=1.2).footprint() is None
+
+
+def test_the_footprint_is_the_picture_on_the_ground() -> None:
+    """640 x 480 px at f 400 and 20 m: 32 m x 24 m, long side across; the first corner is ahead on the left."""
+    corners, turned_left = nadir().footprint(), nadir(yaw=0.5 * math.pi).footprint()
+    assert corners is not None
+    assert turned_left is not None
+    assert np.array(corners) == pytest.approx(np.array([(12.0, 16.0), (-12.0, 16.0), (-12.0, -16.0), (12.0, -16.0)]))
+    assert turned_left[0] == pytest.approx((-16.0, 12.0))
+
+
+@given(places, angles, tilts, tilts, st.floats(0.1, 5.0), st.floats(0.0, math.tau), st.floats(0.0, 1.0))
+def test_a_region_holds_every_pixel_of_the_picture_that_shows_something_near(
+    place: Point, yaw: float, pitch: float, roll: float, reach: float, bearing: float, share: float
+) -> None:
+    seen = nadir(yaw=yaw, pitch=pitch, roll=roll)
+    near = place[0] + share * reach * math.cos(bearing), place[1] + share * reach * math.sin(bearing)
+    pixel, region = seen.pixel(near), seen.region(place, reach)
+    if pixel is None or not (0.0 <= pixel[0] <= WIDTH - 1 and 0.0 <= pixel[1] <= HEIGHT - 1):
+        return
+    assert region is not None
+    left, top, right, low = region
+    assert left - 1e-6 <= pixel[0] <= right - 1 + 1e-6
+    assert top - 1e-6 <= pixel[1] <= low - 1 + 1e-6
+    assert 0 <= left < right <= WIDTH
+    assert 0 <= top < low <= HEIGHT
+
+
+def test_a_region_is_as_large_as_what_it_shows_and_there_is_none_beyond_the_edge() -> None:
+    """2 m around the middle at 20 m: 40 px each way."""
+    assert nadir().region((0.0, 0.0), 2.0) == (279, 199, 361, 281)
+    assert nadir().region((0.0, 30.0), 2.0) is None
+
+
+def test_where_the_camera_sees_the_horizon_a_region_that_reaches_behind_it_is_the_whole_picture() -> None:
+    slanted = nadir(height=2.0, pitch=-1.2)
+    assert slanted.region((2.0, 0.0), 30.0) == (0, 0, WIDTH, HEIGHT)
+    assert slanted.region((-100.0, 0.0), 2.0) is None
+
+
+def test_the_pinhole_is_where_the_camera_is_mounted() -> None:
+    image = Image(pixels=np.zeros((HEIGHT, WIDTH, 3), np.uint8), focal_px=F)
+    state = VehicleState(position=(1.0, 2.0, 10.0), attitude=attitude_of(0.5 * math.pi))
+    seen = nadir_of(image, state, mount=(0.3, 0.1, -0.2), ground_m=2.0)
+    assert seen.position == pytest.approx((0.9, 2.3, 9.8))
+    assert seen.height_m == pytest.approx(7.8)
+    assert (seen.width, seen.height, seen.focal_px) == (WIDTH, HEIGHT, F)
+
+
+@given(angles, tilts, tilts)
+def test_vectors_are_turned_as_by_the_quaternion_product(yaw: float, pitch: float, roll: float) -> None:
+    w, x, y, z = attitude = attitude_of(yaw, pitch, roll)
+    expected = product(product(attitude, (0.0, 1.0, -2.0, 3.0)), (w, -x, -y, -z))[1:]
+    assert turned(attitude, (1.0, -2.0, 3.0)) == pytest.approx(expected)
+
+
+@given(st.floats(0.0, 159.0), st.floats(0.0, 119.0), angles, tilts, tilts)
+def test_it_is_what_the_simulated_camera_sees(u: float, v: float, yaw: float, pitch: float, roll: float) -> None:
+    """The ray of a pixel as the renderer has it: its middle is half a pixel from its edges, which begin at 0."""
+    camera = NadirCamera()
+    ray = ((u + 0.5 - 80.0) / camera.focal_px, (v + 0.5 - 60.0) / camera.focal_px, 1.0)
+    x, y, z = turned(attitude_of(yaw, pitch, roll), tuple((camera.body_from_camera @ ray).tolist()))
+    image = Image(pixels=np.zeros((120, 160, 3), np.uint8), focal_px=camera.focal_px)
+    seen = nadir_of(image, VehicleState(position=(0.0, 0.0, 10.0), attitude=attitude_of(yaw, pitch, roll)))
+    x0, y0, z0 = seen.position
+    assert math.dist(seen.position, (0.0, 0.0, 10.0)) == pytest.approx(math.hypot(*camera.mount))
+    assert seen.ground_point((u, v)) == pytest.approx((x0 - x * z0 / z, y0 - y * z0 / z), abs=1e-9)
+
+
+def test_the_footprint_of_a_part_is_what_its_outer_edges_show() -> None:
+    seen = Nadir((1.0, 2.0, 30.0), (0.98, 0.1, -0.05, 0.16), 400.0, 640, 480)
+    part = (100, 50, 300, 200)
+    corners = [seen.ground_point(pixel) for pixel in ((99.5, 49.5), (99.5, 199.5), (299.5, 199.5), (299.5, 49.5))]
+    assert seen.footprint(part) == tuple(corners)
+    assert seen.footprint() == seen.footprint((0, 0, 640, 480))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3, 1.5, 2.5])
+def test_upright_is_the_cosine_of_the_tilt_at_any_yaw(tilt: float) -> None:
+    tilted = math.cos(0.5 * tilt), 0.6 * math.sin(0.5 * tilt), 0.8 * math.sin(0.5 * tilt), 0.0
+    for yaw in (0.0, 1.0, -2.0):
+        attitude = product(quaternion_from_yaw(yaw), tilted)
+        assert Nadir((0.0, 0.0, 1.0), attitude, 400.0, 640, 480).upright == pytest.approx(math.cos(tilt))

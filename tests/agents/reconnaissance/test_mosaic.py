@@ -1,0 +1,106 @@
+"""Pictures laid side by side as from above: every cell shows what the picture showed of its middle."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.agents.reconnaissance.ground_point import Nadir
+from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
+from vcmvsp.agents.reconnaissance.probability_map import Rectangle
+from vcmvsp.agents.reconnaissance.watch import Frame
+from vcmvsp.cosim.types import Array, Image
+
+SECOND = 10**9
+AREA = Rectangle(-20.0, -10.0, 20.0, 30.0)
+
+u, v = np.meshgrid(np.arange(640), np.arange(480))
+RAMP = np.stack([u * 0.375, v * 0.5, np.full(u.shape, 200.0)], axis=-1).astype(np.uint8)  # its colours tell where they are
+RED = np.full((480, 640, 3), (255, 0, 0), np.uint8)
+
+
+def frame(pixels: Array, time_ns: int, position: tuple[float, float, float], attitude: tuple[float, ...]) -> Frame:
+    nadir = Nadir(position, attitude, 400.0, 640, 480)  # type: ignore[arg-type]
+    return Frame(time_ns, nadir, (), Image(pixels=pixels, time_ns=time_ns, focal_px=400.0), None, True)
+
+
+def attitude(yaw: float, tilt: float, about: float) -> tuple[float, ...]:
+    c, s, a, b = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(tilt / 2), math.sin(tilt / 2)
+    x, y = b * math.cos(about), b * math.sin(about)
+    return c * a, c * x - s * y, c * y + s * x, s * a  # the tilt first, then the yaw
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.floats(-20.0, 20.0),
+    st.floats(-10.0, 30.0),
+    st.floats(12.0, 40.0),
+    st.floats(-math.pi, math.pi),
+    st.floats(0.0, 0.4),
+    st.floats(-math.pi, math.pi),
+)
+def test_every_cell_shows_what_the_picture_shows_of_its_middle(
+    x: float, y: float, height: float, yaw: float, tilt: float, about: float
+) -> None:
+    sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
+    one = frame(RAMP, 0, (x, y, height), attitude(yaw, tilt, about))
+    sheet.lay(one)
+    shown = sheet.shown(0)
+    assert shown is not None
+    assert shown.pixels.shape == (40, 40, 3)
+    for row in range(0, 40, 4):
+        for column in range(0, 40, 4):
+            pixel = one.nadir.pixel((AREA.left + column + 0.5, AREA.bottom + row + 0.5))
+            red, green, blue = shown.pixels[row, column].tolist()
+            if pixel is None or not (-60.0 <= pixel[0] <= 700.0 and -60.0 <= pixel[1] <= 540.0):
+                assert blue == 0
+            elif 40 < pixel[0] < 600 and 40 < pixel[1] < 440:
+                assert (red, green, blue) == pytest.approx((pixel[0] * 0.375, pixel[1] * 0.5, 200.0), abs=3.0)
+
+
+def test_the_newest_picture_lies_on_top_and_the_rest_stays() -> None:
+    sheet = Sheet(Mosaicking(area=AREA, cell_m=0.5))
+    sheet.lay(frame(RAMP, 0, (0.0, 0.0, 20.0), (1.0, 0.0, 0.0, 0.0)))
+    before = sheet.shown(0)
+    sheet.lay(frame(RED, SECOND, (8.0, 0.0, 8.0), (1.0, 0.0, 0.0, 0.0)))  # shows 9.6 m ahead, which is east, and 12.8 m across
+    after = sheet.shown(11 * SECOND)
+    assert before is not None
+    assert after is not None
+    red = (after.pixels == (255, 0, 0)).all(axis=-1)
+    middles = np.arange(80) * 0.5 + 0.25
+    inside = (abs(middles - 10.0)[:, None] < 6.4) & (abs(middles - 20.0 - 8.0)[None, :] < 4.8)
+    wrong = red != inside
+    edge = (abs(abs(middles - 10.0) - 6.4) < 0.5)[:, None] | (abs(abs(middles - 28.0) - 4.8) < 0.5)[None, :]
+    assert not (wrong & ~edge).any()
+    assert (after.pixels[~red] == before.pixels[~red]).all()
+
+
+def test_one_picture_a_second_is_laid_and_none_that_shows_the_horizon_or_is_far_away() -> None:
+    level = (1.0, 0.0, 0.0, 0.0)
+    sheet = Sheet(Mosaicking(area=AREA))
+    sheet.lay(frame(RED, 0, (0.0, 0.0, 20.0), attitude(0.0, 1.2, 0.3)))
+    assert sheet.shown(0) is None
+    sheet.lay(frame(RED, 0, (500.0, 0.0, 20.0), level))
+    sheet.lay(frame(RED, SECOND - 1, (0.0, 0.0, 20.0), level))
+    shown = sheet.shown(SECOND)
+    assert shown is not None
+    assert not shown.pixels.any()
+    assert sheet.shown(2 * SECOND) is None  # every 10 s
+    sheet.lay(frame(RED, SECOND, (0.0, 0.0, 20.0), level))
+    again = sheet.shown(11 * SECOND)
+    assert again is not None
+    assert again.pixels.any()
+    assert not shown.pixels.any()  # what was shown does not change any more
+
+
+def test_a_cell_is_the_mean_of_its_ground() -> None:
+    """A board of black and white squares much finer than the cells comes out grey."""
+    board = np.repeat((np.indices((480, 640)).sum(axis=0) % 2 * 255).astype(np.uint8)[:, :, None], 3, axis=2)
+    sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
+    sheet.lay(frame(cv2.GaussianBlur(board, (3, 3), 0), 0, (0.0, 10.0, 40.0), (1.0, 0.0, 0.0, 0.0)))
+    shown = sheet.shown(0)
+    assert shown is not None
+    assert abs(shown.pixels[5:35, 5:35].astype(float) - 127.5).max() < 10.0

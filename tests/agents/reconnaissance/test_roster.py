@@ -1,0 +1,194 @@
+"""What members of a mission know of each other, over a radio that loses, copies, reorders and lies."""
+
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.agents.reconnaissance.roster import Claim, Roster
+from vcmvsp.cosim.agent import Observation, Radio
+from vcmvsp.cosim.types import Message, Reception, VehicleState
+
+S = 1_000_000_000
+NAMES = ("a", "b", "c", "d")
+
+
+def seen(now_s: float, *heard: tuple[str, Any]) -> Observation:
+    receptions = [
+        Reception(message=Message(sender=sender, body=body, size_bytes=9), rssi_dbm=-50.0, sent_ns=0, received_ns=0)
+        for sender, body in heard
+    ]
+    return Observation(
+        vehicle="a",
+        time_ns=round(now_s * S),
+        state=VehicleState(position=(0.0, 0.0, 9.0)),
+        readings={},
+        heard=tuple(receptions),
+    )
+
+
+def said(name: str, now_s: float, task: Any = "search", claim: Claim | None = None) -> tuple[str, Any]:
+    """A message as a member sends it."""
+    radio = Radio(name, NAMES)
+    Roster(name, NAMES).tell(seen(now_s), radio, task, claim)
+    (message,) = radio.drain()
+    return name, message.body
+
+
+def tracks(
+    name: str, now_s: float, target: str, place: tuple[float, float] = (5.0, 5.0), since_s: float = 0.0
+) -> tuple[str, Any]:
+    return said(name, now_s, "track", Claim(target, place, round(since_s * S)))
+
+
+def test_members_tell_of_themselves_when_it_is_due_and_at_once_when_something_changes() -> None:
+    radio, roster = Radio("a", NAMES), Roster("a", NAMES, report_s=1.0)
+    claim = Claim("alpha", (1.0, 2.0), 0)
+    sent = []
+    for tick in range(40):
+        task, held = ("track", claim) if tick >= 25 else ("search", None)
+        roster.tell(seen(0.1 * tick), radio, task, held)  # type: ignore[arg-type]
+        sent += [tick] * len(radio.drain())
+    assert sent == [0, 10, 20, 25, 35]
+
+
+def test_who_is_silent_is_lost_and_who_says_anything_is_there() -> None:
+    roster = Roster("a", NAMES, alive_s=5.0)
+    roster.hear(seen(0.0))
+    assert roster.alive(4 * S) == NAMES  # nobody has had the time to say anything
+    roster.hear(seen(3.0, ("b", {"map": 1}), ("c", {}), ("x", {})))
+    assert roster.alive(5 * S) == ("a", "b", "c")
+    assert roster.alive(8 * S) == ("a",)
+    roster.hear(seen(9.0, said("d", 9.0)))
+    assert roster.alive(9 * S) == ("a", "d")
+
+
+def test_a_program_that_goes_on_talking_does_not_hide_that_its_agent_is_lost() -> None:
+    roster = Roster("a", NAMES, alive_s=5.0)
+    for now_s in range(10):
+        roster.hear(seen(now_s, said("b", now_s), ("c", b"\x00"), ("d", msgspec.msgpack.encode(said("d", now_s)[1]))))
+    assert roster.alive(9 * S) == ("a", "b")
+
+
+def test_who_tracks_leaves_the_search_to_the_rest() -> None:
+    roster = Roster("a", NAMES)
+    roster.hear(seen(1.0, *(said(name, 1.0) for name in "bc"), tracks("d", 1.0, "alpha")))
+    assert roster.searchers(S) == roster.sectors(S) == ("a", "b", "c")
+    assert roster.claims(S) == {"d": Claim("alpha", (5.0, 5.0), 0)}
+    roster.hear(seen(2.0, said("d", 2.0)))
+    assert roster.sectors(2 * S) == NAMES
+    assert not roster.claims(2 * S)
+
+
+def test_of_those_who_share_a_sector_the_first_that_searches_leads() -> None:
+    sectors = (("b", "a"), ("c", "d"))
+    one, two = Roster("a", NAMES, sectors=sectors), Roster("b", NAMES, sectors=sectors)
+    assert (one.sector, one.shared(0), two.shared(0)) == ("b", True, False)
+    assert one.sectors(0) == ("b", "c")
+    one.hear(seen(1.0, tracks("b", 1.0, "alpha"), said("c", 1.0), said("d", 1.0)))
+    assert not one.shared(S)
+    one.hear(seen(2.0, said("b", 2.0)))
+    assert one.shared(2 * S)
+    one.hear(seen(8.0))
+    assert not one.shared(8 * S)  # the first is lost
+    assert one.sectors(8 * S) == ("b",)  # its own keeps its name
+
+
+def test_a_target_belongs_to_the_vehicle_that_tracked_it_first_and_both_see_it_so() -> None:
+    """Whatever was claimed when: of two that have heard each other just one gives way."""
+    for since_a, since_b in ((1.0, 2.0), (2.0, 1.0), (1.0, 1.0)):
+        a, b = Roster("a", NAMES), Roster("b", NAMES)
+        mine, other = Claim("alpha", (5.0, 5.0), round(since_a * S)), Claim("alpha", (5.1, 5.0), round(since_b * S))
+        a.hear(seen(3.0, tracks("b", 3.0, "alpha", (5.1, 5.0), since_b)))
+        b.hear(seen(3.0, tracks("a", 3.0, "alpha", (5.0, 5.0), since_a)))
+        assert a.taken(mine, 3 * S) is (since_b < since_a)
+        assert b.taken(other, 3 * S) is not a.taken(mine, 3 * S)
+
+
+def test_who_sees_a_target_does_not_yield_to_who_only_believes_in_one_there() -> None:
+    roster = Roster("b", NAMES)
+    roster.hear(seen(3.0, tracks("a", 3.0, "", (5.0, 5.0), 1.0)))
+    assert not roster.taken(Claim("alpha", (5.1, 5.0), 2 * S), 3 * S)
+    assert roster.taken(Claim("", (5.1, 5.0), 2 * S), 3 * S)
+
+
+def test_targets_are_one_by_their_names_and_without_a_name_by_their_places() -> None:
+    alpha = Claim("alpha", (0.0, 0.0), 0)
+    assert alpha.same(Claim("alpha", (19.0, 0.0), 0))
+    assert not alpha.same(Claim("alpha", (90.0, 0.0), 0))  # two that look alike
+    assert not alpha.same(Claim("bravo", (0.0, 0.0), 0))
+    assert alpha.same(Claim("", (2.9, 0.0), 0))
+    assert not alpha.same(Claim("", (3.1, 0.0), 0))
+
+
+def test_the_target_of_one_that_is_lost_is_free_again_later_than_its_part_of_the_area() -> None:
+    roster = Roster("a", NAMES, alive_s=5.0, claim_s=20.0)
+    roster.hear(seen(1.0, tracks("b", 1.0, "alpha")))
+    mine = Claim("alpha", (5.0, 5.0), 2 * S)
+    assert roster.taken(mine, 20 * S)
+    assert "b" not in roster.alive(20 * S)
+    assert not roster.taken(mine, 21 * S)
+
+
+@given(st.permutations(range(5)), st.lists(st.integers(0, 4), max_size=5))
+def test_copies_and_another_order_change_nothing(order: list[int], copies: list[int]) -> None:
+    told = [tracks("b", 1.0 + n, f"t{n}", since_s=0.5) for n in range(5)]
+    straight, mixed = Roster("a", NAMES), Roster("a", NAMES)
+    straight.hear(seen(9.0, *told))
+    mixed.hear(seen(9.0, *(told[n] for n in [*order, *copies])))
+    assert mixed.claims(9 * S) == straight.claims(9 * S) == {"b": Claim("t4", (5.0, 5.0), S // 2)}
+
+
+HOSTILE: tuple[Any, ...] = (
+    b"search",
+    {"do": "search"},
+    {"do": "land", "ms": 1},
+    {"do": ["search"], "ms": 1},
+    {"do": "search", "ms": True},
+    {"do": "search", "ms": 2_000},  # from the future
+    {"do": "search", "ms": -1},
+    {"do": "track", "ms": 1, "tg": 5, "at": [0.0, 0.0], "since": 0},
+    {"do": "track", "ms": 1, "tg": "alpha" * 100, "at": [0.0, 0.0], "since": 0},
+    {"do": "track", "ms": 1, "tg": "alpha", "at": [0.0], "since": 0},
+    {"do": "track", "ms": 1, "tg": "alpha", "at": [float("nan"), 0.0], "since": 0},
+    {"do": "track", "ms": 1, "tg": "alpha", "at": [1e300, 0.0], "since": 0},
+    {"do": "track", "ms": 1, "tg": "alpha", "at": "ab", "since": 0},
+    {"do": "track", "ms": 1, "tg": "alpha", "at": [0.0, 0.0], "since": 2},  # later than it was told
+)
+
+
+@pytest.mark.parametrize("body", HOSTILE)
+def test_nonsense_is_no_claim(body: Any) -> None:
+    roster = Roster("a", NAMES)
+    roster.hear(seen(1.0, ("b", body), *((name, body) for name in ("a", "stranger"))))
+    assert not roster.claims(S)
+    assert roster.searchers(S) == NAMES
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**63) | st.floats() | st.text(max_size=5) | st.binary(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(("do", "ms", "tg", "at", "since")), inner),
+    max_leaves=12,
+)
+
+
+@given(st.sampled_from(("a", "b", "stranger")), JSON)
+def test_whatever_is_heard_nothing_is_raised(sender: str, body: Any) -> None:
+    roster = Roster("a", NAMES)
+    roster.hear(seen(1.0, (sender, body if isinstance(body, dict | bytes) else {"do": body, "ms": 0})))
+    assert roster.alive(S) == NAMES
+
+
+def test_errors_name_what_is_wrong() -> None:
+    with pytest.raises(ValueError, match="members: e is not one of them"):
+        Roster("e", NAMES)
+    with pytest.raises(ValueError, match=r"sectors: .*'x'"):
+        Roster("a", NAMES, sectors=(("a", "x"),))
+    with pytest.raises(ValueError, match="sectors names a twice"):
+        Roster("a", NAMES, sectors=(("a", "b"), ("a",)))
+    with pytest.raises(ValueError, match="sectors: there is one in which nobody is"):
+        Roster("a", NAMES, sectors=(("a", "b"), ()))
+    with pytest.raises(ValueError, match="alive_s"):
+        Roster("a", NAMES, alive_s=1.0, report_s=1.0)

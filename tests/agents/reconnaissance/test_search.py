@@ -1,0 +1,289 @@
+"""Searching as an agent: what a team knows in the end, what it says on the way, and who combs what."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from vcmvsp.agents.reconnaissance.roster import Claim, Roster
+from vcmvsp.agents.reconnaissance import Sensor, lanes, strips
+from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.search import Search
+from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.testing import check_agent
+from vcmvsp.cosim.types import Message, ProbabilityMap, Scan
+from tests.support.agents.agent_loop import received
+from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
+
+S = 1_000_000_000
+
+
+def counts(agent: Search) -> np.ndarray:
+    mind = agent.map._mind
+    assert isinstance(mind, Ledger)
+    return mind.counts
+
+
+def test_without_loss_all_have_the_map_of_one_who_made_all_looks() -> None:
+    team = Team({name: searcher(most=100) for name in ("a", "b", "c")})
+    team.run(10.2)  # the looks at 10.0 s were told then, and heard at 10.1 s
+    a, b, c = (counts(agent) for agent in team.agents.values())
+    assert np.array_equal(a, b)
+    assert np.array_equal(a, c)
+    assert a.sum(axis=(1, 2, 3)).min() > 11 * 0.5 * math.pi * REACH**2 / 4.0
+    hits, misses = a.sum(axis=0, dtype=float)
+    assert team.agents["b"].map.odds == pytest.approx(np.clip(Sensor(0.9, 0.1).evidence(hits, misses), -20.0, 20.0))
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.7])
+def test_a_team_finds_all_and_says_so(loss: float) -> None:
+    rng = np.random.default_rng(1)
+    team = Team({name: searcher(targets=2, alive_s=30.0) for name in ("a", "b")}, lost=lambda *_: rng.random() < loss)
+    team.run(60.0)
+    for name, notes in team.notes.items():
+        found = [(note["found_x"], note["found_y"]) for note in notes if "found" in note]
+        for target in TARGETS:
+            assert min(math.dist(target, place) for place in found) < 2.0, name
+        done = [i for i, note in enumerate(notes) if note.get("status") == "done"]
+        assert [i for i, note in enumerate(notes) if "found" in note][1:2] == done
+        assert all(math.dist(a, b) > 3.0 for i, a in enumerate(found) for b in found[:i])
+
+
+def test_each_combs_its_strip_and_all_of_it() -> None:
+    team, area = Team({name: searcher() for name in ("a", "b")}), GRID.area
+    for _ in range(320):  # 115 m at 4 m/s, and turns
+        team.step()
+        for name, agent in team.agents.items():
+            assert agent.goal in lanes(strips(area, ("a", "b"))[name], REACH, 0.2)
+    for name, agent in team.agents.items():
+        strip, x = strips(area, ("a", "b"))[name], GRID.centres(np.arange(400))[:, 0]
+        mine = (x > strip.left) & (x < strip.right)
+        assert agent.map.shown().seen.ravel()[mine].mean() > 0.97
+
+
+def test_the_strip_of_one_who_falls_silent_is_divided_and_it_has_it_back_when_it_returns() -> None:
+    team = Team({name: searcher(alive_s=3.0) for name in ("a", "b")})
+    mine, all_of_it = (set(lanes(strips(GRID.area, who)["a"], REACH, 0.2)) for who in (("a", "b"), ("a",)))
+    ends = {(x, y) for x, _ in all_of_it for y in (3.0, 37.0)}
+    team.run(5.0)
+    before = team.agents["a"].goal
+    team.run(2.0, dead=("b",))  # it was heard last at 4.1 s
+    assert team.agents["a"].goal in mine
+    team.run(0.3, dead=("b",))
+    assert team.agents["a"].goal in ends - mine
+    team.run(1.0)
+    assert team.agents["a"].goal in mine
+    assert before in mine
+
+
+def test_who_stands_by_looks_and_shares_and_goes_on_with_its_lane_afterwards() -> None:
+    team = Team({name: searcher() for name in ("a", "b")})
+    team.run(6.0)
+    sent, seen, goal = len(of_map(team.sent["a"])), counts(team.agents["b"])[0].sum(), team.agents["a"].goal
+    team.run(8.0, standing_by=("a",))
+    assert team.agents["a"].goal is None
+    assert len(of_map(team.sent["a"])) >= sent + 8
+    assert counts(team.agents["b"])[0].sum() > seen
+    team.step()
+    assert team.agents["a"].goal == goal
+
+
+def test_who_climbs_back_to_its_height_is_not_stuck() -> None:
+    """No way-point is left out for the time in which it flies straight up."""
+    team = Team({"a": searcher(stuck_s=3.0)})
+    team.run(3.0)
+    goal, (x, y, _) = team.agents["a"].goal, team.places["a"]
+    for _ in range(50):
+        team.places["a"] = x, y, 12.0
+        team.step()
+    team.places["a"] = x, y, 20.0
+    team.step()
+    assert team.agents["a"].goal == goal is not None
+
+
+def test_those_that_are_started_again_know_nothing_of_what_was_before() -> None:
+    agents, said = {name: searcher() for name in ("a", "b")}, []
+    for _ in range(2):
+        team = Team(agents)
+        team.run(12.0, dead=())
+        team.run(8.0, dead=("b",))
+        said.append((team.sent, team.notes, team.places))
+    assert said[0] == said[1]
+
+
+def test_it_says_no_more_than_it_may_and_counts_what_it_says() -> None:
+    team = Team({name: searcher(max_bytes=300, most=2, share_s=0.5) for name in ("a", "b")})
+    team.run(12.0)
+    for name in team.agents:
+        messages = of_map(team.sent[name])
+        assert max(each.size_bytes for each in messages) <= 300
+        assert 24 <= len(messages) <= 2 * 24
+        noted = [note["map_bytes"] for note in team.notes[name] if "map_bytes" in note]
+        assert noted == sorted(set(noted))
+        assert noted[-1] == sum(each.size_bytes for each in messages)
+
+
+@pytest.mark.parametrize("exchange", ["none", "delta", "consensus"])
+def test_other_exchanges(exchange: Any) -> None:
+    team = Team({name: searcher(exchange=exchange, scaled=True, most=100) for name in ("a", "b")})
+    team.run(40.0)
+    a, b = (agent.map.odds for agent in team.agents.values())
+    told = [len(of_map(messages)) for messages in team.sent.values()]
+    if exchange == "none":
+        assert told == [0, 0]
+        assert np.corrcoef(a.ravel(), b.ravel())[0, 1] < 0.5
+    else:
+        assert min(told) >= 30
+        assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.9
+
+
+def test_a_consensus_goes_on_though_nothing_is_looked_at() -> None:
+    """Two who told each other move to their mean within a step: l <- (1 - 1/2) l + l'/2."""
+    agents = {name: searcher(exchange="consensus", most=100) for name in ("a", "b")}
+    radios = {name: Radio(name, ("a", "b")) for name in agents}
+    air: list[Message] = []
+    for name, agent in agents.items():
+        agent.start(info(name, ("a", "b")))
+    for tick in range(31):
+        sent: list[Message] = []
+        for i, (name, agent) in enumerate(agents.items()):
+            heard = [received(each) for each in air if each.sender != name]
+            readings: dict[str, Any] = {"looks": looks(10.0 + 10.0 * i, 20.0, 0)} if tick == 0 else {}
+            agent.act(see((20.0, 20.0, 20.0), tick * S // 10, *heard, **readings), radios[name])
+            sent += radios[name].drain()
+        air = sent
+    a, b = (agent.map.odds for agent in agents.values())
+    assert a == pytest.approx(b, abs=1e-3)
+    assert np.abs(a).max() > 1.0
+
+
+def test_facts_name_the_surest_place_that_is_nobodys() -> None:
+    agent = searcher()
+    agent.roster = Roster("a", ("a", "b"))
+    agent.start(info("a", ("a", "b")))
+    for second in range(4):
+        for x, y in ((10.0, 30.0), (26.0, 14.0)):
+            facts = agent.facts(see((x, y, 20.0), second * S + int(x), looks=looks(x, y, second * S + int(x))))
+    first, second_place = (9.0, 31.0), (27.0, 13.0)
+    assert facts == {"shared": False, "probability": pytest.approx(9**4 / (1 + 9**4)), "place": second_place}
+    body = {"do": "track", "ms": 4000, "tg": "", "at": [28.0, 12.0], "since": 3000}
+    claim = received(Message(sender="b", body=body, size_bytes=50))
+    obs = see((10.0, 30.0, 20.0), 5 * S, claim)
+    agent.roster.hear(obs)
+    assert agent.roster.claims(5 * S) == {"b": Claim("", (28.0, 12.0), 3 * S)}
+    assert agent.facts(obs)["place"] == first
+    agent.roster.give_up((9.5, 30.0), 0)
+    facts = agent.facts(obs)
+    assert facts["place"] is None
+    assert facts["probability"] <= 0.99
+    assert agent.facts(see((10.0, 30.0, 20.0), 66 * S))["place"] is not None  # a minute later
+
+
+def test_a_detector_that_is_none_is_an_error() -> None:
+    agent = searcher()
+    agent.start(info("a", ("a",)))
+    scan = Scan(ranges=np.ones(3, np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
+    with pytest.raises(TypeError, match="says nothing of cells, but gives a Scan"):
+        agent.facts(see((1.0, 1.0, 20.0), 0, looks=scan))
+
+
+def test_a_map_of_too_many_cells_is_refused() -> None:
+    with pytest.raises(ScenarioError, match="too many"):
+        searcher(cell_m=0.01)
+
+
+def test_who_flies_along_in_a_sector_knows_it() -> None:
+    team = ("a", "b", "c")
+    for name, shared in (("a", False), ("b", True), ("c", False)):
+        agent = searcher(sectors=(("a", "b"),))
+        agent.start(info(name, team))
+        assert agent.facts(see((1.0, 1.0, 20.0), 0))["shared"] is shared
+
+
+def test_as_a_part_of_a_mission_it_believes_clocks_as_far_as_the_mission_does() -> None:
+    other, radio = searcher(), Radio("b", ("a", "b"))
+    other.start(info("b", ("a", "b")))
+    other.act(see((9.0, 31.0, 20.0), 2 * S, looks=looks(9.0, 31.0, 2 * S)), radio)
+    heard = [received(message) for message in radio.drain()]
+    for bound_s, now_s, believed in ((0.0, 2.0, True), (0.0, 1.5, False), (0.5, 1.5, True), (0.4, 1.5, False)):
+        agent = searcher()
+        agent.roster = Roster("a", ("a", "b"), clock_bound_s=bound_s)
+        agent.start(info("a", ("a", "b")))
+        agent.stand_by(see((30.0, 5.0, 20.0), round(now_s * S), *heard), Radio("a", ("a", "b")))
+        assert counts(agent).any() == believed
+
+
+def test_it_shows_its_map_once_a_second() -> None:
+    agent, radio = searcher(), Radio("a", ("a", "b"))
+    agent.start(info("a", ("a", "b")))
+    shown = []
+    for tick in range(31):
+        agent.act(see((10.0, 30.0, 20.0), tick * S // 10, looks=looks(10.0, 30.0, tick // 10 * S)), radio)
+        shown += [(tick, value) for value in agent.drain_shown().values()]
+    assert [tick for tick, _ in shown] == [0, 10, 20, 30]
+    last = shown[-1][1]
+    assert isinstance(last, ProbabilityMap)
+    assert last.probability[15, 4] == round(255 * 9**4 / (1 + 9**4))
+    assert last.seen.ravel().nonzero()[0].tolist() == GRID.within(10.0, 30.0, REACH).tolist()
+
+
+def test_it_keeps_height_and_heading_and_climbs_before_it_flies() -> None:
+    radio = Radio("a", ("a",))
+    for params, z, yaw, climb, moves in (
+        ({}, 20.0, 0.0, 0.0, True),
+        ({"height": 21.0}, 20.0, 0.0, 0.8, True),
+        ({"height": 15.0}, 20.0, 0.0, -4.0, False),
+        ({"height": 25.0}, 0.0, 0.0, 4.0, False),
+    ):
+        agent = searcher(**params)
+        agent.start(info("a", ("a",)))
+        command = agent.act(see((20.0, 20.0, z), 0, yaw=0.5), radio)
+        assert command.linear[2] == pytest.approx(climb)
+        assert command.yaw_rate == 0.0
+        assert (math.hypot(*command.linear[:2]) > 1.0) is moves
+        assert agent.act(see((20.0, 20.0, z), S, yaw=0.2 + yaw), radio).yaw_rate == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("params", "sensors", "problem"),
+    [
+        ({"sensor": "looks"}, ("camera",), "sensor = 'looks': a has no such sensor"),
+        ({"sensor": "camera"}, ("camera",), "watching"),
+        ({"members": ("a", "d")}, ("looks",), "members: unknown vehicle 'd'"),
+        ({"members": ("b",)}, ("looks",), "members: a is not one"),
+        ({"sectors": (("a", "d"),)}, ("looks",), "sectors: unknown member 'd'"),
+        ({"prior": 1.0}, ("looks",), "prior"),
+        ({"max_bytes": 30}, ("looks",), "max_bytes"),
+    ],
+)
+def test_what_does_not_fit_the_vehicles_is_refused(params: dict[str, Any], sensors: tuple[str, ...], problem: str) -> None:
+    agent = searcher(**params)
+    with pytest.raises(ValueError, match=problem):
+        agent.start(info("a", ("a", "b"), sensors))
+
+
+def test_what_does_not_fit_itself_is_refused() -> None:
+    with pytest.raises(ScenarioError, match="give the reach"):
+        Search((0.0, 0.0, 1.0, 1.0), sensor="looks")
+    with pytest.raises(ValueError, match="0 < q < p < 1"):
+        searcher(p=0.1, q=0.9)
+    with pytest.raises(ValueError, match="right must be beyond left"):
+        Search((10.0, 0.0, 0.0, 10.0), sensor="looks", swath_m=1.0)
+
+
+def test_it_does_not_drive() -> None:
+    body = Body(width_m=0.3, radius_m=0.2)
+    with pytest.raises(ValueError, match="drives on wheels"):
+        searcher().start(VehicleInfo(name="a", vehicles=("a",), period_s=0.1, latency_s=0.0, seed=1, body=body))
+
+
+class Sensorless(Search):
+    def start(self, info: VehicleInfo) -> None:
+        super().start(msgspec.structs.replace(info, sensors=None))
+
+
+def test_it_keeps_the_contract_of_agents() -> None:
+    check_agent(lambda: Sensorless((-4.0, -4.0, 4.0, 4.0), sensor="looks", swath_m=2.0))

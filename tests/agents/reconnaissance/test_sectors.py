@@ -1,0 +1,195 @@
+"""Who combs what: the strips are all of the area, everybody knows them, and lanes leave nothing unseen."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.agents.reconnaissance import Comb, Grid, Rectangle, lanes, strips
+
+AREA = Rectangle(-20.0, 10.0, 80.0, 110.0)
+NAMES = st.lists(st.text("abc123", min_size=1, max_size=3), min_size=1, max_size=6)
+
+
+@given(living=NAMES)
+def test_strips_divide_the_area_alike_whoever_asks(living: list[str]) -> None:
+    found = strips(AREA, living)
+    assert found == strips(AREA, reversed(living)) == strips(AREA, frozenset(living))
+    assert set(found) == set(living)
+    edges = [strip.left for strip in found.values()] + [AREA.right]
+    assert [strip.right for strip in found.values()] == pytest.approx(edges[1:])
+    assert np.diff(edges) == pytest.approx(100.0 / len(found))
+    assert {(strip.bottom, strip.top) for strip in found.values()} == {(10.0, 110.0)}
+
+
+def test_strips_lie_in_the_order_in_which_people_count() -> None:
+    names = [f"uav{n}" for n in range(1, 12)]
+    assert list(strips(AREA, reversed(names))) == names
+
+
+def test_nobody_combs_nothing() -> None:
+    assert strips(AREA, []) == {}
+
+
+def test_lanes_are_those_of_the_definition() -> None:
+    """50 m wide, 8 m seen, overlap 0.2: ceil(50 / 12.8) = 4 lanes, 12.5 m apart, from 4 m to 96 m."""
+    way = lanes(Rectangle(0.0, 0.0, 50.0, 100.0), 8.0)
+    assert way == (
+        (6.25, 4.0), (6.25, 96.0), (18.75, 96.0), (18.75, 4.0), (31.25, 4.0), (31.25, 96.0), (43.75, 96.0), (43.75, 4.0),
+    )  # fmt: skip
+
+
+@given(width=st.floats(1, 120), height=st.floats(1, 120), radius=st.floats(1, 20), overlap=st.floats(0, 0.6))
+def test_lanes_overlap_as_asked_and_none_is_too_many(width: float, height: float, radius: float, overlap: float) -> None:
+    xs = np.array([x for x, _ in lanes(Rectangle(0.0, 0.0, width, height), radius, overlap)])[::2]
+    swath = 2 * radius * (1 - overlap)
+    assert np.diff(xs) == pytest.approx(width / len(xs))
+    assert width / len(xs) <= swath * (1 + 1e-6)
+    assert len(xs) == 1 or width / (len(xs) - 1) > swath * (1 - 1e-6)
+    assert xs[0] == pytest.approx(width - xs[-1])
+
+
+@settings(max_examples=20)
+@given(overlap=st.floats(0.2, 0.5), radius=st.floats(6, 20))
+def test_who_follows_the_lanes_has_seen_all_but_corners(overlap: float, radius: float) -> None:
+    """Of a lane of half width w, ended r/2 from the border, no point is further from it than hypot(w, r/2) < r."""
+    area = Rectangle(0.0, 0.0, 60.0, 90.0)
+    grid, seen = Grid(area, 3.0), set()
+    way = lanes(area, radius, overlap)
+    for a, b in pairwise(way):
+        for part in np.linspace(0.0, 1.0, 31):
+            seen |= set(grid.within(a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), radius).tolist())
+    assert math.hypot(radius * (1 - overlap), radius / 2) < radius
+    assert len(seen) == grid.rows * grid.columns
+
+
+@given(x=st.floats(-30, 90), y=st.floats(0, 120))
+def test_lanes_begin_at_the_nearest_end(x: float, y: float) -> None:
+    ways = [lanes(AREA, 8.0, 0.2, start) for start in ((-20.0, 10.0), (-20.0, 110.0), (80.0, 10.0), (80.0, 110.0))]
+    nearest = min(math.dist(way[0], (x, y)) for way in ways)
+    way = lanes(AREA, 8.0, 0.2, (x, y))
+    assert math.dist(way[0], (x, y)) == pytest.approx(nearest)
+    assert way in ways
+
+
+@pytest.mark.parametrize(("radius", "overlap"), [(0.0, 0.2), (-1.0, 0.2), (8.0, 1.0), (8.0, -0.1), (math.nan, 0.2)])
+def test_lanes_that_never_end_are_refused(radius: float, overlap: float) -> None:
+    with pytest.raises(ValueError, match="radius"):
+        lanes(AREA, radius, overlap)
+
+
+def visited(comb: Comb, living: list[str], count: int) -> list[tuple[float, float]]:
+    """The next goals of one who gets at once wherever it is to go."""
+    goals = [comb.goal((-20.0, 10.0), living)]
+    while len(goals) < count:
+        goals.append(comb.goal(goals[-1], living))
+    return goals
+
+
+def test_a_strip_is_combed_there_and_back_again() -> None:
+    comb, way = Comb("b", AREA, 8.0), lanes(strips(AREA, "ab")["b"], 8.0)
+    n = len(way)
+    goals = visited(comb, ["a", "b"], 2 * n + 3)
+    assert goals[: 2 * n + 1] == [*way, *way[-2::-1], *way[1:3]]
+
+
+def test_when_one_fails_the_others_comb_its_strip_from_where_they_are() -> None:
+    combs = {name: Comb(name, AREA, 8.0) for name in "abc"}
+    for comb in combs.values():
+        visited(comb, ["c", "b", "a"], 3)
+    del combs["b"]
+    for name, comb in combs.items():
+        here = (75.0, 100.0)
+        way = lanes(strips(AREA, "ac")[name], 8.0, 0.2, here)
+        assert comb.goal(here, ["c", "a"]) == way[0]
+        assert comb.goal(here, ["c", "a", name]) == way[0]
+        assert comb.goal(way[0], ["a", "c"]) == way[1]
+
+
+def test_when_the_same_live_again_it_goes_on_where_it_was() -> None:
+    comb = Comb("a", AREA, 8.0)
+    before = visited(comb, ["a", "b"], 4)[-1]
+    here = (-15.0, 60.0)
+    assert comb.came == lanes(strips(AREA, "ab")["a"], 8.0)[2]
+    alone = lanes(strips(AREA, "a")["a"], 8.0, 0.2, here)
+    assert comb.goal(here, ["a"]) == alone[0]
+    assert comb.came is None
+    assert comb.goal(alone[0], ["a"]) == alone[1]
+    assert comb.came == alone[0]
+    assert comb.goal(here, ["b", "a"]) == before
+    assert comb.came is None
+    assert comb.goal(here, ["a"]) == alone[1]
+
+
+def test_a_way_point_that_nobody_gets_to_is_left_out() -> None:
+    comb, way = Comb("a", AREA, 8.0), lanes(strips(AREA, "a")["a"], 8.0)
+    here = (-20.0, 10.0)
+    for goal in (*way, *way[-2::-1], way[1]):
+        assert comb.goal(here, ["a"]) == goal
+        comb.skip()
+    assert comb.came is None
+
+
+def test_who_asks_is_not_dead() -> None:
+    assert Comb("a", AREA, 8.0).goal((0.0, 0.0), []) == lanes(AREA, 8.0)[0]
+
+
+def flown(comb: Comb, points: int, position: tuple[float, float] = (0.0, 0.0)) -> list[tuple[float, float]]:
+    """The way-points that a vehicle comes by, which jumps from one to the next."""
+    found = []
+    for _ in range(points):
+        position = comb.goal(position, ("a",))
+        found.append(position)
+    return found
+
+
+@given(st.sets(st.integers(0, 4), min_size=1))
+def test_lanes_that_are_not_open_are_left_out_as_long_as_others_are(open_lanes: set[int]) -> None:
+    area = Rectangle(0.0, 0.0, 50.0, 100.0)
+    comb = Comb("a", area, 5.0, overlap=0.0, is_open=lambda start, _: int(start[0] // 10) in open_lanes)
+    way = flown(comb, 4 * len(open_lanes))
+    assert {int(x // 10) for x, _ in way} == open_lanes
+    first = way[: 2 * len(open_lanes)]  # each from end to end, before any of them again
+    assert [int(x // 10) for x, _ in first] == sorted(2 * list(open_lanes))
+    assert all(abs(a[1] - b[1]) == 95.0 for a, b in zip(first[::2], first[1::2], strict=True))
+
+
+def test_where_no_lane_is_open_all_are_flown_as_if_all_were() -> None:
+    area = Rectangle(0.0, 0.0, 50.0, 100.0)
+    never, always = Comb("a", area, 5.0, overlap=0.0, is_open=lambda *_: False), Comb("a", area, 5.0, overlap=0.0)
+    assert flown(never, 40) == flown(always, 40)
+
+
+def test_after_all_lanes_come_those_across_from_the_nearer_side_and_then_the_first_again() -> None:
+    comb = Comb("a", Rectangle(0.0, 0.0, 30.0, 60.0), 5.0, overlap=0.0, across=10.0)
+    way = flown(comb, 40)
+    up = [(5.0, 2.5), (5.0, 57.5), (15.0, 57.5), (15.0, 2.5), (25.0, 2.5), (25.0, 57.5)]
+    assert way[:6] == up
+    assert way[6:12] == [(25.0, 50.0), (5.0, 50.0), (5.0, 30.0), (25.0, 30.0), (25.0, 10.0), (5.0, 10.0)]
+    assert set(way[12:18]) == set(up)
+    assert {x for x, _ in way[12:14]} == {5.0}
+
+
+@given(st.sets(st.integers(0, 4)), st.sets(st.integers(0, 4)))
+def test_of_lanes_along_and_across_those_that_are_open_are_flown(columns: set[int], rows: set[int]) -> None:
+    comb = Comb(
+        "a",
+        Rectangle(0.0, 0.0, 50.0, 50.0),
+        5.0,
+        overlap=0.0,
+        across=5.0,
+        is_open=lambda start, end: int(start[0] // 10) in columns if start[0] == end[0] else int(start[1] // 10) in rows,
+    )
+    way = flown(comb, 60)
+    if columns or rows:
+        lines = {
+            ("x", int(a[0] // 10)) if a[0] == b[0] else ("y", int(a[1] // 10))
+            for a, b in pairwise(way)
+            if math.dist(a, b) == 45.0
+        }
+        assert lines == {("x", each) for each in columns} | {("y", each) for each in rows}
+    else:
+        assert len({*way}) == 20

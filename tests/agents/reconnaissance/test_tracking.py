@@ -1,0 +1,269 @@
+"""What keeping over a target must do: the loop, which detection counts, and the search for one that is lost."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.agents.reconnaissance.ground_point import Nadir
+from vcmvsp.agents.reconnaissance.tracking import Confirmation, Tracker, largest_gain, spiral
+from vcmvsp.cosim.frames import quaternion_from_yaw
+
+T, T_NS = 0.1, 100_000_000
+
+Point = tuple[float, float]
+angles = st.floats(-math.pi, math.pi)
+
+
+def follow(
+    tracker: Tracker,
+    target: Callable[[int], Point],
+    ticks: int,
+    *,
+    yaw: float = 0.0,
+    start: Point = (0.0, 0.0),
+    shown: Callable[[int], bool] = lambda tick: True,
+) -> list[Point]:
+    """Offsets of the target, tick by tick, of a vehicle that moves as it is told and sees through its camera."""
+    tracker.begin(-T_NS, target(-1))
+    (x, y), offsets = start, []
+    for tick in range(ticks):
+        to = target(tick)
+        offsets.append((to[0] - x, to[1] - y))
+        seen = Nadir((x, y, 30.0), quaternion_from_yaw(yaw), 400.0, 640, 480)
+        pixel = seen.pixel(to)
+        place = seen.ground_point(pixel) if pixel else None
+        tracker.see(tick * T_NS, [place] if place and shown(tick) else [])
+        vx, vy = tracker.command(tick * T_NS, (x, y, 30.0))
+        x, y = x + T * vx, y + T * vy
+    return offsets
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -3.0])
+def test_the_offset_shrinks_by_the_same_ratio_a_tick_at_any_yaw(yaw: float) -> None:
+    offsets = follow(Tracker(T), lambda tick: (3.0, -2.0), 60, yaw=yaw)
+    for before, after in pairwise(offsets):
+        assert after == pytest.approx((0.92 * before[0], 0.92 * before[1]), abs=1e-9)
+
+
+def moving(speed: float, heading: float) -> Callable[[int], Point]:
+    return lambda tick: (speed * T * tick * math.cos(heading), speed * T * tick * math.sin(heading))
+
+
+def test_without_the_speed_of_the_target_the_vehicle_lags_by_v_over_k() -> None:
+    offsets = follow(Tracker(T, smoothing=0.0), moving(0.5, 1.0), 300)
+    assert offsets[-1] == pytest.approx((0.625 * math.cos(1.0), 0.625 * math.sin(1.0)), abs=1e-6)
+
+
+def test_with_it_the_lag_is_less_than_a_millimetre_after_ten_seconds() -> None:
+    offsets = follow(Tracker(T), moving(0.5, 1.0), 300)
+    assert max(math.hypot(*each) for each in offsets[100:]) < 1e-3
+
+
+@given(st.floats(0.0, 2.0), angles, st.sets(st.integers(60, 150)))
+def test_of_a_target_on_its_way_frames_without_it_cost_nothing(speed: float, heading: float, missed: set[int]) -> None:
+    """Once its speed is known the prediction is exact; up to 2.9 s at a stretch."""
+    hidden = {tick for tick in missed if not all(other in missed for other in range(tick - 28, tick))}
+    target = moving(speed, heading)
+    seen, now_and_then = (
+        follow(Tracker(T), target, 180, shown=shown) for shown in (lambda tick: True, lambda tick: tick not in hidden)
+    )
+    assert now_and_then[-1] == pytest.approx(seen[-1], abs=1e-3)
+
+
+def test_the_estimated_speed_follows_by_a_fifth_a_tick_and_by_as_much_where_ticks_are_missed() -> None:
+    tracker, other = Tracker(T), Tracker(T)
+    for each in (tracker, other):
+        each.begin(0, (0.0, 0.0))
+    for tick in range(1, 7):
+        tracker.see(tick * T_NS, [(0.1 * tick, 0.0)])
+        assert tracker.velocity == pytest.approx((1.0 - 0.8**tick, 0.0))
+        if tick in (2, 6):
+            other.see(tick * T_NS, [(0.1 * tick, 0.0)])
+            assert other.velocity == pytest.approx(tracker.velocity)
+
+
+def late(n: int, gain: float, ticks: int) -> list[float]:
+    """Offsets of a vehicle whose commands act on pictures and positions n ticks old, from 1 m."""
+    tracker = Tracker(T, gain=gain, max_speed=math.inf)
+    tracker.begin(-T_NS, (0.0, 0.0))
+    xs = [1.0] * (n + 1)
+    for tick in range(ticks):
+        tracker.see(tick * T_NS, [(0.0, 0.0)])
+        xs.append(xs[-1] + T * tracker.command(tick * T_NS, (xs[-1 - n], 0.0, 30.0))[0])
+    return xs
+
+
+@pytest.mark.parametrize(("n", "bound"), [(15, 1.013), (20, 0.766)])
+def test_a_loop_that_is_late_settles_below_the_bound_and_not_above(n: int, bound: float) -> None:
+    exact = largest_gain(n, T)
+    assert exact == pytest.approx(bound, abs=5e-4)
+    for gain, decays in ((0.98 * exact, True), (1.02 * exact, False)):
+        xs = np.abs(late(n, gain, 3000))
+        share = xs[-300:].max() / xs[:300].max()
+        assert share < 0.5 if decays else share > 2.0
+
+
+@pytest.mark.parametrize("n", [0, 1, 5, 15, 20])
+def test_the_bound_is_where_a_root_of_the_loop_leaves_the_unit_circle(n: int) -> None:
+    def radius(gain: float) -> float:
+        polynomial = np.zeros(n + 2)  # z^(n+1) - z^n + kT
+        polynomial[0], polynomial[-1] = 1.0, gain * T
+        polynomial[1] -= 1.0
+        return float(np.abs(np.roots(polynomial)).max())
+
+    bound = largest_gain(n, T)
+    assert radius(0.999 * bound) < 1.0 < radius(1.001 * bound)
+
+
+@pytest.mark.parametrize(
+    ("latency", "gain", "fits"), [(1.5, 1.01, True), (1.5, 1.02, False), (2.0, 0.76, True), (2.0, 0.8, False)]
+)
+def test_a_gain_that_cannot_settle_with_the_latency_is_refused(latency: float, gain: float, fits: bool) -> None:
+    if fits:
+        Tracker(T, latency_s=latency, gain=gain)
+    else:
+        with pytest.raises(ValueError, match="must lie between 0 and"):
+            Tracker(T, latency_s=latency, gain=gain)
+
+
+def test_no_command_is_faster_than_allowed() -> None:
+    tracker = Tracker(T, max_speed=2.0)
+    tracker.begin(0, (30.0, 40.0))
+    assert tracker.command(0, (0.0, 0.0, 10.0)) == pytest.approx((1.2, 1.6))
+
+
+# --- which detection is it ---
+
+
+def test_the_nearest_detection_is_the_target_unless_it_is_too_far_or_no_place() -> None:
+    tracker = Tracker(T)
+    tracker.begin(0, (0.0, 0.0))
+    assert not tracker.see(T_NS, [(2.2, 0.0), (math.nan, 0.0), (0.0, math.inf)])
+    assert tracker.see(2 * T_NS, [(1.5, 0.0), (-1.0, 0.0)])
+    assert tracker.predicted(2 * T_NS) == (-1.0, 0.0)
+
+
+def test_a_picture_that_was_seen_before_or_is_older_changes_nothing() -> None:
+    tracker = Tracker(T)
+    tracker.begin(T_NS, (0.0, 0.0))
+    tracker.see(3 * T_NS, [(0.1, 0.0)])
+    before = tracker.velocity
+    for taken in (3 * T_NS, 2 * T_NS, 0):
+        assert not tracker.see(taken, [(0.5, 0.0)])
+    assert (tracker.velocity, tracker.predicted(3 * T_NS)) == (before, (0.1, 0.0))
+
+
+def test_the_region_of_interest_grows_with_the_time_out_of_sight() -> None:
+    tracker = Tracker(T, within_m=2.0, target_speed=1.5)
+    tracker.begin(0, (0.0, 0.0))
+    assert tracker.reach_m(2 * 10**9) == 5.0
+    assert tracker.see(2 * 10**9, [(4.9, 0.0)])
+    assert tracker.reach_m(2 * 10**9) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("frames", "confirmed"),
+    [
+        ([1, 1, 1], True),
+        ([1, 0, 1, 0, 1], True),
+        ([1, 0, 0, 1, 0, 1], False),  # three of six
+        ([1, 1, 0, 0, 0], False),
+        ([1, 1, 9], False),  # 9: elsewhere
+        ([9, 1, 9, 1, 1], True),
+        ([9, 1, 9, 0, 1], False),
+    ],
+)
+def test_three_detections_of_five_frames_within_two_metres_confirm(frames: list[int], confirmed: bool) -> None:
+    confirmation = Confirmation()
+    shown: dict[int, list[Point]] = {0: [], 1: [(0.0, 1.9)], 9: [(0.0, -0.2)]}
+    found = [confirmation.frame(shown[each]) for each in frames]
+    assert found[:-1] == [None] * (len(frames) - 1)
+    assert found[-1] == (shown[frames[-1]][0] if confirmed else None)
+
+
+def test_two_detections_in_one_frame_count_once() -> None:
+    confirmation = Confirmation()
+    assert [confirmation.frame([(0.0, 0.0), (0.5, 0.0)]) for _ in range(3)] == [None, None, (0.0, 0.0)]
+
+
+# --- lost ---
+
+
+def test_after_three_seconds_it_is_lost_and_searched_for_ten_seconds_where_it_was_last() -> None:
+    tracker = Tracker(T)
+    follow(tracker, moving(0.5, 0.0), 51)
+    seen_ns, last = 50 * T_NS, (2.5, 0.0)
+    assert tracker.phase(seen_ns) == "seen"
+    assert tracker.phase(seen_ns + 29 * T_NS) == "predicted"
+    assert tracker.predicted(seen_ns + 20 * T_NS) == pytest.approx((3.5, 0.0), abs=1e-3)
+    assert tracker.phase(seen_ns + 30 * T_NS) == "spiral"
+    assert tracker.predicted(seen_ns + 30 * T_NS) == pytest.approx(last)
+    place, ticks, furthest = last, 0, 0.0
+    while tracker.phase(seen_ns + (30 + ticks) * T_NS) == "spiral":
+        vx, vy = tracker.command(seen_ns + (30 + ticks) * T_NS, (*place, 30.0))
+        place = place[0] + T * vx, place[1] + T * vy
+        furthest = max(furthest, math.dist(place, last))
+        ticks += 1
+    assert ticks == 100
+    assert furthest > 3.0
+    assert tracker.phase(seen_ns + 131 * T_NS) == "lost"
+    assert tracker.command(seen_ns + 131 * T_NS, (*place, 30.0)) == (0.0, 0.0)
+
+
+def test_the_search_begins_in_the_direction_in_which_the_target_went() -> None:
+    tracker = Tracker(T)
+    follow(tracker, moving(0.5, 2.0), 51)
+    x, y = tracker.predicted(8 * 10**9)
+    vx, vy = tracker.command(8 * 10**9, (x, y, 30.0))
+    assert math.atan2(vy, vx) == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_search_that_is_not_commanded_does_not_run_out_and_a_detection_ends_it() -> None:
+    tracker = Tracker(T)
+    tracker.begin(0, (0.0, 0.0))
+    assert tracker.phase(60 * 10**9) == "spiral"
+    for tick in range(50):
+        tracker.command(60 * 10**9 + tick * T_NS, (0.0, 0.0, 30.0))
+    assert tracker.see(66 * 10**9, [(1.0, 1.0)])
+    assert tracker.phase(66 * 10**9) == "seen"
+    for tick in range(99):
+        assert tracker.phase(70 * 10**9 + tick * T_NS) == "spiral"
+        tracker.command(70 * 10**9 + tick * T_NS, (0.0, 0.0, 30.0))
+    assert tracker.phase(80 * 10**9) == "spiral"
+
+
+def test_who_tracks_nothing_stands() -> None:
+    tracker = Tracker(T)
+    assert tracker.phase(0) == "none"
+    assert tracker.command(0, (1.0, 2.0, 3.0)) == (0.0, 0.0)
+    assert not tracker.see(0, [(0.0, 0.0)])
+    with pytest.raises(ValueError, match="nothing is tracked"):
+        tracker.predicted(0)
+    with pytest.raises(ValueError, match="a target is at a place"):
+        tracker.begin(0, (math.nan, 0.0))
+    tracker.begin(0, (1.0, 0.0))
+    tracker.end()
+    assert tracker.phase(0) == "none"
+
+
+@given(st.floats(0.1, 5.0), st.floats(0.5, 10.0), angles, st.floats(0.0, 30.0), st.floats(0.01, 1.0))
+def test_a_spiral_is_flown_at_no_more_than_its_speed_and_no_less_than_seven_tenths(
+    speed: float, pitch: float, heading: float, when: float, step: float
+) -> None:
+    """On an arc the chord is no longer than the way; so many short steps add up to the way."""
+    ways = [spiral(when + step * i / 200, speed, pitch, heading) for i in range(201)]
+    way = sum(math.dist(a, b) for a, b in pairwise(ways))
+    assert 0.7 * speed * step <= way <= speed * step * (1.0 + 1e-9) + 1e-12
+
+
+def test_the_turns_of_a_spiral_are_its_pitch_apart() -> None:
+    path = np.array([spiral(0.01 * i, 2.0, 4.0) for i in range(10000)])
+    angle, radius = np.unwrap(np.arctan2(path[1:, 1], path[1:, 0])), np.hypot(*path[1:].T)
+    turns = np.interp([math.tau, 2 * math.tau, 3 * math.tau], angle, radius)
+    assert np.diff(turns) == pytest.approx([4.0, 4.0], abs=1e-3)
+    assert spiral(0.0, 2.0, 4.0) == (0.0, 0.0)

@@ -1,0 +1,254 @@
+"""A camera that looks for targets: each picture once, placed by where it was taken from."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, nadir_of
+from vcmvsp.agents.reconnaissance.poses import Poses
+from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, Frame, frame, glyph, tilted
+from vcmvsp.agents.reconnaissance.watch import Around, Wanted, Watch, Watching
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw
+from vcmvsp.cosim.types import Image, Scan, Vec3, VehicleState
+from tests.support.agents.aerial_loop import BODY, T
+
+T_NS = round(T * 1e9)
+RATE = st.floats(-1.0, 1.0)
+UNIT = st.tuples(*[RATE] * 4).filter(lambda q: math.hypot(*q) > 0.1)
+AXIS = st.tuples(*[RATE] * 3).filter(lambda axis: math.hypot(*axis) > 0.1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("targets")
+    assert cv2.imwrite(str(folder / "glyph.png"), glyph()[:, :, ::-1])
+    return folder
+
+
+@pytest.fixture
+def watch(folder: Path) -> Watch:
+    with registry.looking_in(folder):
+        made = Watch(Watching(targets=(Wanted(name="glyph", picture="glyph.png"),)))
+    made.start(VehicleInfo(name="me", vehicles=("me",), period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=("camera",)))
+    return made
+
+
+def seen(tick: int, position: Vec3, attitude: Quaternion = (1.0, 0.0, 0.0, 0.0), **readings: Any) -> Observation:
+    """Of a vehicle that moves at 4 m/s and 1 rad/s."""
+    rates: tuple[Vec3, Vec3] = (4.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    state = VehicleState(position=position, velocity=rates[0], attitude=attitude, angular_velocity=rates[1])
+    return Observation(vehicle="me", time_ns=tick * T_NS, state=state, readings=readings, heard=())
+
+
+def taken(made: Frame, time_ns: int) -> Image:
+    return Image(pixels=made.image, time_ns=time_ns, focal_px=FOCAL_PX)
+
+
+# --- where the vehicle was ----------------------------------------------------------------------------------------------------
+
+
+@given(UNIT, AXIS, st.floats(0.0, 3.0), st.floats(-20.0, 20.0), st.floats(0.0, 1.0), st.booleans())
+def test_between_two_ticks_a_constant_acceleration_is_followed_exactly(
+    first: Quaternion, axis: Vec3, rate: float, acceleration: float, share: float, other_sign: bool
+) -> None:
+    """Of the position, and of a turn about one axis; whichever of the two quaternions stands for an attitude."""
+    norm, length = math.hypot(*first), math.hypot(*axis)
+    w, x, y, z = (each / norm for each in first)
+    unit = tuple(each / length for each in axis)
+
+    def state(time_s: float, sign: float = 1.0) -> VehicleState:
+        angle, spin = rate * time_s + 0.5 * acceleration * time_s**2, rate + acceleration * time_s
+        a, b, c = (math.sin(0.5 * angle) * each for each in unit)
+        attitude = product((w, x, y, z), (math.cos(0.5 * angle), a, b, c))
+        return VehicleState(
+            position=(1.0 + angle, -angle, 2.0),
+            velocity=(spin, -spin, 0.0),
+            attitude=tuple(sign * each for each in attitude),  # type: ignore[arg-type]
+            angular_velocity=tuple(spin * each for each in unit),  # type: ignore[arg-type]
+        )
+
+    poses = Poses(T)
+    for tick, sign in ((0, 1.0), (1, -1.0 if other_sign else 1.0)):
+        seen_then = Observation(vehicle="me", time_ns=tick * T_NS, state=state(tick * T, sign), readings={}, heard=())
+        poses.add(seen_then)
+    time_ns = round(share * T_NS)
+    found, expected = poses.at(time_ns), state(time_ns / 1e9)
+    assert found is not None
+    assert found.position == pytest.approx(expected.position, abs=1e-6)
+    assert abs(sum(a * b for a, b in zip(found.attitude, expected.attitude, strict=True))) == pytest.approx(1.0, abs=1e-9)
+    assert math.hypot(*found.attitude) == pytest.approx(1.0)
+
+
+def test_a_pose_is_known_between_two_ticks_and_not_before_after_or_where_ticks_are_missing() -> None:
+    poses = Poses(T)
+    for tick in (2, 3, 8, 9):
+        poses.add(seen(tick, (0.4 * tick, 0.0, 5.0)))
+    for ticks, known in (
+        (1.9, False),
+        (2.0, True),
+        (2.3, True),
+        (3.0, True),
+        (5.0, False),
+        (8.0, True),
+        (8.5, True),
+        (9.1, False),
+    ):
+        pose = poses.at(round(ticks * T_NS))
+        assert (pose is not None) == known
+        if pose is not None:
+            assert pose.position == pytest.approx((0.4 * ticks, 0.0, 5.0))
+    for tick in range(10, 300):
+        poses.add(seen(tick, (0.4 * tick, 0.0, 5.0)))
+    assert poses.at(8 * T_NS) is None  # long ago
+    assert poses.at(200 * T_NS) is not None
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late", [0.0, 0.5, 1.0, 3.4])
+def test_a_picture_is_placed_by_where_it_was_taken_however_late_it_comes(watch: Watch, late: float) -> None:
+    """At 4 m/s and 1 rad/s the present pose would be metres off."""
+
+    def pose(time_s: float) -> tuple[Vec3, Quaternion]:
+        return (4.0 * time_s, -1.0, 20.0), quaternion_from_yaw(time_s)
+
+    made = frame(np.random.default_rng(3), 20.0 + MOUNT[2])
+    at = 8.0 - late  # ticks
+    then = VehicleState(position=pose(at * T)[0], attitude=pose(at * T)[1])
+    for tick in range(8):
+        assert watch.look(seen(tick, *pose(tick * T))) is None
+    shown = watch.look(seen(8, *pose(8 * T), camera=taken(made, round(at * T_NS))))
+    assert shown is not None
+    (truth,), (sighting,) = made.seen.truths, shown.sightings
+    place = nadir_of(taken(made, 0), then).ground_point((truth.u, truth.v))
+    assert place is not None
+    assert sighting.place == pytest.approx(place, abs=0.05)
+    assert math.dist(sighting.centre_px, (truth.u, truth.v)) < 2.0
+    assert math.remainder(sighting.angle - truth.angle, math.tau) == pytest.approx(0.0, abs=0.05)
+    assert (sighting.target, shown.time_ns) == ("glyph", round(at * T_NS))
+    assert 0.75 <= sighting.score <= 1.0
+    assert sighting.side_px == pytest.approx(made.side_px, rel=0.05)
+
+
+def test_each_picture_is_looked_at_once_and_all_who_ask_at_a_tick_get_the_same(watch: Watch) -> None:
+    picture = taken(frame(np.random.default_rng(3), 20.0), 0)
+    first = seen(0, (0.0, 0.0, 20.0), camera=picture)
+    shown = watch.look(first)
+    assert shown is not None
+    assert watch.look(first) is shown
+    assert watch.look(seen(1, (0.0, 0.0, 20.0), camera=picture)) is None
+    assert watch.look(seen(2, (0.0, 0.0, 20.0))) is None
+    assert watch.look(seen(3, (0.0, 0.0, 20.0), camera=taken(frame(np.random.default_rng(3), 20.0), 3 * T_NS))) is not None
+
+
+def test_a_picture_of_a_time_without_a_pose_is_left_out(watch: Watch) -> None:
+    picture = taken(frame(np.random.default_rng(3), 20.0), 5 * T_NS)
+    assert watch.look(seen(0, (0.0, 0.0, 20.0))) is None
+    assert watch.look(seen(9, (0.0, 0.0, 20.0), camera=picture)) is None
+
+
+@pytest.mark.parametrize(
+    ("tilt", "sees", "reliable"), [(0.1, True, True), (0.25, True, True), (0.45, None, False), (0.6, False, False)]
+)
+def test_of_a_tilted_camera_what_is_seen_is_placed_right(watch: Watch, tilt: float, sees: bool | None, reliable: bool) -> None:
+    for tick in range(8):
+        rng = np.random.default_rng(tick)
+        place = (float(320 + rng.uniform(-60, 60)), float(240 + rng.uniform(-40, 40)))
+        level, about = frame(rng, 20.0, places=[place], distractors=False), float(rng.uniform(-3.0, 3.0))
+        true = Nadir((0.0, 0.0, 20.0), (1.0, 0.0, 0.0, 0.0), FOCAL_PX, 640, 480).ground_point(place)
+        a, b = math.cos(0.5 * tilt), math.sin(0.5 * tilt)
+        attitude = a, b * math.sin(about), b * math.cos(about), 0.0
+        (x, y, z), made = _camera_at((0.0, 0.0, 20.0), attitude), tilted(level, tilt, about)
+        shown = watch.look(seen(tick, (x, y, z), attitude, camera=taken(made, tick * T_NS)))
+        assert shown is not None
+        assert true is not None
+        assert (shown.looked is not None) == reliable
+        if sees is not None:
+            assert bool(shown.sightings) == sees
+        assert all(each.place == pytest.approx(true, abs=0.1) for each in shown.sightings)
+
+
+def _camera_at(position: Vec3, attitude: Quaternion) -> Vec3:
+    """Where a vehicle is whose camera is there."""
+    at = nadir_of(Image(pixels=np.zeros((2, 2, 3), np.uint8)), VehicleState(position=position, attitude=attitude)).position
+    return tuple(2.0 * p - q for p, q in zip(position, at, strict=True))  # type: ignore[return-value]
+
+
+# --- where it looks -----------------------------------------------------------------------------------------------------------
+
+
+def test_only_the_part_of_the_ground_is_looked_at_that_it_is_told(watch: Watch) -> None:
+    made = frame(np.random.default_rng(3), 20.0 + MOUNT[2], places=[(300.0, 200.0)], distractors=False)
+    shown = watch.look(seen(0, (0.0, 0.0, 20.0), camera=taken(made, 0)))
+    assert shown is not None
+    assert shown.whole
+    x, y = shown.nadir.ground_point((300.0, 200.0)) or (math.nan, math.nan)
+    for tick, (aside, found) in enumerate([(0.0, 1), (1.9, 1), (2.2, 0)], start=1):
+        watch.region = Around((x + aside, y), 2.0)
+        part = watch.look(seen(tick, (0.0, 0.0, 20.0), camera=taken(made, tick * T_NS)))
+        assert part is not None
+        assert (len(part.sightings), part.whole) == (found, False)
+        corners = np.array(part.footprint)
+        assert corners.min(axis=0) == pytest.approx((x + aside - 2.0, y - 2.0), abs=0.1)  # a pixel or two
+        assert corners.max(axis=0) == pytest.approx((x + aside + 2.0, y + 2.0), abs=0.1)
+    watch.region = Around((x + 90.0, y), 2.0)
+    part = watch.look(seen(4, (0.0, 0.0, 20.0), camera=taken(made, 4 * T_NS)))
+    assert part is not None
+    assert (part.sightings, part.looked, part.footprint) == ((), None, None)
+
+
+def test_a_target_at_the_edge_is_not_taken_to_be_missed(watch: Watch) -> None:
+    """What counts as looked at ends half a side of a target from the edges of the picture."""
+    made = frame(np.random.default_rng(3), 20.0 + MOUNT[2])
+    shown = watch.look(seen(0, (5.0, 0.0, 20.0), camera=taken(made, 0)))
+    assert shown is not None
+    assert shown.looked == (21, 21, 619, 459)  # a side is 400 * 2 / 19.95 px
+    across, ahead = 598 * 19.95 / 400.0, 438 * 19.95 / 400.0
+    corners = np.array(shown.footprint)
+    assert np.ptp(corners, axis=0) == pytest.approx((ahead, across))
+    assert corners.mean(axis=0) == pytest.approx((5.0, 0.0))
+
+
+def test_where_targets_are_too_small_to_be_recognised_nothing_counts_as_looked_at(watch: Watch) -> None:
+    """12 px are the least: a target of 2 m is that large at 400 px from 66.7 m."""
+    image = Image(pixels=np.zeros((480, 640, 3), np.uint8), focal_px=400.0)
+    for tick, (height, looked) in enumerate([(66.0, True), (67.0, False)]):
+        made = msgspec.structs.replace(image, time_ns=tick * T_NS)
+        shown = watch.look(seen(tick, (0.0, 0.0, height - MOUNT[2]), camera=made))
+        assert shown is not None
+        assert (shown.looked is not None) is looked
+
+
+# --- what is wrong ------------------------------------------------------------------------------------------------------------
+
+
+def test_bad_cameras_are_refused(watch: Watch) -> None:
+    with pytest.raises(ValueError, match=r"watching.camera = 'camera': me has no such sensor \(it carries: scan\)"):
+        watch.start(VehicleInfo(name="me", vehicles=("me",), period_s=T, latency_s=0.0, seed=1, sensors=("scan",)))
+    scan = Scan(ranges=np.ones(3, np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
+    with pytest.raises(TypeError, match="takes no pictures, but gives a Scan"):
+        watch.look(seen(0, (0.0, 0.0, 5.0), camera=scan))
+
+
+def test_bad_targets_are_refused_by_their_keys(folder: Path) -> None:
+    good = Wanted(name="glyph", picture="glyph.png")
+    with registry.looking_in(folder):
+        for targets, key in (
+            ((), "w.targets"),
+            ((good, good), "w.targets"),
+            ((good, Wanted(name="x", picture="x.png")), "w.targets[1].picture"),
+        ):
+            with pytest.raises(ScenarioError) as raised:
+                Watch(Watching(targets=targets), key="w")
+            assert raised.value.key == key

@@ -1,0 +1,152 @@
+"""What an operator does during a run: planned or live, it is the same run."""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp import cosim
+from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.assembly.interventions import Operator
+from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, OutageTable, SetTable
+
+SCENARIO: dict[str, Any] = {
+    "name": "interfered",
+    "duration_s": 6.0,
+    "physics": {"kind": "kinematic"},
+    "radio": {"loss": {"kind": "bernoulli", "probability": 0.2}},
+    "vehicle": [
+        {"name": "car1", "kind": "kinematic", "agent": {"kind": "trajectory", "path": "circle"}},
+        {"name": "car2", "kind": "kinematic", "pose": [0.0, -1.0, 0.0], "agent": {"kind": "leader_follower", "leader": "car1"}},
+    ],
+}
+INFO = RunInfo(scenario="test", seed=0, duration_ns=10**10, vehicles=("car1", "car2"))
+
+
+def run(interventions: list[dict[str, Any]], observe: Any = None, **settings: Any) -> cosim.Result:
+    return cosim.run({**SCENARIO, "intervention": interventions}, set=settings, mcap=False, observe=observe)
+
+
+@given(st.lists(st.integers(0, 10**10), max_size=20))
+def test_all_are_done_once_at_their_time_in_order(times_ns: list[int]) -> None:
+    planned = [OutageTable(at_s=each / 1e9, for_s=1.0) for each in times_ns]
+    operator, done = Operator(planned, ["car1"], lambda *_: None), list[Event]()
+    due = operator.start(INFO)
+    while due is not None:
+        step = operator.step(due, ())
+        done += step.events
+        assert all(event.time_ns == due for event in step.events)
+        due = step.next_ns
+    assert [event.time_ns for event in done] == sorted(times_ns)
+
+
+def test_what_is_asked_for_is_done_at_the_instant_that_begins() -> None:
+    operator = Operator([HaltTable(at_s=5.0)], ["car1", "car2"], lambda *_: None)
+    assert not operator.poll(0)
+    operator.ask(OutageTable(at_s=0.0, for_s=2.0, vehicles=("car2",)))
+    assert operator.poll(1_234_567_891)
+    (event,) = operator.step(1_234_567_891, ()).events
+    assert (event.key, event.value.vehicles, event.value.until_ns) == ("operator/outage", ("car2",), 3_234_567_891)  # type: ignore[union-attr]
+    assert not operator.poll(1_234_567_892)
+    assert [seconds_to_ns(each.at_s) for each in operator.all] == [1_234_567_891, 5_000_000_000]
+
+
+def test_what_cannot_be_done_is_refused_and_forgotten() -> None:
+    def check(table: InterventionTable, earlier: Sequence[InterventionTable]) -> None:
+        raise ValueError("no")
+
+    operator = Operator([], ["car1"], check)
+    with pytest.raises(ValueError, match="no"):
+        operator.ask(HaltTable(at_s=0.0))
+    assert not operator.poll(0)
+
+
+def test_none_named_means_all() -> None:
+    operator = Operator([HaltTable(at_s=0.0)], ["car1", "car2"], lambda *_: None)
+    (event,) = operator.step(0, ()).events
+    assert event.value.vehicles == ("car1", "car2")  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"kind": "outage", "at_s": 1.0, "for_s": 1.0, "vehicles": ["car9"]}, "unknown vehicle 'car9'"),
+        ({"kind": "outage", "at_s": 1.0}, "for_s is missing"),
+        ({"kind": "outage", "at_s": 1.0, "for_s": 1.0, "vehicle": ["car2"]}, "unknown key 'vehicle'; did you mean 'vehicles'"),
+        ({"kind": "move", "at_s": 1.0, "obstacle": "box", "position": [1e30, 0.0]}, "position"),
+        ({"kind": "outage", "at_s": -1.0, "for_s": 1.0}, "at_s: must be"),
+        ({"kind": "explode", "at_s": 1.0}, "kind"),
+        ({"kind": "set", "at_s": 1.0, "key": "radio.loss.probability", "value": 2.0}, "probability"),
+        ({"kind": "set", "at_s": 1.0, "key": "radio.loss.colour", "value": 2.0}, "colour"),
+        ({"kind": "move", "at_s": 1.0, "obstacle": "box", "position": [0.0, 0.0]}, "box"),
+    ],
+)
+def test_a_scenario_with_one_that_cannot_be_done_is_refused(table: dict[str, Any], words: str) -> None:
+    with pytest.raises(ScenarioError, match=words) as caught:
+        run([table])
+    assert "intervention[0]" in str(caught.value)
+
+
+def test_during_an_outage_nothing_arrives_and_outside_all_fares_as_without_it() -> None:
+    calm, cut = (run(each) for each in ([], [{"kind": "outage", "at_s": 2.0, "for_s": 1.5, "vehicles": ["car2"]}]))
+    ours, theirs = (each.radio.to_pylist() for each in (cut, calm))
+    for mine, other in zip(ours, theirs, strict=True):
+        inside = 2.0 <= mine["sent_ns"] / 1e9 < 3.5
+        assert mine["outcome"] == ("outage" if inside else other["outcome"])
+
+
+@pytest.mark.parametrize("preset", ["ideal", "wifi-b-1"])
+def test_what_was_done_live_is_repeated_to_the_byte(preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Asked for from within the run, at instants of all slots; the resolved scenario tells it."""
+    orders: dict[int, InterventionTable] = {
+        3: OutageTable(at_s=0.0, for_s=0.7),
+        20: SetTable(at_s=0.0, key="radio.loss.probability", value=0.7),
+        33: HaltTable(at_s=0.0, vehicles=("car1",)),
+        50: HaltTable(at_s=0.0, vehicles=("car1",), halted=False),
+    }
+    seen: list[Operator] = []
+    built = Assembly._build_operator
+
+    def build(self: Assembly, *parts: Any) -> Operator:
+        seen.append(built(self, *parts))
+        return seen[-1]
+
+    monkeypatch.setattr(Assembly, "_build_operator", build)
+    instants, settings = 0, {"radio.preset": preset}
+
+    def progress(now_ns: int, end_ns: int) -> None:
+        nonlocal instants
+        instants += 1
+        if instants in orders:
+            seen[-1].ask(orders[instants])
+
+    live = cosim.run(SCENARIO, set=settings, progress=progress, mcap=False)
+    assert len(tomllib.loads(live.scenario)["intervention"]) == len(orders)
+    path = tmp_path / "again.toml"
+    path.write_text(live.scenario)
+    again = cosim.run(path, mcap=False)
+    assert again.metrics == live.metrics
+    assert again.metrics["digest"] != cosim.run(SCENARIO, set=settings, mcap=False).metrics["digest"]
+    assert again.scenario == live.scenario
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        OutageTable(at_s=0.0, for_s=-1.0),
+        OutageTable(at_s=0.0, for_s=float("inf")),
+        OutageTable(at_s=0.0, for_s=float("nan")),
+        SetTable(at_s=0.0, key="radio.loss.probability", value=float("nan")),
+    ],
+)
+def test_live_numbers_that_a_scenario_could_not_have_are_refused(table: InterventionTable) -> None:
+    operator = Operator([], ["car1"], lambda *_: None)
+    with pytest.raises(ValueError, match=r"no number|Expected"):
+        operator.ask(table)

@@ -1,0 +1,216 @@
+"""Completion, asked as shells ask for it: by environment variables."""
+
+import inspect
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from vcmvsp.cosim.cli import completion
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.scenario import loader as scenarios
+from tests.support.cosim.command_line import vcmvsp
+
+HEAVY = ("numpy", "rich", "matplotlib", "pybullet", "zenoh")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "rich", sys.modules.get("rich"))  # which completion hides
+    # Commands are made anew, of what completion adds to their parameters.
+    monkeypatch.setattr(typer.main, "get_command", inspect.unwrap(typer.main.get_command))
+    return tmp_path
+
+
+@pytest.fixture
+def bash(monkeypatch: pytest.MonkeyPatch) -> "Shell":
+    return Shell(monkeypatch, "bash")
+
+
+class Shell:
+    """What a shell is told when somebody presses TAB behind these words."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, name: str) -> None:
+        self._patch, self._name = patch, name
+
+    def __call__(self, *words: str) -> list[str]:
+        self._patch.setenv("_VCMVSP_COMPLETE", f"complete_{self._name}")
+        self._patch.setenv("COMP_WORDS", "\n".join(["vcmvsp", *words]))
+        self._patch.setenv("COMP_CWORD", str(len(words)))
+        self._patch.setenv("_TYPER_COMPLETE_ARGS", " ".join(["vcmvsp", *words]))
+        self._patch.setenv("_TYPER_COMPLETE_FISH_ACTION", "get-args")
+        code, out, err = vcmvsp()
+        assert (code, err) == (0, "")
+        return out.splitlines()
+
+
+# --- what is offered ----------------------------------------------------------------------------------------------------------
+
+
+def test_commands_and_their_options(bash: Shell) -> None:
+    assert {"run", "new", "reference", "study", "keys"} <= {*bash("")}
+    assert bash("ru") == ["run"]
+    assert bash("keys", "ob") == ["observer"]
+    assert {"--set", "--seed"} == {*bash("run", "--se")}
+
+
+def test_scenarios_and_files_of_ones_own(bash: Shell, folder: Path) -> None:
+    assert bash("run", "formation-c") == ["formation-circle"]
+    assert {*scenarios.names()} <= {*bash("check", "")}
+    (folder / "formation-mine.toml").touch()
+    (folder / "formation.txt").touch()
+    (folder / "formations").mkdir()
+    (folder / "formations" / "deep.toml").touch()
+    own = {"formation-mine.toml", "formations/"}
+    assert own == {each for each in bash("study", "form") if each not in scenarios.names()}
+    assert bash("run", "formations/d") == ["formations/deep.toml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (("list", "ve"), ["vehicles"]),
+        (("show", "sen"), ["sensor"]),
+        (("show", "vehicle", "p"), ["p2dx", "point"]),
+        (("new", "s"), ["scenario", "sensor"]),
+        (("reference", "radio.loss.b"), ["radio.loss.bernoulli", "radio.loss.bursts"]),
+        (("reference", "agents.leader"), ["agents.leader_follower"]),
+        (("world", "urb"), ["urban"]),
+        (("run", "--agents", "p"), ["process"]),
+        (("per", "--preset", "zig"), ["zigbee"]),
+        (("drive", "formation-circle", "--vehicle", ""), ["car1", "car2", "car3"]),
+    ],
+)
+def test_kinds_parts_presets_and_vehicles(bash: Shell, words: tuple[str, ...], offered: list[str]) -> None:
+    assert [each for each in bash(*words) if each not in scenarios.names()] == offered
+
+
+@pytest.mark.parametrize("words", [("run", "--out", ""), ("plot", ""), ("run", "nothing-begins-so")])
+def test_where_nothing_is_known_the_shell_completes_files(bash: Shell, words: tuple[str, ...]) -> None:
+    assert bash(*words) == []
+
+
+# --- keys of --set ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        (["rad"], ["radio.path_loss.", "radio.walls.", "radio.loss.", "radio.preset="]),
+        (["radio.loss.prob"], ["radio.loss.probability="]),
+        (["radio.loss.kind"], ["radio.loss.kind=", "radio.loss.kind=bernoulli"]),
+        (["radio.loss.kind", "="], ["bernoulli", "gilbert_elliott", "bursts", "none"]),
+        (["radio.loss.kind", "=", "b"], ["bernoulli", "bursts"]),
+        (["agents.run"], ["agents.runs=process", "agents.runs=zenoh"]),
+        (["record.vid"], ["record.video=true", "record.video=false"]),
+        (["vehicle."], ["vehicle.car1.", "vehicle.car2.", "vehicle.car3."]),
+        (["vehicle.car2.agent.k"], ["vehicle.car2.agent.k1=", "vehicle.car2.agent.kind="]),
+        (["vehicles.ki"], ["vehicles.kind=p2dx"]),
+        (["agents.formation.passage.pol"], ["agents.formation.passage.policy="]),
+    ],
+)
+def test_keys_are_offered_down_to_the_next_dot_and_then_values(bash: Shell, typed: list[str], offered: list[str]) -> None:
+    assert {*offered} <= {*bash("run", "formation-circle", "--set", *typed)}
+
+
+def test_the_keys_of_a_scenario_of_ones_own_have_its_names(bash: Shell, folder: Path) -> None:
+    (folder / "own.toml").write_text("[[vehicle]]\nname = 'bus'\nsensors = { eye = { kind = 'lms' } }\n")
+    assert bash("run", "own.toml", "--set", "veh") == ["vehicle.", "vehicles."]
+    assert "vehicle.bus.sensors.eye.beams=" in bash("run", "own.toml", "--set", "vehicle.bus.sensors.eye.")
+    (folder / "own.toml").write_text("[[vehicle")
+    assert "vehicles.kind=" in bash("run", "own.toml", "--set", "vehicles.")
+    assert bash("run", "own.toml", "--set", "vehicle.") == []
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (("world", "urban", "--set", "bloc"), "block="),
+        (("world", "mixed-50", "--set", "world.bloc"), "world.block="),
+        (("pathloss", "--set", "path_loss.exp"), "path_loss.exponent="),
+        (("agent", "--set", "k1"), "k1="),
+        (("robot", "--set", "bau"), "baud="),
+    ],
+)
+def test_where_set_means_a_part_of_a_scenario_so_do_the_keys(bash: Shell, words: tuple[str, ...], offered: str) -> None:
+    assert offered in bash(*words)
+
+
+def test_every_key_that_is_offered_is_understood_by_a_scenario() -> None:
+    """Of a robot and its agent, as an example: with its default each can be set."""
+    raw = tomllib.loads(scenarios.text_of("formation-circle"))
+    settings = {}
+    for line in completion.INDEX.read_text("utf-8").splitlines():
+        path, *values = line.split("\t")
+        if path.startswith(("metrics.", "record.", "clock.", "radio.delivery.", "study.")) and values:
+            settings[path] = scenarios.value_of(values[0])
+    assert len(settings) > 8
+    scenarios.load(raw, settings=settings)
+
+
+# --- how shells ask -----------------------------------------------------------------------------------------------------------
+
+
+def test_zsh_and_fish_are_told_what_a_command_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Shell(monkeypatch, "zsh")("ru")[0].startswith("""_arguments '*: :(("run":"Run a scenario""")
+    assert Shell(monkeypatch, "fish")("ru")[0].startswith("run\tRun a scenario")
+    assert Shell(monkeypatch, "zsh")("run", "--set", "radio.loss.kind=be")[0].endswith('(("radio.loss.kind=bernoulli"))\'')
+    assert Shell(monkeypatch, "zsh")("run", "--out", "x") == ["_files"]
+
+
+def test_fish_is_told_by_the_exit_code_whether_there_is_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_VCMVSP_COMPLETE", "complete_fish")
+    monkeypatch.setenv("_TYPER_COMPLETE_FISH_ACTION", "is-args")
+    for words, code in (("vcmvsp ru", 0), ("vcmvsp run --out x", 1)):
+        monkeypatch.setenv("_TYPER_COMPLETE_ARGS", words)
+        assert vcmvsp() == (code, "", "")
+
+
+def test_what_cannot_be_answered_is_answered_by_silence(monkeypatch: pytest.MonkeyPatch, bash: Shell) -> None:
+    monkeypatch.setattr(completion, "INDEX", Path("/nowhere"))
+    monkeypatch.setenv("_VCMVSP_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "vcmvsp\nrun\n--set\nrad")
+    monkeypatch.setenv("COMP_CWORD", "3")
+    assert (vcmvsp().out, vcmvsp().err) == ("", "")
+
+
+def asked(*arguments: str, **variables: str) -> str:
+    """The real command, in a process of its own."""
+    command = [sys.executable, *arguments]
+    environment = {**os.environ, **variables}
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=environment).stdout
+
+
+def test_it_loads_nothing_heavy() -> None:
+    code = f"import sys, cosim.cli\ntry: cosim.cli.main()\nfinally: print([each for each in {HEAVY} if sys.modules.get(each)])"
+    words = {"COMP_WORDS": "vcmvsp\nrun\nformation-circle\n--set\nradio.mac.a", "COMP_CWORD": "4"}
+    out = asked("-c", code, _VCMVSP_COMPLETE="complete_bash", **words)
+    assert out.splitlines() == ["radio.mac.attempts=", "radio.mac.acknowledge=", "[]"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_each_shell_has_its_script(shell: str) -> None:
+    out = asked("-m", "vcmvsp.cosim.cli.app", _VCMVSP_COMPLETE=f"source_{shell}")
+    assert f"_VCMVSP_COMPLETE=complete_{shell}" in out
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_itself_completes(folder: Path) -> None:
+    (folder / "vcmvsp").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m vcmvsp.cosim.cli.app "$@"\n')
+    (folder / "vcmvsp").chmod(0o755)
+    script = """
+        eval "$(_VCMVSP_COMPLETE=source_bash vcmvsp)"
+        COMP_WORDS=(vcmvsp run formation-circle --set radio.loss.kind = b); COMP_CWORD=6
+        _vcmvsp_completion vcmvsp
+        echo "${COMPREPLY[@]}"
+    """
+    root = Path(registry.__file__).parent.parent
+    environment = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(root)}
+    done = subprocess.run(["bash", "-c", script], check=True, capture_output=True, text=True, timeout=60, env=environment)
+    assert (done.stdout.split(), done.stderr) == (["bernoulli", "bursts"], "")

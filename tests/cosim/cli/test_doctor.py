@@ -1,0 +1,180 @@
+"""``vcmvsp doctor --connect``: says what works on the way to a run, and why not what does not."""
+
+import contextlib
+import datetime as dt
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.security import authority, certificates, x509
+from vcmvsp.cosim.security.certificates import Keys
+from vcmvsp.cosim.transport import key_names, access_control
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.hub import Hub
+from vcmvsp.cosim.hosts.event_publisher import Topics
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.secure_hub import lasting_links
+from tests.support.cosim.run_processes import reserved
+
+ABOUT = {"scenario": "here", "duration_s": 60.0, "vehicles": ("car1", "car2"), "missing": lambda: ("car2",)}
+
+
+@pytest.fixture(autouse=True)
+def _links_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    lasting_links(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
+    folder = tmp_path_factory.mktemp("doctor") / "keys"
+    authority.init(folder)
+    authority.issue(folder, "laptop", ["car1", "car2"])
+    for name in ("anna", "gone"):
+        authority.issue(folder, name)
+    authority.revoke(folder, "gone")
+    return certificates.load(folder)
+
+
+def opened_hub(stack: contextlib.ExitStack, keys: Keys | None = None) -> Hub:
+    hub = Hub("tcp/127.0.0.1:0" if keys is None else "tls/127.0.0.1:0", keys)
+    stack.callback(hub.close)
+    return hub
+
+
+def shows(stack: contextlib.ExitStack, keys: Keys | None = None) -> str:
+    """The endpoint of a hub that says what it is."""
+    hub = opened_hub(stack, keys)
+    stack.callback(Topics(hub.session, ABOUT, keys).close)
+    return hub.endpoint
+
+
+def examined(endpoint: str, *more: str) -> tuple[int | str | None, dict[str, tuple[bool, str]]]:
+    """The exit code, and each check with what was said; the lines for people say the same."""
+    code, out, _ = vcmvsp("doctor", "--connect", endpoint, *more, "--json")
+    checks = {each["name"]: (each["ok"], each["words"]) for each in json.loads(out)}
+    assert code == (0 if all(ok for ok, _ in checks.values()) else 1)
+    return code, checks
+
+
+def test_a_host_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> None:
+    endpoint = shows(stack, keys)
+    code, checks = examined(endpoint, "--keys", str(keys.folder / "laptop.keys"))
+    assert code == 0
+    names = ["certificate", "endpoint", "run's certificate", "run", "versions", "round trip", "clocks", "access", "vehicles"]
+    assert list(checks) == names
+    words = {name: said for name, (_, said) in checks.items()}
+    assert words["certificate"].startswith("'laptop', host of car1, car2, valid until 20")
+    assert "127.0.0.1" in words["run's certificate"]
+    assert f"valid until {keys.until:%Y-%m-%d}" in words["run's certificate"]
+    assert words["run"] == "here (2 vehicles), not begun yet"
+    assert words["versions"].endswith(f"protocol {protocol.PROTOCOL} at both ends")
+    assert words["access"] == "'laptop' does not hear what the run shows and speaks for itself alone"
+    assert words["vehicles"] == "car1, car2; still missing: car2"
+
+
+def test_an_observer_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> None:
+    endpoint, file = shows(stack, keys), str(keys.folder / "anna.keys")
+    code, checks = examined(endpoint, "--keys", file)
+    assert code == 0
+    assert checks["access"] == (True, "'anna' hears what the run shows and speaks for itself alone")
+    code, out, _ = vcmvsp("doctor", "--connect", endpoint, "--keys", file)
+    assert code == 0
+    assert [line[:7] for line in out.splitlines()] == ["ok     "] * 9
+
+
+def test_without_certificates_it_says_so(stack: contextlib.ExitStack) -> None:
+    code, checks = examined(shows(stack))
+    assert code == 0
+    assert checks["access"][1].startswith("no certificates are asked for: whoever reaches this endpoint hears")
+
+
+def test_access_that_is_not_right_is_found(keys: Keys, stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hub that lets hosts hear, and speak on the keys of others."""
+    real = access_control.hub_security
+
+    def lax(known: Keys) -> dict[str, Any]:
+        return {name: part for name, part in real(known).items() if name != "access_control"}
+
+    monkeypatch.setattr(access_control, "hub_security", lax)
+    code, checks = examined(shows(stack, keys), "--keys", str(keys.folder / "laptop.keys"))
+    assert code == 1
+    words = "'laptop' hears what the run shows and may speak for others, which is not right for a host"
+    assert checks["access"] == (False, words)
+
+
+def test_what_is_wrong_is_named_and_ends_the_examination(
+    keys: Keys, stack: contextlib.ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoint = shows(stack, keys)
+    foreign = tmp_path / "foreign"
+    authority.init(foreign)
+    authority.issue(foreign, "anna")
+    with monkeypatch.context() as patch:
+        patch.setattr(x509, "now", lambda: dt.datetime.now(dt.UTC) - dt.timedelta(days=2))
+        authority.issue(foreign, "old", days=1)
+    nobody = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
+    for where, file, name, words in (
+        (nobody, keys.folder / "anna.keys", "endpoint", "nobody listens there (Connection refused)"),
+        (endpoint, foreign / "anna.keys", "endpoint", "is of another authority than"),
+        (endpoint, foreign / "old.keys", "certificate", "the certificate of 'old' expired on"),
+        (endpoint, keys.folder / "gone.keys", "run", "the run's rules do not know 'gone': its certificate was revoked"),
+    ):
+        code, checks = examined(where, "--keys", str(file))
+        assert code == 1
+        assert list(checks)[-1] == name
+        assert [ok for ok, _ in checks.values()] == [True] * (len(checks) - 1) + [False]
+        assert words in checks[name][1]
+    code, checks = examined(endpoint.replace("tls/", "tcp/"))
+    assert checks["endpoint"][1].endswith("that run wants certificates: dial tls/... and add --keys FILE")
+
+
+@pytest.mark.parametrize("off_s", [-3600.0, 5.0])
+def test_the_other_clock_and_the_other_version(stack: contextlib.ExitStack, off_s: float) -> None:
+    hub = opened_hub(stack)
+
+    def answer(query: zenoh.Query) -> None:
+        about = {"version": "0.0.9", "protocol": 99, "wall_ns": time.time_ns() + int(off_s * 1e9), "you": {"name": "anyone"}}
+        with query:
+            query.reply(query.key_expr, json.dumps(about))
+
+    hub.session.declare_queryable(key_names.ABOUT, Callback(answer, indirect=False))
+    code, checks = examined(hub.endpoint)
+    assert code == 1
+    ok, words = checks["versions"]
+    assert not ok
+    assert words.endswith("vcmvsp 0.0.9, protocol 99 there: use the same vcmvsp version")
+    words = checks["clocks"][1]
+    found, spread = float(words.split()[3]), float(words.split()[-2])
+    assert ("ahead of" in words) == (off_s > 0)
+    assert abs(found - abs(off_s) * 1e3) <= spread + 0.02  # ms; both are rounded
+
+
+def test_a_run_that_says_nothing(stack: contextlib.ExitStack) -> None:
+    code, checks = examined(opened_hub(stack).endpoint)
+    assert code == 1
+    assert checks["run"] == (
+        False,
+        "what listens there does not say what run it is: use the same vcmvsp version at both ends",
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--connect", "nonsense"], "'nonsense': must be tcp/HOST:PORT or tls/HOST:PORT"),
+        (["--connect", "tls/127.0.0.1:7447"], "TLS needs certificates: add --keys FILE"),
+        (["--connect", "tcp/192.0.2.1:7447"], "plain TCP lets in everybody"),
+        (["--connect", "tls/127.0.0.1:7447", "--keys", "nobody.keys"], "nobody.keys: cannot be read"),
+        (["--keys", "anna.keys"], "--keys and --insecure say how to reach a run: add --connect ENDPOINT"),
+        (["--insecure"], "add --connect ENDPOINT"),
+    ],
+)
+def test_bad_arguments(arguments: list[str], words: str) -> None:
+    code, out, said = vcmvsp("doctor", *arguments)
+    assert (code, out) == (2, "")
+    assert words in said

@@ -1,0 +1,372 @@
+"""``vcmvsp emulate`` as its users start it: drivers and readers connect to what it says, and it leaves nothing behind."""
+
+import json
+import math
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import serial  # type: ignore[import-untyped]
+
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
+from vcmvsp.hardware.drivers.arcos.packet import Reader, command
+from vcmvsp.hardware.drivers.arcos.sip import is_sip
+from vcmvsp.hardware.drivers.base import Sample
+from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
+from vcmvsp.hardware.drivers.ros2.driver import Ros2Driver
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import reserved
+from tests.support.hardware.driver_runs import held
+
+WALL = """
+name = "wall"
+duration_s = 1.0
+[world]
+kind = "boxes"
+boxes = [{ center = [0.75, 0.0, 0.5], size = [0.2, 4.0, 1.0] }]
+[[vehicle]]
+name = "rosa"
+kind = "amigobot"
+"""
+FACE_M = 0.65  # x of the wall's near side
+PATIENCE_S = 60.0
+
+
+class Emulated:
+    """A command that runs, and what it has said."""
+
+    def __init__(self, *arguments: str) -> None:
+        line = [sys.executable, "-m", "vcmvsp.cosim.cli.app", "emulate", *arguments]
+        self.process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def line(self) -> str:
+        assert self.process.stdout is not None
+        assert select.select([self.process.stdout], [], [], PATIENCE_S)[0], "it says nothing"
+        return self.process.stdout.readline().rstrip("\n")
+
+    def end(self, number: int = signal.SIGINT) -> tuple[int, str, str]:
+        """How it ends when it is interrupted: exit code, what it said."""
+        children = psutil.Process(self.process.pid).children(recursive=True)
+        self.process.send_signal(number)
+        out, err = self.process.communicate(timeout=PATIENCE_S)
+        _, alive = psutil.wait_procs(children, timeout=30)
+        assert not alive
+        return self.process.returncode, out, err
+
+
+@contextmanager
+def emulated(*arguments: str) -> Iterator[Emulated]:
+    command_line = Emulated(*arguments)
+    try:
+        yield command_line
+    finally:
+        if command_line.process.poll() is None:
+            command_line.process.kill()
+        command_line.process.communicate(timeout=PATIENCE_S)
+
+
+def drive(
+    url: str, until: Callable[[Sample], bool], v: float, begin: Callable[[Sample], bool] = bool, **options: Any
+) -> list[Sample]:
+    """Stand until a sample is such that it may ``begin``, then drive until one is as it should be; a robot may be late."""
+    driver = ArcosDriver(url, **{"connect_s": 30.0, "silence_s": 20.0, **options})
+    samples: list[Sample] = []
+    driver.open()
+    try:
+        end, begun = time.monotonic() + PATIENCE_S, False
+        while time.monotonic() < end and not (samples and until(samples[-1])):
+            driver.write(Velocity(linear=(v if begun else 0.0, 0.0, 0.0)))
+            time.sleep(0.05)
+            if (sample := driver.read()) is not None:
+                samples.append(sample)
+                begun = begun or begin(sample)
+    finally:
+        driver.close()
+    return samples
+
+
+@pytest.mark.parametrize(("robot", "port"), [("p2dx", "tcp://:0"), ("amigo-sh", "link")])
+def test_a_driver_drives_it(robot: str, port: str, tmp_path: Path) -> None:
+    port = str(tmp_path / "robot") if port == "link" else port
+    with emulated(robot, "--port", port) as command_line:
+        url = command_line.line()
+        assert url.startswith({"tcp://:0": "socket://127.0.0.1:"}.get(port, port))
+        begin_s = time.monotonic()
+        last = drive(url, lambda sample: sample.odometry.pose[0] > 0.1, 0.2, robot=robot)[-1]
+        assert 0.1 < last.odometry.pose[0] < 0.2 * (time.monotonic() - begin_s)
+        code, out, err = command_line.end()
+        assert code == 0
+        assert "information packets sent" in out
+        assert err == ""
+    assert not Path(port).is_symlink()
+
+
+def test_json_says_it_in_two_lines_and_sigterm_ends_it_as_well() -> None:
+    with emulated("amigobot", "--json", "--dwm1001", "PTY", "--ubisense", "udp://127.0.0.1:9") as command_line:
+        about = json.loads(command_line.line())
+        assert about["url"].startswith("/dev/pts/")
+        assert about["positioning"]["ubisense"] == "udp://127.0.0.1:9"
+        assert drive(about["url"], bool, 0.0)
+        code, out, _ = command_line.end(signal.SIGTERM)
+    assert code == 0
+    happened = json.loads(out)
+    assert happened["commands"] > 5
+    assert happened["packets"] > 0
+    assert happened["fixes"]["ubisense"] > 0
+
+
+@pytest.mark.parametrize("where", [(), ("--scenario", "lab-patrol", "--vehicle", "ugv1")])
+def test_it_ends_by_itself_after_the_duration(where: tuple[str, ...]) -> None:
+    with emulated("p2dx", "--duration", "0.33", *where) as command_line:
+        assert command_line.line().startswith("/dev/pts/")
+        assert command_line.process.wait(60) == 0
+
+
+def test_a_bad_line_is_counted() -> None:
+    faults = "drop=0.005,flip=0.005,split=0.01"
+    with emulated("amigobot", "--faults", faults, "--paced", "--baud", "57600", "--json", "--seed", "3") as command_line:
+        url = json.loads(command_line.line())["url"]
+        far = drive(url, lambda sample: sample.odometry.pose[0] > 0.05, 0.2, baud=57600)
+        assert far[-1].odometry.pose[0] > 0.05
+        _, out, _ = command_line.end()
+    happened = json.loads(out)
+    assert happened["bytes_lost"] + happened["bytes_changed"] > 0
+
+
+def pinged(sample: Sample) -> list[float]:
+    """What sonar 2 has measured anew, m."""
+    return [metres for number, metres in sample.sonar if number == 2]
+
+
+def echo(x: float) -> float:
+    """What it measures from there, m: it sits 0.15 m ahead and looks 15 degrees to the left, its cone goes to 5 degrees."""
+    return (FACE_M - 0.15 - x) / math.cos(math.radians(5.0))
+
+
+def test_in_a_scenario_the_sonar_sees_the_wall_and_the_robot_stalls_against_it(tmp_path: Path) -> None:
+    (tmp_path / "wall.toml").write_text(WALL)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(10.0)
+        there = f"udp://127.0.0.1:{ear.getsockname()[1]}"
+        tags = ("--ubisense", there, "--fix-hz", "20", "--sigma-m", "0.05", "--tag", "ABC")
+        with emulated("amigobot", "--scenario", str(tmp_path / "wall.toml"), *tags) as command_line:
+            url = command_line.line()
+            samples = drive(url, lambda sample: sample.stalled == (True, True), 0.4, begin=lambda sample: bool(pinged(sample)))
+            assert samples[-1].stalled == (True, True)
+            xs = [sample.odometry.pose[0] for sample in samples]
+            ahead = [(*way, metres) for way, each in zip(pairwise([0.0, *xs]), samples, strict=True) for metres in pinged(each)]
+            standing = [metres for before, x, metres in ahead if before == x == 0.0]
+            assert standing
+            assert standing == pytest.approx([echo(0.0)] * len(standing), abs=0.12)
+            for before, x, metres in ahead:  # a ping may be older than the pose
+                assert x >= 0.2 or echo(x) - 0.12 <= metres <= echo(before) + 0.12
+            assert ahead[-1][-1] < 0.1
+            ear.setblocking(False)
+            located = []
+            while select.select([ear], [], [], 0)[0]:
+                located.append(ubisense.decode(ear.recv(100)))
+            code, out, err = command_line.end()
+    assert code == 0, err
+    assert "fixes of ubisense" in out
+    assert {each.tag for each in located} == {"0000000000000ABC"}
+    along = [each.position[0] for each in located if each.position]
+    assert min(along) < 0.2
+    assert 0.25 < along[-1] < FACE_M  # its front is 0.16 m ahead; five standard deviations
+    assert max(along) < FACE_M + 0.1
+
+
+def test_a_vehicle_among_others_takes_the_place_of_its_agent(tmp_path: Path) -> None:
+    text = """
+name = "two"
+duration_s = 1.0
+physics = { kind = "kinematic" }
+agents = { kind = "trajectory", period_s = 0.1, path = "circle" }
+vehicles = { kind = "p2dx" }
+[[vehicle]]
+name = "car1"
+agent = {}
+[[vehicle]]
+name = "car2"
+position = [0.0, 3.0, 0.0]
+agent = { fails_s = 0.5 }
+"""
+    (tmp_path / "two.toml").write_text(text)
+    with emulated("p2dx", "--scenario", str(tmp_path / "two.toml"), "--vehicle", "car2", "--pose", "5,5,1.5", "--json") as one:
+        about = json.loads(one.line())
+        assert drive(about["url"], lambda sample: sample.odometry.pose[0] > 0.1, 0.3)[-1].odometry.pose[0] > 0.1
+        code, out, err = one.end()
+    assert code == 0, err
+    assert json.loads(out)["vehicle"] == "car2"
+
+
+def test_a_tag_alone_goes_round() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(PATIENCE_S)
+        there = f"udp://127.0.0.1:{ear.getsockname()[1]}"
+        with emulated("ubisense", "--port", there, "--circle", "2,1", "--fix-hz", "50", "--sigma-m", "0.01") as command_line:
+            assert command_line.line() == there
+            for _ in range(10):
+                x, y, _ = ubisense.decode(ear.recv(100)).position or (math.nan,) * 3
+                assert math.hypot(x, y - 2.0) == pytest.approx(2.0, abs=0.06)
+            assert command_line.end()[0] == 0
+
+
+def test_a_serial_tag_alone_stands(tmp_path: Path) -> None:
+    link = tmp_path / "tag"
+    with emulated("dwm1001", "--port", str(link), "--pose", "1,2,0", "--sigma-m", "0.01", "--fix-hz", "50") as command_line:
+        assert command_line.line() == str(link)
+        with serial.Serial(str(link), dwm1001.BAUD, timeout=0.05) as port:
+            reader, waker, found = dwm1001.Reader(), dwm1001.Waker(0.1), list[Located]()
+            end = time.monotonic() + PATIENCE_S
+            while len(found) < 3 and time.monotonic() < end:
+                port.write(waker.write(time.monotonic_ns()))
+                found += reader.feed(port.read(200))
+        assert [each.position for each in found[:3]] == [pytest.approx((1.0, 2.0, 0.0), abs=0.06)] * 3
+        assert command_line.end()[0] == 0
+    assert not link.is_symlink()
+
+
+def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
+    """As ARIA does: HOSTBAUD at the old rate, then the port is opened again at the new one; the session goes on."""
+    with emulated("p2dx", "--paced") as command_line:
+        url = command_line.line()
+        with serial.Serial(url, 9600, timeout=0.05) as port:
+            reader = Reader()
+
+            def hear(what: Callable[[bytes], bool]) -> bytes:
+                end = time.monotonic() + PATIENCE_S
+                while time.monotonic() < end:
+                    for packet in reader.feed(port.read(200)):
+                        if what(packet):
+                            return packet
+                raise AssertionError("nothing comes")
+
+            for number in range(3):
+                port.write(command(number))
+                hear(bytes((number,)).__eq__ if number < 2 else lambda packet: packet[0] == 2)
+            port.write(command(Command.OPEN, 1) + command(Command.HOSTBAUD, 2))
+            time.sleep(0.5)
+            assert not any(is_sip(packet) for packet in reader.feed(port.read(1000))[1:])  # noise, but for what came before
+            port.close()
+            port.baudrate = 38400
+            port.open()
+            reader = Reader()
+            hear(is_sip)
+            port.write(command(Command.CONFIG))
+            hear(lambda packet: packet[:1] == b"\x20")
+            port.write(command(Command.CLOSE))
+        assert command_line.end()[0] == 0
+
+
+@pytest.mark.parametrize("port", ["tcp://:0", "udp"])
+def test_an_autopilot_is_heard(port: str) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(PATIENCE_S)
+        host, number = ear.getsockname()
+        there = f"udp://{host}:{number}" if port == "udp" else port
+        with emulated("mavlink", "--port", there, "--pose", "1,2,0", "--system-id", "7", "--json") as command_line:
+            address = json.loads(command_line.line())["url"].split(":")
+            if port == "udp":
+                assert address == ["udpin", host, str(number)]
+                heard = ear.recv(4096)
+            else:
+                with socket.create_connection((address[1], int(address[2])), PATIENCE_S) as client:
+                    heard = client.recv(4096)
+            assert heard[0] == 0xFD  # MAVLink 2
+            code, out, _ = command_line.end()
+    assert code == 0
+    happened = json.loads(out)
+    assert (happened["x_m"], happened["y_m"], happened["armed"]) == (1.0, 2.0, False)
+
+
+def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
+    endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserved())}"
+    with emulated("ros2", "--port", endpoint, "--stamped", "--pose", "1,2,0", "--json") as command_line:
+        assert json.loads(command_line.line())["url"] == endpoint
+        driver = Ros2Driver(endpoint=endpoint, stamped=True, pose="world", connect_s=30.0, silence_s=20.0)
+        driver.open()
+        try:
+            x, said, end = 1.0, 0, time.monotonic() + PATIENCE_S
+            while (x < 1.05 or said < 5) and time.monotonic() < end:
+                driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
+                said += 1
+                time.sleep(0.05)
+                if (sample := driver.read()) is not None:
+                    x = sample.odometry.pose[0]
+        finally:
+            driver.close()
+        code, out, err = command_line.end()
+    assert (code, err) == (0, "")
+    assert json.loads(out)["messages"] > 2
+    assert json.loads(out)["x_m"] >= x >= 1.05
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("amigobot", "--port", "COM3"), "--port COM3"),
+        (("amigobot", "--port", "/no/such/folder/robot"), "--port /no/such/folder/robot: No such file or directory"),
+        (("amigobot", "--port", "tcp://no.such.host.invalid:8101"), "--port tcp://no.such.host.invalid:8101"),
+        (("amigobot", "--port", "tcp://:99999"), "from 0 to 65535"),
+        (("amigobot", "--ubisense", "127.0.0.1:5000"), "--ubisense 127.0.0.1:5000: write udp://HOST:PORT"),
+        (("amigobot", "--dwm1001", "tag"), "--dwm1001 tag"),
+        (("amigobot", "--sigma-m", "-1"), "sigma_m"),
+        (("amigobot", "--outliers", "2"), "outliers"),
+        (("amigobot", "--vehicle", "car1"), "add --scenario"),
+        (("amigobot", "--duration", "-1"), "--duration"),
+        (("amigobot", "--scenario", "no-such"), "no-such"),
+        (("p2dx", "--scenario", "lab-patrol"), "ugv1, ugv2, ugv3"),
+        (("p2dx", "--scenario", "lab-patrol", "--vehicle", "car1"), "--vehicle car1"),
+        (("amigobot", "--scenario", "swarm-100", "--vehicle", "drone1"), "--vehicle drone1"),
+        (("ubisense", "--port", "udp://x"), "--port udp://x: write udp://HOST:PORT"),
+        (("dwm1001", "--circle", "0,1"), "--circle 0,1"),
+        (("dwm1001", "--port", "tag"), "--port tag"),
+        (("ubisense", "--port", "udp://127.0.0.1:9", "--fix-latency-s", "inf"), "latency_s"),
+        (("ros2", "--port", "nonsense"), "--port nonsense: no session"),
+        (("mavlink", "--port", "udp://no.such.host.invalid:14540"), "--port udp://no.such.host.invalid:14540"),
+        (("mavlink", "--port", "/dev/ttyUSB0"), "udp://HOST:PORT or tcp://HOST:PORT"),
+        (("mavlink", "--autopilot", "x"), "px4 or ardupilot"),
+        (("mavlink", "--kind", "boat"), "quadrotor or rover"),
+        (("mavlink", "--system-id", "0"), "from 1 to 255"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(arguments: tuple[str, ...], said: str) -> None:
+    outcome = vcmvsp("emulate", *arguments)
+    assert outcome.code == 2
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1
+    assert outcome.out == ""
+
+
+def test_a_port_that_is_taken_is_said_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "robot").touch()
+    outcome = vcmvsp("emulate", "amigobot", "--port", str(tmp_path / "robot"))
+    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+    assert "is there already" in outcome.err
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        outcome = vcmvsp("emulate", "amigobot", "--port", f"tcp://:{taken.getsockname()[1]}")
+    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+    assert "in use" in outcome.err
+
+
+def test_nothing_is_left_of_it_in_this_process() -> None:
+    before = held()
+    outcome = vcmvsp("emulate", "amigobot", "--duration", "0.2", "--ubisense", "udp://127.0.0.1:9", "--dwm1001", "PTY")
+    assert outcome.code == 0
+    assert len(outcome.out.splitlines()) >= 4
+    assert held() <= before

@@ -1,0 +1,290 @@
+"""`vcmvsp net`: a run whose vehicles are machines, programs on them, and what is left when runs are killed."""
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from vcmvsp.cosim.config import registry
+from tests.support.cosim.command_line import vcmvsp
+
+networks = registry.piece("networks")
+
+NAME = f"net{os.getpid()}"
+SCENARIO = """
+name = "{name}"
+duration_s = 100
+physics.kind = "kinematic"
+radio.preset = "ideal"
+radio.delay.seconds = 0.02
+vehicles.kind = "p2dx"
+[[vehicle]]
+name = "car1"
+[[vehicle]]
+name = "car2"
+pose = [1.0, 0.0, 0.0]
+"""
+READY_S = 40.0
+
+pytestmark = pytest.mark.skipif(bool(networks.netns.missing()), reason=f"namespaces need {networks.netns.missing()}")
+
+
+def needs(command: str) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(shutil.which(command) is None, reason=f"there is no {command} here")
+
+
+def net(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "vcmvsp.cosim.cli.app", "net", *arguments]
+
+
+def on(vehicle: str, *command: str, run: str, text: str = "") -> "subprocess.CompletedProcess[str]":
+    """A program on a vehicle's machine, to its end."""
+    whole = net("exec", vehicle, "--run", run, "--", *command)
+    return subprocess.run(whole, input=text, capture_output=True, text=True, check=False, timeout=60)
+
+
+@contextlib.contextmanager
+def up(folder: Path, *options: str, name: str = NAME) -> Iterator["subprocess.Popen[str]"]:
+    """A run with a network; killed in the end, if it is still there."""
+    scenario = folder / f"{name}.toml"
+    scenario.write_text(SCENARIO.format(name=name))
+    command = net("up", str(scenario), "--out", str(folder / name), *options)
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        try:
+            assert process.stderr is not None
+            said = []
+            for line in process.stderr:
+                said.append(line)
+                if "vcmvsp net exec car1 -- ping car2" in line:
+                    break
+            else:
+                raise AssertionError("".join(said))
+            yield process
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=READY_S)
+        finally:
+            process.kill()
+            with contextlib.suppress(networks.RunAlive):  # a bridge that is still there takes it away itself
+                networks.clear(name)
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with up(tmp_path_factory.mktemp("up")):
+        yield NAME
+
+
+def test_names_of_vehicles_are_known_inside_and_others_still_are(network: str) -> None:
+    usual = Path("/etc/hosts").read_text("utf-8")
+    seen = on("car1", "cat", "/etc/hosts", run=network).stdout
+    assert seen.startswith(usual.rstrip("\n"))
+    for line in ("10.77.0.1\tcar1", "fd77::1\tcar1", "10.77.0.2\tcar2", "fd77::2\tcar2"):
+        assert line in seen.splitlines()
+    text = "import socket; print(*sorted({each[4][0] for each in socket.getaddrinfo('car2', 80)}))"
+    assert on("car1", sys.executable, "-c", text, run=network).stdout == "10.77.0.2 fd77::2\n"
+    assert Path("/etc/hosts").read_text("utf-8") == usual
+
+
+def test_a_program_has_its_own_input_output_and_exit_code(network: str) -> None:
+    done = on("car1", "sh", "-c", "cat; echo trouble >&2; exit 7", run=network, text="as it is\n")
+    assert (done.returncode, done.stdout, done.stderr) == (7, "as it is\n", "trouble\n")
+
+
+def test_a_program_sees_the_interfaces_of_its_machine_alone(network: str) -> None:
+    assert on("car2", "ls", "/sys/class/net", run=network).stdout.split() == ["lo", "radio0"]
+
+
+def test_signals_go_to_the_program(network: str) -> None:
+    text = "import time; print('here', flush=True); time.sleep(60)"
+    with subprocess.Popen(
+        net("exec", "car1", "--run", network, "--", sys.executable, "-c", text), stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "here\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(READY_S) == -signal.SIGTERM
+
+
+def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
+    """Python ignores SIGPIPE; a program that inherited that would go on for ever."""
+    done = on("car1", "sh", "-c", "yes | head -1", run=network)
+    assert (done.stdout, done.stderr) == ("y\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("car9",), "car9: run {run} has no machine for such a vehicle; there are car1, car2\n"),
+        (("car1", "--run", "elsewhere"), r"--run elsewhere: there is no such run; there are (\w+, )*{run}(, \w+)*\n"),
+    ],
+)
+def test_where_there_is_no_such_machine_the_message_says_which_there_are(
+    network: str, arguments: tuple[str, ...], problem: str
+) -> None:
+    outcome = vcmvsp("net", "exec", *arguments, *(() if "--run" in arguments else ("--run", network)), "--", "true")
+    assert (outcome.code, outcome.out) == (2, "")
+    assert re.fullmatch(f"vcmvsp: {problem.format(run=network)}", outcome.err)
+
+
+def test_a_program_that_there_is_not_is_said_in_one_line(network: str) -> None:
+    done = on("car1", "no-such-program", "-x", run=network)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "vcmvsp: no-such-program -x: No such file or directory\n"
+
+
+def test_of_two_runs_one_must_be_named(network: str) -> None:
+    other = networks.Lease(f"{NAME}other")
+    try:
+        outcome = vcmvsp("net", "exec", "car1", "--", "true")
+    finally:
+        other.end()
+    assert outcome.code == 2
+    assert "say whose: --run is one of" in outcome.err
+    assert {NAME, f"{NAME}other"} <= set(re.findall(r"\w+", outcome.err))
+
+
+def test_status_tells_addresses_and_that_the_run_is_alive(network: str) -> None:
+    outcome = vcmvsp("net", "status", "--json")
+    about = next(each for each in json.loads(outcome.out) if each["run"] == network)
+    assert about["alive"] is True
+    addresses = {each["vehicle"]: each["addresses"] for each in about["spaces"]}
+    assert addresses == {"car1": ["10.77.0.1", "fd77::1"], "car2": ["10.77.0.2", "fd77::2"]}
+    text = vcmvsp("net", "status").out
+    assert f"{network}: alive, process {about['pid']}\n  car1  10.77.0.1  fd77::1\n  car2  10.77.0.2  fd77::2\n" in text
+
+
+def test_what_is_alive_is_not_cleared_away(network: str) -> None:
+    outcome = vcmvsp("net", "down", network)
+    assert outcome.code == 2
+    assert f"run {network} is alive" in outcome.err
+    assert on("car1", "true", run=network).returncode == 0
+
+
+def test_a_second_run_of_the_same_name_is_refused_before_it_begins(network: str, tmp_path: Path) -> None:
+    scenario = tmp_path / "again.toml"
+    scenario.write_text(SCENARIO.format(name=network))
+    outcome = vcmvsp("net", "up", str(scenario), "--out", str(tmp_path / "out"))
+    assert outcome.code == 2
+    assert f"a run named {network} has its network on this machine" in outcome.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(networks, "FOLDER", tmp_path / "net")
+    assert vcmvsp("net", "status").out == "no run has a network on this machine\n"
+    assert vcmvsp("net", "down").out == "there is nothing to clear away\n"
+    leases = {name: networks.Lease(name) for name in ("alive", "dead")}
+    for name, lease in leases.items():
+        lease.tell(networks.Network(run=name, pid=os.getpid(), spaces=()))
+    os.close(leases["dead"]._lock)  # as the end of its process does
+    assert vcmvsp("net", "down").out == "dead: gone\n"
+    assert [each.run for each in networks.networks()] == ["alive"]
+    leases["alive"].end()
+    assert not networks.networks()
+
+
+@needs("ping")
+def test_ping_fares_as_the_radio_recorded(tmp_path: Path) -> None:
+    name = f"{NAME}ping"
+    with up(tmp_path, "--set", "radio.loss.probability=0.25", name=name):
+        # Some one by one, which find the way free; then 80 at once: after these, ping waits for as long as -W says, and not
+        # for two of its round trips.
+        pings = "ping -n -c 20 -i 0.03 -W 1 car2; ping -n -c 80 -l 80 -W 2 car2"
+        said = on("car1", "sh", "-c", pings, run=name).stdout
+    rows = pq.read_table(tmp_path / name / "radio.parquet").to_pylist()
+    there = [each["outcome"] == "received" for each in rows if each["sender"] == "car1"]
+    back = [each["outcome"] == "received" for each in rows if each["sender"] == "car2"]
+    assert len(there) == 20 + 80
+    assert len(back) == sum(there) < len(there)  # what car2 has heard it answers
+    assert f"80 packets transmitted, {sum(back[sum(there[:20]) :])} received" in said
+    quickest_ms = [float(each) for each in re.findall(r"min/avg/max/mdev = ([\d.]+)", said)]
+    assert 40.0 <= min(quickest_ms) < 80.0  # 20 ms each way
+
+
+@needs("iperf3")
+def test_iperf_measures_the_rate_of_the_link(tmp_path: Path) -> None:
+    name, rate_bps, size = f"{NAME}rate", 4e6, 1400
+    limits = ("--set", f"radio.delivery.rate_bps={rate_bps:g}", "--set", "radio.delivery.queue_s=0.1")
+    with up(tmp_path, *limits, name=name):
+        command = net("exec", "car2", "--run", name, "--", "iperf3", "-s", "-1", "-J", "-i", "0.25", "--forceflush")
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+            end = time.monotonic() + READY_S
+            while ":1451 " not in on("car2", "cat", "/proc/net/tcp6", "/proc/net/tcp", run=name).stdout:  # its port, 5201
+                assert time.monotonic() < end
+            on("car1", "iperf3", "-c", "10.77.0.2", "-u", "-b", "5M", "-l", str(size), "-t", "4", run=name)
+            heard, _ = server.communicate(timeout=READY_S)
+    sums = [each["sum"] for each in json.loads(heard)["intervals"]][2:]
+    rates = [each["bits_per_second"] for each in sums if each["seconds"] > 0.2]  # others end it, or a time of standing still
+    assert len(rates) > 4
+    share = size / (size + 28)  # without headers of UDP and IP
+    assert statistics.median(rates) == pytest.approx(rate_bps * share, rel=0.03)  # whatever holds the machine up now and then
+
+
+def test_a_network_lasts_as_long_as_is_said_and_leaves_nothing(tmp_path: Path) -> None:
+    with up(tmp_path, "--duration", "0.5", "--network", "10.99.0.0/24", name=f"{NAME}short") as process:
+        assert process.wait(READY_S) == 0
+        assert not [each for each in networks.networks() if each.run == f"{NAME}short"]
+        assert not list(networks.netns.NAMES.glob(f"vcmvsp-{NAME}short-*"))
+    scenario = (tmp_path / f"{NAME}short" / "scenario.toml").read_text()
+    assert 'network = "10.99.0.0/24"' in scenario
+
+
+def test_a_door_of_another_name_is_the_network(tmp_path: Path) -> None:
+    """A second one would be refused."""
+    options = ("--set", "bridge.lab.kind=ip", "--network", "10.99.0.0/24", "--duration", "0.5")
+    with up(tmp_path, *options, name=f"{NAME}lab") as process:
+        assert process.wait(READY_S) == 0
+    scenario = (tmp_path / f"{NAME}lab" / "scenario.toml").read_text()
+    assert re.findall(r"^\[bridge\.(\w+)\]$", scenario, re.MULTILINE) == ["lab"]
+    assert 'network = "10.99.0.0/24"' in scenario
+
+
+def test_what_a_killed_run_has_left_is_shown_and_cleared_away(tmp_path: Path) -> None:
+    name = f"{NAME}killed"
+    with up(tmp_path, name=name) as process:
+        bridge = next(each.pid for each in networks.networks() if each.run == name)
+        for each in (process.pid, bridge):
+            os.kill(each, signal.SIGKILL)
+        process.wait(READY_S)
+        end = time.monotonic() + READY_S
+        while any(each.alive for each in networks.networks() if each.run == name):
+            assert time.monotonic() < end
+        assert f"{name}: killed; clear it away with 'vcmvsp net down'" in vcmvsp("net", "status").out
+        assert len(list(networks.netns.NAMES.glob(f"vcmvsp-{name}-*"))) == 2
+        assert f"{name}: gone" in vcmvsp("net", "down", name).out
+        assert vcmvsp("net", "down", name).out == "there is nothing to clear away\n"
+        assert not list(networks.netns.NAMES.glob(f"vcmvsp-{name}-*"))
+
+
+def test_force_takes_the_network_from_a_run_that_is_alive(tmp_path: Path) -> None:
+    name = f"{NAME}forced"
+    with up(tmp_path, name=name) as process:
+        assert vcmvsp("net", "down", name, "--force").code == 0
+        assert process.wait(READY_S) == 3
+        assert not [each for each in networks.networks() if each.run == name]
+        assert not list(networks.netns.NAMES.glob(f"vcmvsp-{name}-*"))
+
+
+def test_who_lacks_the_rights_is_told_which(tmp_path: Path) -> None:
+    scenario = tmp_path / "cars.toml"
+    scenario.write_text(SCENARIO.format(name=f"{NAME}powerless"))
+    without = "import ctypes, os, sys; ctypes.CDLL(None).prctl(24, 12); os.execv(sys.argv[1], sys.argv[1:])"  # PR_CAPBSET_DROP
+    for arguments in (("up", str(scenario)), ("exec", "car1", "--", "true"), ("down",)):
+        done = subprocess.run(
+            [sys.executable, "-c", without, *net(*arguments)], capture_output=True, text=True, check=False, cwd=tmp_path
+        )
+        assert (done.returncode, done.stdout) == (2, "")
+        assert done.stderr.startswith("vcmvsp: networks of namespaces need CAP_NET_ADMIN: ")
+        assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "runs").exists()

@@ -1,0 +1,132 @@
+"""``vcmvsp new``: what it writes runs and passes its own test as it is; what it must not write it does not."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from vcmvsp.cosim.cli import new
+from tests.support.cosim.command_line import contents, vcmvsp
+
+ROOT = Path(__file__).parent.parent.parent
+OWN = [part for part in new.PARTS if part != "scenario"]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def python(*arguments: str) -> str:
+    """What Python, started here with the checkout on its path, prints; it must end well."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=140, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.timeout(300)  # a process that loads everything, on a machine that may be busy
+@pytest.mark.parametrize("part", new.PARTS)
+def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> None:
+    printed = vcmvsp("new", part, f"my-own-{part}").out
+    run, test = re.search(r"next: vcmvsp (run \S+)\n +pytest (\S+)\n", printed).groups()  # type: ignore[union-attr]
+    assert vcmvsp(*run.split(), "--quiet", "--out", "out").code == 0
+    assert (folder / "out" / "metrics.json").is_file()
+    passed = python("-m", "pytest", "-q", "-p", "no:cacheprovider", test)
+    assert re.search(r"\d+ passed", passed)
+    assert not re.search("failed|skipped|warning", passed)
+
+
+@pytest.mark.parametrize("part", new.PARTS)
+def test_it_says_what_it_has_written(folder: Path, part: str) -> None:
+    code, out, err = vcmvsp("new", part, "thing", "--out", "some/where")
+    assert (code, err) == (0, "")
+    written = {str(path.relative_to(folder)) for path in (folder / "some" / "where").iterdir()}
+    assert {line.split()[0] for line in out.partition("next: ")[0].splitlines()} == written
+    assert written == {f"some/where/{name}" for name in ("thing.py", "thing.toml", "test_thing.py")[part == "scenario" :]}
+
+
+@pytest.mark.parametrize("name", ["follow-wall", "follow_wall", "FollowWall", "followWall"])
+def test_one_name_in_any_spelling_gives_one_module_and_one_class(folder: Path, name: str) -> None:
+    assert vcmvsp("new", "agent", name).code == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["follow_wall.py", "follow_wall.toml", "test_follow_wall.py"]
+    assert "class FollowWall(Agent):" in (folder / "follow_wall.py").read_text()
+    assert tomllib.loads((folder / "follow_wall.toml").read_text())["agents"]["kind"] == "follow_wall.py:FollowWall"
+
+
+@pytest.mark.parametrize("part", new.PARTS)
+def test_nothing_of_the_template_is_left_over(part: str) -> None:
+    texts = new.rendered(part, "some_thing", "SomeThing")
+    assert not any("$" in text or "\t" in text for text in texts.values())
+    assert max(len(line) for text in texts.values() for line in text.splitlines()) <= 128
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("planet", "mars"), "unknown part 'planet'"),
+        (("agnet", "mine"), "did you mean 'agent'?"),
+        (("agent", "3d"), "a name begins with a letter"),
+        (("agent", "my agent"), "a name begins with a letter"),
+        (("agent", "schön"), "a name begins with a letter"),
+        (("agent", "mine.py"), "a name begins with a letter"),
+        (("agent", ""), "a name begins with a letter"),
+        (("agent", "a" * 61), "60 at most"),
+        (("agent", "sub/mine"), "is a path; give a name, and the folder with --out DIR"),
+        (("agent", ".."), "a name begins with a letter"),
+        (("agent", "sub\\mine"), "is a path"),
+        (("agent", "class"), "is a word of Python"),
+        (("agent", "none"), "is a word of Python"),
+        (("agent", "leader-follower"), "there is a built-in agent of that name"),
+        (("vehicle", "urdf_quadrotor"), "there is a built-in vehicle of that name"),
+        (("channel", "Rayleigh"), "there is a built-in channel of that name"),
+        (("channel", "gudmundson"), "there is a built-in channel of that name"),
+        (("sensor", "lms"), "there is a built-in sensor of that name"),
+        (("driver", "ros2"), "there is a built-in driver of that name"),
+        (("scenario", "formation-circle"), "there is a built-in scenario of that name"),
+        (("channel", "received"), "losses would count as received"),
+        (("agent", "random"), "random.py would hide a module"),
+        (("sensor", "numpy"), "numpy.py would hide a module"),
+        (("agent", "velocity"), "its file uses 'Velocity' for something else"),
+        (("driver", "loopback"), "its file uses 'Loopback' for something else"),
+        (("agent", "mine", "--out", "a-file"), "--out a-file: is a file, not a folder"),
+        (("agent", "mine", "--out", "a-file/below"), "cannot write into a-file/below"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line_and_nothing_is_written(
+    folder: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    (folder / "a-file").write_text("mine")
+    code, out, err = vcmvsp("new", *arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert words in err
+    assert [path.name for path in folder.iterdir()] == ["a-file"]
+
+
+@pytest.mark.parametrize("taken", ["mine.py", "mine.toml", "test_mine.py"])
+def test_a_file_that_is_there_stays_and_nothing_is_written_beside_it(folder: Path, taken: str) -> None:
+    (folder / taken).symlink_to("nowhere")  # also one that leads nowhere: to write would make what it names
+    assert vcmvsp("new", "agent", "mine").code == 2
+    (folder / taken).unlink()
+    (folder / taken).write_text("my own")
+    before = contents(folder)
+    code, _, err = vcmvsp("new", "agent", "mine")
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"{taken}: is there already" in err
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("part", OWN)
+def test_what_is_written_is_a_kind_that_is_shown_with_its_parameters(folder: Path, part: str) -> None:
+    vcmvsp("new", part, "mine")
+    if part != "channel":  # layers are no group of `show`
+        code, out, err = vcmvsp("show", part, "mine.py:Mine")
+        assert (code, err) == (0, "")
+        assert out.startswith("mine.py:Mine: ")
+    assert vcmvsp("check", "mine.toml").code == 0

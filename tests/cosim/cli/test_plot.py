@@ -1,0 +1,83 @@
+"""``vcmvsp plot``: the figures of a run, drawn again."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from vcmvsp import cosim
+from tests.support.cosim.command_line import contents, two_cars, vcmvsp
+
+pytestmark = pytest.mark.usefixtures("figures")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder of each test, with a scenario in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(two_cars())
+    return tmp_path
+
+
+@pytest.mark.parametrize("target", ["nowhere", "s.toml", "empty"])
+def test_plot_refuses_what_no_run_has_left(folder: Path, target: str) -> None:
+    (folder / "empty").mkdir()
+    code, out, err = vcmvsp("plot", target)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"vcmvsp: {target}: ")
+    assert list((folder / "empty").iterdir()) == []
+
+
+@pytest.mark.parametrize("damage", [slice(-20, None), slice(1000, 3000)])
+def test_plot_says_which_run_is_damaged(folder: Path, damage: slice) -> None:
+    assert vcmvsp("run", "s.toml", "--out", "damaged").code == 0
+    table = folder / "damaged" / "states.parquet"
+    content = bytearray(table.read_bytes())
+    content[damage] = bytes(len(content[damage]))
+    table.write_bytes(content)
+    code, out, err = vcmvsp("plot", "damaged")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("vcmvsp: damaged cannot be read: ")
+
+
+def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
+    vcmvsp("run", "formation-circle", "--set", "physics.kind=kinematic", "--set", "duration_s=2", "--out", "out")
+    figures = {name: data for name, data in contents(folder / "out").items() if name.endswith(".png")}
+    assert sorted(figures) == ["formation_error.png", "trajectory.png"]
+    for _ in range(4):  # what is left to chance differs seldom
+        code, out, err = vcmvsp("plot", "out", "--out", "again")
+        assert (code, err) == (0, "")
+        assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
+        assert contents(folder / "again") == figures
+    code, out, err = vcmvsp("plot", "out", "--out", "drawn", "--svg")
+    assert (code, err) == (0, "")
+    assert sorted(out.splitlines()) == ["drawn/formation_error.svg", "drawn/trajectory.svg"]
+    assert (folder / "drawn" / "trajectory.svg").read_text().startswith("<?xml")
+
+
+def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: Path) -> None:
+    """A run whose recording was thrown away has all figures but those; its numbers tell of the mission."""
+    scenario = {**tomllib.loads(two_cars()), "world": {"kind": "empty", "targets": [{"name": "a", "place": [0.0, 0.0]}]}}
+    (folder / "mine.py").write_text(
+        "from vcmvsp.cosim import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        self.note(task='search')\n"
+    )
+    for each in scenario["vehicle"]:
+        each["agent"] = {"kind": "mine.py:Mine"}
+    scenario.pop("agents", None)
+    result = cosim.run({**scenario, "duration_s": 0.5}, out=folder / "out")
+    assert "mission" in result.plot()
+    assert (folder / "out" / "mission.png").is_file()
+    (folder / "out" / "run.mcap").unlink()
+    assert sorted(result.plot()) == ["formation_error", "trajectory"]
+    code, out, err = vcmvsp("plot", "out", "--out", "again")
+    assert (code, err) == (0, "")
+    assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
+    assert result.metrics["mission"]["targets_found"] == 0
+
+
+@pytest.mark.parametrize("out", ["s.toml", "/proc/vcmvsp"])
+def test_plot_refuses_a_folder_that_cannot_be_written(out: str) -> None:
+    vcmvsp("run", "s.toml", "--out", "out")
+    code, _, err = vcmvsp("plot", "out", "--out", out)
+    assert code == 2
+    assert out in err

@@ -1,0 +1,280 @@
+"""The channel alone from the command line: what it prints and leaves, and what it refuses."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
+from tests.support.cosim.command_line import Outcome, vcmvsp
+
+TRIAL = ("channel", "--positions", "p.csv", "--rate", "10", "--size", "100", "--duration", "1")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder of each test, with positions in it; nothing is compiled, which takes longer than all tests here."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("VCMVSP_COMPILED", "0")
+    (tmp_path / "p.csv").write_text("x,y,z\n0,0,0\n10,0,0\n0,20,0\n400,0,0\n")
+    return tmp_path
+
+
+def files(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def sets(*settings: str) -> list[str]:
+    return [argument for setting in settings for argument in ("--set", setting)]
+
+
+def channel(preset: str, *arguments: str) -> dict[str, Any]:
+    """The counts of a trial."""
+    done = vcmvsp(*TRIAL, "--preset", preset, "--json", *arguments)
+    assert (done.code, done.err) == (0, "")
+    counts: dict[str, Any] = json.loads(done.out)
+    return counts
+
+
+def columns(*arguments: str) -> dict[str, Any]:
+    """What ``per`` or ``pathloss`` prints."""
+    done = vcmvsp(*arguments, "--json")
+    assert (done.code, done.err) == (0, "")
+    found: dict[str, Any] = json.loads(done.out)
+    return found
+
+
+def refused(done: Outcome, *words: str) -> None:
+    """One line, exit code 2, nothing on stdout."""
+    assert (done.code, done.out) == (2, ""), done
+    assert done.err.startswith("vcmvsp: ")
+    assert done.err.count("\n") == 1
+    for word in words:
+        assert word in done.err
+
+
+# --- channel ----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_trial_counts_frames_and_receptions() -> None:
+    """Three vehicles hear each other; the fourth, 400 m away, nobody."""
+    counts = channel("wifi-b-1", *sets("mac.kind=ideal"))
+    assert list(counts) == ["frames", "receptions", "delivery_ratio", "delay_s", "losses", "cpu_s"]
+    assert (counts["frames"], counts["receptions"], counts["losses"]) == (40, 60, {"below sensitivity": 60})
+    assert counts["delivery_ratio"] == 0.5
+    assert counts["delay_s"] == {name: pytest.approx(1280e-6) for name in ("mean", "p50", "p95", "p99")}  # time on the air
+    assert counts["cpu_s"] > 0.0
+
+
+def test_a_trial_says_the_same_in_words() -> None:
+    done = vcmvsp(*TRIAL, "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
+    assert (done.code, done.err) == (0, "")
+    assert "wifi-b-1: 40 frames of 4 vehicles\n" in done.out
+    assert "50.00 % of frame x receiver (60 below sensitivity)\n" in done.out
+    assert "mean 1.28, p50 1.28, p95 1.28, p99 1.28 ms\n" in done.out
+
+
+@pytest.mark.parametrize("preset", ["ideal", "wss", "wifi-b-1", "wifi-g-6", "wifi-a-54", "zigbee"])
+def test_every_preset_adds_up_and_repeats_with_the_same_bytes(preset: str, folder: Path) -> None:
+    first, second = (channel(preset, "--seed", "5", "--out", name) for name in ("a.parquet", "b.parquet"))
+    del first["cpu_s"], second["cpu_s"]
+    assert first == second
+    assert first["receptions"] + sum(first["losses"].values()) == 40 * 3
+    assert (folder / "a.parquet").read_bytes() == (folder / "b.parquet").read_bytes()
+    rows = pq.read_table(folder / "a.parquet")
+    assert rows.schema.equals(RADIO_SCHEMA)
+    assert rows.num_rows == 40 * 3
+    assert rows["outcome"].to_pylist().count("received") == first["receptions"]
+    assert set(rows["sender"].to_pylist()) == {"v0", "v1", "v2", "v3"}
+    assert files(folder) == ["a.parquet", "b.parquet", "p.csv"]
+
+
+def test_antennas_are_where_the_file_says(folder: Path) -> None:
+    (folder / "p.csv").write_text("0,0,1\n3,4,13\n")
+    channel("ideal", "--out", "rows.parquet")
+    assert set(pq.read_table(folder / "rows.parquet")["distance_m"].to_pylist()) == {13.0}
+
+
+def test_layers_are_set_in_any_order() -> None:
+    several = ["fading.kind=nakagami", "fading.m=1", "mac.kind=ideal", "path_loss.exponent=2"]
+    found = [channel("wifi-b-1", *sets(*order)) for order in (several, several[::-1])]
+    assert [counts.pop("cpu_s") > 0.0 for counts in found] == [True, True]
+    assert found[0] == found[1]
+    assert set(found[0]["losses"]) <= {"below sensitivity", "fading", "packet error"}
+
+
+def test_parameters_that_another_kind_does_not_know_do_not_count(folder: Path) -> None:
+    channel("wifi-b-1", "--out", "rows.parquet", *sets("path_loss.kind=friis", "mac.kind=ideal"))
+    rows = pq.read_table(folder / "rows.parquet")
+    wanted = 20.0 * np.log10(4.0 * np.pi * np.array(rows["distance_m"].to_pylist()) * 2.4e9 / 299_792_458.0)
+    assert rows["path_loss_db"].to_pylist() == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("path_loss.exponent=-1", ("path_loss.exponent", ">= 0")),
+        ("path_loss.exponent=nan", ("path_loss.exponent", "finite")),
+        ("path_loss.exponent=inf", ("path_loss.exponent", "finite")),
+        ("path_loss.exponent=two", ("path_loss.exponent", "a number")),
+        ("path_loss.exponent.x=2", ("path_loss.exponent",)),
+        ("path_loss.exponet=2", ("path_loss.exponet", "did you mean 'exponent'")),
+        ("path_loss.kind=foo", ("path_loss.kind", "log_distance")),
+        ("path_loss=2", ("path_loss: ", "LAYER.KEY=VALUE")),
+        ("pathloss.exponent=2", ("'pathloss'", "did you mean 'path_loss'")),
+        ("radio.path_loss.exponent=2", ("'radio'", "path_loss")),
+        ("preset=ideal", ("'preset'",)),
+        ("fading.m=1", ("fading.m",)),  # of no fading
+        ("phy.rate_bps=3", ("phy.rate_bps", "5.5e6")),
+        ("phy.kind=constant_rate", ("mac.kind", "dcf")),
+        ("mac.kind=csma154", ("mac.kind", "ieee802154")),
+        ("path_loss.exponent", ("KEY=VALUE",)),
+        ("=2", ("KEY=VALUE",)),
+    ],
+)
+def test_a_setting_that_cannot_be_is_named(setting: str, words: tuple[str, ...]) -> None:
+    refused(vcmvsp(*TRIAL, "--preset", "wifi-b-1", "--set", setting), f"--set {setting}: ", *words)
+
+
+def test_a_value_and_a_table_of_the_same_name_are_told_apart() -> None:
+    settings = sets("path_loss.exponent=2", "path_loss.exponent.x=2")
+    refused(vcmvsp(*TRIAL, "--preset", "wifi-b-1", *settings), "--set path_loss.exponent.x=2", "is a value, not a table")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--preset", "wifi"), ("--preset wifi", "zigbee")),
+        (("--rate", "0"), ("--rate: must be a number >=",)),
+        (("--rate", "-1"), ("--rate: ",)),
+        (("--rate", "nan"), ("--rate: must be finite",)),
+        (("--size", "0"), ("--size: ",)),
+        (("--duration", "0"), ("--duration: ",)),
+        (("--duration", "inf"), ("--duration: must be finite",)),
+        (("--seed", "-1"), ("--seed: ",)),
+        (("--positions", "none.csv"), ("none.csv: there is no such file",)),
+        (("--out", "no/rows.parquet"), ("no/rows.parquet", "there is no folder")),
+        (("--out", "."), ("is a folder",)),
+    ],
+)
+def test_an_option_that_cannot_be_is_named(arguments: tuple[str, ...], words: tuple[str, ...], folder: Path) -> None:
+    refused(vcmvsp(*TRIAL, "--preset", "ideal", *arguments), *words)
+    assert files(folder) == ["p.csv"]
+
+
+def test_wrong_positions_are_named_with_line_and_column(folder: Path) -> None:
+    (folder / "p.csv").write_text("x,y,z\n0,0,0\n1,a,0\n")
+    refused(vcmvsp(*TRIAL, "--preset", "ideal"), "p.csv line 3, column y: must be a number, not 'a'")
+
+
+def test_an_interrupted_trial_leaves_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = registry.piece("channel")
+    sent = []
+
+    def send(self: Any, *arguments: Any) -> Any:
+        sent.append(arguments)
+        if len(sent) == 20:
+            raise KeyboardInterrupt
+        return sending(self, *arguments)
+
+    sending = made.send
+    monkeypatch.setattr(made, "send", send)
+    done = vcmvsp(*TRIAL, "--preset", "ideal", "--out", "rows.parquet")
+    assert (done.code, done.out, done.err) == (130, "", "vcmvsp: interrupted\n")
+    assert files(folder) == ["p.csv"]
+
+
+def test_a_trial_that_takes_its_time_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcmvsp.cosim.terminal.progress.LOG_EVERY_S", 0.0)
+    done = vcmvsp(*TRIAL, "--preset", "ideal", "--json")
+    assert " of 1 s simulated" in done.err
+    assert json.loads(done.out)["frames"] == 40
+    assert vcmvsp(*TRIAL, "--preset", "ideal", "--json", "--quiet").err == ""
+
+
+# --- per --------------------------------------------------------------------------------------------------------------------
+
+
+def test_packet_errors_by_snr() -> None:
+    """802.11b at 1 Mbit/s by its formula, pb = exp(-22 x) / 2: 48 bits of header, and 8 x (100 + 36) behind it."""
+    found = columns("per", "--preset", "wifi-b-1", "--snr", "-6:-4:0.5", "--size", "100")
+    assert list(found) == ["preset", "model", "size_bytes", "snr_db", "success", "per", "payload_success"]
+    assert (found["preset"], found["model"], found["size_bytes"]) == ("wifi-b-1", "dsss", 100)
+    assert found["snr_db"] == [-6.0, -5.5, -5.0, -4.5, -4.0]
+    bit = 1.0 - 0.5 * np.exp(-22.0 * 10.0 ** (np.array(found["snr_db"]) / 10.0))
+    assert found["payload_success"] == pytest.approx(bit**1088, abs=1e-5)
+    assert found["success"] == pytest.approx(bit**1136, abs=1e-5)
+    assert found["per"] == pytest.approx(1.0 - bit**1136, abs=1e-5)
+
+
+def test_the_model_of_packet_errors_can_be_chosen() -> None:
+    found = {
+        m: columns("per", "--preset", "wifi-g-6", "--model", m, "--snr=1:1:1", "--size", "128") for m in ("default", "nist")
+    }
+    assert [each["model"] for each in found.values()] == ["table", "nist"]
+    assert found["default"]["success"][0] > 0.9 > 0.1 > found["nist"]["success"][0]  # they differ by more than 3 dB
+
+
+def test_packet_errors_as_a_table() -> None:
+    done = vcmvsp("per", "--preset", "zigbee", "--snr", "0:2:1", "--size", "20")
+    head, names, *rows = done.out.splitlines()
+    assert (done.code, head) == (0, "# preset zigbee, model oqpsk, size_bytes 20")
+    assert names.split() == ["snr_db", "success", "per", "payload_success"]
+    assert [row.split()[0] for row in rows] == ["0", "1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--preset", "ideal", "--snr", "0:1:1"), ("no packet errors",)),
+        (("--preset", "zigbee", "--snr", "0:1:1", "--model", "nist"), ("--model nist", "oqpsk")),
+        (("--preset", "none", "--snr", "0:1:1"), ("--preset none",)),
+        (("--preset", "wifi-b-1", "--snr", "0:1"), ("--snr 0:1: write START:STOP:STEP",)),
+        (("--preset", "wifi-b-1", "--snr", "0:1:0"), ("--snr 0:1:0: STEP",)),
+        (("--preset", "wifi-b-1", "--snr", "0:1:1", "--size", "-1"), ("--size: ",)),
+    ],
+)
+def test_packet_errors_that_cannot_be_asked_for(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+    refused(vcmvsp("per", "--size", "100", *arguments), *words)
+
+
+# --- pathloss ---------------------------------------------------------------------------------------------------------------
+
+
+def test_levels_by_distance() -> None:
+    found = columns("pathloss", "--preset", "wifi-b-1", *sets("path_loss.exponent=2"), "--distance", "10:1000:495")
+    assert list(found) == ["preset", "distance_m", "path_loss_db", "rssi_dbm", "snr_db"]
+    assert found["distance_m"] == [10.0, 505.0, 1000.0]
+    loss_db = 40.052 + 20.0 * np.log10(found["distance_m"])
+    assert found["path_loss_db"] == pytest.approx(loss_db)
+    assert found["rssi_dbm"] == pytest.approx(16.0206 - loss_db)
+    assert found["snr_db"] == pytest.approx(16.0206 - loss_db + 93.965, abs=1e-3)
+
+
+def test_levels_are_means_by_the_path_loss_alone() -> None:
+    alone = columns("pathloss", "--preset", "wifi-b-1", "--distance", "1:50:7")
+    settings = sets("shadowing.sigma_db=8", "fading.kind=rayleigh", "loss.probability=0.5")
+    assert columns("pathloss", "--preset", "wifi-b-1", "--distance", "1:50:7", *settings) == alone
+
+
+def test_antennas_over_ground_have_the_height_of_the_law() -> None:
+    """Beyond the crossover: 40 log10 d - 20 log10 (h h)."""
+    settings = sets("path_loss.kind=two_ray_ground", "path_loss.antenna_height_m=1.5")
+    found = columns("pathloss", "--preset", "wifi-b-1", "--distance", "500:500:1", *settings)
+    assert found["path_loss_db"] == pytest.approx([40.0 * np.log10(500.0) - 40.0 * np.log10(1.5)])
+
+
+def test_no_distance_is_negative() -> None:
+    refused(vcmvsp("pathloss", "--preset", "wss", "--distance", "-1:1:1"), "--distance -1:1:1", "negative")
+    refused(vcmvsp("pathloss", "--preset", "wss", "--distance", "1:5"), "--distance 1:5", "START:STOP:STEP")
+
+
+@pytest.mark.parametrize("command", ["channel", "per", "pathloss"])
+def test_help_shows_an_example(command: str) -> None:
+    done = vcmvsp(command, "--help")
+    assert done.code == 0
+    assert f"Example: vcmvsp {command} --preset " in done.out

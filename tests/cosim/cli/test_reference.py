@@ -1,0 +1,219 @@
+"""``vcmvsp reference``: every key that a scenario can have, as the code has it."""
+
+import functools
+import itertools
+import json
+import re
+import sys
+from typing import Any
+
+import msgspec
+import pytest
+
+from vcmvsp.cosim.reference import query, index as reference_index, describe, terminal_text, tree, extra_docs
+from vcmvsp.cosim.config import builtin_kinds, registry, binding
+from vcmvsp.cosim.scenario import expand, schema
+from vcmvsp.cosim.reference.tree import Key, Reference, Section
+from vcmvsp.netsim.federate import RadioFederate
+from tests.support.cosim.command_line import vcmvsp
+
+KEY = Key(name="size", type="> 0", unit="", schema={}, required=False, default=2.5, without="", meaning="of it, " * 20 + "all")
+
+
+@functools.cache
+def whole() -> Reference:
+    """All of it, worked out by the first test that looks at it: each worker collects this file, and one runs it."""
+    return tree.whole()
+
+
+def keys(section: str) -> dict[str, list[Key]]:
+    """What is found for a section: keys by the path and kind of their tables."""
+    return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in query.asked(section)}
+
+
+def names(section: str) -> dict[str, list[str]]:
+    return {where: [key.name for key in found] for where, found in keys(section).items()}
+
+
+# --- what is in it ------------------------------------------------------------------------------------------------------------
+
+
+def test_every_key_of_every_table_is_there() -> None:
+    found = {(each.path, each.kind): {key.name for key in each.keys} for each in whole().sections}
+    assert found["", ""] == {*binding.parameters(schema.Scenario)}
+    assert found["agents", ""] == {*binding.parameters(schema.AgentsTable)} - {"defaults"}
+    assert found["vehicle.NAME", ""] == {*binding.parameters(schema.VehicleTable), *expand.KEYS} - {"params"}
+    assert found["vehicle.NAME.agent", ""] == {*binding.parameters(schema.AgentTable)} - {"params"}
+    assert found["intervention", "outage"] == {*binding.parameters(schema.OutageTable)}
+    for name in ("clock", "safety", "record", "metrics", "study"):
+        (target,) = binding.structs(binding.parameters(schema.Scenario)[name].annotation)
+        assert found[name, ""] == {*binding.parameters(target)}
+
+
+@pytest.mark.parametrize("place", [place for place in tree.places() if place.kinds], ids=lambda place: place.path)
+def test_every_kind_is_there_with_all_that_it_takes(place: tree.Place) -> None:
+    sections = [each for each in whole().sections if each.path == place.path]
+    assert [each.kind for each in sections if each.kind] == [*builtin_kinds.KINDS[place.group]]
+    shared = {key.name for each in sections if not each.kind for key in each.keys}
+    for each in sections:
+        if each.kind:
+            wanted = {*binding.parameters(registry.find(place.group, each.kind))}
+            hidden = {*describe.OFFERED, *itertools.chain(*describe.OFFERED_TO.values())}
+            assert wanted - hidden <= {key.name for key in each.keys} | shared
+
+
+def test_every_key_says_what_it_means_and_what_holds_without_it() -> None:
+    said = [(each.path, each.kind, key) for each in whole().sections for key in each.keys]
+    assert [(path, kind, key.name) for path, kind, key in said if not key.meaning] == []
+    assert [
+        (path, kind, key.name) for path, kind, key in said if key.required and (key.default is not None or key.without)
+    ] == []
+
+
+def test_words_of_its_own_are_of_keys_that_there_are() -> None:
+    classes = {**vars(schema), "RadioFederate": RadioFederate}
+    for name, words in extra_docs.UNSAID.items():
+        assert {*words} <= {*binding.parameters(classes[name])}, name
+
+
+def test_defaults_and_units_are_those_of_the_code() -> None:
+    (loss,) = keys("radio.loss.bernoulli")["radio.loss bernoulli"]
+    assert (loss.required, loss.default, loss.schema) == (True, None, {"type": "number", "minimum": 0, "maximum": 1})
+    (period,) = keys("record.period_s")["record"]
+    assert (period.unit, period.default, period.meaning) == ("s", 0.1, "s between recorded states")
+    (to,) = keys("metrics.to_s")["metrics"]
+    assert (to.default, to.without) == (None, "the end")
+    (runs,) = keys("agents.runs")["agents"]
+    assert runs.schema == {"enum": ["inprocess", "process", "zenoh"]}
+
+
+# --- what is asked for --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("section", "found"),
+    [
+        ("radio.loss", ["radio.loss bernoulli", "radio.loss gilbert_elliott", "radio.loss bursts", "radio.loss none"]),
+        ("loss", ["radio.loss bernoulli", "radio.loss gilbert_elliott", "radio.loss bursts", "radio.loss none"]),
+        ("radio.loss.bursts", ["radio.loss bursts"]),
+        ("agents.leader_follower", ["agents", "agents leader_follower"]),
+        ("leader_follower", ["agents", "agents leader_follower"]),
+        ("vehicle.NAME.sensors.SENSOR.lms", ["vehicle.NAME.sensors.SENSOR", "vehicle.NAME.sensors.SENSOR lms"]),
+        ("sensors.lms", ["vehicle.NAME.sensors.SENSOR", "vehicle.NAME.sensors.SENSOR lms"]),
+        ("agents.formation.passage", ["agents.formation", "agents.formation.passage"]),
+        ("safety", ["safety"]),
+        ("intervention.halt", ["intervention halt"]),
+        ("world.boxes", ["world", "world boxes", "world.boxes box"]),
+    ],
+)
+def test_a_section_is_a_table_or_a_kind_with_what_is_in_it(section: str, found: list[str]) -> None:
+    assert [*names(section)] == found
+
+
+def test_a_table_is_shown_with_all_within_it() -> None:
+    inside = [f"{each.path} {each.kind}".strip() for each in whole().sections if f"{each.path}.".startswith("radio.")]
+    assert [*names("radio")] == inside
+
+
+@pytest.mark.parametrize(
+    ("section", "found"),
+    [
+        ("radio.loss.probability", {"radio.loss bernoulli": ["probability"], "radio.loss bursts": ["probability"]}),
+        ("radio.loss.bursts.probability", {"radio.loss bursts": ["probability"]}),
+        ("seed", {"": ["seed"]}),
+        ("vehicles", {"": ["vehicles"]}),
+        ("clamp", {"radio.path_loss log_distance": ["clamp"]}),
+        ("handover_s", {"radio": ["handover_s"]}),
+    ],
+)
+def test_a_key_is_shown_alone(section: str, found: dict[str, list[str]]) -> None:
+    assert names(section) == found
+
+
+@pytest.mark.parametrize(
+    ("section", "near"),
+    [
+        ("radoi", "radio"),
+        ("radio.los", "loss"),
+        ("radio.loss.probabilty", "probability"),
+        ("radio.loss.bernouli", "bernoulli"),
+        ("leader_folower", "leader_follower"),
+        ("agents.leader_folower", "leader_follower"),
+    ],
+)
+def test_of_an_unknown_section_the_nearest_name_is_told(section: str, near: str) -> None:
+    code, out, err = vcmvsp("reference", section)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert f"did you mean '{near}'?" in err
+
+
+@pytest.mark.parametrize("section", [".", "NAME", "radio..", "no such thing"])
+def test_what_is_no_name_is_refused(section: str) -> None:
+    if section == "radio..":
+        assert [*names(section)] == [*names("radio")]
+    else:
+        assert vcmvsp("reference", section).code == 2
+
+
+# --- how it is said -----------------------------------------------------------------------------------------------------------
+
+
+def test_it_is_plain_where_nobody_looks() -> None:
+    code, out, err = vcmvsp("reference", "radio.loss.bernoulli")
+    assert (code, err) == (0, "")
+    head, row = out.splitlines()
+    assert head.startswith('radio.loss, kind = "bernoulli": Every frame is lost with the same probability on every link, ')
+    assert row == "  probability  0 to 1  required  of a message to be lost, whatever its size"
+
+
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_on_a_terminal_it_fits_and_nothing_is_lost(width: int) -> None:
+    for section in whole().sections:
+        wide, fitted = (" ".join(terminal_text.lines(section, each)).split() for each in (None, width))
+        assert wide == fitted
+    section = Section(path="a.b", kind="c", listed=False, about="What it is.", keys=(KEY,))
+    lines = list(terminal_text.lines(section, width, lambda word: f"<{word}>"))
+    assert max(len(re.sub("[<>]", "", line)) for line in lines) <= width
+    assert lines[0].startswith('<a.b, kind = "c">:')
+    assert any(line.startswith("  <size>  > 0  2.5") for line in lines)
+
+
+def test_meanings_stand_in_one_column() -> None:
+    long = msgspec.structs.replace(KEY, name="breadth", default=None, without="as wide as it is", meaning="from side to side")
+    section = Section(path="a", kind="", listed=False, about="", keys=(KEY, long))
+    _, first, *_, last = terminal_text.lines(section, 100, lambda word: word)
+    assert first.index("of it") == last.index("from side")
+    assert next(terminal_text.lines(section)) == "a:"
+
+
+def test_json_is_what_its_types_say() -> None:
+    out = vcmvsp("reference", "--json").out
+    assert msgspec.json.decode(out, type=Reference, strict=True) == whole()
+    assert json.loads(out)["schema"] == "vcmvsp.reference/1"
+    (section,) = json.loads(vcmvsp("reference", "clock.late", "--json").out)["sections"]
+    (key,) = section.pop("keys")
+    assert section == {"path": "clock", "kind": "", "listed": False, "about": section["about"]}
+    assert {*key} == {*Key.__struct_fields__}
+
+
+def test_schemas_allow_the_defaults() -> None:
+    kinds: dict[str, Any] = {"number": (int, float), "integer": int, "boolean": bool, "string": str, "object": dict}
+    for key in (key for each in whole().sections for key in each.keys if key.default is not None):
+        if (kind := key.schema.get("type")) in kinds:
+            assert isinstance(key.default, kinds[kind]), key
+        if choice := key.schema.get("enum"):
+            assert key.default in choice, key
+
+
+def test_the_index_of_keys_is_up_to_date() -> None:
+    assert reference_index.INDEX.read_text("utf-8") == reference_index.text(), reference_index.UPDATE
+
+
+def test_an_index_that_is_not_is_noticed_and_repaired(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    index = tmp_path / "keys.tsv"
+    monkeypatch.setattr(sys, "argv", ["vcmvsp.cosim.reference.markdown"])
+    with pytest.raises(SystemExit, match="is not what the code says"):
+        reference_index.main(index=index)
+    reference_index.main(["--write"], index)
+    reference_index.main([], index)
+    assert index.read_text("utf-8") == reference_index.text()

@@ -1,0 +1,118 @@
+"""``vcmvsp robot`` as its users start it: what it makes of its options, and how it waits."""
+
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from vcmvsp.cosim.security import authority
+from vcmvsp.cosim.cli import app
+from vcmvsp.cosim.cli.robot import register
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
+from vcmvsp.hardware.drivers.bench_robot import Bench
+from vcmvsp.hardware.remote_robot.robot_side.command_line import built, kind_of
+from tests.support.cosim.command_line import Outcome, vcmvsp
+from tests.support.cosim.run_processes import reserved
+
+if "robot" not in [each.name for each in app.app.registered_commands]:
+    register(app.app)
+
+HERE = "tcp/127.0.0.1:7448"
+
+
+def robot(*options: str, driver: str = "bench", connect: str = HERE, vehicle: str = "car3") -> Outcome:
+    return vcmvsp("robot", "--vehicle", vehicle, "--driver", driver, "--connect", connect, *options)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "address"),
+    [
+        ("bench", "bench", ""),
+        ("arcos:/dev/ttyUSB0", "arcos", "/dev/ttyUSB0"),
+        ("arcos:socket://localhost:8101", "arcos", "socket://localhost:8101"),
+        ("mavlink:udpin:0.0.0.0:14540", "mavlink", "udpin:0.0.0.0:14540"),
+        ("my_robots.rover:Rover", "my_robots.rover:Rover", ""),
+        ("my_robot.py:Rover:/dev/ttyUSB0", "my_robot.py:Rover", "/dev/ttyUSB0"),
+        ("/home/anna/my_robot.py:Rover:tcp:1", "/home/anna/my_robot.py:Rover", "tcp:1"),
+        ("nonsense:/dev/ttyUSB0", "nonsense", "/dev/ttyUSB0"),
+    ],
+)
+def test_the_driver_is_a_kind_and_an_address(text: str, kind: str, address: str) -> None:
+    assert kind_of(text) == (kind, address)
+
+
+def test_the_address_goes_where_a_driver_wants_it() -> None:
+    made = built("arcos:socket://localhost:8101", {"robot": "amigo", "baud": 38400})
+    assert isinstance(made, ArcosDriver)
+    assert made.device == "socket://localhost:8101"
+    assert built("mavlink:udpin:0.0.0.0:14540", {}).device == "udpin:0.0.0.0:14540"
+    assert isinstance(built("bench", {"rate_hz": 50}), Bench)
+    with pytest.raises(ScenarioError, match="the address is there twice"):
+        built("arcos:/dev/ttyUSB0", {"port": "/dev/ttyUSB1"})
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"driver": "bench:/dev/ttyUSB0"}, "'bench' takes no address"),
+        ({"driver": "arcsos:/dev/ttyUSB0"}, "unknown driver kind 'arcsos'; did you mean 'arcos'?"),
+        ({"driver": "zenoh"}, "is the run's end of this program"),
+        ({"driver": "missing.py:Rover"}, "there is no file"),
+        ({"connect": "7448"}, "must be tcp/HOST:PORT or tls/HOST:PORT"),
+        ({"connect": "tls/10.0.0.1:7448"}, "TLS needs certificates: add --keys FILE"),
+        ({"connect": "tcp/10.0.0.1:7448"}, "add --insecure where you trust everybody"),
+        ({"vehicle": "car/3"}, "letters, digits, _ and -"),
+    ],
+)
+def test_what_it_cannot_work_with_is_said(options: dict[str, str], problem: str) -> None:
+    outcome = robot(**options)
+    assert outcome.code == 2
+    assert problem in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("--set", "rate=5"), "rate"),
+        (("--set", "rate_hz=fast"), "rate_hz"),
+        (("--set", "rate_hz"), "write KEY=VALUE"),
+        (("--pose", "1,2"), "write X,Y,YAW"),
+        (("--pose", "1,2,nan"), "write X,Y,YAW"),
+        (("--keys", "missing.keys"), "cannot be read"),
+    ],
+)
+def test_options_that_are_wrong_are_named(options: tuple[str, ...], problem: str) -> None:
+    outcome = robot(*options)
+    assert outcome.code == 2
+    assert problem in outcome.err
+
+
+def test_the_certificate_of_an_observer_drives_nothing(tmp_path: Path) -> None:
+    authority.init(tmp_path / "keys")
+    authority.issue(tmp_path / "keys", "anna")
+    outcome = robot("--keys", str(tmp_path / "keys" / "anna.keys"), connect="tls/127.0.0.1:7448")
+    assert outcome.code == 2
+    assert "is for watching only" in outcome.err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_waits_for_a_run_until_it_is_ended(number: int, stack: ExitStack) -> None:
+    endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserved())}"
+    code = "from vcmvsp.cosim.cli import app as cli; from vcmvsp.cosim.cli.robot import register; register(cli.app); cli.main()"
+    words = ["robot", "--vehicle", "car3", "--driver", "bench", "--connect", endpoint]
+    process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        assert process.stderr.readline().startswith(f"car3: waiting for a run at {endpoint}: nobody listens there")
+        time.sleep(0.3)
+        process.send_signal(number)
+        _, rest = process.communicate(timeout=30)
+        assert (process.returncode, rest) == (0, f"car3: ended by {signal.Signals(number).name}\n")
+    finally:
+        process.kill()
+        process.communicate(timeout=30)

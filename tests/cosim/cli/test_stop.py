@@ -1,0 +1,228 @@
+"""``vcmvsp stop`` and ``vcmvsp operator``, against stations that drive robots in software."""
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.hardware.station import emergency_stop
+from vcmvsp.hardware.station.emergency_stop import Caller, Ear
+from vcmvsp.hardware.station.process_client import Station
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, Part
+from tests.support.hardware.stations import Run, driven, mission
+
+FOLDERS = emergency_stop.folders
+PATIENCE_S = 30.0
+COMMANDS = """
+import os, typer
+from pathlib import Path
+from vcmvsp.cosim.cli.stop import register
+from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.hardware.station import emergency_stop as control
+control.folders = lambda: [Path(os.environ["XDG_RUNTIME_DIR"]) / "vcmvsp"]
+control.Caller.answers.__defaults__ = (float(os.environ["ANSWER_S"]),)
+app = typer.Typer()
+register(app)
+app()
+"""
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Nobody else's robots are stopped by these tests."""
+    with tempfile.TemporaryDirectory(prefix="vcmvsp-", dir="/tmp") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        monkeypatch.setattr(emergency_stop, "folders", lambda: [Path(folder) / "vcmvsp"])
+        yield Path(folder) / "vcmvsp"
+
+
+def vcmvsp(*arguments: str, answer_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
+    """The command; it waits longer than usual for a station that does not answer."""
+    command = [sys.executable, "-c", COMMANDS, *arguments]
+    environment = {**os.environ, "ANSWER_S": str(answer_s)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env=environment)
+
+
+def drive(run: Run) -> None:
+    run.until(lambda each: each.odometry is not None and each.odometry.v > 0.15, v=0.4)
+
+
+def test_all_are_stopped_and_stay_so() -> None:
+    with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
+        drive(first)
+        drive(second)
+        done = vcmvsp("stop")
+        assert sorted(done.stdout.splitlines()) == ["car1: stopped (run test)", "car2: stopped (run test)"]
+        assert (done.stderr, done.returncode) == ("", 0)
+        for run in (first, second):
+            report = run.until(
+                lambda each: each.odometry is not None and each.odometry.v == 0.0 and OPERATOR_STOP in each.causes, v=0.4
+            )
+            assert report.sent is not None
+            assert report.sent.linear[0] == 0.0
+            assert run.notices.count(("stopped", OPERATOR_STOP)) == 1
+
+
+def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
+    with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
+        done = vcmvsp("stop", "car2", "car9", "--json")
+        assert done.returncode == 1
+        assert "as car9" in done.stderr
+        answers = json.loads(done.stdout)
+        assert [(each["vehicle"], each["state"], each["pid"]) for each in answers] == [("car2", "stopped", second.station.pid)]
+        drive(first)
+        with Caller() as caller:
+            states = {each.vehicle: each.state for each in caller.answers(caller.say("who"), PATIENCE_S)}
+        assert states == {"car1": "driving", "car2": "stopped"}
+
+
+def test_there_is_none() -> None:
+    done = vcmvsp("stop")
+    assert (done.stdout, done.returncode) == ("", 1)
+    assert done.stderr == "vcmvsp: no robot is driven on this machine by you\n"
+
+
+def test_what_a_killed_station_left_behind_is_removed(alone: Path) -> None:
+    station = Station.start(mission())
+    station.wait_ready()
+    os.kill(station.pid, signal.SIGKILL)
+    station.close()
+    assert len(list(alone.iterdir())) == 1
+    assert vcmvsp("stop").returncode == 1
+    assert list(alone.iterdir()) == []
+
+
+def test_a_station_that_hangs_is_said_not_to_answer() -> None:
+    with driven(mission()) as run:
+        os.kill(run.station.pid, signal.SIGSTOP)
+        done = vcmvsp("stop", answer_s=emergency_stop.ANSWER_S)
+        os.kill(run.station.pid, signal.SIGCONT)
+        assert done.returncode == 1
+        assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in done.stdout
+        run.until(lambda each: OPERATOR_STOP in each.causes)  # it was told all the same
+
+
+def test_robots_drive_while_there_is_an_operator() -> None:
+    environment = {**os.environ, "ANSWER_S": str(PATIENCE_S)}
+    with ExitStack() as stack:
+        run = stack.enter_context(driven(mission(operator_s=2.0)))
+        report = run.until(lambda each: each.order > 3, v=0.4)
+        assert report.causes == ("operator",)
+        operator = stack.enter_context(
+            subprocess.Popen([sys.executable, "-c", COMMANDS, "operator"], stdout=subprocess.PIPE, text=True, env=environment)
+        )
+        stack.callback(operator.kill)
+        drive(run)
+        operator.send_signal(signal.SIGSTOP)  # as Ctrl-Z does
+        report = run.until(lambda each: "operator" in each.causes, v=0.4)
+        assert ("stopped", "nothing was heard of the operator for 2 s") in run.notices
+        operator.send_signal(signal.SIGCONT)
+        end = time.monotonic() + 0.4
+        report = run.until(lambda _: time.monotonic() > end, v=0.4)
+        assert report.causes == ("operator",)  # it stays so
+        operator.send_signal(signal.SIGINT)
+        said, _ = operator.communicate(timeout=2 * PATIENCE_S)
+        assert operator.returncode == 0
+        assert said.splitlines() == ["robots drive while this runs; Ctrl-C stops them", "car1", "car1: stopped (run test)"]
+        run.until(lambda each: OPERATOR_STOP in each.causes, v=0.4)
+
+
+def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(
+        "import time\n"
+        "from pathlib import Path\n"
+        "from vcmvsp.hardware.drivers.bench_robot import Bench\n"
+        "class Slow(Bench):\n"
+        "    def open(self, start):\n"
+        "        while not Path(__file__).with_name('go').exists():\n"
+        "            time.sleep(0.02)\n"
+        "        super().open(start)\n"
+    )
+    told = msgspec.structs.replace(mission(Part(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path))
+    station = Station.start(told)
+    try:
+        end = time.monotonic() + 60.0
+        with Caller() as caller:
+            while not caller.say("who"):
+                assert time.monotonic() < end
+                time.sleep(0.02)
+        done = vcmvsp("stop")
+        assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
+        (tmp_path / "go").touch()
+        with pytest.raises(DriverError, match=OPERATOR_STOP):  # it might be taking off
+            station.wait_ready()
+    finally:
+        station.close()
+
+
+RUN = """
+import sys, time
+from tests.hardware.stationed import *
+with driven(mission(federation_s=None, command_s=None)) as run:
+    run.until(lambda each: each.odometry is not None and each.odometry.v > 0.15, v=0.4)
+    print("drives", flush=True)
+    time.sleep(100)
+"""
+
+
+def test_it_works_while_the_run_is_frozen(alone: Path) -> None:
+    run = subprocess.Popen([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+    try:
+        assert run.stdout is not None
+        assert select.select([run.stdout], [], [], 60.0)[0]
+        assert run.stdout.readline() == "drives\n"
+        run.send_signal(signal.SIGSTOP)
+        done = vcmvsp("stop")
+        assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
+    finally:
+        run.kill()
+        run.communicate(timeout=PATIENCE_S)
+    end = time.monotonic() + PATIENCE_S
+    while list(alone.iterdir()):  # its station ends with it
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_folder_of_somebody_else_is_refused(alone: Path) -> None:
+    alone.mkdir(mode=0o755)
+    alone.chmod(0o755)
+    with pytest.raises(Exception, match=r"robot at car1: 'vcmvsp stop' could not reach it.*set XDG_RUNTIME_DIR"):
+        Ear("car1")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(str(alone / "1-car1.sock"))
+        with Caller() as caller:
+            assert caller.say("who") == []
+
+
+def test_words_that_are_no_verbs_are_not_heard(alone: Path) -> None:
+    ear = Ear("a" * 200)
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as somebody:
+            for words in (b"", b"STOP", b"stop now", b"\xff" * 4000):
+                somebody.sendto(words, str(next(alone.iterdir())))
+        assert ear.hear() == []
+        with Caller() as caller:
+            assert len(caller.say("stop", ["a" * 200])) == 1
+        assert [verb for verb, _ in ear.hear()] == ["stop"]
+    finally:
+        ear.close()
+    assert list(alone.iterdir()) == []
+
+
+def test_sockets_are_looked_for_where_somebody_who_logs_in_would(alone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert FOLDERS()[0] == alone
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert alone not in FOLDERS()
+    assert FOLDERS()[-1] == Path(f"/tmp/vcmvsp-{os.getuid()}")

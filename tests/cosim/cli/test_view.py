@@ -1,0 +1,128 @@
+"""``vcmvsp view`` as a command: what it refuses, what it prints, the page that it serves, and how it ends."""
+
+import json
+import signal
+import subprocess
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim.tables.columns import numbers
+from vcmvsp.cosim.tables.schema import load
+from tests.support.cosim.command_line import two_cars, vcmvsp
+from tests.support.cosim.run_processes import VCMVSP
+from tests.support.cosim.recorded_run import chunk_ends
+from tests.support.cosim.view_pages import browser, positions
+
+PATIENCE_S = 45.0
+ROBOTS = "/vehicles/ground"
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of half a second."""
+    folder = tmp_path_factory.mktemp("view")
+    (folder / "s.toml").write_text(two_cars())
+    cosim.run(folder / "s.toml", out=folder / "out")
+    return folder / "out"
+
+
+@contextmanager
+def viewing(run_dir: Path, *options: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """The command, and the first line that it prints."""
+    command = [*VCMVSP, "view", str(run_dir), "--port", "0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process, process.stdout.readline().rstrip("\n")
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("name", ["nowhere", "empty", "file.txt", "zeros"])
+def test_it_refuses_what_no_run_has_left(tmp_path: Path, name: str) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file.txt").touch()
+    (tmp_path / "zeros").mkdir()
+    (tmp_path / "zeros" / "run.mcap").write_bytes(bytes(100))
+    code, out, err = vcmvsp("view", str(tmp_path / name))
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"vcmvsp: {tmp_path / name}")
+
+
+def test_a_port_that_is_taken_is_said_in_one_line(run_dir: Path) -> None:
+    with viewing(run_dir) as (_, url):
+        port = url.partition("?")[0].rstrip("/").rpartition(":")[2]
+        code, out, err = vcmvsp("view", str(run_dir), "--port", port)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert port in err
+
+
+@pytest.mark.parametrize("place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.auth.web_server.open_server"])
+def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that whoever waits for the page learns that there is none."""
+
+    def interrupted(*_: object) -> NoReturn:
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("the signal was not heard")
+
+    monkeypatch.setattr(place, interrupted)
+    assert vcmvsp("view", str(run_dir), "--port", "0") == (130, "", "vcmvsp: interrupted\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly(run_dir: Path, number: int) -> None:
+    with viewing(run_dir) as (process, url):
+        assert url.startswith("http://127.0.0.1:")
+        with urllib.request.build_opener(urllib.request.HTTPCookieProcessor()).open(url, timeout=PATIENCE_S) as page:
+            assert b"<html" in page.read().lower()
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(url.partition("?")[0], timeout=PATIENCE_S)
+        process.send_signal(number)
+        out, err = process.communicate(timeout=PATIENCE_S)
+        assert (process.returncode, out, err) == (0, "", "")
+
+
+def test_json_is_one_object_and_nothing_else(run_dir: Path) -> None:
+    with viewing(run_dir, "--json") as (process, line):
+        assert json.loads(line)["url"].startswith("http://127.0.0.1:")
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=PATIENCE_S) == ("", "")
+
+
+def test_a_recording_that_was_cut_is_shown_and_said_to_be(run_dir: Path, tmp_path: Path) -> None:
+    data = (run_dir / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(data[: chunk_ends(data)[-1]])
+    with viewing(tmp_path) as (process, url):
+        assert url.startswith("http://")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert [line.partition(": ")[0] for line in err.splitlines()] == [str(tmp_path)] * 2
+    assert "it ends too soon" in err
+
+
+def test_a_browser_shows_the_vehicles_where_they_were(run_dir: Path) -> None:
+    """At the end of the recording, where it stands."""
+    table = load(run_dir).states
+    truth = np.column_stack([numbers(table, name) for name in ("x", "y", "z")])[-2:]
+    with viewing(run_dir) as (_, url), browser() as started:
+        page = started.new_page()
+        problems: list[str] = []
+        page.on("pageerror", lambda problem: problems.append(str(problem)))
+        page.goto(url)
+        page.get_by_text("over: the run is complete").wait_for(timeout=1e3 * PATIENCE_S)
+        page.wait_for_function(f"window.__viserSceneTree?.getState()['{ROBOTS}'] !== undefined", timeout=1e3 * PATIENCE_S)
+        end_s = time.monotonic() + PATIENCE_S
+        while not np.allclose(shown := positions(page, ROBOTS)[:, :2], truth[:, :2], atol=0.06):  # of middles of bodies
+            assert time.monotonic() < end_s, shown
+            page.wait_for_timeout(50)
+        assert problems == []

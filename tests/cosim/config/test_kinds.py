@@ -1,0 +1,165 @@
+"""What there is to build scenarios of: list, show, world, drive."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim.runs import step_response
+from vcmvsp.cosim.config import builtin_kinds
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.types import Velocity, Waypoint
+from tests.support.cosim.command_line import vcmvsp
+
+HALL = """
+boxes = [{ center = [2.0, 0.0, 1.0], size = [0.2, 4.0, 2.0], material = "brick" }]
+cylinders = [{ center = [-1.0, 1.0, 0.5], radius = 0.2, height = 1.0 }]
+"""
+PAIR = """
+name = "pair"
+duration_s = 1.0
+[[vehicle]]
+name = "car"
+kind = "p2dx"
+[[vehicle]]
+name = "uav"
+kind = "quadrotor"
+position = [5.0, 0.0, 3.0]
+heading = 1.0
+"""
+
+
+@pytest.mark.parametrize("group", ["worlds", "vehicles", "sensors", "agents"])
+def test_every_kind_is_listed_and_each_of_its_parameters_is_shown_with_a_meaning(group: str) -> None:
+    about = json.loads(vcmvsp("list", group, "--json").out)
+    word = group.removesuffix("s")
+    assert list(about) == list(builtin_kinds.KINDS[word])
+    for kind, summary in about.items():
+        shown = vcmvsp("show", word, kind)
+        assert shown.code == 0
+        assert shown.out.startswith(f"{kind}: {summary}")
+        parameters = json.loads(vcmvsp("show", word, kind, "--json").out)["parameters"]
+        assert all(name in shown.out for name in parameters)
+        if word != "agent":
+            assert [name for name, each in parameters.items() if not each["meaning"]] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("list", "cars"), "allowed: agents, drivers, localisations, scenarios, sensors, vehicles, worlds"),
+        (("show", "vehicle"), "which one? (p2dx,"),
+        (("show", "vehicle", "p2dy"), "did you mean 'p2dx'?"),
+        (("show", "vehicle", "p2dx", "--resolved"), "go with a scenario"),
+        (("world", "labratory"), "did you mean 'laboratory'?"),
+        (("world", "pillar", "--set", "radios=1"), "world.radios: unknown key 'radios'; did you mean 'radius'?"),
+        (("world", "pillar", "--png", "p.jpg"), "must end in .png"),
+        (("world", "pillar", "--png", "nowhere/p.png"), "cannot be written"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_by_name(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+    outcome = vcmvsp(*arguments)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert words in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
+def test_a_world_is_counted_and_drawn_from_a_kind_a_file_and_a_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("hall.toml").write_text(HALL)
+    Path("s.toml").write_text(PAIR + "[world]\nkind = 'file'\npath = 'hall.toml'\n")
+    for what, name in (("hall.toml", "hall"), ("s.toml", "pair")):
+        about = json.loads(vcmvsp("world", what, "--json").out)
+        assert (about["world"], about["solids"], about["kinds"]) == (name, 2, {"box": 1, "cylinder": 1})
+        assert about["materials"] == {"brick": 1, "concrete": 1}
+        picture = cv2.imread(about["png"])
+        assert picture is not None
+        assert picture.std() > 5.0
+    for seed in ("1", "2"):
+        vcmvsp("world", "urban", "--set", f"seed={seed}", "--png", f"{seed}.png")
+    assert Path("1.png").read_bytes() != Path("2.png").read_bytes()
+
+
+def test_commands_are_read_in_the_frame_of_the_vehicle() -> None:
+    assert step_response.command_of("v=0.3,w=0.5", 1.0, flies=False) == Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.5)
+    flying = step_response.command_of("v=2", math.pi / 2, flies=True)
+    assert isinstance(flying, Velocity)
+    assert flying.linear == pytest.approx((0.0, 2.0, 0.0))
+    assert step_response.command_of("vx=1,vz=0.5", 1.0, flies=True) == Velocity(linear=(1.0, 0.0, 0.5))
+    assert step_response.command_of("x=1, y=2, z=3, speed=4", 0.0, flies=True) == Waypoint(position=(1.0, 2.0, 3.0), speed=4.0)
+
+
+@pytest.mark.parametrize("text", ["", "v", "v=fast", "v=nan", "u=1", "v=1,vx=1", "x=1,y=2", "v=1,x=1,y=1,z=1"])
+def test_what_is_no_command_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="--command"):
+        step_response.command_of(text, 0.0, flies=True)
+
+
+def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
+    scenario = tmp_path / "pair.toml"
+    scenario.write_text(PAIR)
+
+    def response(vehicle: str, command: str) -> Any:
+        given = ("--vehicle", vehicle, "--command", command, "--seconds", "6", "--json")
+        return json.loads(vcmvsp("drive", str(scenario), *given).out)
+
+    about = response("car", "v=0.3,w=0.5")
+    assert about["v"]["steady"] == pytest.approx(0.3, rel=2e-3)
+    assert about["w"]["steady"] == pytest.approx(0.5, rel=2e-3)
+    assert about["v"]["rise_time_s"] == pytest.approx(0.9, abs=0.11)  # 0.3 m/s2, seen ten times a second
+    assert (about["series"]["time_s"][-1], about["contacts"]) == (6.0, 0)
+    about = response("uav", "v=2")
+    x, y = about["series"]["x"][-1] - 5.0, about["series"]["y"][-1]
+    assert math.atan2(y, x) == pytest.approx(1.0, abs=0.02)
+    assert about["v"]["steady"] == pytest.approx(2.0, rel=0.02)
+    outcome = vcmvsp("drive", str(scenario), "--vehicle", "cat", "--command", "v=2")
+    assert (outcome.code, "unknown vehicle 'cat'" in outcome.err) == (2, True)
+
+
+@pytest.mark.parametrize("command", ["vx=1", "v=1", "vx=-1,vy=1", "v=-1", "vz=1"])
+def test_what_flies_is_judged_along_its_command_whatever_its_heading(tmp_path: Path, command: str) -> None:
+    scenario = tmp_path / "pair.toml"
+    scenario.write_text(PAIR.replace("heading = 1.0", "heading = -2.0"))
+    about = json.loads(vcmvsp("drive", str(scenario), "--vehicle", "uav", "--command", command, "--seconds", "6", "--json").out)
+    judged = about["vz" if command.startswith("vz") else "v"]
+    assert abs(judged["error_percent"]) < 1.0
+
+
+def test_files_that_a_scenario_names_are_found_beside_it_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "lawn.png"), np.full((8, 8, 3), (0, 200, 0), np.uint8))
+    (folder / "plot.toml").write_text("[ground]\npicture = 'lawn.png'\nsize = [4.0, 4.0]\n")
+    for number, world in enumerate(
+        ("kind = 'file'\npath = 'plot.toml'", "kind = 'boxes'\nboxes = []\nground = { picture = 'lawn.png', size = [4, 4] }")
+    ):
+        (folder / "s.toml").write_text(f"{PAIR}[world]\n{world}\n")
+        monkeypatch.chdir(tmp_path)
+        assert vcmvsp("run", "mine/s.toml", "--set", "duration_s=0.2", "--out", f"first{number}").code == 0
+        again = vcmvsp("run", f"first{number}/scenario.toml", "--out", f"again{number}")
+        assert (again.code, (tmp_path / f"again{number}" / "lawn.png").is_file()) == (0, True)
+
+
+def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(
+        "name = 's'\nduration_s = 1.0\n[[vehicle]]\nname = 'q'\ncount = 3\nkind = 'p2dx'\nspacing = [0.1, 0.1]\n"
+    )
+    outcome = vcmvsp("check", str(tmp_path / "s.toml"))
+    assert (outcome.code, "s.toml line 3: vehicle.q2.position: q2 and q1 overlap" in outcome.err) == (2, True), outcome.err
+
+
+@pytest.mark.usefixtures("figures")
+def test_solids_are_seen_in_the_figure_of_the_paths_which_say_how_much_of_them(tmp_path: Path) -> None:
+    boxes = [{"center": [x, 2.0, 0.5], "size": [1.0, 1.0, 1.0]} for x in (3.0, 300.0)]
+    (tmp_path / "s.toml").write_text(f"{PAIR}[world]\nkind = 'boxes'\nboxes = []\n")
+    runs = [cosim.run(tmp_path / "s.toml", set={"world.boxes": each}) for each in ([], boxes)]
+    plain, seen = (run.plot()["trajectory"].axes[0] for run in runs)
+    assert [len(each.collections[0].get_paths()) for each in (plain, seen)] == [0, 2]
+    assert plain.get_xlim() == seen.get_xlim()

@@ -1,0 +1,153 @@
+"""From a kind to a class: short names, modules and files, each with errors that say what to do; and the guard of the parts."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vcmvsp.cosim.config import builtin_kinds, registry
+from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.config.binding import Named
+
+HOME = Path(registry.__file__).resolve().parent.parent
+ORIGIN = Named("s.toml line 3")
+
+
+def refusal(group: str, kind: str, folder: Path | None = None) -> ScenarioError:
+    with pytest.raises(ScenarioError) as caught:
+        registry.find(group, kind, folder=folder, key="x.kind", origin=ORIGIN)
+    assert (caught.value.key, caught.value.source) == ("x.kind", "s.toml line 3")
+    return caught.value
+
+
+@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in builtin_kinds.KINDS.items() for kind in kinds])
+def test_every_short_name_leads_to_its_class(group: str, kind: str) -> None:
+    found = registry.find(group, kind)
+    module, _, name = builtin_kinds.KINDS[group][kind].partition(":")
+    assert found is getattr(importlib.import_module(module), name)
+    assert isinstance(found, type) or builtin_kinds.KINDS[group][kind] == builtin_kinds.NOTHING
+    assert found.__doc__, "the documentation of a kind is that of its class"
+
+
+@pytest.mark.parametrize("name", builtin_kinds.PIECES)
+def test_every_piece_is_there(name: str) -> None:
+    assert registry.piece(name) is not None
+
+
+@pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in builtin_kinds.KINDS.items() for kind in kinds])
+def test_a_slip_of_the_pen_is_answered_with_the_nearest_name(group: str, kind: str) -> None:
+    problem = refusal(group, kind + "x").problem
+    assert f"'{kind}x'" in problem
+    assert f"did you mean '{kind}'?" in problem
+    assert all(name in problem for name in builtin_kinds.KINDS[group])
+    assert "module:Class or file.py:Class" in problem
+
+
+def test_a_class_can_be_named_by_its_module() -> None:
+    assert registry.find("agent", "vcmvsp.cosim.agent:Agent").__name__ == "Agent"
+    assert "has no class 'Agnt'" in refusal("agent", "vcmvsp.cosim.agent:Agnt").problem
+    assert "No module named 'cosim.agnt'" in refusal("agent", "cosim.agnt:Agent").problem
+
+
+def test_other_distributions_can_add_short_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Entry:
+        name, value = "mine", "vcmvsp.cosim.agent:Agent"
+
+    def entry_points(*, group: str) -> list[Any]:
+        return [Entry] if group == "vcmvsp.cosim.agent" else []
+
+    monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
+    assert registry.find("agent", "mine").__name__ == "Agent"
+    assert "mine" in refusal("agent", "yours").problem
+    assert "mine" not in refusal("vehicle", "yours").problem
+
+
+def test_a_relative_file_is_looked_for_in_the_given_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "mine.py").write_text("class A:\n    def act(self): ...\n")
+    assert registry.find("agent", "mine.py:A", folder=tmp_path / "sub").__name__ == "A"
+    assert registry.find("agent", "sub/mine.py:A", folder=tmp_path).__name__ == "A"
+    assert registry.find("agent", f"{tmp_path}/sub/mine.py:A").__name__ == "A"
+    monkeypatch.chdir(tmp_path / "sub")
+    assert registry.find("agent", "mine.py:A").__name__ == "A"
+    assert str(tmp_path / "mine.py") in refusal("agent", "mine.py:A", folder=tmp_path).problem
+
+
+def test_a_file_may_import_what_lies_beside_it_and_leaves_the_path_alone(tmp_path: Path) -> None:
+    (tmp_path / "gain_of_test_registry.py").write_text("K = 3\n")
+    (tmp_path / "mine.py").write_text("from gain_of_test_registry import K\nclass A:\n    act = 1\n    k = K\n")
+    path = list(sys.path)
+    assert registry.find("agent", "mine.py:A", folder=tmp_path).k == 3
+    assert sys.path == path
+
+
+def test_files_of_one_name_in_two_folders_do_not_mix(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text(f"class A:\n    act = 1\n    k = '{name}'\n")
+    one, two = (registry.find("agent", "mine.py:A", folder=tmp_path / name) for name in ("one", "two"))
+    assert (one.k, two.k) == ("one", "two")
+    assert sys.modules[one.__module__].A is one  # so that its classes can be pickled and its annotations resolved
+
+
+def test_a_file_is_read_afresh(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("class A:\n    act = 1\n    k = 1\n")
+    assert registry.find("agent", "mine.py:A", folder=tmp_path).k == 1
+    file.write_text("class A:\n    act = 1\n    k = 'changed'\n")
+    assert registry.find("agent", "mine.py:A", folder=tmp_path).k == "changed"
+
+
+def test_a_file_that_fails_is_reported_with_its_line(tmp_path: Path) -> None:
+    (tmp_path / "fails.py").write_text("a = 1\nb = 2\nraise RuntimeError('not today')\n")
+    (tmp_path / "helper_of_test_registry.py").write_text("\n\n\n1 / 0\n")
+    (tmp_path / "calls.py").write_text("import helper_of_test_registry\n")
+    (tmp_path / "syntax.py").write_text("a = 1\nb = = 2\n")
+    assert "RuntimeError: not today (fails.py line 3)" in refusal("agent", "fails.py:A", tmp_path).problem
+    assert "(helper_of_test_registry.py line 4)" in refusal("agent", "calls.py:A", tmp_path).problem
+    assert "(syntax.py, line 2)" in refusal("agent", "syntax.py:A", tmp_path).problem
+
+
+def test_a_syntax_error_names_no_line_of_ours(tmp_path: Path) -> None:
+    (tmp_path / "syntax.py").write_text("a = 1\nb = = 2\n")
+    assert "registry.py" not in refusal("agent", "syntax.py:A", tmp_path).problem
+
+
+def test_an_attribute_error_inside_a_file_is_not_taken_for_a_missing_class(tmp_path: Path) -> None:
+    (tmp_path / "fails.py").write_text("import math\nmath.tau_and_more\nclass A:\n    def act(self): ...\n")
+    assert "fails.py line 2" in refusal("agent", "fails.py:A", tmp_path).problem
+
+
+def test_a_file_that_misses_another_file_is_not_taken_for_a_missing_file(tmp_path: Path) -> None:
+    (tmp_path / "fails.py").write_text("open('no_such_map.png')\nclass A:\n    def act(self): ...\n")
+    assert "fails.py line 1" in refusal("agent", "fails.py:A", tmp_path).problem
+
+
+def test_the_parts_are_beside_the_core() -> None:
+    registry.guard()
+    for part in registry.PARTS:
+        assert Path(str(importlib.import_module(part).__file__)).resolve().parent == HOME / part
+
+
+def test_a_part_from_elsewhere_is_refused(tmp_path: Path) -> None:
+    """Somebody else's package called ``agents``, first on the path as in a notebook's folder."""
+    (tmp_path / "agents").mkdir()
+    (tmp_path / "agents" / "__init__.py").touch()
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(HOME)])}
+    command = [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", "formation-circle", "--out", "out"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert "'agents'" in done.stderr
+    assert str(HOME / "agents") in done.stderr
+    assert str(tmp_path / "agents") in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_part_that_is_nowhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "PARTS", ("no_such_part",))
+    with pytest.raises(UsageError, match="finds it at nowhere"):
+        registry.guard()

@@ -1,0 +1,323 @@
+"""``vcmvsp export``: tables, a film and a layout of a recording; bad input, overwriting, and recordings that were cut."""
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.export import csv_files, video
+from vcmvsp.cosim.recording import recorded_run, load
+from vcmvsp.cosim.plots import run_plots
+from vcmvsp.cosim.export.formats import NAMES, export
+from vcmvsp.cosim.recording.recorded_run import Source, Values
+from vcmvsp.cosim.recording.mcap_file import Recorded, contents, messages
+from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
+from vcmvsp.cosim.types import VehicleState
+from tests.support.cosim import export_runs
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.studies import two
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def recorded(name: str, topic: str) -> list[tuple[int, Any]]:
+    with (export_runs.run_of(name) / "run.mcap").open("rb") as stream:
+        return [(time_ns, json.loads(data)) for each, time_ns, data in messages(stream) if each == topic]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export(export_runs.run_of("lab-patrol"), csv=tmp_path_factory.mktemp("csv") / "lab")[0]
+
+
+def test_states_and_radio_are_those_of_the_runs_own_tables(tables: Path) -> None:
+    run = load(export_runs.run_of("lab-patrol"))
+    listed = rows(tables / "states.csv")
+    assert [(round(float(row["time_s"]) * SECOND_NS), row["vehicle"]) for row in listed] == [
+        (row["time_ns"], row["vehicle"]) for row in run.states.to_pylist()
+    ]
+    for ours, own in zip(listed, run.states.to_pylist(), strict=True):
+        assert [float(ours[name]) for name in ("x_m", "qz", "vy_m_s", "wz_rad_s")] == [own[n] for n in ("x", "qz", "vy", "wz")]
+    frames = rows(tables / "radio.csv")
+    for ours, own in zip(frames, run.radio.to_pylist(), strict=True):
+        assert (ours["sender"], ours["receiver"], ours["outcome"]) == (own["sender"], own["receiver"], own["outcome"])
+        assert float(ours["rssi_dbm"]) == own["rssi_dbm"]
+        assert float(ours["sent_s"]) == pytest.approx(own["sent_ns"] / SECOND_NS)
+        assert (ours["received_s"] == "") == (own["received_ns"] is None)
+    assert len(frames) > 3
+
+
+def test_the_radio_of_a_run_with_programs_and_routes_is_its_own_table_with_all_its_frames(tmp_path: Path) -> None:
+    vehicles = ("car-1", "car-2")
+    facts = RunFacts(scenario="cart", seed=1, end_ns=0, vehicles=vehicles)
+    with (export_runs.run_of("a crossing cart") / "run.mcap").open("rb") as stream:
+        reports = [Values().of(each) for each in contents(stream) if each.topic == "radio/frame"]
+    of_programs = [msgspec.structs.replace(each, frame=each.frame + len(reports)) for each in reports]
+    table = radio_table([*reports, *of_programs], facts)
+    table = table.append_column("origin", pa.array(["car-2"] * table.num_rows))
+    table = table.append_column("origin_sent_ns", pa.array([1_500_000_000] * table.num_rows))
+    folder = export_runs.cut("a crossing cart", tmp_path / "run", 1.0)
+    write_table(table, folder / "radio.parquet")
+    said: list[str] = []
+    export(folder, csv=tmp_path / "csv", tell=said.append)
+    frames = rows(tmp_path / "csv/radio.csv")
+    assert len({row["frame"] for row in frames}) == 2 * len(reports)
+    assert {(row["origin"], float(row["origin_sent_s"])) for row in frames} == {("car-2", 1.5)}
+    assert said == []
+
+
+def test_each_sensor_of_numbers_has_its_table_with_units(tables: Path) -> None:
+    assert {path.stem for path in tables.iterdir()} == {"states", "radio", "commands", "bumper", "odometer", "odometry"}
+    wheels, said = rows(tables / "odometer.csv"), recorded("lab-patrol", "ugv3/odometer")
+    mine = [row for row in wheels if row["vehicle"] == "ugv3"]
+    assert list(mine[0]) == ["time_s", "vehicle", "x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"]
+    assert [[float(row["x_m"]), float(row["v_m_s"])] for row in mine] == [[each["pose"][0], each["v"]] for _, each in said]
+    assert set(rows(tables / "bumper.csv")[0]) == {"time_s", "vehicle", "front", "left", "back", "right"}
+    for columns in csv_files.COLUMNS.values():
+        assert all(name.endswith(("_m", "_rad", "_s", "_s2")) or name in csv_files.TURN for name in columns)
+
+
+def test_notes_have_a_column_for_each_name_and_an_empty_cell_where_it_was_not_noted(tmp_path: Path) -> None:
+    export(export_runs.run_of("a crossing cart"), csv=tmp_path / "tables")
+    noted, said = rows(tmp_path / "tables/notes.csv"), recorded("a crossing cart", "car-2/note")
+    assert len(noted) == len(said) > 5
+    for row, (_, each) in zip(noted, said, strict=True):
+        assert {name: value for name, value in row.items() if value and name not in ("time_s", "vehicle")} == {
+            name: str(value) for name, value in each["values"].items()
+        }
+
+
+def test_what_there_was_not_is_an_empty_cell(tmp_path: Path) -> None:
+    export(export_runs.run_of("a tag and late sensors"), csv=tmp_path / "tables")
+    for row in rows(tmp_path / "tables/fix.csv"):
+        assert (row["yaw_rad"], row["sigma_rad"], row["sigma_m"]) == ("", "", "0.15")
+    lost = csv_files._row(VehicleState(position=(math.nan, 1.0, 0.0)))
+    assert lost is not None
+    assert (lost["x_m"], lost["y_m"]) == (None, 1.0)
+
+
+def test_a_frame_that_is_under_way_at_the_end_is_not_shown_as_lost(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    cosim.run(two(duration_s=0.1005, radio={"preset": "wifi-b-1"}), out=folder)
+    radio = load(folder).radio
+    assert set(radio["outcome"].to_pylist()) == {"received", "under way"}
+    assert video._Film(recorded_run.Source(folder, lambda _: None))._lost == []
+    assert run_plots._lost_s(radio, "car2", "car1").size == 0
+
+
+def test_a_sensor_that_is_called_like_a_table_does_not_write_into_it() -> None:
+    assert csv_files._place("car1/state") == ("car1", "states")
+    assert csv_files._place("car1/states") == ("car1", "states_sensor")
+    assert csv_files._place("car1/radio") == ("car1", "radio_sensor")
+
+
+def test_the_film_shows_walls_vehicles_and_lost_frames(tmp_path: Path) -> None:
+    told: list[tuple[str, float]] = []
+    export(export_runs.run_of("a crossing cart"), mp4=tmp_path / "run.mp4", progress=lambda *each: told.append(each))
+    film = cv2.VideoCapture(str(tmp_path / "run.mp4"))
+    pictures = []
+    while (each := film.read())[0]:
+        pictures.append(each[1].astype(int))
+    film.release()
+    assert len(pictures) == 41  # 2 s at 20 pictures a second, both ends
+    assert told[-1] == ("mp4", 1.0)
+    assert np.abs(pictures[0] - pictures[-1]).max() > 100  # they move
+    red = [((picture[..., 2] - picture[..., 1] > 60) & (picture[..., 2] - picture[..., 0] > 60)).sum() for picture in pictures]
+    lost = [time_ns for time_ns, each in recorded("a crossing cart", "radio/frame") if -1 in each["received_ns"]]
+    ages_s = [min((0.05 * k - at / SECOND_NS for at in lost if at <= 0.05 * k * SECOND_NS), default=9.0) for k in range(41)]
+    fresh = [count for count, age_s in zip(red, ages_s, strict=True) if age_s < 0.2]
+    assert len(fresh) > 5
+    assert min(fresh) > 10
+    assert max([count for count, age_s in zip(red, ages_s, strict=True) if age_s > 0.5], default=0) == 0
+
+
+def test_a_layout_names_topics_that_there_are_and_numbers_that_they_have(tmp_path: Path) -> None:
+    for name in ("lab-patrol", "recon-team", "a crossing cart"):
+        export(export_runs.run_of(name), layout=tmp_path / f"{name}.json")
+        layout = json.loads((tmp_path / f"{name}.json").read_text())
+        newest: dict[str, Any] = {}
+        with (export_runs.run_of(name) / "run.mcap").open("rb") as stream:
+            for topic, _, data in messages(stream):
+                said = json.loads(data)
+                if topic.endswith("/note"):  # not every number is noted each time
+                    said["values"] = {**newest.get(topic, {}).get("values", {}), **said["values"]}
+                newest[topic] = said
+        panels = layout["configById"]
+        assert sorted(leaves(layout["layout"])) == sorted(panels)
+        assert set(panels["3D!scene"]["topics"]) <= set(newest)
+        assert ("world/solids" in newest) == ("world/solids" in panels["3D!scene"]["topics"])
+        assert "world/scene" in panels["3D!scene"]["topics"]
+        curves = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+        assert curves
+        for curve in curves:
+            topic, _, fields = curve.partition(".")
+            value: Any = newest[topic]
+            for field in fields.replace("]", "").replace("[", ".").split("."):
+                value = value[int(field)] if isinstance(value, list) else value[field]
+            assert isinstance(value, float | int | str), curve
+        for panel in panels.values():
+            assert panel.get("imageMode", {}).get("imageTopic") in (None, *newest)
+
+
+def leaves(node: Any) -> list[str]:
+    """The panels of a layout."""
+    return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "nothing to export: give --rosbag2, --csv, --mp4, --layout, or several of them"),
+        (("--csv", "--out", "full"), "full/csv: is not empty; give another folder (--out), or --force to overwrite"),
+        (("--layout", "--out", "full"), "full/layout.json: is there already; give another folder (--out), or --force"),
+        (("--csv", "--layout", "--out", "full/layout.json"), "full/layout.json/csv: "),
+    ],
+)
+def test_what_cannot_be_written_is_said_before_anything_is(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "full/csv").mkdir(parents=True)
+    for name in ("csv/a.csv", "layout.json"):
+        (tmp_path / "full" / name).write_text("mine")
+    outcome = vcmvsp("export", str(export_runs.run_of("lab-patrol")), *arguments)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert words in outcome.err
+    assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["full", "csv", "a.csv", "layout.json"]
+    assert (tmp_path / "full/layout.json").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "force", "words"),
+    [
+        ("mp4", "film.avi", False, "film.avi: the name must end in .mp4"),
+        ("layout", "full", True, "full: is a folder, not a file"),
+        ("csv", "full/a.json", True, "full/a.json: is a file, not a folder"),
+    ],
+)
+def test_a_file_is_no_folder_nor_a_folder_a_file(name: str, path: str, force: bool, words: str, tmp_path: Path) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/a.json").write_text("mine")
+    with pytest.raises(UsageError, match=words):
+        export(export_runs.run_of("lab-patrol"), force=force, **{name: tmp_path / path})  # type: ignore[arg-type]  # one of four
+
+
+def test_two_outputs_need_two_names(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="two exports of the same name"):
+        export(export_runs.run_of("lab-patrol"), csv=tmp_path / "x", rosbag2=tmp_path / "x")
+
+
+def test_a_folder_without_a_recording_is_named(tmp_path: Path) -> None:
+    for folder, words in ((tmp_path, "no run.mcap here"), (tmp_path / "none", "there is no such folder")):
+        outcome = vcmvsp("export", str(folder), "--csv", "--out", str(tmp_path / "out"))
+        assert (outcome.code, outcome.out) == (2, "")
+        assert words in outcome.err
+    (tmp_path / "run.mcap").write_bytes(b"no recording")
+    assert "is no recording of a run" in vcmvsp("export", str(tmp_path), "--csv", "--out", str(tmp_path / "out")).err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_recording_itself_is_never_overwritten(tmp_path: Path) -> None:
+    folder = export_runs.cut("lab-patrol", tmp_path / "run", 1.0)
+    before = (folder / "run.mcap").read_bytes()
+    with pytest.raises(UsageError, match="is the recording itself"):
+        export(folder, layout=folder / "run.mcap", force=True)
+    with pytest.raises(UsageError, match="is the run's own folder"):
+        export(folder, csv=folder, force=True)
+    assert (folder / "run.mcap").read_bytes() == before
+
+
+def test_with_force_old_files_give_way_and_others_stay(tmp_path: Path) -> None:
+    (tmp_path / "csv").mkdir()
+    (tmp_path / "csv/states.csv").write_text("old")
+    (tmp_path / "csv/mine.txt").write_text("mine")
+    outcome = vcmvsp("export", str(export_runs.run_of("lab-patrol")), "--csv", "--out", str(tmp_path), "--force", "--quiet")
+    assert (outcome.code, outcome.out, outcome.err) == (0, f"{tmp_path / 'csv'}\n", "")
+    assert len(rows(tmp_path / "csv/states.csv")) == 63
+    assert (tmp_path / "csv/mine.txt").read_text() == "mine"
+
+
+def test_of_an_export_that_fails_nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class NoFilms:
+        def __init__(self, path: str, *_: Any) -> None:
+            Path(path).write_bytes(b"half a film")
+
+        def isOpened(self) -> bool:  # noqa: N802  the library's name
+            return False
+
+    monkeypatch.setattr(cv2, "VideoWriter", NoFilms)
+    monkeypatch.setattr(NoFilms, "fourcc", lambda *_: 0, raising=False)
+    with pytest.raises(UsageError, match="this OpenCV writes no MPEG-4 films"):
+        export(export_runs.run_of("a crossing cart"), mp4=tmp_path / "run.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("part", [0.4, 0.7, 0.999])
+def test_of_a_run_that_was_killed_all_is_exported_that_is_there(part: float, tmp_path: Path) -> None:
+    folder, out = export_runs.cut("lab-patrol", tmp_path / "killed", part), tmp_path / "out"
+    outputs = {name: out / called for name, called in NAMES.items()}
+    outcome = vcmvsp("export", str(folder), *(f"--{name}" for name in outputs), "--out", str(out))
+    assert (outcome.code, outcome.out.split()) == (0, [str(path) for path in outputs.values()])
+    left = rows(out / "csv/states.csv")
+    whole = recorded("lab-patrol", "ugv1/state")
+    assert 0 < len(left) // 3 <= len(whole)
+    if part < 0.9:  # else it is the index that is missing, and no message
+        assert outcome.err.count("is damaged (it ends too soon): what is exported ends at ") == 1
+    assert outcome.err.count("no radio.parquet here: radio.csv is without frames of programs, and without routes") == 1
+    assert left[3]["x_m"] == str(whole[1][1]["position"][0])
+    assert all(path.exists() for path in outputs.values())
+
+
+def test_of_a_run_that_was_killed_while_it_wrote_the_radio_what_was_recorded_of_it_is_exported(tmp_path: Path) -> None:
+    folder = export_runs.cut("a crossing cart", tmp_path / "killed", 1.0)
+    whole = (export_runs.run_of("a crossing cart") / "radio.parquet").read_bytes()
+    (folder / "radio.parquet").write_bytes(whole[: len(whole) // 2])
+    told: list[str] = []
+    export(folder, csv=tmp_path / "csv", tell=told.append)
+    assert [line for line in told if "radio.parquet cannot be read: radio.csv is without frames of programs" in line]
+    export(export_runs.run_of("a crossing cart"), csv=tmp_path / "whole")
+    assert rows(tmp_path / "csv/radio.csv") == rows(tmp_path / "whole/radio.csv")
+
+
+@pytest.mark.parametrize("part", [0.2, 0.5])
+def test_of_a_run_that_goes_on_all_is_exported_that_was_there_at_first(
+    part: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = export_runs.cut("recon-team", tmp_path / "run", part)
+    export(folder, csv=tmp_path / "then")
+    headers = csv_files._headers
+
+    def read(source: Source) -> Any:
+        found = headers(source)
+        export_runs.cut("recon-team", folder, 1.0)
+        return found
+
+    monkeypatch.setattr(csv_files, "_headers", read)
+    export(folder, csv=tmp_path / "now")
+    left = {path.name: path.read_bytes() for path in (tmp_path / "then").iterdir()}
+    assert {path.name: path.read_bytes() for path in (tmp_path / "now").iterdir()} == left
+
+
+def test_numbers_that_json_cannot_say_are_read_as_nan_and_what_is_no_message_is_named() -> None:
+    values = Values()
+    fields = {"velocity": [0.0, 0.0, 0.0], "attitude": [1.0, 0.0, 0.0, 0.0], "angular_velocity": [0.0, 0.0, 0.0]}
+    lost = json.dumps({"type": "state", "position": [None, 1.0, 0.0], **fields}).encode()
+    position = values.of(Recorded("car1/state", "vcmvsp.VehicleState", 0, lost)).position
+    assert math.isnan(position[0])
+    assert position[1:] == (1.0, 0.0)
+    assert values.of(Recorded("car1/else", "vcmvsp.Follows", 0, b"{}")) is None
+    with pytest.raises(UsageError, match=r"a message of car1/state is no vcmvsp\.VehicleState"):
+        values.of(Recorded("car1/state", "vcmvsp.VehicleState", 0, b'{"type":"state"}'))

@@ -1,0 +1,189 @@
+"""An exported bag says to others' readers what the recording says."""
+
+import json
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.frames import product
+from vcmvsp.cosim.recording import recorded_run
+from vcmvsp.cosim.export.formats import export
+from vcmvsp.cosim.export.rosbag import ros_name, write_bag
+from vcmvsp.cosim.recording.mcap_file import messages
+from tests.support.cosim import export_runs
+
+RERUN = Path(sys.executable).with_name("rerun")
+RUNS = ("lab-patrol", "recon-team", "a crossing cart", "a tag and late sensors")
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bags")
+    return {name: export(export_runs.run_of(name), rosbag2=folder / ros_name(name)[1:])[0] for name in RUNS}
+
+
+def read(bag: Path) -> dict[str, list[tuple[int, Any]]]:
+    """By topic: time and message."""
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with AnyReader([bag]) as reader:
+        for connection, time_ns, data in reader.messages():
+            found.setdefault(connection.topic, []).append((time_ns, reader.deserialize(data, connection.msgtype)))
+    return found
+
+
+def recorded(name: str, topic: str) -> list[tuple[int, Any]]:
+    """Time and content of each message of a topic of the recording."""
+    with (export_runs.run_of(name) / "run.mcap").open("rb") as stream:
+        return [(time_ns, json.loads(data)) for each, time_ns, data in messages(stream) if each == topic]
+
+
+def ns(stamp: Any) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def test_poses_and_transforms_are_the_true_ones_and_twists_those_of_the_body(bags: dict[str, Path]) -> None:
+    bag = read(bags["lab-patrol"])
+    expected = recorded("lab-patrol", "ugv2/state")
+    assert [time_ns for time_ns, _ in bag["/ugv2/state"]] == [time_ns for time_ns, _ in expected]
+    for number, (time_ns, state) in enumerate(expected):
+        odometry, transforms = bag["/ugv2/state"][number][1], bag["/tf"][number][1].transforms
+        assert (ns(odometry.header.stamp), odometry.header.frame_id, odometry.child_frame_id) == (time_ns, "world", "ugv2")
+        at, turn, linear = odometry.pose.pose.position, odometry.pose.pose.orientation, odometry.twist.twist.linear
+        assert [at.x, at.y, at.z] == state["position"]
+        assert [turn.w, turn.x, turn.y, turn.z] == state["attitude"]
+        w, x, y, z = state["attitude"]
+        _, *back = product(product((w, x, y, z), (0.0, linear.x, linear.y, linear.z)), (w, -x, -y, -z))
+        assert back == pytest.approx(state["velocity"], abs=1e-12)
+        (mine,) = [each for each in transforms if each.child_frame_id == "ugv2"]
+        assert [getattr(mine.transform.translation, axis) for axis in "xyz"] == state["position"]
+    assert [ns(clock.clock) for _, clock in bag["/clock"]] == [time_ns for time_ns, _ in expected]
+    ((first, path),) = bag["/ugv2/state/path"]
+    assert (first, len(path.poses)) == (0, len(expected))
+
+
+def test_readings_arrive_as_they_were_recorded(bags: dict[str, Path]) -> None:
+    bag = read(bags["lab-patrol"])
+    (time_ns, scan), (_, said) = bag["/ugv1/scan"][3], recorded("lab-patrol", "ugv1/scan")[3]
+    ranges = [np.inf if each is None else each for each in said["ranges"]]
+    np.testing.assert_array_equal(scan.ranges, np.array(ranges, np.float32))
+    assert (ns(scan.header.stamp), scan.header.frame_id, scan.angle_min) == (time_ns, "ugv1", np.float32(said["start_angle"]))
+    assert scan.angle_min + (len(ranges) - 1) * scan.angle_increment == pytest.approx(said["end_angle"])
+    assert np.isfinite(scan.range_max)
+    assert scan.range_max >= np.max(scan.ranges[np.isfinite(scan.ranges)])
+    for (_, command), (_, said) in zip(bag["/ugv1/command"], recorded("lab-patrol", "ugv1/command"), strict=True):
+        assert (command.twist.linear.x, command.twist.angular.z) == (said["linear"][0], said["yaw_rate"])
+    for topic in ("ugv3/bumper", "radio/frame", "ugv3/heard"):
+        assert [json.loads(message.data) for _, message in bag[f"/{topic}"]] == [m for _, m in recorded("lab-patrol", topic)]
+    ((_, line),) = bag["/rosout"]
+    assert (line.level, line.msg) == (20, "the run is complete")
+
+
+def test_pictures_are_the_same_pixels_and_come_with_their_cameras(bags: dict[str, Path]) -> None:
+    bag = read(bags["recon-team"])
+    pictures = recorded_run.Source(export_runs.run_of("recon-team"), lambda _: None)
+    values = recorded_run.Values()
+    expected = [values.of(said) for said in pictures if said.topic == "uav2/camera"]
+    assert len(expected) > 1
+    for (_, image), (_, info), said in zip(
+        bag["/uav2/camera/image_raw"], bag["/uav2/camera/camera_info"], expected, strict=True
+    ):
+        np.testing.assert_array_equal(image.data.reshape(image.height, image.width, 3), said.pixels)
+        assert (image.encoding, image.header) == ("rgb8", info.header)
+        assert (info.width, info.height) == (image.width, image.height)
+        assert info.k[0] == info.k[4] > 100.0
+    assert bytes(bag["/uav1/sightings/picture/compressed"][0][1].data[:3]) == b"\xff\xd8\xff"
+    (_, grid), (_, said) = bag["/uav1/map"][0], recorded("recon-team", "uav1/map")[0]
+    assert (grid.info.width, len(grid.data)) == (said["column_count"], grid.info.width * grid.info.height)
+    assert 0 <= grid.data.min() <= grid.data.max() <= 100
+
+
+def test_readings_are_stamped_with_when_they_were_measured(bags: dict[str, Path]) -> None:
+    bag = read(bags["a tag and late sensors"])
+    for topic in ("/car/scan", "/car/path", "/car/camera/image_raw", "/car/camera/camera_info"):
+        assert len(bag[topic]) > 5
+        late = {time_ns - ns(message.header.stamp) for time_ns, message in bag[topic] if ns(message.header.stamp) > 50_000_000}
+        assert late == {50_000_000}, topic
+    assert len(bag["/car/state/path"]) == 1  # of another type than the sensor of that name
+
+
+def test_a_heading_that_was_not_told_is_not_sure_to_be_east(bags: dict[str, Path]) -> None:
+    bag = read(bags["a tag and late sensors"])
+    for _, fix in bag["/car/fix"]:
+        assert fix.pose.covariance[[0, 7]] == pytest.approx(0.15**2)
+        assert fix.pose.covariance[35] > 3.0
+
+
+def test_the_scene_has_walls_bodies_and_what_moves(bags: dict[str, Path]) -> None:
+    bag = read(bags["a crossing cart"])
+    ((_, solids),) = bag["/world/solids"]
+    wall, cart, name = solids.markers
+    assert (wall.type, len(wall.points), wall.header.frame_id) == (11, 3 * 12, "world")
+    assert (cart.type, cart.header.frame_id, cart.frame_locked) == (1, "obstacle/cart", True)
+    assert (name.type, name.text) == (9, "cart")
+    before, *drawn = bag["/world/scene"][-1][1].markers
+    assert before.action == 3  # DELETEALL: a place that is given up does not stay in the picture
+    bodies = Counter(marker.ns for marker in drawn)
+    assert bodies == {"car-1": 3, "car-2": 3, "car-2/place": 2}
+    frames = {each.child_frame_id for _, message in bag["/tf"] for each in message.transforms}
+    assert frames == {"car-1", "car-2", "obstacle/cart"}
+    assert {"/car_1/state", "/car_2/command"} < set(bag)  # ROS knows no hyphens
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_other_readers_agree(bags: dict[str, Path], name: str) -> None:
+    path = bags[name] / f"{bags[name].name}.mcap"
+    ours = read(bags[name])
+    theirs: Counter[str] = Counter()
+    with path.open("rb") as stream:
+        for _, channel, message, decoded in make_reader(
+            stream, validate_crcs=True, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
+            time_ns, expected = ours[channel.topic][theirs[channel.topic]]
+            theirs[channel.topic] += 1
+            assert message.log_time == time_ns
+            if channel.topic.endswith("/state"):
+                assert decoded.pose.pose.position.x == expected.pose.pose.position.x
+    assert theirs == {topic: len(listed) for topic, listed in ours.items()}
+
+
+@pytest.mark.skipif(not RERUN.is_file(), reason="rerun-sdk is not installed")
+def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, Path], tmp_path: Path) -> None:
+    environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
+
+    def rerun(*arguments: str) -> str:
+        done = subprocess.run([str(RERUN), *arguments], capture_output=True, text=True, env=environment, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    path, converted = bags["recon-team"] / "recon_team.mcap", tmp_path / "run.rrd"
+    rows = [line for line in rerun("mcap", "check", "--full", str(path)).splitlines() if line.startswith(("warn", "err"))]
+    assert rows == []
+    rerun("mcap", "convert", str(path), "-o", str(converted))
+    found = rerun("rrd", "stats", str(converted))
+    known = ("Image:buffer", "Pinhole:image_from_camera", "GridMap:data", "Transform3D:translation", "TextLog:text")
+    assert [each for each in (*known, "EncodedImage:blob") if each not in found] == []
+
+
+def test_names_that_would_be_one_in_ros_are_refused(tmp_path: Path) -> None:
+    assert (ros_name("car-1/state"), ros_name("/tf"), ros_name("2nd/scan")) == ("/car_1/state", "/tf", "/_2nd/scan")
+    twin = _Twins(export_runs.run_of("a crossing cart"))
+    with pytest.raises(UsageError, match=r"car-1/state/path and car_1/state/path would both be /car_1/state/path"):
+        write_bag(twin, tmp_path / "bag")
+
+
+class _Twins(recorded_run.Source):
+    """A recording of two vehicles that differ in a hyphen alone."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, lambda _: None)
+        self.vehicles = ("car-1", "car_1")

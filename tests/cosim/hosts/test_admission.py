@@ -1,0 +1,265 @@
+"""Hosts that somebody starts by hand: who is let in, what the resolved scenario says of them, and how they and the run end."""
+
+import contextlib
+import os
+import queue
+import signal
+import socket
+import subprocess
+import time
+import tomllib
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp import cosim
+from vcmvsp.cosim.errors import FederateError, UsageError
+from vcmvsp.cosim.hosts import host_client, protocol
+from vcmvsp.cosim.transport.zenoh_session import threads
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import Stage, ended, wait_for
+
+SCENARIO = """
+name = "byhand"
+duration_s = {duration}
+[physics]
+kind = "kinematic"
+[agents]
+runs = "zenoh"
+listen = "{endpoint}"
+join_timeout_s = {patience}
+deadline_s = {deadline}
+[vehicles]
+kind = "kinematic"
+[[vehicle]]
+name = "car1"
+agent = {{ kind = "trajectory", path = "straight", runs = "inprocess" }}
+[[vehicle]]
+name = "car2"
+pose = [-1.0, 0.0, 0.0]
+agent = {{ kind = "leader_follower", leader = "car1", k1 = 0.7 }}
+"""
+STILL = """
+from vcmvsp.cosim import Agent, Velocity
+
+class Still(Agent):
+    def __init__(self, leader: str = "nobody", patience: float = 1.0) -> None:
+        self.leader, self.patience = leader, patience
+    def act(self, obs, radio):
+        return Velocity()
+"""
+
+
+class ByHand(Stage):
+    """A scenario whose car2 is hosted by hand, and the processes that play in it."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
+        (folder / "still.py").write_text(STILL)
+
+    def scenario(self, duration: float = 2.0, patience: float = 60.0, deadline: float = 30.0) -> Path:
+        path = self.folder / "byhand.toml"
+        values = {"duration": duration, "patience": patience, "deadline": deadline}
+        path.write_text(SCENARIO.format(endpoint=self.endpoint, **values))
+        return path
+
+    def run(self, *more: str, **values: float) -> subprocess.Popen[str]:
+        return self.start("run", str(self.scenario(**values)), "--out", str(self.out), *more)
+
+    def host(self, *arguments: str, vehicle: str = "car2") -> subprocess.Popen[str]:
+        return self.start("agent", *arguments, "--vehicle", vehicle, "--connect", self.endpoint)
+
+    def resolved_agent(self) -> dict[str, object]:
+        agent: dict[str, object] = tomllib.loads((self.out / "scenario.toml").read_text())["vehicle"][1]["agent"]
+        return agent
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[ByHand]:
+    with ByHand(tmp_path) as made:
+        yield made
+
+
+def test_a_host_may_bring_parameters_and_the_result_says_so(stage: ByHand) -> None:
+    run, host = stage.run(), stage.host("vcmvsp.agents.formation.followers.leader_follower:LeaderFollower", "--set", "k2=0.25")
+    assert ended(run)[0] == 0
+    code, said = ended(host)
+    assert (code, said.splitlines()[-1]) == (0, "the run is over")
+    agent = stage.resolved_agent()
+    assert (agent["kind"], agent["k1"], agent["k2"]) == ("leader_follower", 0.7, 0.25)
+    again = cosim.run(str(stage.out / "scenario.toml"))
+    assert again.metrics == cosim.run(str(stage.scenario()), set={"vehicle.car2.agent.k2": 0.25}, agents="inprocess").metrics
+    assert '"car2": "zenoh"' in (stage.out / "about.json").read_text()
+
+
+def test_a_host_may_bring_another_class_and_the_result_says_so(stage: ByHand) -> None:
+    run, host = stage.run(), stage.host("still.py:Still", "--set", "patience=3.0")
+    assert (ended(run)[0], ended(host)[0]) == (0, 0)
+    agent = stage.resolved_agent()
+    assert (agent["kind"], agent["leader"], agent["patience"]) == ("still.py:Still", "car1", 3.0)
+    assert "k1" not in agent
+    assert (stage.out / "still.py").read_text() == STILL  # so that the resolved scenario runs from where it is
+    moved = cosim.run(str(stage.out / "scenario.toml")).states.to_pandas().query("vehicle == 'car2'")
+    assert set(moved.x) == {-1.0}
+
+
+def test_who_does_not_belong_is_refused(stage: ByHand) -> None:
+    run = stage.run()
+    code, said = ended(stage.host(vehicle="car3"))
+    assert code == 2
+    assert "unknown vehicle 'car3'" in said
+    code, said = ended(stage.host("leader_folower"))
+    assert code == 2
+    assert "did you mean 'leader_follower'" in said
+    assert "did you mean 'leader_follower'" in ended(run)[1]
+    assert run.returncode == 2
+    assert not stage.out.exists()
+
+
+def test_a_vehicle_has_one_host(stage: ByHand) -> None:
+    run = stage.run("--realtime", duration=3600.0)
+    first = stage.host()
+    wait_for(stage.out / "run.mcap")
+    code, said = ended(stage.host())
+    assert code == 2
+    assert "the run refuses this host: it has begun, and nobody is missing" in said
+    assert first.poll() is None
+    os.kill(run.pid, signal.SIGINT)
+    assert ended(run)[0] == 130
+    assert ended(first)[0] == 0
+
+
+def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand) -> None:
+    run = stage.start("run", str(stage.scenario()), "--agents", "zenoh", "--out", str(stage.out), "--quiet")
+    early = stage.host()
+    time.sleep(2.0)
+    early.kill()
+    leader = stage.host(vehicle="car1")
+    time.sleep(1.0)  # all would be there but for the one that has gone, which the run may not have given up yet
+    later = stage.host()
+    ends = [ended(each) for each in (run, later, leader)]
+    assert [code for code, _ in ends] == [0, 0, 0], ends
+
+
+def test_a_run_that_nobody_joins_ends(stage: ByHand) -> None:
+    code, said = ended(stage.run(patience=0.5))
+    assert code == 3
+    assert f"vcmvsp agent leader_follower --vehicle car2 --connect {stage.endpoint}" in said
+    assert "agent host of vehicle car2: did not join within 0.5 s (agents.join_timeout_s)" in said
+    assert not stage.out.exists()
+
+
+def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
+    run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
+    wait_for(stage.out / "run.mcap")
+    time.sleep(0.5)
+    host.kill()
+    begin = time.monotonic()
+    code, said = ended(run)
+    assert code == 3
+    assert "agent leader_follower of vehicle car2: did not answer within the deadline of 2 s: it left the run" in said
+    assert time.monotonic() - begin < 40.0  # far less than the hour that the run was to last
+    assert (stage.out / "states.parquet").exists()
+
+
+def test_a_run_that_is_killed_ends_the_host(stage: ByHand) -> None:
+    run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
+    wait_for(stage.out / "run.mcap")
+    run.kill()
+    code, said = ended(host)
+    assert code == 3
+    assert "the run: is gone" in said
+
+
+@pytest.mark.parametrize("users", [None, "(tx: (worker_threads: 2))"])
+def test_how_a_session_shares_its_work_is_not_for_children_and_the_user_s_own_choice_wins(
+    users: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ZENOH_RUNTIME", raising=False)
+    if users:
+        monkeypatch.setenv("ZENOH_RUNTIME", users)
+    with contextlib.suppress(UsageError), threads("(rx: (handover: acc))"):
+        assert os.environ["ZENOH_RUNTIME"] == (users or "(rx: (handover: acc))")
+        raise UsageError("cannot listen")
+    assert os.environ.get("ZENOH_RUNTIME") == users
+
+
+def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        code, _, said = vcmvsp("run", str(stage.scenario()), "--out", str(stage.out), "--listen", endpoint)
+        assert code == 2
+        assert "cannot listen on 'tcp/127.0.0.1:" in said
+    assert vcmvsp("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2
+
+
+def test_a_run_that_listens_but_has_not_opened_its_door_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its machine may be held up for a second or two just then."""
+    now_s = [0.0]
+
+    def sleep(seconds: float) -> None:
+        now_s[0] += seconds
+
+    def get(*_: object, **__: object) -> list[Any]:
+        payload = Bytes(protocol.encode(protocol.Welcome(refused=None, patience_s=7.0)))
+        return [types.SimpleNamespace(ok=types.SimpleNamespace(payload=payload))] if now_s[0] > 2.0 else []
+
+    monkeypatch.setattr(host_client, "time", types.SimpleNamespace(monotonic=lambda: now_s[0], sleep=sleep))
+    hello = protocol.Hello("1" * 32, protocol.PROTOCOL, ("car2",))
+    session: Any = types.SimpleNamespace(get=get)
+    assert host_client._join(session, "anyone", hello).patience_s == 7.0
+
+
+class Asked:
+    """A question as it comes in: its number, that of the oldest open one, and its content."""
+
+    def __init__(self, number: int, oldest: int) -> None:
+        self.payload = Bytes(protocol.numbers.pack(number, oldest) + b"%d" % number)
+
+
+class Bytes(bytes):
+    def to_bytes(self) -> bytes:
+        return bytes(self)
+
+
+@given(st.lists(st.tuples(st.integers(1, 12), st.integers(0, 3)), max_size=60))
+def test_whatever_is_asked_again_and_in_whatever_order_each_question_is_worked_on_once_and_in_turn(
+    script: list[tuple[int, int]],
+) -> None:
+    """One that is asked too early gets no answer, upon which the run asks again; one that is asked again, the same answer."""
+    worked, said = list[bytes](), list[bytes]()
+
+    class Desk:
+        ended: str | None = None
+
+        def handle(self, question: bytes) -> bytes:
+            worked.append(bytes(question))
+            return b"to " + question
+
+    inbox = queue.SimpleQueue[Any]()
+    asked = [(number, max(1, number - back)) for number, back in script]
+    for each in asked:
+        inbox.put(Asked(*each))
+    inbox.put(False)  # the hub is gone
+    session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: ["hub"]))
+    says = types.SimpleNamespace(put=said.append)
+    with pytest.raises(FederateError, match="is gone"):
+        host_client._answer(inbox, Desk(), says, session, 0.001, lambda _: None)  # type: ignore[arg-type]
+    assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
+    expected, done, kept = list[bytes](), 0, set[int]()
+    for number, oldest in asked:
+        kept = {each for each in kept if each >= oldest}
+        if number == done + 1:
+            done = number
+            kept.add(number)
+        if number in kept:
+            expected.append(protocol.number.pack(number) + b"to %d" % number)
+    assert said == expected

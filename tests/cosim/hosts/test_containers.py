@@ -1,0 +1,159 @@
+"""Containers, as far as a machine without any can tell: what they are told is understood, and together it works."""
+
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+import yaml
+
+from vcmvsp import cosim
+from vcmvsp.cosim.hosts import hosts_file
+from vcmvsp.cosim.cli.app import app
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import Stage, ended
+
+DEPLOY = Path(cosim.__file__).parent / "deploy"
+README = (DEPLOY / "README.md").read_text()
+COMPOSE: dict[str, Any] = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
+MANIFESTS: list[dict[str, Any]] = [*yaml.safe_load_all((DEPLOY / "job.yaml").read_text())]
+JOBS = {each["metadata"]["name"]: each["spec"]["template"] for each in MANIFESTS if each["kind"] == "Job"}
+
+
+def container(template: dict[str, Any]) -> dict[str, Any]:
+    only: dict[str, Any]
+    (only,) = template["spec"]["containers"]
+    return only
+
+
+SERVICES: dict[str, list[str]] = {name: each["command"] for name, each in COMPOSE["services"].items()}
+ARGUMENTS: dict[str, list[str]] = {name: container(each)["args"] for name, each in JOBS.items()}
+COMMANDS = [line[4:] for line in README.splitlines() if line.startswith("    vcmvsp ")]
+STEPS = [line for line in COMMANDS if " keys " in line and "launch" not in line]
+
+
+def parsed(words: list[str]) -> dict[str, Any]:
+    """What our command line makes of these words; those that it does not know are an error."""
+    command: Any = typer.main.get_command(app)
+    words = words[1:] if words[0] == "vcmvsp" else words
+    while hasattr(command, "commands"):
+        command, words = command.commands[words[0]], words[1:]
+    params: dict[str, Any] = command.make_context(command.name, [*words]).params
+    return params
+
+
+@pytest.mark.parametrize("words", [*SERVICES.values(), *ARGUMENTS.values(), *map(shlex.split, COMMANDS)], ids=" ".join)
+def test_every_command_line_is_one_of_ours(words: list[str]) -> None:
+    assert parsed([str(each) for each in words])
+
+
+def test_files_of_hosts_are_as_they_are_read(tmp_path: Path) -> None:
+    first, second = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
+    for text, names in ((first, ["laptop", "seven", "car4"]), (second, ["far-example-org"])):
+        (tmp_path / "hosts.toml").write_text(text)
+        assert [host.called for host in hosts_file.read(tmp_path / "hosts.toml").host] == names
+    said = {key for host in tomllib.loads(first)["host"] for key in host} | set(tomllib.loads(second)["host"][0])
+    assert said == {*hosts_file.HostTable.__struct_fields__}
+
+
+def test_words_that_are_none_of_ours_would_be_seen() -> None:
+    with pytest.raises(Exception, match="No such option: --conect"):
+        parsed(["agent", "--vehicle", "car1", "--conect", "tls/run:7447"])
+
+
+@pytest.mark.parametrize("commands", [SERVICES, ARGUMENTS], ids=["compose", "kubernetes"])
+def test_the_hosts_run_all_agents_and_find_the_run(commands: dict[str, list[str]]) -> None:
+    (run,) = (parsed(words) for words in commands.values() if words[0] == "run")
+    hosts = [parsed(words) for words in commands.values() if words[0] == "agent"]
+    names = [vehicle for host in hosts for vehicle in host["vehicle"]]
+    assert sorted(names) == ["car1", "car2", "car3"]
+    (endpoint,) = {host["connect"] for host in hosts}
+    name, port = re.fullmatch(r"tls/([a-z-]+):(\d+)", endpoint).groups()  # type: ignore[union-attr]
+    assert run["listen"] == f"tls/0.0.0.0:{port}"
+    assert f"vcmvsp keys init keys --name {name}\n" in README  # a certificate for the name that they dial
+    assert name in (COMPOSE["services"] if commands is SERVICES else [each["metadata"]["name"] for each in MANIFESTS])
+
+
+def test_kubernetes_leads_the_name_to_the_run_and_the_secrets_to_where_they_are_read() -> None:
+    service = next(each for each in MANIFESTS if each["kind"] == "Service")
+    run = JOBS["vcmvsp-run"]
+    assert service["spec"]["selector"].items() <= run["metadata"]["labels"].items()
+    assert [each["targetPort"] for each in service["spec"]["ports"]] == [
+        each["containerPort"] for each in container(run)["ports"]
+    ]
+    assert not any(
+        service["spec"]["selector"].items() <= each["metadata"]["labels"].items()
+        for each in (JOBS["vcmvsp-one"], JOBS["vcmvsp-two"])
+    )
+    claims = {each["metadata"]["name"] for each in MANIFESTS if each["kind"] == "PersistentVolumeClaim"}
+    for name, template in JOBS.items():
+        volumes = {each["name"]: each for each in template["spec"]["volumes"]}
+        mounted = {each["name"]: each["mountPath"] for each in container(template)["volumeMounts"]}
+        assert volumes.keys() == mounted.keys()
+        assert volumes["keys"]["secret"] == {"secretName": name, "defaultMode": 0o440}
+        assert f"kubectl create secret generic {name} " in README
+        assert str(parsed(ARGUMENTS[name])["keys"]).startswith(mounted["keys"])
+        assert {
+            each["persistentVolumeClaim"]["claimName"] for each in volumes.values() if "persistentVolumeClaim" in each
+        } <= claims
+        assert template["spec"]["restartPolicy"] == "Never"
+        assert template["spec"]["securityContext"]["runAsNonRoot"] is True
+
+
+def test_a_container_sees_no_keys_but_its_own() -> None:
+    for name in ("one", "two"):
+        assert COMPOSE["services"][name]["volumes"] == [f"./keys/{name}.keys:/keys/{name}.keys:ro"]
+        assert f"kubectl create secret generic vcmvsp-{name} --from-file=keys/{name}.keys\n" in README
+    secret = next(line for line in README.splitlines() if "generic vcmvsp-run " in line)
+    assert "ca.key" not in secret
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    with Stage(tmp_path) as made:
+        yield made
+
+
+@pytest.mark.parametrize("commands", [SERVICES, ARGUMENTS], ids=["compose", "kubernetes"])
+def test_the_same_words_run_as_processes_of_this_machine(
+    stage: Stage, commands: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hosts first; a container's folders are folders here, its name for the run is this machine."""
+    monkeypatch.chdir(stage.folder)
+    dialled = next(
+        re.findall(r"tls/([a-z-]+):", word)[0]
+        for words in commands.values()
+        for word in words
+        if "7447" in word and "0.0.0.0" not in word
+    )
+    for step in STEPS[: len(STEPS) // 2] if commands is SERVICES else STEPS[len(STEPS) // 2 :]:
+        assert vcmvsp(*shlex.split(step)[1:]).code == 0
+
+    def here(word: str) -> str:
+        word = word.replace(f"tls/{dialled}:7447", f"tls/localhost:{stage.port}").replace(
+            "tls/0.0.0.0:7447", f"tls/127.0.0.1:{stage.port}"
+        )
+        return str(stage.folder / word[1:]) if re.match(r"/(keys|results)", word) else word
+
+    if commands is ARGUMENTS:
+        (stage.folder / "keys" / "ca.key").unlink()  # which is not in the cluster
+    started = {name: stage.start(*map(here, words)) for name, words in reversed(commands.items()) if words[0] == "agent"}
+    name, words = next((name, words) for name, words in commands.items() if words[0] == "run")
+    started[name] = stage.start(*map(here, words), "--set", "duration_s=2.0")
+    outcomes = {name: ended(process) for name, process in started.items()}
+    assert {code for code, _ in outcomes.values()} == {0}, outcomes
+    alone = cosim.run("formation-circle", set={"duration_s": 2.0}, mcap=False)
+    assert json.loads((stage.folder / "results" / "circle" / "metrics.json").read_text()) == alone.metrics
+
+
+def test_the_image_runs_our_program_and_not_as_root() -> None:
+    lines = (DEPLOY / "Containerfile").read_text().splitlines()
+    assert 'ENTRYPOINT ["vcmvsp"]' in lines
+    assert [line for line in lines if line.startswith("USER ")] == ["USER 1000:1000"]
+    assert not any("entrypoint" in each for each in COMPOSE["services"].values())
+    assert not any("command" in container(each) for each in JOBS.values())

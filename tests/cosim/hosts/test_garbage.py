@@ -1,0 +1,131 @@
+"""Whatever is thrown at the door of a run that listens to the network, its hosts play on: the same digest."""
+
+import contextlib
+import json
+import random
+import socket
+import ssl
+import time
+from pathlib import Path
+
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim.security import authority
+from vcmvsp.cosim.transport import key_names
+from vcmvsp.cosim.hosts import protocol as wire
+from vcmvsp.cosim.hosts.hub import Hub
+from vcmvsp.cosim.transport.zenoh_session import opened
+from tests.support.cosim.run_processes import Stage, ended, wait_for
+
+SCENARIO = """
+name = "garbage"
+duration_s = {duration}
+[physics]
+kind = "kinematic"
+[agents]
+runs = "zenoh"
+deadline_s = 60.0
+join_timeout_s = 60.0
+[vehicles]
+kind = "kinematic"
+[[vehicle]]
+name = "car1"
+agent = {{ kind = "waits.py:Waits" }}
+[[vehicle]]
+name = "car2"
+pose = [-1.0, 0.0, 0.0]
+agent = {{ kind = "leader_follower", leader = "car1" }}
+"""
+WAITS = """
+import pathlib, time
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
+
+class Waits(Trajectory):
+    '''Comes to an end when all that there was to throw has been thrown.'''
+    def act(self, obs, radio):
+        while obs.time_s >= {until} and not pathlib.Path(__file__).with_name("thrown").exists():
+            time.sleep(0.02)
+        return super().act(obs, radio)
+"""
+CONNECTIONS = 300
+
+
+def garbage(draw: random.Random, number: int, endpoint: tuple[str, int]) -> socket.socket:
+    """One connection: silent, of noise, of noise in a frame of Zenoh's or in a record of TLS, or left after a true greeting."""
+    connection = socket.create_connection(endpoint, timeout=10.0)
+    kind = number % 5
+    if kind == 1:
+        connection.sendall(draw.randbytes(draw.choice([1, 300, 70_000])))
+    elif kind == 2:  # a Zenoh frame's length, and noise
+        connection.sendall(draw.choice([b"\xff\xff", b"\x20\x00", b"\x00\x00"]) + draw.randbytes(40))
+    elif kind == 3:  # the head of a TLS record, and noise or nothing
+        connection.sendall(b"\x16\x03\x01\x02\x00\x01" + draw.randbytes(draw.choice([0, 100, 511])))
+    elif kind == 4:  # a true greeting of TLS, whose answer is not waited for
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        with pytest.raises(ssl.SSLWantReadError):
+            context.wrap_bio(incoming, outgoing).do_handshake()
+        connection.sendall(outgoing.read())
+    return connection
+
+
+@pytest.mark.parametrize("protocol", ["tls", "tcp"])
+def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_path: Path) -> None:
+    with Stage(tmp_path) as stage:
+        (tmp_path / "garbage.toml").write_text(SCENARIO.format(duration=6.0))
+        (tmp_path / "waits.py").write_text(WAITS.format(until=5.5))
+        endpoint, with_keys, host_keys = f"{protocol}/127.0.0.1:{stage.port}", [], []
+        if protocol == "tls":
+            authority.init(tmp_path / "keys")
+            bundle = authority.issue(tmp_path / "keys", "machine", ["car1", "car2"])
+            with_keys, host_keys = ["--keys", "keys"], ["--keys", str(bundle.path)]
+        run = stage.start("run", "garbage.toml", "--listen", endpoint, *with_keys, "--realtime", "--out", "out")
+        hosts = [stage.start("agent", "--vehicle", name, "--connect", endpoint, *host_keys) for name in ("car1", "car2")]
+        wait_for(stage.out / "run.mcap")
+        draw, connections = random.Random(1), list[socket.socket]()
+        for number in range(CONNECTIONS):
+            with contextlib.suppress(OSError):  # the run may have hung up already
+                connections.append(garbage(draw, number, ("127.0.0.1", stage.port)))
+            if number % 3 == 0:
+                connections.pop(draw.randrange(len(connections))).close()
+            time.sleep(0.005)
+        assert run.poll() is None  # all of it came while they played
+        (tmp_path / "thrown").touch()
+        code, said = ended(run)
+        for connection in connections:
+            connection.close()
+        assert code == 0, said
+        assert [ended(host)[0] for host in hosts] == [0, 0]
+        digest = json.loads((stage.out / "metrics.json").read_text())["digest"]
+    assert digest == cosim.run(tmp_path / "garbage.toml", agents="inprocess", mcap=False).metrics["digest"]
+
+
+def test_nonsense_for_a_greeting_is_answered_and_the_next_host_is_heard() -> None:
+    """Where certificates are not asked for, anybody on this machine may say anything at the door."""
+    draw, honest = random.Random(2), wire.encode(wire.Hello("a" * 32, wire.PROTOCOL, ("car2",)))
+    other = wire.encode(wire.Hello("../b/*", wire.PROTOCOL, ("car2",)))  # a name that would be another key
+    hub = Hub()
+    try:
+        client = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint]}}
+        with opened(client, {}, "cannot connect") as session:
+            for number in range(200):
+                nonsense = [draw.randbytes(draw.choice([0, 10, 5000])), honest[: draw.randrange(len(honest))], other][
+                    number % 3
+                ]
+                replies = session.get(key_names.join_key("anyone"), payload=nonsense, timeout=10.0)
+                assert hub.next_hello(10.0) is None
+                reply = replies.recv().ok
+                assert reply is not None
+                assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "that was no greeting of a vcmvsp host"
+            replies = session.get(key_names.join_key("anyone"), payload=honest, timeout=10.0)
+            knock = hub.next_hello(10.0)
+            assert knock is not None
+            assert knock.hello.vehicles == ("car2",)
+            assert knock.answer(None) is not None
+            reply = replies.recv().ok
+            assert reply is not None
+            assert wire.welcomes.decode(reply.payload.to_bytes()).refused is None
+    finally:
+        hub.close()

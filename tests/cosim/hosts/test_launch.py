@@ -1,0 +1,430 @@
+"""Hosts that are started elsewhere: what they get, what is said of those that fail, and that none outlives its run."""
+
+import contextlib
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp import cosim
+from vcmvsp.cosim.hosts import hosts_file
+from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.scenario.loader import settings_of
+from vcmvsp.cosim.hosts import ssh
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended, wait_for
+from tests.support.cosim.ssh_hosts import Machine, played, served
+
+SCENARIO = """
+name = "far"
+duration_s = 3.0
+[physics]
+kind = "kinematic"
+[radio]
+preset = "ideal"
+loss = { probability = 0.3 }
+[vehicles]
+kind = "kinematic"
+[[vehicle]]
+name = "car1"
+agent = { kind = "trajectory", runs = "inprocess" }
+[[vehicle]]
+name = "car2"
+pose = [-1.0, 0.0, 0.0]
+agent = { kind = "leader_follower", leader = "car1" }
+[[vehicle]]
+name = "car3"
+pose = [-1.0, 0.5, 0.0]
+agent = { kind = "leader_follower", leader = "car1" }
+[[vehicle]]
+name = "rock"
+pose = [9.0, 9.0, 0.0]
+"""
+NOTED = """
+import os, pathlib, sys
+from vcmvsp.cosim import Agent, Velocity
+
+class Noted(Agent):
+    def __init__(self, word: str = "") -> None:
+        self.word = word
+        for each in (pathlib.Path(each) for each in sys.argv if each.endswith(".keys")):
+            print(each.name, oct(each.stat().st_mode & 0o777), oct(each.parent.stat().st_mode & 0o777))
+    def act(self, obs, radio):
+        if obs.time_ns == 0:
+            print(f"in {os.path.basename(os.getcwd())}: {self.word}")
+        return Velocity()
+"""
+HOSTILE = "it's \"q\" $(touch hacked) `touch hacked`; touch hacked & \\ \\' !x\n~ end"
+HERE = f"[{', '.join(json.dumps(each) for each in VCMVSP)}]"
+PYTHON = json.dumps(sys.executable)
+
+
+class Launching(Stage):
+    """A folder with a scenario, and a file of hosts that is written into it."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        (folder / "far.toml").write_text(SCENARIO)
+        self.environment: dict[str, str] = {}
+
+    def hosts(self, text: str) -> None:
+        (self.folder / "hosts.toml").write_text(text)
+
+    def launch(self, *more: str) -> subprocess.Popen[str]:
+        arguments = ["launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more]
+        if not {"--listen", "--keys"} & {*more}:  # with keys, the file says where hosts dial, and the run listens there
+            arguments += ["--listen", f"tcp/127.0.0.1:{self.port}"]
+        process = subprocess.Popen(
+            [sys.executable, *UNDRAWN, *arguments],
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=self.folder,
+            env=os.environ | self.environment,
+        )
+        self.processes.append(process)
+        return process
+
+    def log(self, name: str) -> str:
+        return (self.out / "hosts" / f"{name}.log").read_text()
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Launching]:
+    with Launching(tmp_path) as made:
+        yield made
+
+
+@pytest.fixture(params=["played", "sshd", "asyncssh"])
+def machine(request: pytest.FixtureRequest, stage: Launching) -> Iterator[Machine]:
+    folder = stage.folder / "far"
+    made = played(folder) if request.param == "played" else served(request.param, folder, stage.another_port())
+    stage.environment = made.environment
+    yield made
+    if made.server:
+        made.server.kill()
+        made.server.wait()
+
+
+def gone(pid_file: Path) -> bool:
+    """Whether the process ends whose number is in the file."""
+    wait_for(pid_file)
+    last = time.monotonic() + 30.0
+    while time.monotonic() < last:
+        with contextlib.suppress(ValueError):  # it has not been written yet
+            try:
+                os.kill(int(pid_file.read_text()), 0)
+            except ProcessLookupError:
+                return True
+        time.sleep(0.05)
+    return False
+
+
+def table(machine: Machine, **more: Any) -> str:
+    """A ``[[host]]`` on that machine."""
+    lines = [f"{name} = {hosts_file.toml(value)}" for name, value in {**more, "ssh_options": machine.options}.items()]
+    return "\n".join(["[[host]]", f"ssh = {json.dumps(machine.ssh)}", *lines, ""])
+
+
+def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: Launching) -> None:
+    stage.hosts('[[host]]\nvehicles = ["car2"]\n[[host]]\nname = "two"\nvehicles = ["car3"]\nset = { k1 = 0.7 }\n')
+    code, said = ended(stage.launch())
+    assert code == 0, said
+    assert "[two] joined; waiting for the run to begin" in said
+    assert stage.log("two") == stage.log("car2") == "joined; waiting for the run to begin\nthe run is over\n"
+    alone = cosim.run(stage.folder / "far.toml", set={"vehicle.car3.agent.k1": 0.7}, agents="inprocess", mcap=False)
+    assert json.loads((stage.out / "metrics.json").read_text()) == alone.metrics
+    assert tomllib.loads((stage.out / "scenario.toml").read_text()) == tomllib.loads(alone.scenario)
+    about = json.loads((stage.out / "about.json").read_text())
+    assert about["agents"] == {"car1": "inprocess", "car2": "zenoh", "car3": "zenoh"}
+
+
+def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharmed(stage: Launching, machine: Machine) -> None:
+    there = stage.folder / "a b"
+    there.mkdir()
+    (there / "noted.py").write_text(NOTED)
+    assert vcmvsp("keys", "init", str(stage.folder / "keys")).code == 0
+    endpoint = f"tls/127.0.0.1:{stage.port}"
+    command, given = tuple(VCMVSP), {"word": HOSTILE}
+    stage.hosts(
+        f'connect = "{endpoint}"\n'
+        + table(
+            machine,
+            name="far",
+            vehicles=["car2"],
+            agent="noted.py:Noted",
+            set=given,
+            folder=str(there),
+            command=command,
+            copy=True,
+        )
+        + table(machine, name="near", vehicles=["car3"], command=command, copy=True)
+    )
+    code, said = ended(stage.launch("--keys", "keys"))
+    assert code == 0, said
+    log = stage.log("far").splitlines()
+    assert "far.keys 0o600 0o700" in log
+    assert f"in a b: {HOSTILE.splitlines()[0]}" in log
+    assert not [*stage.folder.rglob("hacked")]
+    assert tomllib.loads((stage.out / "scenario.toml").read_text())["vehicle"][1]["agent"]["word"] == HOSTILE
+    shutil.copy(there / "noted.py", stage.out)  # which the run's machine has never seen
+    again = cosim.run(stage.out / "scenario.toml", agents="inprocess", mcap=False)
+    assert json.loads((stage.out / "metrics.json").read_text())["digest"] == again.metrics["digest"]
+    if not machine.server:
+        assert [each.name for each in (stage.folder / "far").iterdir()] == ["ssh-was-told"]  # and no keys are left
+        told = (stage.folder / "far" / "ssh-was-told").read_text().splitlines()
+        assert told[-3:] == ["--", machine.ssh, "sh"]
+        assert "BatchMode=yes" in told
+
+
+@pytest.mark.parametrize("machine", ["sshd"], indirect=True)
+def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Launching, machine: Machine) -> None:
+    """The far end of the tunnel is another port here, where otherwise nobody listens."""
+    far, near = f"127.0.0.1:{stage.another_port()}", f"127.0.0.1:{stage.port}"
+    tunnel = (*machine.options, "-R", f"{far}:{near}", "-o", "ExitOnForwardFailure=yes")
+    machine = machine._replace(options=tunnel)
+    stage.hosts(table(machine, vehicles=["car2", "car3"], command=tuple(VCMVSP), connect=f"tcp/{far}"))
+    code, said = ended(stage.launch())
+    assert code == 0, said
+
+
+@pytest.mark.parametrize(
+    ("machine", "end"),
+    [
+        ("played", signal.SIGINT),
+        ("played", signal.SIGTERM),
+        ("played", signal.SIGKILL),
+        ("sshd", signal.SIGKILL),  # the other end sees no more than that the connection is gone
+        ("asyncssh", signal.SIGTERM),
+    ],
+    indirect=["machine"],
+)
+def test_no_host_outlives_its_run(stage: Launching, machine: Machine, end: signal.Signals) -> None:
+    pid = stage.folder / "pid"
+    command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
+    assert vcmvsp("keys", "init", str(stage.folder / "keys")).code == 0
+    endpoint = f"tls/127.0.0.1:{stage.port}"
+    stage.hosts(f'connect = "{endpoint}"\n' + table(machine, vehicles=["car2", "car3"], command=command, copy=True, name="far"))
+    launch = stage.launch("--keys", "keys", "--realtime", "--set", "duration_s=3600")
+    wait_for(stage.out / "run.mcap")
+    launch.send_signal(end)
+    code, _ = ended(launch)
+    assert code == (-signal.SIGKILL if end == signal.SIGKILL else 130)
+    assert gone(pid)
+    if end != signal.SIGKILL:
+        assert "joined" in stage.log("far")
+    if not machine.server:
+        last = time.monotonic() + 30.0
+        while [name for _, _, names in os.walk(stage.folder / "far") for name in names if name.endswith(".keys")]:
+            assert time.monotonic() < last
+            time.sleep(0.05)
+
+
+@pytest.mark.parametrize("machine", ["sshd", "asyncssh"], indirect=True)
+def test_a_host_whose_connection_breaks_is_ended(stage: Launching, machine: Machine) -> None:
+    pid = stage.folder / "pid"
+    command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
+    connect = f"tcp/127.0.0.1:{stage.port}"
+    stage.hosts(table(machine, vehicles=["car2", "car3"], command=command, name="far", connect=connect))
+    launch = stage.launch("--realtime", "--set", "duration_s=3600")
+    wait_for(stage.out / "run.mcap")
+    (client,) = (each for each in psutil.Process(launch.pid).children() if each.name() == "ssh")
+    client.kill()
+    code, said = ended(launch)
+    assert code == 3
+    assert "[far] was killed by SIGKILL" in said
+    assert gone(pid)
+
+
+def test_a_host_that_does_not_listen_to_signals_is_ended_too(stage: Launching) -> None:
+    deaf = "import os, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
+    deaf += "print(os.getpid(), file=open('pid', 'w')); time.sleep(1e4)"
+    # Not a child of the shell that we started, but a grandchild: with setsid the whole group ends.
+    inner = f"{sys.executable} -c {json.dumps(deaf)}" + ("; true" if shutil.which("setsid") else "")
+    stage.hosts(f'[[host]]\nvehicles = ["car2", "car3"]\ncommand = ["sh", "-c", {json.dumps(inner)}]\n')
+    launch = stage.launch()
+    wait_for(stage.folder / "pid")
+    launch.send_signal(signal.SIGINT)
+    assert ended(launch)[0] == 130
+    assert gone(stage.folder / "pid")
+
+
+@pytest.mark.parametrize("machine", ["played"], indirect=True)  # ssh hands on the code that a command there ends with
+def test_a_host_that_cannot_start_ends_the_waiting_in_words(stage: Launching, machine: Machine) -> None:
+    connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
+    where = f"host far (ssh {machine.ssh})"
+    for more, why in (
+        ({"command": "~/nowhere/vcmvsp"}, f"{where}: has no '~/nowhere/vcmvsp' (exit code 127; command = in its [[host]] says"),
+        ({"folder": "/nowhere at all"}, f"{where}: ended with exit code 1 before the run began"),
+        (
+            {"command": ["sh", "-c", "echo one; echo it is late >&2; exit 9"]},
+            "exit code 9 before the run began: one | it is late",
+        ),
+    ):
+        stage.hosts(connect + table(machine, name="far", vehicles=["car2", "car3"], **more))
+        code, said = ended(stage.launch())
+        assert code == 3
+        assert why in said
+        assert "agent host of vehicles car2, car3: host far" in said
+        assert not stage.out.exists()
+
+
+def test_a_machine_that_ssh_cannot_reach_ends_the_waiting(stage: Launching) -> None:
+    if not shutil.which("ssh"):
+        pytest.skip("this machine has no ssh")
+    options = '["-F", "none", "-p", "1"]'
+    connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
+    stage.hosts(f'{connect}[[host]]\nssh = "127.0.0.1"\nssh_options = {options}\nvehicles = ["car2", "car3"]\n')
+    code, said = ended(stage.launch())
+    assert code == 3
+    assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot reach it, or has lost it (exit code 255): ssh: connect to host" in said
+
+
+def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
+    command = f'["sh", "-c", "echo $$ >pid; exec \\"$0\\" \\"$@\\"", {HERE[1:]}'
+    stage.hosts(f'[[host]]\nname = "far"\nvehicles = ["car2", "car3"]\ncommand = {command}\n')
+    launch = stage.launch("--realtime", "--set", "duration_s=3600")
+    wait_for(stage.out / "run.mcap")
+    time.sleep(0.5)
+    os.kill(int((stage.folder / "pid").read_text()), signal.SIGKILL)
+    code, said = ended(launch)
+    assert code == 3
+    assert "[far] ended with exit code 137" in said
+    assert "joined" in stage.log("far")
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "problem"),
+    [
+        ("[[host]", (), "hosts.toml: is not valid TOML"),
+        ("connect = 3\n[[host]]\nvehicles = ['car2']", (), "hosts.toml line 1: connect: must be a string, not 3"),
+        ("conect = ''", (), "line 1: conect: unknown key 'conect'; did you mean 'connect'?"),
+        ("host = []", (), "hosts.toml: needs at least one [[host]]"),
+        ("", (), "host: is missing"),
+        (
+            "[[host]]\nvehicles = ['car2']\n[[host]]\nvehicels = []",
+            (),
+            "line 3: host[1]: unknown key 'vehicels'; did you mean 'vehicles'?",
+        ),
+        ("[[host]]\nvehicles = ['car2']\nset = 3", (), "line 3: host[0].set: must be a table, not 3"),
+        ("[[host]]\nvehicles = []", (), "line 2: host[0].vehicles: must name at least one"),
+        ("[[host]]\nvehicles = ['a/b']", (), "line 2: host[0].vehicles"),
+        (
+            "[[host]]\nvehicles = ['car2']\n[[host]]\nname = 'x'\nvehicles = ['car2']",
+            (),
+            "line 5: host[1].vehicles: 'car2' has a host already, 'car2'",
+        ),
+        (
+            "[[host]]\nname = 'x'\nvehicles = ['car2']\n[[host]]\nname = 'x'\nvehicles = ['car3']",
+            (),
+            "line 5: host[1].name: host[0] is called 'x' too",
+        ),
+        ("[[host]]\nvehicles = ['car2']\nssh = '-oProxyCommand=x'", (), "line 3: host[0].ssh: must be a destination"),
+        ("[[host]]\nvehicles = ['car2']\nkeys = 'x'\ncopy = true", (), "line 3: host[0].keys: is a file that is there already"),
+        ("[[host]]\nvehicles = ['car2']\ncommand = []", (), "line 3: host[0].command: must name a program"),
+        ("[[host]]\nvehicles = ['car2', 'car4']", (), "unknown vehicle 'car4'; did you mean"),
+        ("[[host]]\nvehicles = ['car2']", (), "hosts.toml: no host runs the agents of car3: name them in a [[host]]"),
+        ("[[host]]\nvehicles = ['car2', 'car3', 'rock']", (), "'rock' has no agent in the scenario"),
+        (
+            "[[host]]\nvehicles = ['car2', 'car3']\nssh = 'far'",
+            (),
+            "host far (ssh far) cannot dial tcp/127.0.0.1:7447: say where",
+        ),
+        ("[[host]]\nvehicles = ['car2', 'car3']", ("--listen", "tcp/127.0.0.1:0"), "hosts cannot know which port that will be"),
+        ("[[host]]\nvehicles = ['car2', 'car3']", ("--listen", "tcp/0.0.0.0:7447"), "or add --insecure"),
+        ("[[host]]\nvehicles = ['car2', 'car3']\ncopy = true", (), "host car2 has keys, but the run has none: add --keys DIR"),
+        (
+            "[[host]]\nvehicles = ['car2', 'car3']\nname = 'a'\ncopy = true",
+            ("--keys", "none"),
+            "none: holds no authority; make one",
+        ),
+        (
+            "[[host]]\nvehicles = ['car2', 'car3']\nconnect = 'tls/x:1'",
+            ("--listen", "tcp/127.0.0.1:7447"),
+            "dials tls/x:1, but the run listens at tcp/",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_file_of_hosts_is_said_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, more: tuple[str, ...], problem: str
+) -> None:
+    monkeypatch.setattr(ssh, "Far", None)
+    monkeypatch.chdir(tmp_path)
+    Path("far.toml").write_text(SCENARIO)
+    Path("hosts.toml").write_text(text)
+    code, out, said = vcmvsp("launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more)
+    assert (code, out) == (2, "")
+    assert problem in said
+    assert said.count("\n") == 1
+    assert not Path("out").exists()
+
+
+NAMES = ("sh", "dash", "bash", "zsh", "mksh", "yash", "busybox")
+SHELLS = {os.path.realpath(path): path for name in NAMES if (path := shutil.which(name))}.values()  # sh is one of the others
+WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
+
+
+def heard(shell: str, script: str) -> tuple[int | None, str]:
+    """How a script ends, and what it says."""
+    log = io.BytesIO()
+    far = ssh.Far([shell, "sh"] if shell.endswith("busybox") else [shell], script, log, lambda _: None)
+    assert far.wait(60.0)
+    code = far.code
+    far.release()
+    return code, log.getvalue().decode()
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+@settings(max_examples=10, deadline=None)
+@given(
+    words=st.lists(WORDS, max_size=5),
+    folder=WORDS.filter(lambda each: each.strip() and each[0] != "~"),
+    bundle=st.just("-----BEGIN\n$HOME `id`\n-----END\n"),
+)
+def test_words_reach_the_other_machine_as_they_are(shell: str, words: list[str], folder: str, bundle: str) -> None:
+    show = "import json, sys; print(json.dumps([sys.argv[1:-2], open(sys.argv[-2]).read()])); sys.exit(7)"
+    script = ssh.script([sys.executable, "-c", show, folder], words, last=["last"], bundle=bundle, name="far")
+    script = script.replace(" -- last", " last")
+    code, said = heard(shell, script)
+    assert code == 7, said
+    assert json.loads(said) == [[folder, *words, "--keys"], bundle]
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ("~", "~"),
+        ("~/a b", "~/'a b'"),
+        ("~anna/x", "~anna/x"),
+        ("~+/x", "'~+/x'"),
+        ("~$(x)/y", "'~$(x)/y'"),
+        ("a;b", "'a;b'"),
+        ("", "''"),
+    ],
+)
+def test_a_tilde_means_home_and_nothing_else_means_anything(given: str, word: str) -> None:
+    assert ssh.path(given) == word
+
+
+SCALARS = st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | WORDS
+VALUES = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(WORDS, inner, max_size=3), max_leaves=5
+)
+
+
+@given(VALUES)
+def test_a_value_is_read_back_as_it_was_written(value: Any) -> None:
+    with contextlib.suppress(VcmvspError):
+        assert settings_of([f"key={hosts_file.toml(value)}"]) == {"key": value}

@@ -1,0 +1,374 @@
+"""Agents that fail, and hosts that are lost, in runs that go on without them: what their vehicles do, what is said of it."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from vcmvsp import cosim
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.metrics import agent_metrics
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.types import Presence
+from tests.support.cosim.run_processes import Stage, ended, wait_for
+
+AGENTS = '''
+import os, signal, sys
+from vcmvsp.cosim import Agent, Follows, Velocity
+
+class Failing(Agent):
+    """Drives on at 0.5 m/s, counts its ticks, and at ``at`` seconds does what ``how`` says."""
+    def __init__(self, how: str = "fine", at: float = 1.0, once: str = "") -> None:
+        self.how, self.at, self.once, self.acted = how, at, once, 0
+
+    def act(self, obs, radio):
+        self.acted += 1
+        self.follows = Follows(leader="car1", slot=(-2.0, 0.0)) if obs.vehicle != "car1" else None
+        if obs.time_s >= self.at and not (self.once and os.path.exists(self.once)):
+            if self.once:
+                open(self.once, "w").close()
+            if self.how == "raise": raise RuntimeError("lost my way")
+            if self.how == "kill": os.kill(os.getpid(), signal.SIGKILL)
+            if self.how == "stop": os.kill(os.getpid(), signal.SIGSTOP)
+            if self.how == "nan": return Velocity(linear=(float("nan"), 0.0, 0.0))
+        if self.once and self.acted > 13:
+            open(self.once + " and on", "w").close()
+        radio.send(acted=self.acted)
+        return Velocity(linear=(0.5, 0.0, 0.0))
+'''
+SCENARIO: dict[str, Any] = {
+    "name": "losing",
+    "duration_s": 5.0,
+    "physics": {"kind": "kinematic"},
+    "radio": {"preset": "ideal"},
+    "agents": {"kind": "failing.py:Failing", "period_s": 0.1, "deadline_s": 30.0},
+    "vehicles": {"kind": "kinematic"},
+    "vehicle": [
+        {"name": "car1", "agent": {}},
+        {"name": "car2", "pose": [-2.0, 1.0, 0.0], "agent": {"how": "fine"}},
+        {"name": "car3", "pose": [-2.0, -1.0, 0.0], "agent": {"how": "fine"}},
+    ],
+}
+FINE = {"late": 0, "missed": 0, "reconnects": 0, "lost_s": 0.0}
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    import tomli_w
+
+    (tmp_path / "failing.py").write_text(AGENTS)
+    path = tmp_path / "losing.toml"
+    path.write_text(tomli_w.dumps(SCENARIO))
+    return path
+
+
+def travelled(result: cosim.Result, vehicle: str) -> float:
+    """m, along x."""
+    rows = result.states.to_pandas().query("vehicle == @vehicle")
+    return float(rows.x.iloc[-1] - rows.x.iloc[0])
+
+
+def presences(folder: Path) -> list[tuple[str, float, dict[str, Any]]]:
+    """What the recording says of agents: topic, s, content."""
+    with (folder / "run.mcap").open("rb") as stream:
+        return [
+            (channel.topic, message.log_time / SECOND_NS, json.loads(message.data))
+            for _, channel, message in make_reader(stream).iter_messages()
+            if channel.topic.endswith("/host")
+        ]
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.25])
+@pytest.mark.parametrize(
+    ("how", "policy", "hold_s"), [("raise", "hold", 0.0), ("nan", "hold", 1.5), ("raise", "hold", 60.0), ("nan", "remove", 1.5)]
+)
+def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
+    how: str, policy: str, hold_s: float, latency_s: float, scenario: Path, tmp_path: Path
+) -> None:
+    """Its last command counts for ``hold_s``, then its vehicle stands still; all others go on."""
+    settings = {
+        "agents.on_lost": policy,
+        "agents.hold_s": hold_s,
+        "agents.latency_s": latency_s,
+        "vehicle.car2.agent.how": how,
+    }
+    here = cosim.run(scenario, set=settings, out=tmp_path / "here")
+    held = min(hold_s if policy == "hold" else 0.0, 4.0)
+    # Commands of 0 to 0.9 s took effect a latency later; the one of 1 s failed; a hold ends at a tick.
+    drives_s = min(1.0 + np.ceil(held / 0.1 - 1e-9) * 0.1, 5.0 - latency_s)
+    assert travelled(here, "car2") == pytest.approx(0.5 * drives_s, abs=1e-9)
+    assert travelled(here, "car3") == pytest.approx(0.5 * (5.0 - latency_s), abs=1e-9)
+    assert here.metrics["agents"] == {
+        "car1": FINE,
+        "car2": {"late": 0, "missed": 40, "reconnects": 0, "lost_s": 4.0},
+        "car3": FINE,
+    }
+    assert sum(1 for sender in here.radio["sender"].to_pylist() if sender == "car2") == 2 * 10  # ten frames, two receivers each
+    follows = [each for each in here.follows if each.vehicle == "car2"]
+    assert [each.follows.leader for each in follows] == (["car1"] if policy == "hold" else ["car1", None])
+    (said,) = presences(tmp_path / "here")
+    assert (said[0], said[1]) == ("car2/host", 1.0 + latency_s)
+    assert said[2]["state"] == ("lost" if policy == "hold" else "removed")
+    assert said[2]["since_ns"] == SECOND_NS
+    for place in ("process", "encoded") if latency_s else ("encoded",):
+        there = tmp_path / place
+        cosim.run(scenario, set=settings, agents=place, out=there)  # type: ignore[arg-type]
+        for name in ("run.mcap", "states.parquet", "radio.parquet", "metrics.json", "scenario.toml"):
+            assert (there / name).read_bytes() == (tmp_path / "here" / name).read_bytes(), name
+    again = cosim.run(tmp_path / "here" / "scenario.toml")
+    assert again.metrics == here.metrics
+
+
+@pytest.mark.parametrize("policy", ["hold", "remove"])
+def test_a_host_that_is_killed_costs_the_run_its_vehicles_alone(policy: str, scenario: Path, tmp_path: Path) -> None:
+    """Not a bit of the result differs from that of an agent that raises at the same tick, but for the reason."""
+    settings = {"agents.on_lost": policy, "vehicle.car2.agent.how": "kill"}
+    killed = cosim.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
+    raised = cosim.run(scenario, set={**settings, "vehicle.car2.agent.how": "raise"})
+    assert killed.states.equals(raised.states)
+    assert killed.radio.equals(raised.radio)
+    assert killed.metrics["agents"] == raised.metrics["agents"]
+    assert killed.metrics["agents"]["car2"]["missed"] == 40
+    assert [each[2]["why"] for each in presences(tmp_path / "killed")] == ["was killed by SIGKILL"]
+
+
+def test_a_host_that_is_killed_takes_along_what_it_had_yet_to_say(scenario: Path, tmp_path: Path) -> None:
+    """With a latency it may be killed with answers on the way; all from the first that is missing are lost."""
+    settings = {"agents.on_lost": "remove", "agents.latency_s": 0.25, "vehicle.car2.agent.how": "kill"}
+    killed = cosim.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
+    ((_, at_s, said),) = presences(tmp_path / "killed")
+    assert 0.7 <= said["since_ns"] / SECOND_NS <= 1.0
+    assert at_s == pytest.approx(said["since_ns"] / SECOND_NS + 0.25)
+    assert killed.metrics["agents"]["car2"]["missed"] == round(50 - said["since_ns"] / 1e8)
+    assert travelled(killed, "car2") == pytest.approx(0.5 * said["since_ns"] / SECOND_NS)
+    assert killed.metrics["agents"]["car1"] == killed.metrics["agents"]["car3"] == FINE
+
+
+def test_one_vehicle_that_must_not_be_lost_ends_the_run(scenario: Path) -> None:
+    settings = {"agents.on_lost": "hold", "vehicle.car3.agent.on_lost": "stop", "vehicle.car2.agent.how": "kill"}
+    with pytest.raises(cosim.AgentError, match="vehicles car1, car2, car3: was killed by SIGKILL") as caught:
+        cosim.run(scenario, set={**settings, "agents.processes": 1}, agents="process")
+    assert caught.value.result.metrics["agents"]["car2"] == {**FINE, "missed": 1}
+
+
+class ByHand(Stage):
+    """The scenario with car2 hosted by hand."""
+
+    def __init__(self, folder: Path, scenario: Path) -> None:
+        super().__init__(folder)
+        self.endpoint, self._scenario = f"tcp/127.0.0.1:{self.port}", scenario
+
+    def run(self, *settings: str, seconds: float = 3600.0) -> subprocess.Popen[str]:
+        elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=2.0"]
+        more = [f"duration_s={seconds}", *elsewhere, *settings]
+        sets = [word for setting in more for word in ("--set", setting)]
+        return self.start("run", str(self._scenario), "--out", "out", "--listen", self.endpoint, "--realtime", *sets)
+
+    def host(self, *more: str) -> subprocess.Popen[str]:
+        return self.start("agent", "--vehicle", "car2", "--connect", self.endpoint, *more)
+
+    def until(self, what: Callable[[], bool]) -> None:
+        last = time.monotonic() + 60.0
+        while not what():
+            assert time.monotonic() < last
+            time.sleep(0.05)
+
+    def finish(self, run: subprocess.Popen[str]) -> tuple[str, dict[str, Any], list[tuple[str, float, dict[str, Any]]]]:
+        """End a run by Ctrl-C: what it said, its metrics, and what its recording says of agents."""
+        run.send_signal(signal.SIGINT)
+        code, said = ended(run)
+        assert code == 130, said
+        metrics: dict[str, Any] = json.loads((self.out / "metrics.json").read_text())
+        return said, metrics["agents"]["car2"], presences(self.out)
+
+
+@pytest.fixture
+def stage(scenario: Path, tmp_path: Path) -> Iterator[ByHand]:
+    with ByHand(tmp_path, scenario) as made:
+        yield made
+
+
+def heard(process: subprocess.Popen[str], text: str) -> None:
+    """Read what a run or a host says until this."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if text in line:
+            return
+    raise AssertionError(text)
+
+
+def test_another_host_may_take_the_place_of_one_that_was_killed(stage: ByHand) -> None:
+    run, first = stage.run(), stage.host()
+    wait_for(stage.out / "run.mcap")
+    first.kill()
+    heard(run, "car2 has lost its agent")
+    second = stage.host()
+    heard(run, "car2 has its agent again")
+    _, metrics, said = stage.finish(run)
+    assert ended(second)[0] == 0
+    assert metrics["reconnects"] == 1
+    assert (metrics["late"], metrics["missed"] > 0) == (0, True)
+    assert [each[2]["state"] for each in said] == ["lost", "back"]
+    assert metrics["lost_s"] == pytest.approx((said[1][2]["since_ns"] - said[0][2]["since_ns"]) / SECOND_NS)
+    assert metrics["missed"] == round(metrics["lost_s"] / 0.1)
+
+
+def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
+    """It is the same agent: it counts on. The answer that came too late does not count."""
+    run = stage.run("vehicle.car2.agent.how=stop", f"vehicle.car2.agent.once={stage.folder / 'stopped'}")
+    host = stage.host()
+    heard(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
+    host.send_signal(signal.SIGCONT)
+    heard(run, "car2 has its agent again")
+    wait_for(stage.folder / "stopped and on")
+    _, metrics, said = stage.finish(run)
+    assert ended(host)[0] == 0
+    assert (metrics["late"], metrics["reconnects"]) == (1, 1)
+    assert metrics["missed"] == round(metrics["lost_s"] / 0.1) >= 1
+    assert [each[2]["state"] for each in said] == ["lost", "back"]
+    with (stage.out / "run.mcap").open("rb") as stream:
+        counted = [
+            json.loads(message.data)["body"]["acted"]
+            for _, channel, message in make_reader(stream).iter_messages(topics=["car2/send"])
+        ]
+    # 10 ticks before; the answer to the eleventh came too late; the next is the twelfth.
+    assert counted[9:11] == [10, 12]
+    assert counted == sorted(set(counted))
+
+
+def test_a_host_may_come_late(stage: ByHand) -> None:
+    run = stage.run("agents.join_timeout_s=0.1")
+    heard(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run begins without")
+    heard(run, "car2 has lost its agent: it has no host yet")
+    code, said = ended(stage.host("--set", "at=7.0"))
+    assert (code, "takes no other parameters: leave out --set" in said) == (2, True)
+    late = stage.host()
+    heard(run, "car2 has its agent again")
+    _, metrics, _ = stage.finish(run)
+    assert ended(late)[0] == 0
+    assert metrics["reconnects"] == 1
+    assert metrics["missed"] > 0
+
+
+def test_who_was_removed_does_not_come_back(stage: ByHand) -> None:
+    run = stage.run("agents.on_lost=remove")
+    first = stage.host()
+    wait_for(stage.out / "run.mcap")
+    first.kill()
+    heard(run, "car2 is without an agent for good")
+    code, said = ended(stage.host())
+    assert code == 2
+    assert "the run refuses this host: it has begun, and nobody is missing" in said
+    _, metrics, events = stage.finish(run)
+    assert metrics["reconnects"] == 0
+    assert [each[2]["state"] for each in events] == ["removed"]
+
+
+def test_a_run_listens_for_nobody_whom_it_cannot_use(stage: ByHand) -> None:
+    """A second host for a vehicle, one of another version, and one that tries a run which has taken another's place."""
+    run, first = stage.run(), stage.host()
+    wait_for(stage.out / "run.mcap")
+    code, said = ended(stage.host())
+    assert (code, "it has begun, and nobody is missing" in said) == (2, True)
+    run.kill()
+    ended(run)
+    other = stage.start("run", "formation-circle", "--listen", stage.endpoint, "--agents", "zenoh", "--out", "other")
+    code, said = ended(first)
+    assert code == 3
+    assert "the run: is gone: another one listens there now; start this host again" in said
+    older = (
+        "import sys; from vcmvsp.cosim.hosts import protocol as wire; import vcmvsp.agents.host_process as serve\n"
+        "serve.PROTOCOL = 1\n"
+        f"serve.host('{stage.endpoint}', ('car2',))"
+    )
+    done = subprocess.run([sys.executable, "-c", older], check=False, capture_output=True, text=True, timeout=60)
+    words = f"speaks protocol {protocol.PROTOCOL}, the host 1: use the same vcmvsp version"
+    assert words in done.stderr
+    other.send_signal(signal.SIGINT)
+    assert words in ended(other)[1]
+
+
+tick_times = st.integers(0, 100)
+
+
+@given(st.lists(tick_times, unique=True, max_size=8).map(sorted), st.integers(1, 100), st.integers(1, 7))
+def test_what_was_missed_is_counted_to_the_tick(changes: list[int], end: int, per: int) -> None:
+    """Against a walk along the ticks, each of them missed or not."""
+    train, second = Ticks(SECOND_NS, per), SECOND_NS
+    news, there = list[tuple[str, Presence]](), True
+    for change in changes:
+        news.append(("car1", Presence(state="lost" if there else "back", since_ns=change * second, late=0 if there else 1)))
+        there = not there
+    end = max([end, *changes])
+    found = agent_metrics(news, {"car1": train}, end * second, end * second)["car1"]
+    missed = 0
+    for number in range(end * per):
+        past = [change for change in changes if change * second <= train.at(number)]
+        missed += len(past) % 2
+    assert found["missed"] == missed
+    assert found["late"] == found["reconnects"] == len(changes) // 2
+    gone = [*changes, end] if len(changes) % 2 else changes
+    assert found["lost_s"] == sum(back - lost for lost, back in zip(gone[::2], gone[1::2], strict=True))
+
+
+def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand) -> None:
+    """Another one may come, with the same class from a folder of its own."""
+    run, bad = stage.run(), stage.host("nobody.py:Nobody")
+    code, said = ended(bad)
+    assert (code, "nobody.py" in said) == (2, True)
+    heard(run, "the run begins without")
+    heard(run, "car2 has lost its agent")
+    elsewhere = stage.folder / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "failing.py").write_text(AGENTS)
+    good = subprocess.Popen(
+        [sys.executable, "-m", "vcmvsp.cosim.cli.app", "agent", "failing.py:Failing", "--vehicle", "car2", "--connect", stage.endpoint],
+        cwd=elsewhere,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    stage.processes.append(good)
+    heard(run, "car2 has its agent again")
+    _, metrics, _ = stage.finish(run)
+    assert ended(good)[0] == 0
+    assert metrics["reconnects"] == 1
+
+
+def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> None:
+    run, host = stage.run("agents.join_timeout_s=3.0"), stage.host()
+    wait_for(stage.out / "run.mcap")
+    heard(host, "joined")  # maybe later than that
+    host.send_signal(signal.SIGSTOP)
+    stage.finish(run)
+    time.sleep(1.0)
+    host.send_signal(signal.SIGCONT)
+    code, said = ended(host)
+    # It may first read the farewell that was sent to it meanwhile, or first find that its link has gone.
+    assert (code, "is gone" in said) in {(0, False), (3, True)}
+
+
+def test_an_agent_that_failed_is_not_back_when_its_host_is(stage: ByHand) -> None:
+    """It failed; later its host hung for a while, and came back: the agent has not."""
+    more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", "agents.deadline_s=1.5")
+    run = stage.run(*more, seconds=4.0)
+    host = stage.host()
+    heard(run, "car2 has lost its agent: raised RuntimeError: lost my way")
+    host.send_signal(signal.SIGSTOP)
+    time.sleep(2.5)
+    host.send_signal(signal.SIGCONT)
+    assert [ended(each)[0] for each in (run, host)] == [0, 0]
+    metrics = json.loads((stage.out / "metrics.json").read_text())["agents"]["car2"]
+    assert [each[2]["state"] for each in presences(stage.out)] == ["lost"]
+    assert metrics["reconnects"] == 0
+    assert metrics["missed"] - round(metrics["lost_s"] / 0.1) in (0, 1)  # the run may end at a tick
+    assert metrics["missed"] > 30

@@ -1,0 +1,296 @@
+"""``vcmvsp watch`` at real runs: it shows what the recording has, and leaves no trace in it."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+
+from vcmvsp import cosim
+from vcmvsp.cosim.security import authority
+from vcmvsp.cosim.cli import watch as cli_watch
+from vcmvsp.cosim import transport
+from vcmvsp.cosim.hosts.observers.watcher import Seen
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import VCMVSP, Stage, ended, wait_for
+
+SCENARIO = """
+name = "shown"
+duration_s = 2.0
+[physics]
+kind = "kinematic"
+[radio]
+preset = "ideal"
+loss = { probability = 0.3 }
+[agents]
+deadline_s = 20.0
+join_timeout_s = 60.0
+[vehicles]
+kind = "kinematic"
+[[vehicle]]
+name = "car1"
+agent = { kind = "trajectory" }
+[[vehicle]]
+name = "car2"
+pose = [-1.0, 0.0, 0.0]
+agent = { kind = "leader_follower", leader = "car1" }
+"""
+SAME = ("car1/command", "car2/command", "car1/send", "car2/heard", "car2/note", "car2/odometry", "car1/state", "radio/frame")
+
+
+class Theatre(Stage):
+    """Runs that show themselves, and those who watch."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        (folder / "shown.toml").write_text(SCENARIO)
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
+
+    def run(self, *more: str) -> subprocess.Popen[str]:
+        return self.start("run", "shown.toml", "--listen", self.endpoint, "--out", "out", *more)
+
+    def watch(self, name: str, *more: str) -> subprocess.Popen[str]:
+        with (self.folder / name).open("wb") as out:
+            process = subprocess.Popen(
+                [*VCMVSP, "watch", self.endpoint, *more], stdout=out, stderr=subprocess.PIPE, text=True, cwd=self.folder
+            )
+        self.processes.append(process)
+        return process
+
+    def waiting(self, *more: str) -> subprocess.Popen[str]:
+        """A run that begins when its host comes."""
+        return self.run("--agents", "zenoh", "--realtime", *more)
+
+    def host(self, *more: str) -> subprocess.Popen[str]:
+        return self.start("agent", "--vehicle", "car1", "--vehicle", "car2", "--connect", self.endpoint, *more)
+
+    def endless(self, *more: str) -> subprocess.Popen[str]:
+        return self.run("--set", "duration_s=600", "--realtime", *more)
+
+    def seen(self, name: str) -> list[dict[str, Any]]:
+        return [json.loads(each) for each in (self.folder / name).read_text().splitlines()]
+
+    def digest(self) -> str:
+        digest: str = json.loads((self.out / "metrics.json").read_text())["digest"]
+        return digest
+
+    def alone(self) -> str:
+        """The digest of the run when nobody watches."""
+        digest: str = cosim.run(self.folder / "shown.toml", mcap=False).metrics["digest"]
+        return digest
+
+
+@pytest.fixture
+def theatre(tmp_path: Path) -> Iterator[Theatre]:
+    with Theatre(tmp_path) as made:
+        yield made
+
+
+def said_by(process: subprocess.Popen[str], what: str) -> None:
+    """Wait until it says so."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if what in line:
+            return
+    raise AssertionError(f"it never said '{what}'")
+
+
+def test_two_observers_see_the_recording_and_change_no_bit(theatre: Theatre) -> None:
+    """Both wait for the run, which waits for its host; so they see it from its first event to its last."""
+    everything, one = theatre.watch("all", "--json"), theatre.watch("one", "--topic", "car2/note", "--topic", "car1/*")
+    said_by(everything, "waiting for a run at")
+    run = theatre.waiting()
+    for observer in (everything, one):
+        said_by(observer, "watching")
+    assert [ended(each)[0] for each in (run, theatre.host(), everything, one)] == [0, 0, 0, 0]
+    assert theatre.digest() == theatre.alone()
+    recorded: dict[str, list[Any]] = {topic: [] for topic in SAME}
+    with (theatre.out / "run.mcap").open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(topics=list(SAME)):
+            recorded[channel.topic].append((message.log_time, json.loads(message.data)))
+    seen = theatre.seen("all")
+    for topic in SAME:
+        assert recorded[topic]
+        shown = [(each["time_ns"], each["value"]) for each in seen if each["topic"] == topic]
+        if topic == "car1/state":  # shown as often as it is published, and recorded less often
+            assert [each for each in shown if each in recorded[topic]] == recorded[topic]
+        else:
+            assert shown == recorded[topic]
+        assert all(each["type"] == each["value"]["type"] for each in seen)
+    lines = (theatre.folder / "one").read_text().splitlines()
+    topics = {re.split(r"\s+", each.strip())[2] for each in lines}
+    assert topics == {"car2/note", *(f"car1/{what}" for what in ("state", "estimate", "odometry", "command", "send"))}
+    assert any(re.fullmatch(r" +\d\.\d00 s  car1/command      v 0\.\d\d m/s  w -?\d\.\d\d rad/s", each) for each in lines)
+
+
+def test_who_comes_late_sees_the_rest(theatre: Theatre) -> None:
+    run = theatre.endless()
+    wait_for(theatre.out / "run.mcap")
+    rest = theatre.watch("rest", "--json", "--topic", "car1/command", "--topic", "car1/state")
+    said_by(rest, "watching")
+    some = theatre.watch("some", "--json", "--count", "5", "--topic", "car$*/note")
+    assert ended(some)[0] == 0
+    assert [each["topic"] for each in theatre.seen("some")] == ["car2/note"] * 5
+    run.send_signal(signal.SIGINT)
+    assert [ended(each)[0] for each in (run, rest)] == [130, 0]
+    times = [each["time_ns"] for each in theatre.seen("rest")]
+    assert times == sorted(times)
+    assert 0 < times[0] <= theatre.seen("some")[0]["time_ns"] < theatre.seen("some")[-1]["time_ns"] <= times[-1]
+
+
+def test_an_observer_that_hangs_or_is_interrupted_ends_no_run(theatre: Theatre) -> None:
+    run = theatre.waiting()
+    hangs, leaves = theatre.watch("hangs", "--json"), theatre.watch("leaves", "--json")
+    for observer in (hangs, leaves):
+        said_by(observer, "watching")
+    os.kill(hangs.pid, signal.SIGSTOP)
+    leaves.send_signal(signal.SIGINT)
+    assert ended(leaves) == (130, "")
+    assert [ended(each)[0] for each in (run, theatre.host())] == [0, 0]
+    assert theatre.digest() == theatre.alone()
+    os.kill(hangs.pid, signal.SIGCONT)
+    code, said = ended(hangs)
+    assert code == 0
+    assert "the run has ended" in said
+
+
+def test_a_terminal_has_the_newest_twice_a_second(theatre: Theatre) -> None:
+    run = theatre.waiting()
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [*VCMVSP, "watch", theatre.endpoint, "--topic", "car1/command"], stdout=theirs, stderr=subprocess.PIPE, text=True
+    )
+    theatre.processes.append(process)
+    os.close(theirs)
+    said_by(process, "watching")
+    host = theatre.host()
+    shown = b""
+    try:
+        while data := os.read(ours, 65536):
+            shown += data
+    except OSError:  # it has left
+        pass
+    os.close(ours)
+    assert [ended(each)[0] for each in (process, run, host)] == [0, 0, 0]
+    times = [float(each.split()[0]) for each in shown.decode().splitlines()]
+    assert times[-1] == 1.9
+    assert len(times) < 15  # of 20 events
+
+
+def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
+    folder = theatre.folder / "keys"
+    authority.init(folder)
+    for name, vehicles in (("anna", ()), ("gone", ()), ("laptop", ("car1", "car2"))):
+        authority.issue(folder, name, vehicles)
+    authority.revoke(folder, "gone")
+    other = theatre.folder / "other"
+    authority.init(other)
+    authority.issue(other, "anna")
+    theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
+    run = theatre.waiting("--keys", "keys")
+    anna = theatre.watch("anna", "--keys", "keys/anna.keys", "--json")
+    said_by(anna, "watching")
+    refusals = {
+        "keys/laptop.keys": "is for the host of car1, car2; to watch use what 'vcmvsp keys observer NAME' makes",
+        "keys/gone.keys": "the run's rules do not know 'gone': its certificate was revoked",
+        "other/anna.keys": "the run's certificate is of another authority",
+        "keys/nobody.keys": "nobody.keys: cannot be read: No such file",
+    }
+    for file, words in refusals.items():
+        code, _, said = vcmvsp("watch", theatre.endpoint, "--keys", str(theatre.folder / file))
+        assert (code, len(said.splitlines())) == (2, 1)
+        assert words in said
+    code, _, said = vcmvsp("watch", theatre.endpoint)
+    assert code == 2
+    assert "add --keys FILE (made on the run's machine with: vcmvsp keys observer NAME" in said
+    assert [ended(each)[0] for each in (run, theatre.host("--keys", "keys/laptop.keys"), anna)] == [0, 0, 0]
+    assert theatre.seen("anna")[-1]["time_ns"] == 2_000_000_000
+
+
+@pytest.mark.parametrize("topic", ["", "/", "car1/", "a//b", "car1/#", "a*"])
+def test_topics_are_key_expressions(topic: str) -> None:
+    code, _, said = vcmvsp("watch", "tcp/127.0.0.1:1", "--topic", topic)
+    assert (code, said) == (
+        2,
+        f"vcmvsp: --topic {topic}: must be a key like car2/command, with * for one part and ** for many\n",
+    )
+
+
+# --- words ---
+
+
+HERE = "(1.00, 2.00, 0.00) m"
+WORDS = [
+    ("state", {"position": [1, 2, 0], "velocity": [3, 4, 0], "attitude": [1, 0, 0, 0]}, f"at {HERE}  yaw 0.00 rad  5.00 m/s"),
+    ("velocity", {"linear": [0.3, 0, 0], "yaw_rate": -0.001}, "v 0.30 m/s  w 0.00 rad/s"),
+    ("velocity", {"linear": [0.3, 0, 1], "yaw_rate": 0.5}, "(0.30, 0.00, 1.00) m/s  w 0.50 rad/s"),
+    ("scan", {"ranges": [None, 2.5, 1.25]}, "3 beams, the nearest 1.25 m"),
+    ("scan", {"ranges": [None]}, "1 beams, all free"),
+    ("message", {"sender": "car1", "to": None, "size_bytes": 40, "body": {"x": 1.5}}, "car1 to all, 40 bytes: x 1.5"),
+    ("frame", {"sender": "a", "size_bytes": 4, "receivers": ["b"], "outcome": ["fading"]}, "of a, 4 bytes: b fading"),
+    ("note", {"values": {"mode": "\x1b[2J", "x": 1 / 3}}, "mode   x 0.3333"),
+    ("looks", {"cell_m": 2.0, "cells": [[0, 1], [5, 5]], "hits": [True, False]}, "at 2 cells, 1 with a target"),
+    ("map", {"columns": 3, "rows": 1, "cell_m": 2.0, "probability": "AID/", "seen": "AAEB"},
+     "3 x 1 cells of 2 m, 67 % seen, 1 with P > 0.9"),
+    ("mosaic", {"columns": 400, "rows": 300, "cell_m": 0.25, "pixels": "AAAA"}, "400 x 300 cells of 0.25 m"),
+    ("sightings", {"sensor": "camera", "found": [], "jpeg": ""}, "camera: nothing"),
+    ("sightings", {"sensor": "camera", "found": [{"target": "a", "score": 0.914, "place": [1, 2]}]},
+     "camera: a 0.91 at (1.00, 2.00) m"),
+    ("map", {"columns": 0, "rows": 0, "cell_m": 2.0, "probability": "", "seen": ""},
+     '{"columns":0,"rows":0,"cell_m":2.0,"probability":"","seen":""}'),
+    ("of tomorrow", {"x": [1, None]}, '{"x":[1,null]}'),
+    ("state", {"position": None}, '{"position":null}'),
+    ("velocity", None, "null"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "value", "words"), WORDS)
+def test_words_for_people(kind: str, value: Any, words: str) -> None:
+    line = cli_watch.line(Seen(12_300_000_000, "car2/x", kind, json.dumps(value).encode()))
+    assert line == f"   12.300 s  car2/x            {words}\n"
+
+
+def test_what_is_no_json_is_shown_as_nothing() -> None:
+    assert cli_watch.line(Seen(0, "car2/x", "note", b"\xff{")) == "    0.000 s  car2/x            null\n"
+    assert len(cli_watch.words("x", "y" * 1000)) == cli_watch.WIDTH
+
+
+# --- without vcmvsp ---
+
+
+def test_the_readme_watches_a_run(theatre: Theatre) -> None:
+    """Its program knows nothing of this project but that page."""
+    readme = (Path(transport.__file__).parent / "README.md").read_text("utf-8")
+    blocks = dict(re.findall(r"^```(json5|python)\n(.*?)^```", readme, re.DOTALL | re.MULTILINE))
+    theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
+    authority.init(theatre.folder / "keys")
+    authority.issue(theatre.folder / "keys", "anna", out=theatre.folder / "anna.keys")
+    (theatre.folder / "watch.json5").write_text(blocks["json5"].replace("tls/192.168.1.10:7447", theatre.endpoint))
+    (theatre.folder / "program.py").write_text(blocks["python"])
+    assert len(blocks["python"].splitlines()) <= 30
+    assert "cosim" not in blocks["python"]
+    program = subprocess.Popen(
+        [sys.executable, "-I", "program.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=theatre.folder
+    )
+    theatre.processes.append(program)
+    run = theatre.endless("--keys", "keys")
+    assert program.stdout is not None
+    topics: dict[str, str] = {}
+    for line in program.stdout:
+        time_s, key, kind, _ = line.split(maxsplit=3)
+        topics[key.removeprefix("vcmvsp/topic/car1/")] = kind
+        if len(topics) == 5 and float(time_s) > 0.0:
+            break
+    program.kill()
+    run.send_signal(signal.SIGINT)
+    assert ended(run)[0] == 130
+    kinds = {"state": "state", "estimate": "state", "odometry": "odometry", "command": "velocity", "send": "message"}
+    assert topics == kinds

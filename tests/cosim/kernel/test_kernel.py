@@ -1,0 +1,503 @@
+"""The order of an instant, of events, and of remote answers: the contract of `cosim.federate`, as the kernel keeps it."""
+
+import fcntl
+import gc
+import resource
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS, WallClock
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.types import Note
+
+Log = list[tuple[str, int, list[str]]]  # (federate, time, keys of its inbox)
+
+
+def note(key: str, when: int, value: float = 0.0) -> Event:
+    return Event(key, when, Note(values={"value": value}))
+
+
+class Script:
+    """A federate that does what a table says: at a time, give these events; it notes every step."""
+
+    def __init__(
+        self,
+        name: str,
+        slot: Slot,
+        table: Mapping[int, Sequence[tuple[str, int]]] | None = None,
+        *,
+        reads: tuple[str, ...] = (),
+        wakes: tuple[str, ...] = (),
+        latest: tuple[str, ...] = (),
+        wake_slot: Slot | None = None,
+        answers: Sequence[tuple[str, int]] = (),
+        log: Log | None = None,
+    ) -> None:
+        self.name, self.slot, self.wake_slot = name, slot, slot if wake_slot is None else wake_slot
+        self.reads, self.wakes, self.latest = (*reads, *wakes), wakes, latest
+        self.table, self.answers, self.log, self.closed = dict(table or {}), answers, log if log is not None else [], 0
+
+    def start(self, run: RunInfo) -> int | None:
+        return min(self.table, default=None)
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        self.log.append((self.name, now_ns, [event.key for event in inbox]))
+        given = self.table.pop(now_ns, self.answers if inbox else ())
+        return Step([note(key, now_ns + after) for key, after in given], min(self.table, default=None))
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Remote(Script):
+    """The same from elsewhere: answers are kept until they are awaited."""
+
+    def __init__(self, *args: Any, lookahead_ns: int = 0, asked: list[str] | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.lookahead_ns, self.asked = lookahead_ns, asked if asked is not None else []
+        self._waiting: list[Sequence[Event]] = []
+
+    def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
+        self.asked.append(f"ask {self.name}")
+        step = self.step(now_ns, inbox)
+        self._waiting.append(step.events)
+        return step.next_ns
+
+    def release(self) -> None:
+        self.asked.append(f"release {self.name}")
+
+    def answer(self) -> Sequence[Event]:
+        self.asked.append(f"answer {self.name}")
+        return self._waiting.pop(0)
+
+
+def run(*federates: Federate, duration: int = 100, **kwargs: Any) -> list[tuple[int, str]]:
+    """All events in the order of publication."""
+    seen: list[tuple[int, str]] = []
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=duration, vehicles=()), federates, **kwargs)
+    kernel.start()
+    kernel.run(lambda event: seen.append((event.time_ns, event.key)))
+    kernel.close()
+    return seen
+
+
+def test_an_instant_goes_world_radio_agent_send_apply() -> None:
+    log: Log = []
+    world = Script("world", Slot.WORLD, {10: [("car/state", 0)]}, wakes=("car/command",), wake_slot=Slot.APPLY, log=log)
+    radio = Script("radio", Slot.RADIO, {10: [("car/heard", 0)]}, wakes=("car/send",), wake_slot=Slot.SEND, log=log)
+    agent = Script("agent", Slot.AGENT, {10: [("car/send", 0), ("car/command", 0)]}, reads=("car/state", "car/heard"), log=log)
+    assert run(agent, radio, world) == [(10, "car/state"), (10, "car/heard"), (10, "car/command"), (10, "car/send")]
+    assert log == [
+        ("world", 10, []),
+        ("radio", 10, []),
+        ("agent", 10, ["car/state", "car/heard"]),
+        ("radio", 10, ["car/send"]),
+        ("world", 10, ["car/command"]),
+    ]
+
+
+def test_within_a_slot_federates_step_by_name() -> None:
+    log: Log = []
+    run(*(Script(name, Slot.AGENT, {5: []}, log=log) for name in ("b", "c", "a")))
+    assert [name for name, _, _ in log] == ["a", "b", "c"]
+
+
+def test_an_event_of_the_future_is_seen_when_its_time_has_come() -> None:
+    log: Log = []
+    radio = Script("radio", Slot.RADIO, {0: [("car/heard", 10), ("car/heard", 15), ("car/heard", 20)]})
+    run(radio, Script("agent", Slot.AGENT, {10: [], 14: [], 20: []}, reads=("car/heard",), log=log))
+    assert [len(inbox) for _, _, inbox in log] == [1, 0, 2]
+
+
+def test_of_what_is_read_by_its_newest_only_the_newest_is_given() -> None:
+    log: Log = []
+    world = Script("world", Slot.WORLD, {when: [("car/scan", 0), ("car/heard", 0)] for when in (0, 10, 20, 30)})
+    run(world, Script("agent", Slot.AGENT, {20: [], 25: [], 30: []}, reads=("car/heard",), latest=("*/scan",), log=log))
+    assert [sorted(inbox) for _, _, inbox in log] == [["car/heard"] * 3 + ["car/scan"], [], ["car/heard", "car/scan"]]
+
+
+def test_an_event_of_the_future_wakes_at_its_own_time() -> None:
+    log: Log = []
+    agent = Script("agent", Slot.AGENT, {10: [("car/command", 7)]})
+    robot = Script("robot", Slot.WORLD, wakes=("*/command",), wake_slot=Slot.APPLY, log=log)
+    assert run(agent, robot) == [(17, "car/command")]
+    assert log == [("robot", 17, ["car/command"])]
+
+
+def test_a_wake_up_does_not_cancel_the_next_own_step() -> None:
+    log: Log = []
+    robot = Script("robot", Slot.WORLD, {0: [], 50: []}, wakes=("car/command",), wake_slot=Slot.APPLY, log=log)
+    run(Script("agent", Slot.AGENT, {20: [("car/command", 0)]}), robot)
+    assert [when for _, when, _ in log] == [0, 20, 50]
+
+
+def test_the_end_belongs_to_the_world() -> None:
+    log: Log = []
+    federates = [Script(slot.name, slot, {99: [], 100: [], 101: []}, log=log) for slot in (Slot.WORLD, Slot.RADIO, Slot.AGENT)]
+    run(*federates, duration=100)
+    assert [(name, when) for name, when, _ in log] == [
+        ("WORLD", 99),
+        ("RADIO", 99),
+        ("AGENT", 99),
+        ("WORLD", 100),
+        ("RADIO", 100),
+    ]
+
+
+def test_nothing_due_after_the_end_is_published() -> None:
+    radio = Script("radio", Slot.RADIO, {90: [("a/heard", 10), ("b/heard", 11)]})
+    assert run(radio, duration=100) == [(100, "a/heard")]
+
+
+def test_all_remote_federates_are_asked_before_any_is_awaited() -> None:
+    order: list[str] = []
+    hosts = [Remote(f"host-{n}", Slot.AGENT, {0: []}, asked=order) for n in range(3)]
+    run(*hosts)
+    everyone = [f"host-{n}" for n in range(3)]
+    assert order == [f"{verb} {name}" for verb in ("ask", "answer", "release") for name in everyone]
+
+
+def test_with_a_lookahead_the_answer_is_awaited_only_when_it_takes_effect() -> None:
+    order: list[str] = []
+
+    class Physics(Script):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            order.append(f"physics {now_ns}")
+            return super().step(now_ns, inbox)
+
+    host = Remote("host", Slot.AGENT, {0: [("car/command", 25)], 10: [("car/command", 25)]}, lookahead_ns=25, asked=order)
+    events = run(Physics("world", Slot.WORLD, {0: [], 10: [], 20: [], 30: []}), host, duration=50)
+    assert events == [(25, "car/command"), (35, "car/command")]
+    assert order[:4] == ["physics 0", "ask host", "physics 10", "ask host"]
+    assert order.index("answer host") > order.index("physics 20")
+
+
+@given(
+    plan=st.lists(
+        st.tuples(st.sampled_from(["a", "b", "c"]), st.integers(0, 8), st.lists(st.integers(0, 12), max_size=3)),
+        max_size=12,
+        unique_by=lambda each: each[:2],
+    ),
+    lookahead=st.sampled_from([0, 3]),
+)
+def test_where_agents_run_does_not_change_the_order(plan: list[tuple[str, int, list[int]]], lookahead: int) -> None:
+    tables: dict[str, dict[int, list[tuple[str, int]]]] = {"a": {}, "b": {}, "c": {}}
+    for name, when, delays in plan:
+        tables[name][10 * when] = [(f"{name}/command", lookahead + delay) for delay in delays]
+
+    def radio() -> Script:
+        return Script("radio", Slot.RADIO, wakes=("*/command",), wake_slot=Slot.SEND, answers=[("x/heard", 1), ("x/heard", 4)])
+
+    def world() -> Script:
+        return Script("world", Slot.WORLD, {when: [("x/state", 0)] for when in range(0, 100, 3)})
+
+    together: dict[int, list[tuple[str, int]]] = {}
+    for table in tables.values():
+        for when, events in table.items():
+            together.setdefault(when, []).extend(events)
+    local = run(world(), Script("all", Slot.AGENT, together), radio())
+    hosts = [Remote(name, Slot.AGENT, table, lookahead_ns=lookahead) for name, table in tables.items()]
+    assert run(world(), *hosts, radio()) == local
+    assert local == sorted(local, key=lambda event: event[0])
+
+
+def faulty(**change: Any) -> Script:
+    script = Script("faulty", Slot.AGENT, {0: [], 10: []})
+    for name, value in change.items():
+        setattr(script, name, value)
+    return script
+
+
+@pytest.mark.parametrize(
+    ("federate", "words"),
+    [
+        (lambda: faulty(step=lambda now, inbox: Step([], now)), "asked at 0 ns to be stepped next at 0 ns"),
+        (lambda: faulty(step=lambda now, inbox: Step([note("x", now - 1)], None)), "gave x of -1 ns at 0 ns"),
+        (lambda: faulty(step=lambda now, inbox: 1 / 0), "ZeroDivisionError: division by zero"),
+        (lambda: faulty(start=lambda run: int("none")), "ValueError: invalid literal"),
+    ],
+)
+def test_a_faulty_federate_is_named(federate: Callable[[], Script], words: str) -> None:
+    with pytest.raises(FederateError, match=words) as raised:
+        run(federate())
+    assert raised.value.federate == "faulty"
+
+
+def test_an_event_that_comes_too_late_for_whom_it_wakes_is_refused() -> None:
+    radio = Script("radio", Slot.RADIO, wakes=("car/command",), wake_slot=Slot.RADIO)
+    with pytest.raises(FederateError, match="car/command, published in AGENT, comes too late for RADIO"):
+        run(Script("agent", Slot.AGENT, {0: [("car/command", 0)]}), radio)
+
+
+def test_all_are_closed_even_if_one_fails() -> None:
+    good, bad = Script("z", Slot.WORLD), Script("a", Slot.WORLD)
+    bad.close = lambda: 1 / 0  # type: ignore[method-assign, assignment]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [good, bad])
+    with pytest.raises(FederateError, match="a: ZeroDivisionError"):
+        kernel.close()
+    assert good.closed == 1
+
+
+def test_a_host_that_cannot_be_told_of_the_end_keeps_nobody_open() -> None:
+    remote, good = Remote("a", Slot.AGENT), Script("z", Slot.WORLD)
+    remote.release = lambda: 1 / 0  # type: ignore[method-assign, assignment]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [good, remote])
+    with pytest.raises(FederateError, match="a: ZeroDivisionError"):
+        kernel.close()
+    assert (remote.closed, good.closed) == (1, 1)
+
+
+def test_a_wait_that_fails_is_over() -> None:
+    remote = Remote("a", Slot.AGENT, {0: []})
+    remote.answer = lambda: [note("x", 1 // 0)]  # type: ignore[method-assign]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [remote])
+    kernel.start()
+    with pytest.raises(FederateError):
+        kernel.run(lambda _: None)
+    assert not kernel.waiting
+
+
+def test_the_wall_clock_waits_for_every_instant_and_notes_lateness() -> None:
+    wall = [0]
+
+    def sleep(seconds: float) -> None:
+        wall[0] += round(seconds * 1e9)
+
+    class Slow(Script):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            wall[0] += 300 if now_ns == 1000 else 10
+            return super().step(now_ns, inbox)
+
+    slow = Slow("slow", Slot.WORLD, {0: [], 1000: [], 1100: [], 2000: []})
+    kernel = Kernel(
+        RunInfo(scenario="test", seed=0, duration_ns=2000, vehicles=()),
+        [slow],
+        clock=WallClock(2.0, now=lambda: wall[0], sleep=sleep),
+    )
+    kernel.start()
+    kernel.run(lambda _: None)
+    assert kernel.late_ns == [0, 0, 250, 0]  # 1100 is due at 550 on the wall, and the step before it took until 800
+    assert wall[0] >= 1000
+
+
+def test_who_is_polled_is_stepped_in_the_instant_that_begins_before_all_others() -> None:
+    """Also at an instant that is nobody's of its slot."""
+    log: Log = []
+
+    class Asked(Script):
+        def poll(self, now_ns: int) -> bool:
+            return now_ns in (30, 70)
+
+    asked = Asked("asked", Slot.WORLD, {40: []}, log=log)
+    world = Script("world", Slot.WORLD, {0: [], 50: []}, log=log)
+    radio = Script("radio", Slot.RADIO, {30: [], 70: []}, log=log)
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), [world, radio, asked])
+    kernel.start()
+    kernel.run(lambda _: None)
+    assert [(name, when) for name, when, _ in log if when in (30, 70)] == [
+        ("asked", 30),
+        ("radio", 30),
+        ("asked", 70),
+        ("radio", 70),
+    ]
+
+
+def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
+    log: Log = []
+
+    class Stop(Exception):
+        pass
+
+    class Clock:
+        speed, slipped_ns = None, 0
+
+        def start(self) -> None:
+            pass
+
+        def wait_until(self, due_ns: int) -> int:
+            if due_ns == 50:
+                raise Stop
+            return 0
+
+        def slip(self, by_ns: int) -> None:
+            pass
+
+    kernel = Kernel(
+        RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
+        [Script("world", Slot.WORLD, {0: [], 50: []}, log=log)],
+        clock=Clock(),
+    )
+    kernel.start()
+    with pytest.raises(Stop):
+        kernel.run(lambda _: None)
+    assert (kernel.now_ns, [when for _, when, _ in log]) == (0, [0])
+
+
+class Doorman(Script):
+    """Somebody may come to it at any time; every letter is an event of the instant at which it is read."""
+
+    def __init__(self, inside: socket.socket, **kwargs: Any) -> None:
+        super().__init__("door", Slot.WORLD, **kwargs)
+        self.inside, self.letters = inside, 0
+        inside.setblocking(False)
+
+    def fileno(self) -> int:
+        return self.inside.fileno()
+
+    def poll(self, now_ns: int) -> bool:
+        try:
+            self.letters += len(self.inside.recv(100))
+        except BlockingIOError:
+            return False
+        return True
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        letters, self.letters = self.letters, 0
+        return Step([note("door/letter", now_ns)] * letters, super().step(now_ns, inbox).next_ns)
+
+
+class Wall:
+    """A wall clock that stands still until somebody sleeps; letters come while one does, at their own times."""
+
+    def __init__(self, outside: socket.socket, letters: Sequence[int]) -> None:
+        self.now_ns, self.outside, self.letters = 0, outside, list(letters)
+
+    def watch(self, clock: WallClock, kernel: Kernel) -> None:
+        wake = clock.sleep
+
+        def sleep(seconds: float) -> bool | None:
+            until_ns = self.now_ns + round(seconds * SECOND_NS)
+            if self.letters and self.letters[0] <= until_ns:
+                self.now_ns = self.letters.pop(0)
+                self.outside.send(b"!")
+            else:
+                self.now_ns = until_ns
+            return wake(0.0)
+
+        clock.sleep = sleep
+
+
+@pytest.fixture(params=[False, True], ids=["", "many files open"])
+def letter_box(request: pytest.FixtureRequest) -> Iterator[tuple[socket.socket, socket.socket]]:
+    inside, outside = socket.socketpair()
+    with inside, outside:
+        if not request.param:
+            yield inside, outside
+            return
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, hard), hard))
+        try:
+            with socket.socket(fileno=fcntl.fcntl(inside.fileno(), fcntl.F_DUPFD, 1500)) as high:
+                yield high, outside
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_what_is_wrong_with_a_federate_that_is_asked_is_said_with_its_name() -> None:
+    class Torn(Script):
+        def poll(self, now_ns: int) -> bool:
+            raise RuntimeError("torn")
+
+    with pytest.raises(FederateError, match="door: RuntimeError: torn"):
+        run(Torn("door", Slot.WORLD, {0: []}))
+
+
+def test_a_run_that_is_stopped_when_somebody_has_come_does_not_wait_for_the_next_instant(
+    letter_box: tuple[socket.socket, socket.socket],
+) -> None:
+    inside, outside = letter_box
+
+    class Stopping(Doorman):
+        def poll(self, now_ns: int) -> bool:
+            if now_ns and super().poll(now_ns):
+                kernel.stop = True
+            return False
+
+    long_ns = 60 * SECOND_NS
+    world = Script("world", Slot.WORLD, {0: [], long_ns: []})
+    outside.send(b"!")
+    federates = [Stopping(inside), world]
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=long_ns, vehicles=()), federates, clock=WallClock())
+    kernel.start()
+    with pytest.raises(KeyboardInterrupt):
+        kernel.run(lambda _: None)
+    assert kernel.now_ns < long_ns
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+def test_whoever_is_come_to_between_two_instants_has_one_of_its_own(
+    letter_box: tuple[socket.socket, socket.socket], speed: float
+) -> None:
+    inside, outside = letter_box
+    wall = Wall(outside, [10, 25, 40])
+    clock = WallClock(speed, now=lambda: wall.now_ns)
+    kernel = Kernel(
+        RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
+        [Doorman(inside), Script("world", Slot.WORLD, {each: [("world/tick", 0)] for each in (0, 50, 100)})],
+        clock=clock,
+    )
+    kernel.start()
+    listen = kernel._listen
+
+    def then_watch() -> None:
+        listen()
+        wall.watch(clock, kernel)
+
+    kernel._listen = then_watch  # type: ignore[method-assign]
+    seen: list[tuple[int, str]] = []
+    kernel.run(lambda event: seen.append((event.time_ns, event.key)))
+    letters = [(round(each * speed), "door/letter") for each in (10, 25, 40) if each * speed < 100]
+    ticks = [(each, "world/tick") for each in (0, 50, 100)]
+    assert seen == sorted([*letters, *ticks], key=lambda each: (each[0], each[1]))
+
+
+def test_where_nothing_waits_letters_are_read_at_the_instants_there_are(
+    letter_box: tuple[socket.socket, socket.socket],
+) -> None:
+    inside, outside = letter_box
+    outside.send(b"!!")
+    world = Script("world", Slot.WORLD, {0: [("world/tick", 0)], 60: [("world/tick", 0)]})
+    assert run(Doorman(inside), world) == [(0, "door/letter"), (0, "door/letter"), (0, "world/tick"), (60, "world/tick")]
+
+
+@pytest.mark.parametrize("names", [("a", "z"), ("z", "a")])
+def test_of_one_key_what_comes_from_elsewhere_is_published_first(names: tuple[str, str]) -> None:
+    """A vehicle's agent may be in a host elsewhere, or here under a name that sorts before those who speak beside it."""
+    here, elsewhere = names
+    given: list[object] = []
+
+    class Local(Script):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            return Step([note("car/send", now_ns, 1.0)])
+
+    class Away(Remote):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            return Step([note("car/send", now_ns, 2.0)])
+
+    federates = Local(here, Slot.AGENT, {0: []}), Away(elsewhere, Slot.AGENT, {0: []})
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), federates)
+    kernel.start()
+    kernel.run(lambda event: given.append(event.value))
+    assert given == [Note(values={"value": 2.0}), Note(values={"value": 1.0})]
+
+
+def test_a_run_leaves_the_collector_of_its_process_as_it_was() -> None:
+    before, during = gc.get_threshold(), list[int]()
+    kernel = Kernel(RunInfo(scenario="s", seed=1, duration_ns=5, vehicles=()), [Script("a", Slot.WORLD, {0: [("a/note", 0)]})])
+    kernel.start()
+
+    def observe(_: Event) -> None:
+        during.append(gc.get_threshold()[0])
+        raise ValueError("the disk is full")
+
+    with pytest.raises(FederateError, match="the disk is full"):
+        kernel.run(observe)
+    assert during[0] >= before[0]
+    assert gc.get_threshold() == before

@@ -1,0 +1,141 @@
+"""Commands: their root mean squares, changes and effort."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.types import Waypoint
+from tests.support.cosim.recordings import TENTH, recorded, velocity
+
+
+def control_of(names: str, events: list[Event], seconds: float, window: tuple[float, float | None] = (0.0, None)) -> Any:
+    return recorded(names, events, round(seconds * SECOND_NS)).metrics(window=window)["control"]
+
+
+def test_of_a_constant_command_given_once() -> None:
+    """It holds to the end: speeds as commanded, nothing changes, effort is |v|^2 times the time."""
+    control = control_of("ab", [velocity("a", 0, (0.3, 0.0, 0.4), -0.2)], 10.0)
+    expected = {"speed_rms_m_s": 0.5, "yaw_rate_rms_rad_s": 0.2, "effort_m2_s": 2.5}
+    rest = {"acceleration_rms_m_s2": None, "yaw_acceleration_rms_rad_s2": None}
+    assert control["per_vehicle"]["a"] == pytest.approx(expected | rest)
+    assert control["per_vehicle"]["b"] == dict.fromkeys([*expected, *rest])
+    assert {key: control[key] for key in (*expected, *rest)} == control["per_vehicle"]["a"]
+
+
+@pytest.mark.parametrize("period", [1, 3])
+def test_of_a_ramp(period: int) -> None:
+    """v = a t, w = b t at equal steps: the acceleration is a whatever the period; sum of k^2 = n (n-1) (2 n-1)/6."""
+    a, b, n = 0.2, 0.5, 60 // period
+    times = [TENTH.at(k * period) for k in range(n)]
+    events = [velocity("a", t, (a * t / SECOND_NS, 0.0, 0.0), b * t / SECOND_NS) for t in times]
+    control = control_of("a", events, 6.0)
+    step = 0.1 * period
+    square = a**2 * step**2 * (n - 1) * (2 * n - 1) / 6
+    assert control["acceleration_rms_m_s2"] == pytest.approx(a)
+    assert control["yaw_acceleration_rms_rad_s2"] == pytest.approx(b)
+    assert control["speed_rms_m_s"] == pytest.approx(math.sqrt(square))
+    assert control["yaw_rate_rms_rad_s"] == pytest.approx(math.sqrt(square) * b / a)
+    assert control["effort_m2_s"] == pytest.approx(6.0 * square)
+
+
+def test_a_change_of_direction_is_an_acceleration() -> None:
+    """In the air, 1 m/s round a circle at 0.5 rad/s: chords of 2 sin(0.025) every 0.1 s."""
+    events = [velocity("a", TENTH.at(k), (math.cos(0.05 * k), math.sin(0.05 * k), 0.0)) for k in range(100)]
+    control = control_of("a", events, 10.0)
+    assert control["speed_rms_m_s"] == pytest.approx(1.0)
+    assert control["acceleration_rms_m_s2"] == pytest.approx(20.0 * math.sin(0.025))
+
+
+def test_all_vehicles_count_for_the_time_that_they_are_commanded() -> None:
+    events = [velocity("a", 0, (1.0, 0.0, 0.0)), velocity("b", 6 * SECOND_NS, (2.0, 0.0, 0.0))]
+    control = control_of("ab", events, 10.0)
+    assert control["effort_m2_s"] == pytest.approx(1.0 * 10.0 + 4.0 * 4.0)
+    assert control["speed_rms_m_s"] == pytest.approx(math.sqrt(26.0 / 14.0))
+
+
+def test_the_window_cuts_what_holds_and_takes_the_changes_in_it() -> None:
+    events = [velocity("a", k * SECOND_NS, (speed, 0.0, 0.0)) for k, speed in enumerate([1.0, 2.0, 4.0, 0.0])]
+    control = control_of("a", events, 10.0, window=(0.5, 2.0))
+    assert control["effort_m2_s"] == pytest.approx(0.5 * 1.0 + 1.0 * 4.0)
+    assert control["acceleration_rms_m_s2"] == pytest.approx(math.sqrt((1.0 + 4.0) / 2))
+    assert control_of("a", events, 10.0, window=(20.0, None))["speed_rms_m_s"] is None
+
+
+def test_a_way_point_ends_what_was_commanded() -> None:
+    fly = Event("a/command", 2 * SECOND_NS, Waypoint(position=(1.0, 2.0, 3.0)))
+    events = [velocity("a", 0, (1.0, 0.0, 0.0)), velocity("a", SECOND_NS, (2.0, 0.0, 0.0)), fly]
+    events.append(velocity("a", 5 * SECOND_NS, (7.0, 0.0, 0.0)))
+    control = control_of("a", events, 6.0)
+    assert control["effort_m2_s"] == pytest.approx(1.0 + 4.0 + 49.0)
+    assert control["speed_rms_m_s"] == pytest.approx(math.sqrt(54.0 / 3.0))
+    assert control["acceleration_rms_m_s2"] == pytest.approx(1.0)  # not from before the flight to after it
+    assert control_of("a", [fly], 6.0)["speed_rms_m_s"] is None
+
+
+def test_of_several_commands_at_one_instant_the_last_counts() -> None:
+    events = [velocity("a", 0, (9.0, 0.0, 0.0)), velocity("a", 0, (1.0, 0.0, 0.0)), velocity("a", SECOND_NS, (1.0, 0.0, 0.0))]
+    control = control_of("a", events, 2.0)
+    assert (control["effort_m2_s"], control["acceleration_rms_m_s2"]) == (pytest.approx(2.0), 0.0)
+
+
+def test_a_command_beyond_all_measure_breaks_nothing() -> None:
+    control = control_of("ab", [velocity("a", 0, (1e200, 0.0, 0.0)), velocity("a", SECOND_NS, (-1e200, 0.0, 0.0))], 2.0)
+    assert control["effort_m2_s"] == math.inf
+    assert control["per_vehicle"]["b"]["effort_m2_s"] is None
+    events = [velocity("a", 0, (1e200, 0.0, 0.0)), velocity("a", SECOND_NS, (2.0, 0.0, 0.0))]
+    later = control_of("a", events, 3.0, window=(2.0, None))
+    assert (later["effort_m2_s"], later["speed_rms_m_s"]) == (4.0, 2.0)  # nothing is left of it
+
+
+commands = st.lists(
+    st.tuples(st.integers(0, 40), st.tuples(*[st.floats(-2.0, 2.0)] * 4) | st.none()),
+    max_size=15,
+    unique_by=lambda each: each[0],
+)
+
+
+@given(commands, st.integers(0, 40), st.integers(0, 60) | st.none())
+@settings(deadline=None, max_examples=100)
+def test_commands_equal_a_plain_loop(given_commands: list[Any], begin: int, end: int | None) -> None:
+    """Against the definition, a tenth of a second at a time; None is a way-point."""
+    ordered = sorted(given_commands)
+    events = [
+        Event("a/command", TENTH.at(k), Waypoint(position=(0.0, 0.0, 0.0)))
+        if value is None
+        else velocity("a", TENTH.at(k), value[:3], value[3])
+        for k, value in ordered
+    ]
+    last = 45 if end is None else min(end, 45)
+    speeds, rates = [], []
+    for tick in range(begin, last):
+        holds = [value for k, value in ordered if k <= tick]
+        if holds and holds[-1] is not None:
+            speeds.append(np.square(holds[-1][:3]).sum())
+            rates.append(holds[-1][3] ** 2)
+    pairs = [
+        (0.1 * (k - before), np.subtract(value, held))
+        for (before, held), (k, value) in pairwise(ordered)
+        if begin <= k <= last and value is not None and held is not None
+    ]
+    control = control_of("a", events, 4.5, (begin / 10, None if end is None else end / 10))
+    if not speeds:
+        assert control["speed_rms_m_s"] is None
+        return
+    assert control["speed_rms_m_s"] == pytest.approx(np.sqrt(np.mean(speeds)))
+    assert control["yaw_rate_rms_rad_s"] == pytest.approx(np.sqrt(np.mean(rates)))
+    assert control["effort_m2_s"] == pytest.approx(0.1 * np.sum(speeds))
+    if pairs:
+        apart = sum(dt for dt, _ in pairs)
+        linear = sum(np.square(step[:3]).sum() / dt for dt, step in pairs)
+        assert control["acceleration_rms_m_s2"] == pytest.approx(math.sqrt(linear / apart), abs=1e-12)
+        turning = sum(step[3] ** 2 / dt for dt, step in pairs)
+        assert control["yaw_acceleration_rms_rad_s2"] == pytest.approx(math.sqrt(turning / apart), abs=1e-12)
+    else:
+        assert control["acceleration_rms_m_s2"] is None

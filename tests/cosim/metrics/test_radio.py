@@ -1,0 +1,213 @@
+"""Ages over all time and connectivity, against closed forms and plain loops."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.metrics import Link, age_metrics, receptions
+from vcmvsp.cosim.metrics.connectivity import MOST_VEHICLES, adjacency, algebraic_connectivity
+from vcmvsp.cosim.types import Array
+from tests.support.cosim.recordings import TENTH, follows, frame, recorded
+
+T, FRAMES, MS = 0.1, 4_000_000, 1_000_000
+
+
+# --- ages -----------------------------------------------------------------------------------------------------------------
+
+
+def saw(received: Array, delay_s: float) -> tuple[float, float]:
+    """Mean age over all time and mean peak of a message every 0.1 s, of which these arrive."""
+    sent = np.flatnonzero(received) * seconds_to_ns(T)
+    link = Link(sent, sent + seconds_to_ns(delay_s))
+    tooth = link.sawtooth(int(link.received_ns[0]), int(link.received_ns[-1]))
+    return tooth.area / tooth.length, float(tooth.peaks.mean())
+
+
+@pytest.mark.parametrize(("p", "mean"), [(0.0, 0.05), (0.5, 0.15), (0.9, 0.95)])
+@pytest.mark.parametrize("delay_s", [0.0, 0.033, 0.25])
+def test_age_under_independent_losses(p: float, mean: float, delay_s: float) -> None:
+    """d + T (1+p)/(2 (1-p)), peaks d + T/(1-p)."""
+    assert mean == pytest.approx(T * (1 + p) / (2 * (1 - p)))
+    average, peak = saw(np.random.default_rng(1).random(FRAMES) >= p, delay_s)
+    assert average == pytest.approx(delay_s + mean, rel=0.01)
+    assert peak == pytest.approx(delay_s + T / (1 - p), rel=0.01)
+
+
+@pytest.mark.parametrize(("burst", "p", "mean"), [(5.0, 0.5, 0.3), (2.0, 0.5, 0.15), (10.0, 0.2, 0.25)])
+def test_age_under_losses_in_bursts(burst: float, p: float, mean: float) -> None:
+    """T/2 (1 + 2 q/r + q (2-r)/r^2)/(1 + q/r), from good to bad with q a frame and back with r = 1/burst."""
+    r = 1.0 / burst
+    q = r * p / (1.0 - p)
+    assert T / 2 * (1 + 2 * q / r + q * (2 - r) / r**2) / (1 + q / r) == pytest.approx(mean)
+    rng, n = np.random.default_rng(2), round(FRAMES / (1 / q + 1 / r))
+    good = np.repeat(np.tile([True, False], n), np.stack([rng.geometric(q, n), rng.geometric(r, n)], axis=1).ravel())
+    assert saw(good, 0.0)[0] == pytest.approx(mean, rel=0.01)
+
+
+def test_age_of_a_hand_made_sequence_over_all_time() -> None:
+    """Sent at 0, 0.1, 0.2 s; the first takes 50 ms, the second arrives at 0.3 s behind the third at 0.25 s: no fall, no peak.
+
+    From 0.05 to 0.25 s it rises from 0.05 to 0.25 s, then from 0.05 s to 0.30 s at the end.
+    """
+    events = [follows("b", "a", (0.0, 0.0), 0.1)]
+    arrivals = [50 * MS, 300 * MS, 250 * MS]
+    events += [frame(k, "a", TENTH.at(k), {"b": at}) for k, at in enumerate(arrivals)]
+    age = recorded("ab", events, TENTH.at(5)).metrics(window=(0.0, None))["radio"]["age_s"]
+    assert age["peak"] == pytest.approx(0.25)
+    assert age["time_average"] == pytest.approx((0.2 * 0.15 + 0.25 * 0.175) / 0.45)
+    age = recorded("ab", events, TENTH.at(5)).metrics(window=(0.26, 0.46))["radio"]["age_s"]
+    assert (age["peak"], age["time_average"]) == (None, pytest.approx(0.16))
+
+
+sends = st.lists(
+    st.tuples(st.sampled_from("abc"), st.integers(0, 900), st.lists(st.none() | st.integers(1, 400), min_size=2, max_size=2)),
+    max_size=30,
+)
+
+
+def area(sent: int, begin: int, end: int) -> float:
+    """Integral of an age from ``begin`` to ``end`` ms, s2."""
+    return ((end - sent) ** 2 - (begin - sent) ** 2) / 2e6
+
+
+@given(sends, st.integers(0, 900), st.integers(0, 1200) | st.none(), st.booleans())
+@settings(deadline=None, max_examples=100)
+def test_ages_over_all_time_equal_a_plain_loop(sent: list[Any], begin: int, end: int | None, led: bool) -> None:
+    """Against the definition, one millisecond and one frame at a time."""
+    events, rows = [], []
+    for number, (sender, at, delays) in enumerate(sorted(sent, key=lambda item: item[1])):
+        received = dict(zip([name for name in "abc" if name != sender], delays, strict=True))
+        arrives = {to: None if delay is None else (at + delay) * MS for to, delay in received.items()}
+        events.append(frame(number, sender, at * MS, arrives))
+        rows += [(to, sender, at, at + delay) for to, delay in received.items() if delay is not None]
+    if led:
+        events += [follows("b", "a", (0.0, 0.0), 0.1), follows("b", "c", (0.0, 0.0), 0.1, 300 * MS)]
+    recorder = recorded("abc", events, SECOND_NS)
+
+    spans = [("b", "a", 0, 300), ("b", "c", 300, 2000)] if led else [(to, by, 0, 2000) for to in "abc" for by in "abc"]
+    total, length, peaks = 0.0, 0, []
+    for to, by, since, until in spans:
+        got = [(s, r) for t, b, s, r in rows if (t, b) == (to, by)]
+        newest = [max((s for s, r in got if r <= now), default=None) for now in range(1001)]
+        for now in range(max(begin, since), min(1000, until, 1000 if end is None else end)):
+            old, new = newest[now], newest[now + 1]
+            if old is not None:
+                total, length = total + area(old, now, now + 1), length + 1
+                if new != old:
+                    peaks.append((now + 1 - old) / 1e3)
+    window = begin / 1e3, None if end is None else end / 1e3
+    found = age_metrics(receptions(recorder.radio), recorder.follows, dict.fromkeys("abc", TENTH), window, SECOND_NS)
+    assert found["time_average"] == (pytest.approx(total / (length / 1e3)) if length else None)
+    assert found["peak"] == (pytest.approx(np.mean(peaks)) if peaks else None)
+
+
+def test_only_those_who_act_have_ages() -> None:
+    """Without followers, a vehicle that has no agent is not asked."""
+    got = receptions(recorded("ab", [frame(0, "a", 0, {"b": MS})], SECOND_NS).radio)
+    assert age_metrics(got, [], {"a": TENTH}, (0.0, None), SECOND_NS)["time_average"] is None
+    assert age_metrics(got, [], {"b": TENTH}, (0.0, None), SECOND_NS)["time_average"] == pytest.approx((1.0 + 0.001) / 2)
+
+
+# --- connectivity ---------------------------------------------------------------------------------------------------------
+
+Edges = list[tuple[int, int]]
+
+
+def graph(n: int, edges: Iterable[tuple[int, int]]) -> Array:
+    adjacent = np.zeros((1, n, n), np.bool_)
+    for i, j in edges:
+        adjacent[0, i, j] = adjacent[0, j, i] = True
+    return adjacent
+
+
+def star(n: int) -> Edges:
+    return [(0, i) for i in range(1, n)]
+
+
+def complete(n: int) -> Edges:
+    return [(i, j) for i in range(n) for j in range(i)]
+
+
+def path(n: int) -> Edges:
+    return [(i, i + 1) for i in range(n - 1)]
+
+
+def ring(n: int) -> Edges:
+    return [*path(n), (n - 1, 0)]
+
+
+@pytest.mark.parametrize("n", [3, 4, 7, 50])
+def test_algebraic_connectivity_of_known_graphs(n: int) -> None:
+    """Star 1, complete N, path 2 (1 - cos(pi/N)), ring 2 (1 - cos(2 pi/N)), in parts 0."""
+    known = {
+        1.0: star(n),
+        float(n): complete(n),
+        2 * (1 - math.cos(math.pi / n)): path(n),
+        2 * (1 - math.cos(2 * math.pi / n)): ring(n) if n > 3 else complete(3),
+        0.0: path(n - 1),
+    }
+    graphs = np.concatenate([graph(n, edges) for edges in known.values()])
+    assert algebraic_connectivity(graphs) == pytest.approx(list(known), abs=1e-8)
+
+
+@given(st.integers(2, 8).flatmap(lambda n: st.tuples(st.just(n), st.sets(st.sampled_from(complete(n))))))
+@settings(deadline=None, max_examples=100)
+def test_it_is_greater_than_zero_exactly_where_the_graph_is_connected(given_graph: tuple[int, set[tuple[int, int]]]) -> None:
+    n, edges = given_graph
+    adjacent = graph(n, edges)
+    reached = np.linalg.matrix_power(adjacent[0].astype(int) + np.eye(n, dtype=int), n) > 0
+    assert (algebraic_connectivity(adjacent)[0] > 0.0) == reached.all()
+
+
+def heard(n: int, seconds: list[Edges]) -> list[Event]:
+    """In each second every edge is one frame, heard in one direction, in its middle."""
+    names = [f"car{i}" for i in range(n)]
+    events: list[Event] = []
+    for second, edges in enumerate(seconds):
+        for i, j in edges:
+            at = second * SECOND_NS + SECOND_NS // 2
+            receivers: dict[str, int | None] = {name: None for name in names if name != names[i]}
+            receivers[names[j]] = at + MS
+            events.append(frame(len(events), names[i], at, receivers))
+    return events
+
+
+def connectivity(n: int, seconds: list[Edges], window: tuple[float, float | None] = (0.0, None)) -> dict[str, Any]:
+    names = [f"car{i}" for i in range(n)]
+    recorder = recorded(names, heard(n, seconds), len(seconds) * SECOND_NS, Ticks.every(1.0))
+    result: dict[str, Any] = recorder.metrics(window=window)["connectivity"]
+    return result
+
+
+def test_connectivity_is_of_each_second_in_the_window() -> None:
+    seconds = [complete(5), star(5), path(4), [], star(5)]
+    assert connectivity(5, seconds) == {
+        "mean": pytest.approx((5 + 1 + 0 + 0 + 1) / 5), "min": 0.0, "connected_share": pytest.approx(0.6)
+    }  # fmt: skip
+    assert connectivity(5, seconds, (0.0, 2.0)) == {
+        "mean": pytest.approx(3.0), "min": pytest.approx(1.0), "connected_share": 1.0
+    }  # fmt: skip
+    assert connectivity(5, seconds, (0.4, 1.39))["mean"] is None  # not a whole second
+    assert connectivity(5, seconds, (1.4, 2.8))["mean"] == pytest.approx(1.0)  # the star's frames alone
+
+
+def test_a_second_takes_what_arrives_in_it() -> None:
+    events = [frame(0, "a", 0, {"b": SECOND_NS}), frame(1, "a", SECOND_NS // 2, {"b": SECOND_NS - 1})]
+    got = receptions(recorded("ab", events[:1], 2 * SECOND_NS).radio)
+    assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [False, True]
+    got = receptions(recorded("ab", events[1:], 2 * SECOND_NS).radio)
+    assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [True, False]
+
+
+def test_connectivity_of_nobody_and_of_too_many_is_not_known() -> None:
+    nothing = dict.fromkeys(("mean", "min", "connected_share"))
+    assert connectivity(1, [[]]) == nothing
+    assert connectivity(MOST_VEHICLES + 1, [[]]) == nothing
+    assert connectivity(2, [[]]) == {"mean": 0.0, "min": 0.0, "connected_share": 0.0}

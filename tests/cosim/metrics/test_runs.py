@@ -1,0 +1,104 @@
+"""The numbers of whole runs: closed forms through the platform, and which keys there are."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim.terminal.progress import summary
+from tests.support.validation.fleets import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, fleet, lossy
+
+
+def flat(metrics: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Scalars by their keys, joined with dots."""
+    found: dict[str, Any] = {}
+    for key, value in metrics.items():
+        found.update(flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
+    return found
+
+
+def test_age_over_all_time_and_its_peaks() -> None:
+    """d + T (1+p)/(2 (1-p)) and d + T/(1-p), each within four standard deviations of its estimate.
+
+    Intervals X between receptions are T times geometric numbers. Their mean tells the peak; the mean age is R = E[X^2/2]/E[X],
+    whose estimate from n of them has the variance of X^2/2 - R X over n E[X]^2. The radio's graph is a star in each second in
+    which no follower loses all ten reports, else it has parts.
+    """
+    p, d, followers, from_s, end_s = 0.7, 0.03, 30, 20.0, 100.0
+    scenario = fleet(end_s, [RIGHT_BEHIND, LEFT_BEHIND] * (followers // 2), radio=lossy(p, d), agents=NEVER_LOST)
+    metrics = cosim.run(scenario, set={"record.period_s": 1.0, "metrics.from_s": from_s}, mcap=False).metrics
+    k = np.arange(1, 2000)
+    interval, chance = T * k, (1 - p) * p ** (k - 1)
+    mean = float(chance @ interval)
+    n = followers * (end_s - from_s) / mean
+    ratio = float(chance @ interval**2) / 2 / mean
+    assert ratio == pytest.approx(T * (1 + p) / (2 * (1 - p)))
+    age = metrics["radio"]["age_s"]
+    of_ratio = float(chance @ (interval**2 / 2 - ratio * interval) ** 2) / n / mean**2  # variances
+    of_mean = float(chance @ (interval - mean) ** 2) / n
+    assert age["time_average"] == pytest.approx(d + ratio, abs=4 * math.sqrt(of_ratio))
+    assert age["peak"] == pytest.approx(d + mean, abs=4 * math.sqrt(of_mean))
+
+    connectivity, share = metrics["connectivity"], (1 - p**10) ** followers
+    spread = math.sqrt(share * (1 - share) / (end_s - from_s))
+    assert connectivity["connected_share"] == pytest.approx(share, abs=4 * spread)
+    assert (connectivity["mean"], connectivity["min"]) == (pytest.approx(connectivity["connected_share"]), 0.0)
+
+
+@pytest.mark.parametrize(("k1", "start"), [(0.8, 0.5), (2.0, 0.5), (12.0, 0.3)])
+def test_response_of_a_kinematic_follower(k1: float, start: float) -> None:
+    """z grows by v T until the first report is acted upon, then by 1 - k1 T a period."""
+    follower = {"pose": (-1.0 - start, 0.0, 0.0), "k1": k1, **NEVER_LOST}
+    metrics = cosim.run(fleet(20.0, [follower], path="straight", radio={"preset": "ideal"}), mcap=False).metrics
+    z = np.array([start, *((start + V * T) * (1 - k1 * T) ** np.arange(200))])
+    falling = z[: np.argmax(np.abs(z) < 0.05 * start)]
+    rate = -np.polyfit(T * np.arange(len(falling)), np.log(np.abs(falling)), 1)[0]
+    formation = metrics["formation"]
+    assert formation["overshoot"] == pytest.approx(max(0.0, -z.min() / start), abs=1e-9)
+    assert formation["convergence_1_s"] == pytest.approx(rate, rel=1e-6)
+    command = [0.0, *(V + k1 * z[1:200])]  # at each tick, by the law
+    assert metrics["control"]["per_vehicle"]["car2"]["effort_m2_s"] == pytest.approx(T * np.square(command).sum(), rel=1e-6)
+
+
+def test_keys_do_not_depend_on_chance() -> None:
+    """Whatever the seed and the losses, but for their causes."""
+    keys = []
+    for seed, p in ((1, 0.0), (2, 0.3), (3, 1.0)):
+        metrics = cosim.run(fleet(2.0, radio=lossy(p)), seed=seed, mcap=False).metrics
+        values = flat(metrics)
+        json.dumps(metrics, allow_nan=False)
+        assert all(value is None or isinstance(value, str | int | float) for value in values.values())
+        keys.append([key for key in values if not key.startswith("radio.losses.")])
+    assert keys[0] == keys[1] == keys[2]
+    assert {"formation.shape.rms_m", "formation.per_follower.car3.hop_gain", "control.per_vehicle.car1.effort_m2_s"} <= {
+        *keys[0]
+    }
+
+
+def test_k1_is_the_rate_where_the_period_is_short() -> None:
+    follower = {"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}
+    scenario = fleet(10.0, [follower], path="straight", radio={"preset": "ideal"}, agents={"period_s": 0.01})
+    rate = cosim.run(scenario, set={"record.period_s": 0.05}, mcap=False).metrics["formation"]["convergence_1_s"]
+    assert rate == pytest.approx(K1, rel=0.01)
+
+
+def test_errors_of_a_chain_add_up_in_its_shape() -> None:
+    """On a straight line, ``hold``, each is behind its predecessor by speed times age: a column that is too long.
+
+    The ages are T: car2 is 1.03 m behind car1, car3 as far behind car2; both ends are 0.03 m farther from the middle than they
+    should be. What is printed of a chain says so.
+    """
+    behind = {"estimator": "hold", "bearing_deg": 0.0, "handle": 0.5, "broadcast": True, **NEVER_LOST}
+    chain = [behind, {**behind, "leader": "car2", "pose": (-2.0, 0.0, 0.0)}]
+    scenario = fleet(60.0, chain, path="straight", radio={"preset": "ideal"}, metrics={"from_s": 50.0})
+    result = cosim.run(scenario, mcap=False)
+    formation = result.metrics["formation"]
+    assert [each["rms_m"] for each in formation["per_follower"].values()] == pytest.approx([V * T, V * T], rel=1e-6)
+    assert formation["hop_gain"] == pytest.approx(1.0, rel=1e-6)
+    assert formation["shape"]["rms_m"] == pytest.approx(V * T * math.sqrt(2 / 3), rel=1e-6)
+    assert "error 0.0300 m RMS, 0.0300 m at most, shape 0.0245 m, " in summary(result)
+    star = cosim.run(fleet(5.0, radio={"preset": "ideal"}), mcap=False)
+    assert "shape" not in summary(star)

@@ -1,0 +1,72 @@
+"""How near vehicles came to what stood in their way, through the whole platform and from tables alone."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim import Agent, Observation, Radio, Velocity
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.assembly.worlds import world_of
+from tests.support.cosim.recordings import TENTH, recorded, states
+
+CART = {
+    "name": "cart",
+    "solid": {"kind": "cylinder", "center": [0, 0, 0], "radius": 0.3, "height": 1.0},
+    "times_s": [0.0, 10.0],
+    "way": [[9.0, 5.0, 0.5, 0.0], [9.0, -5.0, 0.5, 0.0]],
+}
+
+
+class Straight(Agent):
+    """Ahead, in the direction of the world's x axis."""
+
+    def act(self, obs: Observation, radio: Radio) -> Velocity:
+        return Velocity(linear=(0.5, 0.0, 0.0))
+
+
+def passing(world: dict[str, Any], *vehicles: dict[str, Any], **settings: Any) -> cosim.Result:
+    """Of 10 s in which all go 5 m eastwards."""
+    listed = [{"name": f"v{k}", "kind": "kinematic", **each} for k, each in enumerate(vehicles)]
+    scenario = {"name": "passing", "duration_s": 10.0, "physics": {"kind": "kinematic"}, "world": world, "vehicle": listed}
+    return cosim.run(scenario, agents={each["name"]: Straight() for each in listed}, set=settings)
+
+
+def clearance(result: cosim.Result) -> Any:
+    return result.metrics["safety"]["min_clearance_m"]
+
+
+def test_past_a_pillar_and_over_it(tmp_path: Path) -> None:
+    """1 m beside its axis; a flyer 0.4 m above its top; a corner is the nearest of a square one that is not reached."""
+    pillar = {"kind": "pillar", "position": [2.5, 0.0], "radius": 0.25, "square": True, "height": 1.0}
+    assert clearance(passing(pillar, {"pose": [0, 1, 0]})) == pytest.approx(0.75)
+    assert clearance(passing(pillar, {"pose": [0, 1, 0]}, {"kind": "point", "position": [0, 0.1, 1.4]})) == pytest.approx(0.4)
+    result = passing(pillar, {"pose": [-4.0, 1.0, 0.0]})
+    assert clearance(result) == pytest.approx(math.hypot(1.25, 0.75))
+    result.save(tmp_path / "run")
+    assert json.loads((tmp_path / "run/metrics.json").read_text())["safety"]["min_clearance_m"] == clearance(result)
+
+
+def test_an_obstacle_with_a_time_table_counts_where_it_is_and_what_can_be_pushed_does_not() -> None:
+    """The cart crosses y = 0 after 5 s, 6.5 m ahead: they are nearest, at a right angle, when both have moved on."""
+    crate = {"name": "crate", "mass_kg": 1.0, "solid": {"kind": "box", "center": [1, 0, 0.2], "size": [0.4, 0.4, 0.4]}}
+    least = min(math.hypot(9.0 - 0.5 * t, 5.0 - t) for t in (0.1 * k for k in range(101))) - 0.3
+    assert clearance(passing({"moving": [CART], "movables": [crate]}, {"pose": [0, 0, 0]})) == pytest.approx(least)
+    assert clearance(passing({"movables": [crate]}, {"pose": [0, 0, 0]})) is None
+
+
+def test_clearance_is_of_all_vehicles_and_the_whole_run() -> None:
+    wall = {"boxes": [{"center": [0.0, 3.0, 0.5], "size": [0.2, 4.0, 1.0]}]}
+    assert clearance(passing(wall, {"pose": [0, 0, 0]}, {"pose": [0, -1, 0]}, **{"metrics.from_s": 8.0})) == pytest.approx(1.0)
+
+
+def test_a_recorder_that_knows_no_world_tells_no_clearance() -> None:
+    events = [states(TENTH.at(k), {"a": (0.1 * k, 0.0, 0.0)}) for k in range(11)]
+    world, _ = world_of("pillar", {})
+    of_world, of_none = (recorded("a", events, SECOND_NS, world=each).metrics(window=(0.0, None)) for each in (world, None))
+    assert of_world["safety"]["min_clearance_m"] == pytest.approx(3.5)
+    assert of_none["safety"]["min_clearance_m"] is None
+    assert of_world["digest"] == of_none["digest"]

@@ -1,0 +1,433 @@
+"""What a run leaves on disk: an MCAP file that viewers can read, Parquet tables and figures, the same bytes every time."""
+
+import contextlib
+import inspect
+import io
+import json
+import math
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import matplotlib as mpl
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from mcap.exceptions import EndOfFile
+from mcap.reader import NonSeekingReader, make_reader
+
+from vcmvsp.cosim import types
+from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.recording import Recorder, load
+from vcmvsp.cosim.plots import run_plots
+from vcmvsp.cosim.recording.foxglove.schemas import schema_of
+from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, write_table
+from vcmvsp.cosim.types import (
+    Contact,
+    Fix,
+    Follows,
+    FrameReport,
+    Image,
+    Imu,
+    Message,
+    Note,
+    Odometry,
+    Reception,
+    Scan,
+    States,
+    VehicleState,
+    Velocity,
+    frozen,
+)
+from tests.support.cosim.recordings import follows, states
+from tests.support.cosim.recordings import recorded as plainly
+
+NAMES = ("car1", "car2")
+TENTH = Ticks.every(0.1)
+BODY = {"x": 1.5, "seq": 7, "list": [1, 2], "words": "hello"}
+
+
+def events(seconds: float = 1.0) -> Iterator[Event]:
+    """Two vehicles on a straight line, with one event of every kind at every tick of 20 Hz."""
+    for k in range(round(seconds * 20) + 1):
+        t, x = k * SECOND_NS // 20, 0.3 * k / 20
+        position, velocity = frozen([(x, 0.0, 0.0), (x - 1.0 - 0.5 * math.exp(-x), 0.5, 0.0)]), frozen([(0.3, 0.0, 0.0)] * 2)
+        attitude, rates = frozen([quaternion_from_yaw(0.1)] * 2), frozen([(0.0, 0.0, 0.01)] * 2)
+        for name, row in zip(NAMES, position.tolist(), strict=True):
+            believed = (row[0], row[1] + (0.02 if name == "car2" else 0.0), row[2])
+            attitude_, rate = quaternion_from_yaw(0.1), (0.0, 0.0, 0.01)
+            yield Event(
+                f"{name}/estimate",
+                t,
+                VehicleState(position=believed, velocity=(0.3, 0.0, 0.0), attitude=attitude_, angular_velocity=rate),
+            )
+            yield Event(f"{name}/odometry", t, Odometry(pose=(x, 0.0, 0.1), v=0.3, w=0.01))
+            yield Event(f"{name}/fix", t, Fix(time_ns=t, position=believed, yaw=0.1, sigma_m=0.15, sigma_rad=0.05))
+        truth = States(names=NAMES, position=position, velocity=velocity, attitude=attitude, angular_velocity=rates)
+        yield Event("world/states", t, truth)
+        yield Event("car1/imu", t, Imu(acceleration=(0.0, 0.0, 9.81), angular_velocity=(0.0, 0.0, 0.01)))
+        ranges = frozen([1.0, math.inf, 2.0], np.float32)
+        yield Event("car1/scan", t, Scan(ranges=ranges, angle_min=-1.0, angle_step=1.0, range_max=6.0))
+        if k == 0:
+            yield Event("car2/follows", t, Follows(leader="car1", slot=(-1.0, 0.5), handle_m=0.3))
+            yield Event("car1/camera", t, Image(pixels=frozen(np.arange(24).reshape(2, 4, 3), np.uint8)))
+        yield Event("car1/command", t, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.01))
+        yield Event("car2/note", t, Note(values={"z1": np.float64(0.1 * k), "status": "ok"}))
+        message = Message(sender="car1", body=BODY, size_bytes=60)
+        yield Event("car1/send", t, message)
+        yield Event("car2/send", t, Message(sender="car2", body=b"\x00\xff", size_bytes=2, to="car1"))
+        lost = k % 4 == 3
+        report = FrameReport(
+            frame=k, sender="car1", sent_ns=t, size_bytes=60, receivers=("car2",),
+            distance_m=frozen([1.1]), rssi_dbm=frozen([-50.0]), received_ns=frozen([-1 if lost else t + 1000], np.int64),
+            outcome=("fading" if lost else "received",), air_time_ns=900, queue_ns=60, access_ns=40,
+            snr_db=frozen([40.0]), sinr_db=frozen([39.0]), path_loss_db=frozen([50.0]), walls=frozen([2], np.int64),
+            wall_materials=("2 brick",), wall_loss_db=frozen([7.0]), shadowing_db=frozen([1.5]), fading_db=frozen([-0.5]),
+        )  # fmt: skip
+        yield Event("radio/frame", t, report)
+        if not lost:
+            yield Event("car2/heard", t + 1000, Reception(message=message, rssi_dbm=-50.0, sent_ns=t, received_ns=t + 1000))
+    yield Event("world/contact", t + 1000, Contact(vehicle="car1", other=None))
+
+
+def recorded(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
+    """A closed recorder of those events."""
+    run = RunInfo(scenario="files", seed=5, duration_ns=round(seconds * SECOND_NS), vehicles=NAMES)
+    agents = [AgentInfo(vehicle=name, agent="x", ticks=TENTH, latency_ns=0, params={}, known=(), taken=()) for name in NAMES]
+    recorder = Recorder(run, record_ticks=TENTH, mcap=mcap, agents=agents, radius_m={"car1": 0.25})
+    for event in events(seconds):
+        recorder.on(event)
+    recorder.log("error", "car2 ran into the wall", run.duration_ns + 1000)
+    recorder.close(run.duration_ns)
+    return recorder
+
+
+@pytest.fixture(scope="module")
+def recording() -> dict[str, list[tuple[int, Any, Any, str]]]:
+    """By topic: time, message, schema and schema name of every message."""
+    stream = io.BytesIO()
+    recorded(stream)
+    found: dict[str, list[tuple[int, Any, Any, str]]] = {}
+    for schema, channel, message in make_reader(io.BytesIO(stream.getvalue()), validate_crcs=True).iter_messages():
+        assert schema is not None
+        assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+        assert message.publish_time == message.log_time
+        row = message.log_time, json.loads(message.data), json.loads(schema.data), schema.name
+        found.setdefault(channel.topic, []).append(row)
+    return found
+
+
+def test_every_topic_has_its_schema(recording: dict[str, Any]) -> None:
+    assert {topic: rows[0][3] for topic, rows in recording.items()} == {
+        "/tf": "foxglove.FrameTransforms",
+        "car1/camera": "foxglove.RawImage",
+        "car1/command": "vcmvsp.Velocity",
+        "car1/fix": "foxglove.PoseInFrame",
+        "car1/imu": "vcmvsp.Imu",
+        "car1/odometry": "vcmvsp.Odometry",
+        "car1/scan": "foxglove.LaserScan",
+        "car1/send": "vcmvsp.Message",
+        "car1/state": "vcmvsp.VehicleState",
+        "car2/estimate": "vcmvsp.VehicleState",  # car1 believes the truth, so its estimate is left out
+        "car2/fix": "foxglove.PoseInFrame",
+        "car2/follows": "vcmvsp.Follows",
+        "car2/heard": "vcmvsp.Reception",
+        "car2/note": "vcmvsp.Note",
+        "car2/odometry": "vcmvsp.Odometry",
+        "car2/send": "vcmvsp.Message",
+        "car2/state": "vcmvsp.VehicleState",
+        "log": "foxglove.Log",
+        "radio/frame": "vcmvsp.Frame",
+        "world/contact": "vcmvsp.Contact",
+        "world/scene": "foxglove.SceneUpdate",
+    }
+
+
+def test_messages_lie_in_the_file_in_order_of_time() -> None:
+    stream = io.BytesIO()
+    recorded(stream)
+    times = [
+        message.log_time for _, _, message in make_reader(io.BytesIO(stream.getvalue())).iter_messages(log_time_order=False)
+    ]
+    assert len(times) > 200
+    assert times == sorted(times)
+
+
+def check(value: Any, schema: dict[str, Any]) -> None:
+    """Types and required fields, as a reader of simple JSON Schemas would."""
+    kind: Any = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float)}[
+        schema["type"]
+    ]
+    assert isinstance(value, kind), (value, schema)
+    if schema["type"] == "object":
+        assert set(schema["required"]) <= set(value)
+        for name, part in schema["properties"].items():
+            if name in schema["required"]:
+                check(value[name], part)
+    if schema["type"] == "array":
+        for item in value:
+            if item is not None:  # JSON has no infinity: a beam without return is null
+                check(item, schema["items"])
+    assert value in schema.get("enum", [value])
+
+
+def test_messages_are_valid_against_their_schemas(recording: dict[str, Any]) -> None:
+    for rows in recording.values():
+        for _, message, schema, name in rows:
+            assert schema["title"] == name
+            check(message, schema)
+
+
+VALUES: list[Any] = [value for value in list(vars(types).values()) if inspect.isclass(value) and issubclass(value, types.Value)]
+
+
+def nodes(schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    yield schema
+    for part in [*schema.get("properties", {}).values(), *([schema["items"]] if "items" in schema else [])]:
+        yield from nodes(part)
+
+
+@pytest.mark.parametrize("message_type", VALUES)
+def test_schemas_suit_a_reader_without_references_unions_and_tuples(message_type: type) -> None:
+    for node in nodes(json.loads(schema_of(message_type)[1])):
+        assert isinstance(node["type"], str)
+        assert ("properties" in node) == (node["type"] == "object")
+        assert ("items" in node) == (node["type"] == "array")
+        assert not {"$ref", "anyOf", "oneOf", "prefixItems"} & set(node)
+
+
+def test_true_states_appear_as_transforms_and_per_vehicle(recording: dict[str, Any]) -> None:
+    ticks = [TENTH.at(k) for k in range(11)]
+    assert [row[0] for row in recording["/tf"]] == [row[0] for row in recording["car2/state"]] == ticks
+    for (_, tf, *_), (time, state, *_) in zip(recording["/tf"], recording["car2/state"], strict=True):
+        transform = tf["transforms"][1]
+        assert (transform["parent_frame_id"], transform["child_frame_id"]) == ("world", "car2")
+        assert transform["timestamp"] == {"sec": time // SECOND_NS, "nsec": time % SECOND_NS}
+        assert [transform["translation"][axis] for axis in "xyz"] == state["position"]
+        assert [transform["rotation"][axis] for axis in "wxyz"] == state["attitude"]
+
+
+def test_values_come_back_from_the_recording_as_they_were(recording: dict[str, Any]) -> None:
+    sent: dict[str, list[Any]] = {}
+    for event in events():
+        sent.setdefault(event.key, []).append(event.value)
+    for key in (
+        "car1/command",
+        "car1/odometry",
+        "car2/heard",
+        "car1/send",
+        "car2/send",
+        "car2/estimate",
+        "car2/follows",
+        "world/contact",
+    ):
+        back = [msgspec.convert(message, type(sent[key][0])) for _, message, *_ in recording[key]]
+        assert back == sent[key]
+
+
+def test_scene_shows_each_vehicle_and_each_place_once_and_for_good(recording: dict[str, Any]) -> None:
+    ((time, scene, *_),) = recording["world/scene"]
+    assert time == 0
+    entities = {entity["id"]: entity for entity in scene["entities"]}
+    assert set(entities) == {"car1", "car2", "car2/place"}
+    assert all(e["frame_locked"] and e["lifetime"] == {"sec": 0, "nsec": 0} for e in entities.values())
+    assert entities["car1"]["cylinders"][0]["size"]["x"] == pytest.approx(0.5)
+    assert entities["car2/place"]["frame_id"] == "car1"
+    assert entities["car2/place"]["lines"][0]["points"][1] == {"x": -1.0, "y": 0.5, "z": 0.0}
+    assert scene["deletions"] == [{"timestamp": entities["car1"]["timestamp"], "type": 1, "id": ""}]  # of the scene before
+
+
+def test_readings_are_drawn_by_viewers(recording: dict[str, Any]) -> None:
+    scan = recording["car1/scan"][0][1]
+    assert (scan["start_angle"], scan["end_angle"], scan["ranges"]) == (-1.0, 1.0, [1.0, None, 2.0])
+    image = recording["car1/camera"][0][1]
+    assert (image["width"], image["height"], image["step"], image["encoding"]) == (4, 2, 12, "rgb8")
+    fix = recording["car2/fix"][1][1]
+    assert fix["timestamp"] == {"sec": 0, "nsec": 50_000_000}
+    assert fix["pose"]["orientation"]["w"] == pytest.approx(math.cos(0.05))
+
+
+def test_log_says_why_the_run_ended(recording: dict[str, Any]) -> None:
+    _, line, *_ = recording["log"][-1]
+    assert (line["level"], line["message"]) == (4, "car2 ran into the wall")
+
+
+def test_close_may_be_called_again() -> None:
+    stream = io.BytesIO()
+    recorder = recorded(stream)
+    size = len(stream.getvalue())
+    recorder.close(0)
+    assert len(stream.getvalue()) == size
+    assert recorder.metrics(window=(0.0, None))["duration_s"] == 1.0
+
+
+def test_a_viewer_may_jump_to_any_time_and_topic() -> None:
+    """The index at the end of the file leads to the same messages as reading it through."""
+    stream = io.BytesIO()
+    recorded(stream, seconds=60.0)
+    reader = make_reader(io.BytesIO(stream.getvalue()), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 3
+    through = NonSeekingReader(io.BytesIO(stream.getvalue()), validate_crcs=True)
+    everything = [(c.topic, m.log_time, m.data) for _, c, m in through.iter_messages(log_time_order=False)]
+    assert summary.statistics.message_count == len(everything)
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 60 * SECOND_NS + 1000)
+    assert [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()] == everything
+    begin, end = 30 * SECOND_NS, 31 * SECOND_NS
+    part = reader.iter_messages(topics=["car2/heard"], starting_at=begin, ending_before=end)
+    expected = [row for row in everything if row[0] == "car2/heard" and begin <= row[1] < end]
+    assert [(c.topic, m.log_time, m.data) for _, c, m in part] == expected
+    assert len(expected) == 15
+    assert next(iter(reader.iter_metadata())).metadata == {"scenario": "files", "seed": "5", "vehicles": "car1 car2"}
+
+
+def test_a_recording_that_was_cut_off_is_readable_up_to_there() -> None:
+    """As after the death of the process: whole chunks are in the file, index and end are not."""
+    stream = io.BytesIO()
+    recorded(stream, seconds=60.0)
+    whole = stream.getvalue()
+    cut = NonSeekingReader(io.BytesIO(whole[: len(whole) // 2]))
+    read = []
+    with contextlib.suppress(EndOfFile, struct.error):  # the reader's word for an end goes by where it is cut
+        for _, _, message in cut.iter_messages(log_time_order=False):
+            read.append(message.log_time)
+    assert 20 * SECOND_NS < read[-1] < 40 * SECOND_NS
+
+
+def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> None:
+    runs: list[dict[str, Any]] = []
+    for name in ("one", "two"):
+        folder, stream = tmp_path / name, io.BytesIO()
+        folder.mkdir()
+        recorder = recorded(stream)
+        recorder.write_tables(folder)
+        run_plots.save_png(run_plots.trajectory(recorder.states, recorder.follows), folder / "t.png")
+        run_plots.save_png(
+            run_plots.formation_error(recorder.states, recorder.radio, recorder.follows, window=(0.5, None)), folder / "e.png"
+        )
+        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+        runs.append({**files, "run.mcap": stream.getvalue(), "metrics": recorder.metrics(window=(0.0, None))})
+    assert runs[0] == runs[1]
+    assert len(runs[0]) == 6
+    assert make_reader(io.BytesIO(runs[0]["run.mcap"])).get_header().library == "vcmvsp"
+    assert b"matplotlib" not in runs[0]["t.png"]
+
+
+@pytest.mark.parametrize(("greatest_m", "scale"), [(1e-9, "linear"), (1e-5, "log"), (1.0, "log")])
+def test_errors_that_are_rounding_have_no_decades(greatest_m: float, scale: str) -> None:
+    errors = np.geomspace(1e-6, 1.0, 50) * greatest_m
+    events = [states(k * SECOND_NS // 10, {"a": (0.0, 0.0, 0.0), "b": (-1.0 - e, 0.0, 0.0)}) for k, e in enumerate(errors)]
+    seen = plainly("ab", [follows("b", "a", (-1.0, 0.0), 0.1), *events], 5 * SECOND_NS)
+    axes = run_plots.formation_error(seen.states, seen.radio, seen.follows).axes[0]
+    low, high = axes.get_ylim()
+    assert axes.get_yscale() == scale
+    assert low < greatest_m < high
+
+
+def test_recording_tables_alone_gives_the_same_tables() -> None:
+    with_file, without = recorded(io.BytesIO()), recorded(None)
+    assert with_file.states.equals(without.states)
+    assert with_file.metrics(window=(0.0, None)) == without.metrics(window=(0.0, None))
+
+
+def test_tables_have_their_schema_and_values() -> None:
+    recorder = recorded(None)
+    assert recorder.states.schema.equals(STATES_SCHEMA)
+    assert recorder.radio.schema.equals(RADIO_SCHEMA)
+    assert recorder.states.num_rows == 11 * 2
+    row = recorder.states.slice(3, 1).to_pylist()[0]
+    w, _, _, z = quaternion_from_yaw(0.1)
+    assert (row["time_ns"], row["vehicle"], row["y"], row["qw"], row["qz"]) == (10**8, "car2", 0.5, w, z)
+    assert (row["x"], row["vx"], row["wz"]) == (0.03 - 1.0 - 0.5 * math.exp(-0.03), 0.3, 0.01)
+    got, lost = recorder.radio.slice(2, 2).to_pylist()
+    assert got == {
+        "frame": 2, "sender": "car1", "receiver": "car2", "sent_ns": 10**8, "received_ns": 10**8 + 1000, "size_bytes": 60,
+        "distance_m": 1.1, "rssi_dbm": -50.0, "outcome": "received", "delay_ns": 1000, "copy_ns": None,
+        "snr_db": 40.0, "sinr_db": 39.0, "path_loss_db": 50.0, "walls": 2, "wall_materials": "2 brick", "wall_loss_db": 7.0,
+        "shadowing_db": 1.5, "fading_db": -0.5, "air_time_ns": 900, "queue_ns": 60, "access_ns": 40,
+    }  # fmt: skip
+    assert (lost["received_ns"], lost["delay_ns"], lost["outcome"]) == (None, None, "fading")
+
+
+def test_run_directory_comes_back_as_it_was(tmp_path: Path) -> None:
+    recorder = recorded(None)
+    recorder.write_tables(tmp_path)
+    metrics = recorder.metrics(window=(0.0, None))
+    (tmp_path / "metrics.json").write_text(json.dumps(metrics))
+    run = load(tmp_path)
+    assert run.states.equals(recorder.states)
+    assert run.radio.equals(recorder.radio)
+    assert (run.follows, run.metrics) == (recorder.follows, metrics)
+    assert (run.facts.scenario, run.facts.seed, run.facts.vehicles, run.facts.end_ns) == ("files", 5, NAMES, SECOND_NS)
+
+
+def test_a_directory_that_is_no_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"no states\.parquet"):
+        load(tmp_path)
+    recorded(None).write_tables(tmp_path)
+    write_table(pq.read_table(tmp_path / "states.parquet").replace_schema_metadata(None), tmp_path / "states.parquet")
+    with pytest.raises(UsageError, match="not written by vcmvsp"):
+        load(tmp_path)
+
+
+def colours(figure: Figure) -> int:
+    """How many different pixels a figure has."""
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    return len(np.unique(np.asarray(canvas.buffer_rgba()).reshape(-1, 4), axis=0))
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda run: run_plots.trajectory(run.states, run.follows),
+        lambda run: run_plots.formation_error(run.states, run.radio, run.follows),
+        lambda run: run_plots.formation_error(run.states, run.radio.slice(0, 0), run.follows, window=(0.2, 0.7)),
+    ],
+)
+def test_figures_show_the_run_with_units_on_every_axis(draw: Callable[[Recorder], Figure]) -> None:
+    figure = draw(recorded(None))
+    assert colours(figure) > 50
+    labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label not in {"", "lost"}]
+    assert labels
+    assert all(label.endswith((" [m]", " [s]")) for label in labels)
+
+
+def test_trajectory_draws_the_recorded_positions() -> None:
+    run = recorded(None)
+    axes = run_plots.trajectory(run.states, run.follows).axes[0]
+    drawn = {line.get_label(): np.asarray(line.get_xydata()) for line in axes.lines}
+    for i, name in enumerate(NAMES):
+        np.testing.assert_array_equal(drawn[name], np.column_stack([run.states[axis].to_numpy()[i::2] for axis in "xy"]))
+    assert axes.get_aspect() == 1.0
+
+
+def test_figures_ignore_the_users_style(tmp_path: Path) -> None:
+    run = recorded(None)
+    run_plots.save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "plain.png")
+    with mpl.rc_context({"axes.facecolor": "red", "font.size": 20, "savefig.dpi": 30}):
+        run_plots.save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "styled.png")
+        assert mpl.rcParams["font.size"] == 20
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "styled.png").read_bytes()
+
+
+def test_figures_of_an_empty_run_do_not_fail() -> None:
+    run = RunInfo(scenario="empty", seed=0, duration_ns=0, vehicles=NAMES)
+    recorder = Recorder(run, record_ticks=TENTH, mcap=None, agents=[], radius_m={})
+    recorder.close(0)
+    for figure in (
+        run_plots.trajectory(recorder.states),
+        run_plots.formation_error(recorder.states, recorder.radio, (), window=(0.0, None)),
+    ):
+        assert colours(figure) > 10
+    assert recorder.metrics(window=(0.0, None))["formation"]["rms_m"] is None

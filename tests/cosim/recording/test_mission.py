@@ -1,0 +1,536 @@
+"""What a reconnaissance leaves: grids and annotated pictures in ``run.mcap``, its numbers, its figures, its film."""
+
+import io
+import json
+import math
+from typing import Any
+
+import cv2
+import matplotlib.pyplot as plt
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim import metrics
+from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
+from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
+from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, read_mission, surest_map
+from vcmvsp.cosim.studies.rows import flat
+from vcmvsp.cosim.types import Image, Looks, Mosaic, Presence, ProbabilityMap, Sighting, Sightings, frozen
+from tests.support.cosim.reconnaissance_recording import CELL_M, CELLS, TARGETS, events, recorded
+from tests.support.cosim.recordings import note, states
+from tests.support.cosim.recordings import recorded as plainly
+from tests.cosim.recording.test_files import check
+
+NAMES = ("uav1", "uav2")
+END_NS = 20 * SECOND_NS
+
+
+@pytest.fixture(scope="module")
+def run() -> Any:
+    return recorded(NAMES)
+
+
+@pytest.fixture(scope="module")
+def topics(run: Any) -> dict[str, list[tuple[int, Any, Any]]]:
+    """Time, message and schema of each, by topic."""
+    found: dict[str, list[tuple[int, Any, Any]]] = {}
+    for schema, channel, message in make_reader(io.BytesIO(run[1].getvalue()), validate_crcs=True).iter_messages():
+        assert schema is not None
+        row = message.log_time, json.loads(message.data), json.loads(schema.data)
+        found.setdefault(channel.topic, []).append(row)
+    return found
+
+
+def shown_by(kind: type, vehicle: str) -> list[Any]:
+    return [each.value for each in events(NAMES, 20.0) if isinstance(each.value, kind) and each.key.startswith(vehicle)]
+
+
+def of(message: dict[str, Any]) -> np.ndarray:
+    """The cells of a grid, by the fields that it says it has, as any reader would find them."""
+    data = np.frombuffer(msgspec.convert(message["data"], bytes), np.uint8)
+    assert len(data) % message["row_stride"] == 0
+    assert message["row_stride"] >= message["column_count"] * message["cell_stride"]
+    assert all(field["type"] == 1 and field["offset"] < message["cell_stride"] for field in message["fields"])
+    rows = data.reshape(-1, message["row_stride"])[:, : message["column_count"] * message["cell_stride"]]
+    return rows.reshape(len(rows), -1, message["cell_stride"])[..., [field["offset"] for field in message["fields"]]]
+
+
+def test_all_messages_have_foxgloves_schemas_and_fit_them(topics: Any) -> None:
+    titles = {topic: rows[0][2]["title"] for topic, rows in topics.items() if topic.startswith("uav1")}
+    assert titles == {
+        "uav1/detector": "vcmvsp.Looks",
+        "uav1/map": "foxglove.Grid",
+        "uav1/mosaic": "foxglove.Grid",
+        "uav1/note": "vcmvsp.Note",
+        "uav1/sightings": "foxglove.ImageAnnotations",
+        "uav1/sightings/picture": "foxglove.CompressedImage",
+        "uav1/state": "vcmvsp.VehicleState",
+    }
+    for rows in topics.values():
+        for _, message, schema in rows:
+            check(message, schema)
+
+
+def test_maps_come_back_cell_by_cell(topics: Any) -> None:
+    for (_, message, _), value in zip(topics["uav2/map"], shown_by(ProbabilityMap, "uav2"), strict=True):
+        assert [field["name"] for field in message["fields"]] == ["probability", "seen"]
+        cells = of(message)
+        np.testing.assert_array_equal(cells[..., 0], value.probability)
+        np.testing.assert_array_equal(cells[..., 1], value.seen)
+        assert (message["frame_id"], message["cell_size"]) == ("world", {"x": CELL_M, "y": CELL_M})
+        assert message["pose"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+def test_mosaics_are_opaque_where_something_was_seen(topics: Any) -> None:
+    for (_, message, _), value in zip(topics["uav1/mosaic"], shown_by(Mosaic, "uav1"), strict=True):
+        assert [field["name"] for field in message["fields"]] == ["red", "green", "blue", "alpha"]
+        cells = of(message)
+        np.testing.assert_array_equal(cells[..., :3], value.pixels)
+        np.testing.assert_array_equal(cells[..., 3], np.where((value.pixels == 0).all(axis=2), 0, 255))
+
+
+def test_sightings_stand_beside_their_pictures(topics: Any) -> None:
+    said, pictures, sent = topics["uav1/sightings"], topics["uav1/sightings/picture"], shown_by(Sightings, "uav1")
+    for (time_ns, message, _), (picture_ns, picture, _), value in zip(said, pictures, sent, strict=True):
+        assert time_ns == picture_ns
+        assert msgspec.convert(message["found"], tuple[Sighting, ...]) == value.found
+        assert [each["text"] for each in message["texts"]] == [f"{each.target} 0.93" for each in value.found]
+        assert {json.dumps(each["timestamp"]) for each in (*message["points"], picture)} == {json.dumps(picture["timestamp"])}
+        assert (picture["format"], msgspec.convert(picture["data"], bytes)) == ("jpeg", value.jpeg)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(5.0, 80.0))
+def test_boxes_are_squares_turned_counter_clockwise_as_seen(angle: float, side: float) -> None:
+    sighting = Sighting(target="a", place=(0.0, 0.0), centre_px=(50.0, 40.0), angle=angle, side_px=side, score=1.0)
+    corners = np.array(corners_of(sighting))
+    np.testing.assert_allclose(corners.mean(axis=0), (50.0, 40.0), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1), side)
+    top = corners[:2].mean(axis=0) - (50.0, 40.0)  # without a turn it points up, where rows are less
+    np.testing.assert_allclose(top, (-0.5 * side * math.sin(angle), -0.5 * side * math.cos(angle)), atol=1e-9)
+
+
+def test_boxes_lie_around_what_is_in_the_picture(topics: Any) -> None:
+    """The yellow square of the synthetic picture is within the box, and fills it."""
+    boxed = [row for row in zip(topics["uav1/sightings"], topics["uav1/sightings/picture"], strict=True) if row[0][1]["points"]]
+    (_, message, _), (_, picture, _) = boxed[0]
+    pixels: Any = cv2.imdecode(np.frombuffer(msgspec.convert(picture["data"], bytes), np.uint8), cv2.IMREAD_COLOR)
+    yellow = (pixels[..., 2] > 190) & (pixels[..., 0] < 80)
+    corners = np.array([(each["x"], each["y"]) for each in message["points"][0]["points"]]) - 0.5
+    inside = cv2.fillConvexPoly(np.zeros(yellow.shape, np.uint8), corners.round().astype(np.int32), (1.0,)) > 0
+    assert (yellow & inside).sum() > 0.9 * max(yellow.sum(), inside.sum()) > 1000
+
+
+def test_what_a_detector_says_is_recorded_as_it_is(topics: Any) -> None:
+    for (_, message, _), value in zip(topics["uav1/detector"], shown_by(Looks, "uav1"), strict=True):
+        assert (message["cells"], message["hits"]) == (value.cells.tolist(), value.hits.tolist())
+
+
+def test_targets_move_in_the_scene_once_a_second(topics: Any) -> None:
+    rows = topics["world/scene"]
+    assert [time_ns for time_ns, *_ in rows] == [k * SECOND_NS for k in range(21)]
+    for time_ns, scene, _ in rows:
+        drawn = {entity["id"]: entity for entity in scene["entities"]}
+        assert set(drawn) == {*NAMES, "target/alpha", "target/bravo"}
+        for target in TARGETS:
+            position = drawn[f"target/{target.name}"]["cubes"][0]["pose"]["position"]
+            assert (position["x"], position["y"]) == target.place(time_ns / SECOND_NS)
+
+
+CHANGES: list[Any] = [
+    ("map", lambda v: msgspec.structs.replace(v, probability=frozen(v.probability ^ 1))),
+    ("map", lambda v: msgspec.structs.replace(v, seen=frozen(~v.seen))),
+    ("map", lambda v: msgspec.structs.replace(v, left=0.5)),
+    ("mosaic", lambda v: msgspec.structs.replace(v, pixels=frozen(v.pixels ^ 1))),
+    ("sightings", lambda v: msgspec.structs.replace(v, jpeg=v.jpeg + b"\x00")),
+    ("sightings", lambda v: msgspec.structs.replace(v, width=v.width + 1)),
+    ("detector", lambda v: msgspec.structs.replace(v, hits=frozen(~v.hits))),
+    ("detector", lambda v: msgspec.structs.replace(v, cells=frozen(v.cells + 1))),
+]
+
+
+@pytest.mark.parametrize(("topic", "change"), CHANGES)
+def test_the_digest_sees_every_bit(topic: str, change: Any) -> None:
+    def digest(extra: Any) -> str:
+        recorder, _ = recorded(NAMES, 1.0, more=[] if extra is None else [extra])
+        return str(recorder.metrics(window=(0.0, None))["digest"])
+
+    event = next(each for each in events(NAMES, 1.0) if each.key == f"uav1/{topic}")
+    same, other = event, msgspec.structs.replace(event, value=change(event.value))
+    assert digest(same) == digest(same) != digest(other)
+
+
+# Numbers
+
+
+def mission_of(*notes: Any, seconds: float = 20.0) -> dict[str, Any]:
+    return dict(recorded(NAMES, seconds, more=notes)[0].metrics(window=(0.0, None))["mission"])
+
+
+def test_finds_count_near_the_true_place_of_then() -> None:
+    """Alpha has moved on by 1.5 m after 15 s: what is 3.5 m behind its start is no longer near it."""
+    got = mission_of(
+        note("uav2", 15 * SECOND_NS, found="alpha", found_x=9.0, found_y=20.0 + 1.5 + 2.9),
+        note("uav2", 15 * SECOND_NS + 1, found="alpha", found_x=9.0, found_y=20.0 + 1.5 - 3.1),
+        note("uav2", 15 * SECOND_NS + 2, found="bravo", found_x=9.0, found_y=21.5),
+        note("uav2", 15 * SECOND_NS + 3, found="", found_x=31.5, found_y=30.0),
+        note("uav2", 15 * SECOND_NS + 4, found=""),
+        note("uav2", 15 * SECOND_NS + 5, found="", found_x="here", found_y=30.0),
+    )
+    base = mission_of()
+    assert got["false_finds"] == base["false_finds"] + 4
+    assert got["found_s"] == base["found_s"]
+    assert base["targets_found"] == sum(time_s is not None for time_s in base["found_s"].values()) == 2
+
+
+def tracked(task: str, target: str, away_m: float, seconds: float) -> int:
+    """A vehicle that keeps a distance to alpha for so long, and then leaves."""
+    mission = Mission()
+    mission.take("uav1", 0, {"commander": "search", "task": "search", "target": ""})
+    mission.take("uav1", SECOND_NS, {"task": task, "target": target})
+    moves = []
+    for k in range(200):
+        x, y = TARGETS[0].place(k / 10)
+        away = away_m if k / 10 <= 1.0 + seconds else 50.0
+        moves.append(states(k * SECOND_NS // 10, {"uav1": (x + away, y, 0.0)}))
+    found = mission.metrics(metrics.motion(plainly(["uav1"], moves, END_NS).states), TARGETS)
+    assert found is not None
+    return int(found["targets_tracked"])
+
+
+@pytest.mark.parametrize(
+    ("task", "target", "away_m", "seconds", "count"),
+    [
+        ("track", "alpha", 2.9, 10.0, 1),
+        ("track", "", 2.9, 10.0, 1),  # it cannot tell their names
+        ("track", "alpha", 2.9, 9.8, 0),
+        ("track", "alpha", 3.1, 10.0, 0),
+        ("track", "bravo", 2.9, 10.0, 0),
+        ("search", "alpha", 2.9, 10.0, 0),
+    ],
+)
+def test_a_target_is_tracked_by_one_that_stays_near_it(
+    task: str, target: str, away_m: float, seconds: float, count: int
+) -> None:
+    assert tracked(task, target, away_m, seconds) == count
+
+
+def test_bytes_and_switches_add_up() -> None:
+    base = mission_of()
+    assert base["map_bytes_sent"] == 2 * 2100
+    got = mission_of(note("uav1", END_NS, commander="avoid1", map_bytes=5000.0), note("uav2", 1, commander="search"))
+    assert got["map_bytes_sent"] == 2100 + 5000
+    assert got["switches"] - base["switches"] == 1
+
+
+def test_bytes_of_an_agent_in_the_place_of_another_count_on_top() -> None:
+    counts = [0.0, 500.0, 900.0, 0.0, 300.0, 400.0]
+    got = mission_of(*(note("uav3", tick, map_bytes=count) for tick, count in enumerate(counts)))
+    assert got["map_bytes_sent"] - mission_of()["map_bytes_sent"] == 900 + 400
+
+
+def test_the_searched_area_is_the_union_of_what_all_saw() -> None:
+    def shown(left: float, cell_m: float, seen: Any) -> ProbabilityMap:
+        seen = frozen(seen, np.bool_)
+        return ProbabilityMap(
+            left=left, bottom=0.0, cell_m=cell_m, probability=frozen(np.zeros(seen.shape), np.uint8), seen=seen
+        )
+
+    assert seen_ratio([]) is None
+    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 2.0, [[0, 0], [0, 1]])]) == 0.5
+    # two grids of 4 m x 4 m, one cell of the other size, side by side and then one over the other
+    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(4.0, 4.0, [[1]])]) == pytest.approx(20 / 32)
+    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[1]])]) == pytest.approx(1.0)
+    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[0]])]) == pytest.approx(4 / 16, abs=0.25)
+    assert seen_ratio([shown(0.0, 2.0, np.zeros((0, 0)))]) is None
+
+
+@settings(max_examples=30)
+@given(st.lists(st.lists(st.booleans(), min_size=6, max_size=6), min_size=1, max_size=4))
+def test_equal_grids_are_counted_exactly(maps: list[list[bool]]) -> None:
+    seen = [np.array(each).reshape(2, 3) for each in maps]
+    values = [ProbabilityMap(left=0.1, bottom=0.3, cell_m=0.7, probability=frozen(each, np.uint8), seen=each) for each in seen]
+    assert seen_ratio(values) == pytest.approx(np.any(seen, axis=0).mean())
+
+
+def test_metrics_are_paths_for_studies_though_nothing_is_found() -> None:
+    numbers = flat(mission_of(seconds=0.0), "mission.")
+    assert {"mission.found_s.alpha", "mission.found_s.bravo", "mission.targets_found"} <= set(numbers)
+    assert numbers["mission.found_s.alpha"] is None
+
+
+def test_without_targets_and_notes_there_is_no_mission() -> None:
+    mission = Mission()
+    mission.take("uav1", 0, {"mode": "avoid"})
+    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    assert mission.metrics(moved, ()) is None
+    mission.take("uav1", 0, {"task": "search"})
+    assert mission.metrics(moved, ()) is not None
+
+
+@pytest.mark.parametrize("topic", ["map", "mosaic", "sightings"])
+def test_whoever_shows_something_is_on_a_mission_though_it_finds_nothing(topic: str) -> None:
+    """Which metrics there are may not depend on whether a search errs: in a world without targets, every find is false."""
+    event = next(each for each in events(NAMES, 1.0) if each.key == f"uav1/{topic}")
+    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    silent, mistaken = Mission(), Mission()
+    for mission in (silent, mistaken):
+        mission.see("uav1", event.value)  # type: ignore[arg-type]
+    mistaken.take("uav1", SECOND_NS, {"found": "", "found_x": 1.0, "found_y": 2.0})
+    first, second = silent.metrics(moved, ()), mistaken.metrics(moved, ())
+    assert first is not None
+    assert second is not None
+    assert flat(first, "mission.").keys() == flat(second, "mission.").keys()
+    assert (first["false_finds"], second["false_finds"]) == (0, 1)
+
+
+@pytest.mark.parametrize("value", [True, 1.0, "track"])
+def test_what_is_noted_again_and_again_is_kept_once(value: Any) -> None:
+    """Whatever agents note instead of words; memory does not grow with the ticks."""
+    mission = Mission()
+    for tick in range(10):
+        mission.take("uav1", tick, {"commander": value})
+    assert mission.of("uav1", "commander") == [(0, str(value))]
+
+
+def test_a_vehicle_without_its_agent_does_nothing_until_that_is_back() -> None:
+    """It hangs above its target all the time; what its agent did before and does after is one task, and no switch."""
+
+    def mission(*, lost_s: float | None = None, back_s: float | None = None, failed_s: float | None = None) -> dict[str, Any]:
+        noted = Mission()
+        noted.take("uav1", 0, {"commander": "track", "task": "track", "target": "bravo"})
+        if failed_s is not None:
+            noted.take("uav1", round(failed_s * SECOND_NS), {"status": "failed"})
+        if lost_s is not None:
+            noted.leave("uav1", round(lost_s * SECOND_NS))
+        if back_s is not None:
+            noted.come_back("uav1", round(back_s * SECOND_NS))
+        assert noted.lost("uav1") == []
+        moves = [states(k * SECOND_NS // 10, {"uav1": (31.0, 30.0, 0.0)}) for k in range(200)]
+        return dict(noted.metrics(metrics.motion(plainly(["uav1"], moves, END_NS).states), TARGETS) or {})
+
+    cases = [mission(), mission(failed_s=5.0), mission(lost_s=5.0), mission(lost_s=12.0)]
+    cases += [mission(lost_s=5.0, back_s=9.0), mission(lost_s=5.0, back_s=16.0)]
+    assert [each["targets_tracked"] for each in cases] == [1, 0, 0, 1, 1, 0]
+    assert {each["switches"] for each in cases} == {0}
+
+
+def test_who_comes_back_with_other_news_does_that() -> None:
+    mission = Mission()
+    mission.take("uav1", 0, {"commander": "track", "task": "track", "target": ""})
+    mission.leave("uav1", 5)
+    mission.leave("uav1", 6)  # lost, and then for good
+    mission.take("uav1", 9, {"commander": "search", "task": "search", "target": ""})  # another one in its place
+    mission.come_back("uav1", 9)
+    assert mission.of("uav1", "commander") == [(0, "track"), (5, ""), (9, "search")]
+    assert mission.of("uav1", "target") == [(0, "")]
+    found = mission.metrics(metrics.motion(plainly(["uav1"], (), 0).states), ())
+    assert found is not None
+    assert found["switches"] == 1
+
+
+def test_the_pictures_know_when_an_agent_was_lost() -> None:
+    away = Presence(state="lost", since_ns=0), Presence(state="back", since_ns=0)
+    more = [Event("uav1/host", at_s * SECOND_NS, each) for at_s, each in zip((1, 2), away, strict=True)]
+    recorder, stream = recorded(NAMES, 3.0, more=[*more, note("uav2", SECOND_NS, status="failed")])
+    log = read_mission(io.BytesIO(stream.getvalue()), NAMES, 3 * SECOND_NS)
+    first, *others = log.noted.of("uav1", "commander")
+    assert [name for _, name in (first, *others)] == ["search", "", "search"]
+    assert log.noted.of("uav2", "commander")[1:] == [(SECOND_NS, "")]
+    assert recorder.metrics(window=(0.0, None))["mission"]["switches"] == 0
+
+
+# Pictures
+
+
+@pytest.fixture(scope="module")
+def log(run: Any) -> MissionLog:
+    return read_mission(io.BytesIO(run[1].getvalue()), NAMES, END_NS)
+
+
+def test_a_recording_has_all_that_was_shown(log: MissionLog) -> None:
+    for name in NAMES:
+        for (_, back), value in zip(log.maps[name], shown_by(ProbabilityMap, name), strict=True):
+            np.testing.assert_array_equal(back.probability, value.probability)
+            np.testing.assert_array_equal(back.seen, value.seen)
+        np.testing.assert_array_equal(log.mosaics[name].pixels, shown_by(Mosaic, name)[-1].pixels)
+        assert [value for _, value in log.sightings[name]] == shown_by(Sightings, name)
+
+
+def test_of_a_long_recording_only_some_pictures_are_kept() -> None:
+    """At 5 Hz and with one part of the run per 2 s, one picture in ten; those with a target win."""
+    _, stream = recorded(NAMES, 20.0, looks=5.0)
+    log = read_mission(io.BytesIO(stream.getvalue()), NAMES, 2 * FRAMES * SECOND_NS)
+    for name in NAMES:
+        kept = [(time_ns, seen) for time_ns, seen in log.sightings[name] if seen.jpeg]
+        parts = [log.part(time_ns) for time_ns, _ in kept]
+        assert parts == sorted(set(parts)) == list(range(10))
+        with_target = {log.part(time_ns) for time_ns, seen in log.sightings[name] if seen.found}
+        assert {log.part(time_ns) for time_ns, seen in kept if seen.found} == with_target
+        assert [seen.found for _, seen in log.sightings[name] if seen.found] == [
+            each.value.found
+            for each in events(NAMES, 20.0, 5.0)
+            if each.key == f"{name}/sightings" and isinstance(each.value, Sightings) and each.value.found
+        ]
+
+
+def test_a_recording_that_was_cut_off_gives_what_is_there(run: Any) -> None:
+    whole = run[1].getvalue()
+    assert not read_mission(io.BytesIO(whole[: len(whole) // 50]), NAMES, END_NS)
+    assert not read_mission(io.BytesIO(b"nothing of the kind"), NAMES, END_NS)
+
+
+def test_the_surest_map_wins_in_each_cell() -> None:
+    def shown(values: list[int]) -> ProbabilityMap:
+        probability = frozen([values], np.uint8)
+        return ProbabilityMap(left=0.0, bottom=0.0, cell_m=1.0, probability=probability, seen=frozen(probability > 0))
+
+    log = MissionLog(NAMES, END_NS, maps={"uav1": [(0, shown([127, 3, 250]))], "uav2": [(0, shown([140, 120, 200]))]})
+    assert surest_map(log, 0)[1].tolist() == [[140, 3, 250]]
+    assert surest_map(log, -1)[0] is None
+
+
+OUTLINES = [np.array([(5.0, 5.0), (12.0, 5.0), (12.0, 15.0)])]
+
+
+def test_figures_show_the_run_with_units_on_every_axis(run: Any, log: MissionLog) -> None:
+    from vcmvsp.cosim.plots import mission_plot
+
+    moved = metrics.motion(run[0].states)
+    figures = [mission_plot.mission(log, moved, TARGETS, OUTLINES), mission_plot.mosaic(log, moved, TARGETS)]
+    for figure in figures:
+        labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
+        assert len(labels) >= 2
+        assert all(label.endswith(("[m]", "[s]", "[1]")) for label in labels)
+    titles = [axes.get_title() for axes in figures[0].axes]
+    assert [title for title in titles if title] == ["5 s", "10 s", "15 s", "20 s"]
+    last = next(axes for axes in figures[0].axes if axes.get_title() == "20 s")
+    np.testing.assert_allclose(np.asarray(last.images[0].get_array()) * 255.0, surest_map(log, END_NS)[1])
+    stars = [tuple(np.asarray(line.get_xydata()).ravel()) for line in last.lines if str(line.get_marker()) == "*"]
+    assert stars == [target.place(20.0) for target in TARGETS]
+    assert not plt.get_fignums()
+
+
+def test_the_contact_sheet_shows_what_each_vehicle_recognised(log: MissionLog) -> None:
+    from vcmvsp.cosim.plots import mission_plot
+
+    chosen = mission_plot.chosen_pictures(log)
+    pairs = {(name, each.target) for name, shown in log.sightings.items() for _, seen in shown for each in seen.found}
+    assert {(name, seen.found[0].target) for _, name, seen in chosen} == pairs
+    assert [time_ns for time_ns, *_ in chosen] == sorted(time_ns for time_ns, *_ in chosen)
+    assert {seen.time_ns for _, _, seen in chosen} <= {
+        seen.time_ns for shown in log.sightings.values() for _, seen in shown if seen.found and seen.jpeg
+    }
+    figure = mission_plot.detections(log)
+    assert sum(bool(axes.images) for axes in figure.axes) == len(chosen) <= 12
+
+
+def test_the_film_runs_at_four_times_the_pace_and_is_the_same_again(run: Any, log: MissionLog, tmp_path: Any) -> None:
+    from vcmvsp.cosim.plots import mission_video
+
+    moved = metrics.motion(run[0].states)
+    for name in ("one.mp4", "two.mp4"):
+        assert mission_video.write_video(tmp_path / name, log, moved, TARGETS, OUTLINES)
+    assert (tmp_path / "one.mp4").read_bytes() == (tmp_path / "two.mp4").read_bytes()
+    film = cv2.VideoCapture(str(tmp_path / "one.mp4"))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) / film.get(cv2.CAP_PROP_FPS) == pytest.approx(20.0 / 4.0, abs=0.2)
+    pictures = list(mission_video.frames(log, moved, TARGETS, OUTLINES))
+    assert len({picture.tobytes() for picture in pictures}) > len(pictures) // 2
+
+
+def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: MissionLog) -> None:
+    from vcmvsp.cosim.plots import mission_video
+
+    (_, seen), *_ = log.sightings["uav1"]
+    white = cv2.imencode(".jpg", np.full((60, 80, 3), 255, np.uint8))[1].tobytes()
+    shown = msgspec.structs.replace(seen, jpeg=white, found=(), width=80, height=60)
+    cars = tuple(f"car{number}" for number in range(mission_video.MOST_PICTURES))
+    team = MissionLog((*cars, "uav1"), SECOND_NS, sightings={"uav1": [(0, shown)]})
+    moved = metrics.motion(plainly(team.vehicles, (), 0).states)
+    beside = next(mission_video.frames(team, moved, (), ()))[:, mission_video.MAP_PX :]
+    assert (beside.min(axis=2) > 200).mean() > 0.05
+
+
+def test_a_film_that_fails_is_closed(log: MissionLog, run: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from vcmvsp.cosim.plots import mission_video
+
+    closed = []
+
+    class Film:
+        def __init__(self, *_: Any) -> None:
+            pass
+
+        def isOpened(self) -> bool:  # noqa: N802  the library's name
+            return True
+
+        def write(self, _: Any) -> None:
+            raise KeyboardInterrupt
+
+        def release(self) -> None:
+            closed.append(True)
+
+    monkeypatch.setattr(cv2, "VideoWriter", Film)
+    monkeypatch.setattr(Film, "fourcc", lambda *_: 0, raising=False)
+    with pytest.raises(KeyboardInterrupt):
+        mission_video.write_video(tmp_path / "film.mp4", log, metrics.motion(run[0].states), TARGETS, OUTLINES)
+    assert closed == [True]
+
+
+def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
+    from vcmvsp.cosim.plots import mission_plot, mission_video, run_plots
+
+    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    for log in (MissionLog((), 0), MissionLog(NAMES, SECOND_NS)):
+        run_plots.save_png(mission_plot.mission(log, moved, (), ()), tmp_path / "mission.png")
+        run_plots.save_png(mission_plot.mosaic(log, moved, TARGETS), tmp_path / "mosaic.png")
+        run_plots.save_png(mission_plot.detections(log), tmp_path / "detections.png")
+        assert mission_video.write_video(tmp_path / "mission.mp4", log, moved, TARGETS, ())
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.1, 20.0, 180.0, 180.04, 3600.0])
+def test_a_film_has_no_more_frames_than_it_may(seconds: float) -> None:
+    from vcmvsp.cosim.plots import mission_video
+
+    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    count = sum(1 for _ in mission_video.frames(MissionLog((), round(seconds * SECOND_NS)), moved, (), ()))
+    assert 1 <= count <= FRAMES
+
+
+def test_the_colours_of_tracks_are_told_by_the_names_above_them(log: MissionLog, run: Any) -> None:
+    from vcmvsp.cosim.plots import mission_plot
+    from vcmvsp.cosim.util.palette import color_of
+
+    figure = mission_plot.mission(log, metrics.motion(run[0].states), TARGETS, OUTLINES)
+    labels = {label.get_text(): label.get_color() for label in figure.axes[0].get_yticklabels()}
+    assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}
+
+
+def test_cells_of_the_map_lie_where_they_are_in_the_film(run: Any) -> None:
+    """One sure cell of an else empty map is dark in the film just where its middle is."""
+    from vcmvsp.cosim.plots import mission_video
+
+    probability = np.zeros((CELLS, CELLS), np.uint8)
+    probability[15, 4] = 255  # x 8 to 10, y 30 to 32
+    seen = frozen(np.ones_like(probability), np.bool_)
+    shown = ProbabilityMap(left=0.0, bottom=0.0, cell_m=CELL_M, probability=frozen(probability), seen=seen)
+    log = MissionLog(NAMES, SECOND_NS, maps={"uav1": [(-10 * SECOND_NS, shown)]})
+    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    picture = next(mission_video.frames(log, moved, (), ()))[:, : mission_video.MAP_PX].astype(int)
+    dark = np.argwhere(picture.sum(axis=2) < 400)
+    dark = dark[dark[:, 0] > 40]  # the clock is above
+    scale = (mission_video.MAP_PX - 2 * mission_video.MARGIN_PX) / (CELLS * CELL_M)
+    row, column = dark.mean(axis=0)
+    assert column == pytest.approx(mission_video.MARGIN_PX + 9.0 * scale, abs=1.5)
+    assert row == pytest.approx(mission_video.MAP_PX - mission_video.MARGIN_PX - 31.0 * scale, abs=1.5)
+
+
+def test_pictures_of_cameras_keep_their_own_topic() -> None:
+    pixels = frozen(np.zeros((2, 2, 3)), np.uint8)
+    _, stream = recorded(NAMES, 1.0, more=[Event("uav1/camera", 0, Image(pixels=pixels))])
+    found = {channel.topic for _, channel, _ in make_reader(io.BytesIO(stream.getvalue())).iter_messages()}
+    assert {"uav1/camera", "uav1/sightings/picture"} <= found

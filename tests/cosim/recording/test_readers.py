@@ -1,0 +1,187 @@
+"""``run.mcap`` is what others take it for: whole by the rules of the format, and readable up to wherever it was cut."""
+
+import contextlib
+import io
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from mcap import records
+from mcap.reader import NonSeekingReader, make_reader
+
+from vcmvsp.cosim.recording.foxglove import messages as foxglove
+from vcmvsp.cosim.recording import scene
+from vcmvsp.cosim.recording.foxglove.schemas import FRAME, schema_of
+from vcmvsp.cosim.recording.mcap_file import McapLog, about, contents, messages, of_topic
+from vcmvsp.cosim.types import FrameReport, Note
+from vcmvsp.cosim.assembly.worlds import world_of
+from tests.support.cosim import export_runs, mcap_checks
+
+RERUN = Path(sys.executable).with_name("rerun")
+
+
+def recording(name: str) -> bytes:
+    return (export_runs.run_of(name) / "run.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("name", export_runs.RUNS)
+def test_a_recording_keeps_the_rules_of_the_format(name: str) -> None:
+    data = recording(name)
+    count = mcap_checks.examine(data)
+    through = list(NonSeekingReader(io.BytesIO(data), validate_crcs=True).iter_messages())
+    by_index = list(make_reader(io.BytesIO(data), validate_crcs=True).iter_messages())
+    assert len(through) == len(by_index) == count > 50
+    ours = list(contents(io.BytesIO(data)))
+    theirs = [(c.topic, s.name, m.log_time, m.data) for s, c, m in through if s is not None]
+    assert sorted(ours) == sorted(theirs)
+
+
+def test_damage_anywhere_is_found() -> None:
+    """What `mcap_checks` does not find is not checked: the version of the library, the header's length apart."""
+    data = recording("pillar-triangle")
+    chance = random.Random(1)
+    for place in chance.sample(range(30, len(data) - 8), 40):
+        bad = bytearray(data)
+        bad[place] ^= 0x10
+        with pytest.raises(Exception):  # noqa: B017, PT011  whatever notices it first
+            mcap_checks.examine(bytes(bad))
+
+
+def test_a_message_that_cannot_be_written_leaves_no_trace() -> None:
+    stream = io.BytesIO()
+    log = McapLog(stream, {})
+    log.write("a/note", 1, Note(values={"x": 1.0}))
+    for topic in ("a/note", "b/note"):
+        with pytest.raises(TypeError, match="cannot record"):
+            log.write(topic, 2, Note(values={"x": 2.0, "y": object()}))  # type: ignore[dict-item]
+    log.write("a/note", 3, Note(values={"x": 3.0}))
+    log.finish()
+    assert mcap_checks.examine(stream.getvalue()) == 2
+    said = [(topic, time_ns, json.loads(data)["values"]) for topic, time_ns, data in messages(io.BytesIO(stream.getvalue()))]
+    assert said == [("a/note", 1, {"x": 1.0}), ("a/note", 3, {"x": 3.0})]
+
+
+def chunk_ends(data: bytes) -> list[tuple[int, int]]:
+    """Where each chunk ends, and how many messages there are up to there."""
+    ends, count = [], 0
+    for _, end, each in mcap_checks.read(data[:-8], 8):
+        if isinstance(each, records.Chunk):
+            ends.append((end, 0))
+        elif isinstance(each, records.MessageIndex):
+            count += len(each.records)
+            ends[-1] = ends[-1][0], count
+    return ends
+
+
+@pytest.mark.parametrize("name", ["recon-team", "lab-patrol"])
+def test_a_recording_cut_at_any_byte_is_readable_up_to_its_last_whole_chunk(name: str) -> None:
+    data = recording(name)
+    ends = chunk_ends(data)
+    assert len(ends) >= 3
+    whole = [each[1:] for each in messages(io.BytesIO(data))]
+    near = [end + off for end, _ in ends for off in (-1, 0, 1)]
+    for place in [*random.Random(2).sample(range(1, len(data)), 12), *near]:
+        left = max((count for end, count in ends if end <= place), default=0)
+        assert until_damage(each[1:] for each in messages(io.BytesIO(data[:place]))) == whole[:left]
+        library = NonSeekingReader(io.BytesIO(data[:place]), validate_crcs=True).iter_messages(log_time_order=False)
+        assert until_damage((message.log_time, message.data) for _, _, message in library) == whole[:left]
+
+
+def until_damage(found: Iterable[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+    """What comes before the error, for which readers have several words."""
+    kept: list[tuple[int, bytes]] = []
+    with contextlib.suppress(Exception):
+        kept.extend(found)
+    return kept
+
+
+def test_of_one_topic_by_the_index_and_without_it() -> None:
+    data = recording("lab-patrol")
+    expected = [(time_ns, content) for topic, time_ns, content in messages(io.BytesIO(data)) if topic == "ugv2/scan"]
+    assert len(expected) > 5
+    assert list(of_topic(io.BytesIO(data), "ugv2/scan")) == expected
+    part = list(of_topic(io.BytesIO(data[: len(data) // 2]), "ugv2/scan"))
+    assert 0 < len(part) < len(expected)
+    assert part == expected[: len(part)]
+    assert about(io.BytesIO(data)) == {"scenario": "lab-patrol", "seed": "1", "vehicles": "ugv1 ugv2 ugv3"}
+
+
+def test_frames_of_the_radio_are_described_in_the_file_itself() -> None:
+    data = recording("pillar-triangle")
+    schema = next(s for s, c, _ in make_reader(io.BytesIO(data)).iter_messages(topics=["radio/frame"]) if s is not None)
+    published = json.loads(schema.data)
+    assert schema.data == schema_of(FrameReport)[1]
+    assert set(published["properties"]) == {"type", *FrameReport.__struct_fields__} == set(FRAME)
+    assert all(len(node["description"]) > 10 for node in published["properties"].values())
+    units = {"_ns": " ns", "_dbm": " dBm", "_db": " dB", "_m": ", m", "_bytes": ", bytes"}
+    for name, words in FRAME.items():
+        for ending, unit in units.items():
+            if name.endswith(ending):
+                assert unit in words, name
+
+
+def test_the_world_is_drawn_once_from_its_own_mesh() -> None:
+    found = [json.loads(data) for _, data in of_topic(io.BytesIO(recording("lab-patrol")), "world/solids")]
+    assert len(found) == 1
+    (entity,) = found[0]["entities"]
+    triangles = [part for part in entity["triangles"] if len(part["indices"]) % 3 == 0 and part["points"]]
+    assert sum(len(part["indices"]) for part in triangles) == 3 * 3132  # the walls, 15 tables and 30 chairs of the laboratory
+    highest = max(point["z"] for part in triangles for point in part["points"])
+    assert 2.0 < highest < 4.0
+    assert len({tuple(part["color"].values()) for part in triangles}) > 1
+
+
+def test_a_world_of_too_many_triangles_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    world, _ = world_of("pillar", {})
+    assert scene.solids(world) is not None
+    monkeypatch.setattr(scene, "MOST_TRIANGLES", len(world.mesh()[1]) - 1)
+    assert scene.solids(world) is None
+
+
+def test_an_obstacle_with_a_time_table_moves_in_a_frame_of_its_own() -> None:
+    data = recording("a crossing cart")
+    frames = [json.loads(content)["transforms"] for _, content in of_topic(io.BytesIO(data), "world/moving")]
+    assert len(frames) == 21
+    assert {each["child_frame_id"] for (each,) in frames} == {"obstacle/cart"}
+    assert [each["translation"]["y"] for (each,) in frames] == pytest.approx([-1.0 + 0.1 * k for k in range(21)])
+    (drawn,) = [json.loads(content) for _, content in of_topic(io.BytesIO(data), "world/solids")]
+    cart = drawn["entities"][1]
+    assert (cart["frame_id"], cart["cubes"][0]["size"]) == ("obstacle/cart", {"x": 0.6, "y": 0.4, "z": 0.6})
+
+
+def test_a_camera_tells_how_it_sees_once() -> None:
+    data = recording("recon-team")
+    (said,) = [json.loads(content) for _, content in of_topic(io.BytesIO(data), "uav1/camera/calibration")]
+    picture = json.loads(next(of_topic(io.BytesIO(data), "uav1/camera"))[1])
+    assert (said["width"], said["height"]) == (picture["width"], picture["height"])
+    focal, _, u, _, same, v, _, _, one = said["K"]
+    assert focal == same > 100.0
+    assert (u, v, one) == (0.5 * (said["width"] - 1), 0.5 * (said["height"] - 1), 1.0)
+    assert schema_of(foxglove.CameraCalibration)[0] == "foxglove.CameraCalibration"
+
+
+@pytest.mark.skipif(not RERUN.is_file(), reason="rerun-sdk is not installed")
+@pytest.mark.parametrize("name", export_runs.RUNS)
+def test_rerun_finds_nothing_wrong_and_all_topics(name: str, tmp_path: Path) -> None:
+    """It knows Foxglove's schemas in Protobuf only: ours, in JSON, arrive as messages with their schemas."""
+    path = tmp_path / "run.mcap"
+    shutil.copyfile(export_runs.run_of(name) / "run.mcap", path)
+    said = rerun("mcap", "check", "--full", str(path))
+    assert said.returncode == 0, said.stderr
+    rows = [line for line in said.stdout.splitlines() if line.startswith(("ok", "warn", "err"))]
+    summary = make_reader(io.BytesIO(path.read_bytes())).get_summary()
+    assert summary is not None
+    assert len(rows) == len(summary.channels)
+    assert all(row.startswith("ok") for row in rows), said.stdout
+
+
+def rerun(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Its command line, which sends nothing to its makers."""
+    environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
+    return subprocess.run([str(RERUN), *arguments], capture_output=True, text=True, env=environment, check=False)

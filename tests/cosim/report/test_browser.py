@@ -1,0 +1,69 @@
+"""A browser opens the pages without complaint, in the light and in the dark, and prints them."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vcmvsp import cosim
+from tests.support.cosim.studies import LOSS, two
+from tests.support.cosim.view_pages import ARGUMENTS, CHROMIUM
+
+pytestmark = [
+    pytest.mark.usefixtures("figures"),
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[str, Path]:
+    """Of a run and of a study."""
+    folder = tmp_path_factory.mktemp("pages")
+    cosim.run(two(duration_s=2.0), out=folder / "run")
+    cosim.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=2, metrics=["formation.rms_m"], jobs=1, out=folder / "study")
+    return {name: folder / name / "report.html" for name in ("run", "study")}
+
+
+@pytest.mark.parametrize("name", ["run", "study"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_opens_without_complaint_and_asks_for_nothing_else(
+    name: str, scheme: str, browser: Any, pages: dict[str, Path]
+) -> None:
+    page = browser.new_page(color_scheme=scheme)
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: said.append(request.url))
+    url = pages[name].as_uri()
+    page.goto(url)
+    assert said == [url]
+    paper, ink = (page.evaluate(f"getComputedStyle(document.body).{each}") for each in ("backgroundColor", "color"))
+    assert (_brightness(paper) > _brightness(ink)) == (scheme == "light")
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")  # nothing sticks out
+    drawn = page.evaluate("[...document.querySelectorAll('figure svg')].map(each => each.getBoundingClientRect().height)")
+    assert len(drawn) == (2 if name == "run" else 1)
+    assert min(drawn) > 100
+    page.close()
+
+
+@pytest.mark.parametrize("name", ["run", "study"])
+def test_it_is_printed_on_a_few_pages(name: str, browser: Any, pages: dict[str, Path], tmp_path: Path) -> None:
+    page = browser.new_page()
+    page.goto(pages[name].as_uri())
+    printed = page.pdf(path=str(tmp_path / "page.pdf"), format="A4")
+    assert 1 <= printed.count(b"/Type /Page\n") <= 8
+    page.close()
+
+
+def _brightness(color: str) -> float:
+    return sum(float(each) for each in color.removeprefix("rgb(").rstrip(")").split(","))

@@ -1,0 +1,107 @@
+"""Figures of recognition: what is counted, what the stages are asked, and all figures whole with few pictures."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vcmvsp.agents.reconnaissance.recognition import Detection
+from vcmvsp.agents.reconnaissance.recognition.ground import Truth
+from vcmvsp.agents.reconnaissance.recognition.inspection import colour_map, inspect
+from vcmvsp.cosim.reproduction.figures.search import recognition_stages
+from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
+    KINDS,
+    Tally,
+    box,
+    made_up,
+    photographed,
+    target,
+    together,
+)
+from vcmvsp.cosim.frames import wrap
+from tests.support.cosim.figures import drawn, missed
+
+FOCAL_PX = 400.0
+
+
+def detection(u: float, v: float, angle: float = 0.0, name: str = "glyph") -> Detection:
+    return Detection(name, (u, v), angle, 40.0, 1.0, 1.0, 1.0)
+
+
+def test_each_target_is_found_once_and_all_else_is_false() -> None:
+    """Side 40 px: right is up to 10 px."""
+    tally = Tally()
+    tally.add([detection(109.0, 100.0, 0.1), detection(101.0, 100.0), detection(300.0, 90.0)], [Truth("glyph", 100, 100)], 40.0)
+    tally.add([detection(100.0, 111.0)], [Truth("glyph", 100, 100)], 40.0)
+    tally.add([detection(100.0, 100.0, name="other")], [Truth("glyph", 100, 100)], 40.0)
+    assert (tally.targets, tally.found, tally.false) == (3, 1, 4)
+    assert tally.recall == pytest.approx(1 / 3)
+    assert tally.precision == 1 / 5
+    assert tally.angles == pytest.approx([0.1])
+    assert tally.places == pytest.approx([9 / 40])
+    both = together([tally, tally])
+    assert (both.targets, both.found, both.false, len(both.angles)) == (6, 2, 8, 2)
+
+
+def test_shares_of_nothing_are_no_numbers() -> None:
+    assert math.isnan(Tally().precision)
+    assert math.isnan(Tally().recall)
+
+
+def test_boxes_turn_counter_clockwise_as_one_looks_at_them() -> None:
+    """Its first corner is the upper right one; turned by a quarter it is the upper left one; v points down."""
+    for angle, (u, v) in ((0.0, (110.0, 40.0)), (0.5 * math.pi, (90.0, 40.0))):
+        curve = box(100.0, 50.0, 20.0, angle, "", 0)
+        assert (curve.x[0], curve.y[0]) == pytest.approx((u, v))
+        assert (curve.x[-1], curve.y[-1]) == pytest.approx((u, v))
+
+
+def test_inspection_tells_what_the_detector_finds() -> None:
+    """The angle, and scores on either side of the thresholds of the stages."""
+    frame = made_up(20.0, 3)
+    (truth,) = frame.seen.truths
+    said = inspect(target(), frame.image, 20.0, FOCAL_PX, (truth.u, truth.v))
+    assert abs(wrap(said.angle - truth.angle)) < math.radians(1.0)
+    assert said.colour > 0.55
+    assert said.rings > 0.95
+    assert said.match > 0.95
+    assert said.match > said.upright
+    for kind, u, v in frame.likenesses:
+        like = inspect(target(), frame.image, 20.0, FOCAL_PX, (u, v))
+        assert like.match < 0.65
+        assert (like.rings > 0.95) == (kind == "mirrored")
+
+
+def test_colour_maps_have_their_peaks_in_the_picture() -> None:
+    frame = made_up(15.0, 1)
+    (truth,) = frame.seen.truths
+    found = colour_map(target(), frame.image, 15.0, FOCAL_PX)
+    near = np.hypot(found.peaks[:, 0] - truth.u, found.peaks[:, 1] - truth.v)
+    assert near.min() < 0.15 * frame.side_px
+    row, column = round((truth.v + 0.5) * found.scale - 0.5), round((truth.u + 0.5) * found.scale - 0.5)
+    assert found.score[row, column] > 0.9 * 255 * found.peaks[near.argmin(), 2]
+
+
+def test_cameras_over_towns_see_targets_and_no_likenesses() -> None:
+    rates = photographed(20.0, 8, (1,))
+    assert rates.unoccluded.of >= 4
+    assert rates.unoccluded.value == rates.precision.value == 1.0
+    assert math.degrees(max(rates.angles)) < 3.0
+    assert max(rates.places) < 0.1
+
+
+def test_recognition(tmp_path: Path) -> None:
+    figure = drawn("recognition", tmp_path, 6, frames=3)
+    assert missed(figure) == []
+    assert len(figure.rows) == 2 * 5 * 4 + 3 + 1
+
+
+@pytest.mark.parametrize(("name", "panels"), [("46", 5), ("47", 6)])
+def test_stages(name: str, panels: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recognition_stages, "TURNS_DEG", (0, 15, 20, 90))
+    monkeypatch.setattr(recognition_stages, "SHIFTS_PX", (0, 4, 7))
+    figure = drawn(name, tmp_path, panels, frames=2)
+    assert missed(figure) == []
+    if name == "47":
+        assert all(any(kind in row.case for row in figure.rows) for kind in KINDS)

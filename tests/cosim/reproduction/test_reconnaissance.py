@@ -1,0 +1,62 @@
+"""Figure 51: its rows from made-up runs, and a run of seconds whole."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.reproduction.figures.search import reconnaissance
+from vcmvsp.cosim.reproduction.figures.search.reconnaissance import Scouted, rows_of
+from tests.support.cosim.figures import drawn
+
+TIME_S = np.arange(0.0, 100.0, 0.5)
+ALPHA, BRAVO = np.array([10.0, 20.0]), np.array([-30.0, 5.0])
+GOOD = Scouted(
+    TIME_S,
+    np.stack([np.tile(ALPHA + 0.2, (200, 1)), np.tile(BRAVO, (200, 1))], axis=1),
+    {"alpha": 40.0, "bravo": 60.0},
+    2,
+    0,
+    0.9,
+    0,
+    1.5,
+    20.0,
+)
+
+
+def missed(seen: Scouted) -> list[str]:
+    away = {name: np.hypot(*np.moveaxis(seen.place - at, -1, 0)) for name, at in (("alpha", ALPHA), ("bravo", BRAVO))}
+    return [row.case for row in rows_of("town", seen, 50.0, away) if not row.ok]
+
+
+def test_a_good_run() -> None:
+    assert missed(GOOD) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"found_s": {"alpha": 40.0, "bravo": float("nan")}}, ["found", "last found"]),
+        ({"found_s": {"alpha": 40.0, "bravo": 190.0}}, ["last found"]),
+        ({"tracked": 1}, ["tracked"]),
+        ({"false_finds": 1}, ["no target"]),
+        ({"contacts": 1}, ["contacts"]),
+        ({"clearance_m": 0.4}, ["clearance"]),
+        ({"apart_m": 0.9}, ["apart"]),
+        ({"place": GOOD.place + 2.0}, ["alpha", "bravo"]),
+    ],
+)
+def test_what_goes_wrong_is_missed(changes: dict[str, object], words: list[str]) -> None:
+    cases = missed(replace(GOOD, **changes))  # type: ignore[arg-type]
+    assert len(cases) == len(words)
+    assert all(word in case for word, case in zip(words, cases, strict=True))
+
+
+def test_51(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a few seconds, in which nothing is found yet."""
+    monkeypatch.setattr(reconnaissance, "DURATION_S", 2.0)
+    figure = drawn("51", tmp_path, 2, seeds=(1,))
+    failed = {row.case for row in figure.rows if not row.ok}
+    assert failed >= {"town 1: targets found", "town 1: targets tracked"}
+    assert not any("contacts" in case or "clearance" in case for case in failed)

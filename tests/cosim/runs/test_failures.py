@@ -1,0 +1,174 @@
+"""A run ends well however it ends: one error, the right exit code, in time, nothing left behind, the recording readable."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pyarrow.parquet as pq
+import pytest
+from mcap.reader import make_reader
+
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import UNDRAWN
+
+AGENTS = '''
+import os, signal, sys, time
+from vcmvsp.cosim import Agent, Velocity
+
+class Failing(Agent):
+    """Drives on, and at ``at`` seconds does what ``how`` says."""
+    def __init__(self, how: str, at: float = 1.0) -> None:
+        self.how, self.at = how, at
+
+    def act(self, obs, radio):
+        radio.send(x=obs.state.position[0])
+        if obs.time_s >= self.at:
+            {"raise": self.crash, "exit": self.leave, "kill": self.killed, "hang": self.sleep, "stop": self.stopped,
+             "nan": lambda: None, "junk": lambda: None, "fine": self.tell}[self.how]()
+        if obs.time_s >= self.at and self.how == "junk":
+            return "forward"
+        return Velocity(linear=(float("nan") if self.how == "nan" and obs.time_s >= self.at else 0.3, 0.0, 0.0))
+
+    def crash(self): raise RuntimeError("lost my way")
+    def leave(self): os._exit(7)
+    def killed(self): os.kill(os.getpid(), signal.SIGKILL)
+    def stopped(self): os.kill(os.getpid(), signal.SIGSTOP)
+    def sleep(self): time.sleep(600)
+    def tell(self): open(os.path.join(os.path.dirname(__file__), "got there"), "w").close()
+'''
+SCENARIO = """
+name = "failing"
+duration_s = {duration}
+[physics]
+kind = "kinematic"
+[agents]
+deadline_s = {deadline}
+[[vehicle]]
+name = "car1"
+kind = "kinematic"
+agent = {{ kind = "failing.py:Failing", how = "fine" }}
+[[vehicle]]
+name = "car2"
+kind = "kinematic"
+pose = [3.0, 0.0, 0.0]
+agent = {{ kind = "failing.py:Failing", how = "{how}" }}
+"""
+COMMAND = [sys.executable, *UNDRAWN, "run"]
+
+
+def write(folder: Path, how: str, duration: float = 5.0) -> Path:
+    (folder / "failing.py").write_text(AGENTS)
+    scenario = folder / "failing.toml"
+    deadline = 2.0 if how in ("hang", "stop") else 30.0
+    scenario.write_text(SCENARIO.format(how=how, duration=duration, deadline=deadline))
+    return scenario
+
+
+def assert_readable(out: Path, until_s: float, tick_s: float = 0.0) -> dict[str, object]:
+    """All files of the run open, and they reach the instant of the failure, or the last one at which states are told."""
+    with (out / "run.mcap").open("rb") as stream:
+        messages = [(channel.topic, message.log_time) for _, channel, message in make_reader(stream).iter_messages()]
+    times, errors = [when for _, when in messages], [topic for topic, _ in messages if topic == "log"]
+    assert max(times) >= until_s * 1e9
+    states = pq.read_table(out / "states.parquet")
+    assert states["time_ns"].to_numpy().max() == pytest.approx(until_s * 1e9, abs=1e3 + tick_s * 1e9)
+    assert pq.read_table(out / "radio.parquet").num_rows > 0
+    assert errors
+    about: dict[str, object] = json.loads((out / "about.json").read_text())
+    return about
+
+
+CAUSES = {
+    "raise": "raised RuntimeError: lost my way (failing.py line",
+    "nan": "returned a command that is not finite",
+    "junk": "returned 'forward' from act(); it must return a Velocity",
+    "exit": "ended with exit code 7",
+    "kill": "was killed by SIGKILL",
+    "hang": "did not answer within the deadline of 2 s",
+    "stop": "did not answer within the deadline of 2 s",
+}
+
+
+@pytest.mark.parametrize(
+    ("how", "where"),
+    [(how, "process") for how in CAUSES] + [(how, "inprocess") for how in ("raise", "nan", "junk")],
+)
+def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_path: Path) -> None:
+    scenario, out = write(tmp_path, how), tmp_path / "out"
+    shared_before = set(Path("/dev/shm").iterdir())
+    begin = time.monotonic()
+    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out)]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    _, errors_said = run.communicate(timeout=60)
+    assert time.monotonic() - begin < 40.0  # start-up, 2 s of deadline, clean-up; the demand of 5 s is for an idle machine
+    assert run.returncode == 3, errors_said
+    errors = [line for line in errors_said.splitlines() if line.startswith("vcmvsp: ")]
+    assert "vehicle car2" in errors[0]
+    assert "failing.py:Failing" in errors[0]
+    assert CAUSES[how] in errors[0]
+    assert "Traceback" not in errors_said
+    about = assert_readable(out, 1.0)
+    assert CAUSES[how] in str(about["error"])
+    wait_for(lambda: not [pid for pid in psutil.pids() if session_of(pid) == run.pid])
+    wait_for(lambda: set(Path("/dev/shm").iterdir()) <= shared_before)  # other programs have theirs there, for a moment
+
+
+@pytest.mark.parametrize("where", ["inprocess", "process"])
+def test_ctrl_c_keeps_the_recording_and_leaves_no_process(where: str, tmp_path: Path) -> None:
+    scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
+    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out), "--realtime"]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0)
+    wait_for((tmp_path / "got there").exists)
+    children = psutil.Process(run.pid).children(recursive=True)
+    assert len(children) == (2 if where == "process" else 0)
+    os.killpg(run.pid, signal.SIGINT)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "interrupted at" in errors
+    assert "Traceback" not in errors
+    assert not psutil.wait_procs(children, timeout=30)[1]
+    about = json.loads((out / "about.json").read_text())
+    assert_readable(out, about["simulated_s"], 0.1)
+    assert about["lateness"]["instants"] > 0
+
+
+def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
+    scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
+    command = [*COMMAND, str(scenario), "--agents", "process", "--out", str(out), "--realtime"]
+    run = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    wait_for((out / "run.mcap").exists)
+    children = psutil.Process(run.pid).children(recursive=True)
+    assert len(children) == 2
+    run.kill()
+    run.wait()
+    assert not psutil.wait_procs(children, timeout=30)[1]
+
+
+def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None:
+    scenario = write(tmp_path, "fine")
+    settings = ("--agents", "process", "--set", "vehicle.car2.agent.at=soon")
+    done = vcmvsp("run", str(scenario), *settings, "--out", str(tmp_path / "out"))
+    assert done.code == 2
+    assert "vehicle.car2.agent.at: must be a number, not 'soon'" in done.err
+    assert "--set vehicle.car2.agent.at=soon" in done.err
+    assert not (tmp_path / "out").exists()
+
+
+def session_of(pid: int) -> int:
+    try:
+        return os.getsid(pid)
+    except ProcessLookupError:
+        return -1
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    last = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < last
+        time.sleep(0.02)

@@ -1,0 +1,463 @@
+"""Bad scenarios through the command line: exit code 2 and one message that says where, what, and what is allowed instead.
+
+``check`` and ``run`` say the same, and nothing is written.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.cosim.command_line import two_cars, vcmvsp
+
+
+def case(name: str, text: str | bytes, *words: str, sets: tuple[str, ...] = ()) -> Any:
+    """A scenario, ``--set`` arguments, and the words that the message must hold."""
+    return pytest.param(text, sets, words, id=name.replace(" ", "-"))
+
+
+def set_case(name: str, setting: str, *words: str, and_set: tuple[str, ...] = ()) -> Any:
+    """A good scenario with one bad ``--set``, whose argument the message must name."""
+    key = setting.partition("=")[0]
+    return case(name, two_cars(), f"--set {key}", *words, sets=(setting, *and_set))
+
+
+def check_refused(folder: Path, text: str | bytes, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
+    (folder / "s.toml").write_bytes(text if isinstance(text, bytes) else text.encode())
+    before = sorted(folder.iterdir())
+    arguments = [argument for setting in sets for argument in ("--set", setting)]
+    check = vcmvsp("check", "s.toml", *arguments)
+    run = vcmvsp("run", "s.toml", *arguments, "--out", "out")
+    assert (check.code, check.out) == (2, ""), check
+    assert run == check
+    assert check.err.startswith("vcmvsp: ")
+    assert check.err.count("\n") == 1, check.err
+    assert check.err.endswith("\n")
+    missing = [word for word in words if word not in check.err]
+    assert not missing, check.err
+    assert [path for path in sorted(folder.iterdir()) if path.name != "__pycache__"] == before
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+UNKNOWN_KEYS = [
+    case("top", two_cars(top="durations = 1"), "s.toml line", "durations", "did you mean 'duration_s'?", "allowed"),
+    case("top table", two_cars(tail="[recrd]"), "s.toml line", "recrd", "did you mean 'record'?"),
+    case("top table agents", two_cars(tail="[agent]"), "did you mean 'agents'?"),
+    case("top table vehicles", two_cars(tail="[vehicels]"), "did you mean 'vehicles'?"),
+    case(
+        "physics",
+        two_cars(physics="gravty = 1").replace('"kinematic"', '"bullet"'),
+        "s.toml line",
+        "physics.gravty",
+        "'gravity'?",
+    ),
+    case("physics kinematic", two_cars(physics="gravty = 1"), "s.toml line", "physics.gravty", "did you mean 'gravity'?"),
+    case(
+        "world",
+        two_cars(tail="[world]\nflor_friction = 1"),
+        "s.toml line",
+        "world.flor_friction",
+        "did you mean 'floor_friction'?",
+    ),
+    case("radio", two_cars(tail="[radio]\nprest = 'wss'"), "s.toml line", "radio.prest", "did you mean 'preset'?", "path_loss"),
+    case(
+        "radio layer name", two_cars(tail="[radio.lost]\nprobability = 0"), "s.toml line", "radio.lost", "did you mean 'loss'?"
+    ),
+    case(
+        "radio layer", two_cars(tail="[radio.loss]\nprobabilty = 0"), "s.toml line", "radio.loss.probabilty", "'probability'?"
+    ),
+    case("agents", two_cars(agents="hroizon_s = 1"), "s.toml line", "agents.hroizon_s", "no agent takes", "horizon_s"),
+    case("agents suggests", two_cars(agents="hroizon_s = 1"), "did you mean 'horizon_s'?"),
+    case("agents own", two_cars(agents="perod_s = 1"), "s.toml line", "agents.perod_s", "no agent takes"),
+    case("agents own suggests", two_cars(agents="perod_s = 1"), "did you mean 'period_s'?"),
+    case("vehicles", two_cars(tail="[vehicles]\nmax_sped = 1"), "s.toml line", "vehicles.max_sped", "no vehicle takes"),
+    case("vehicles suggests", two_cars(tail="[vehicles]\nmax_sped = 1"), "did you mean 'max_speed'?"),
+    case("vehicle", two_cars(car2="max_sped = 1"), "s.toml line", "vehicle.car2.max_sped", "did you mean 'max_speed'?"),
+    case("vehicle own", two_cars(car2="pose_sorce = 'truth'"), "s.toml line", "vehicle.car2.pose_sorce", "unknown key"),
+    case("vehicle own suggests", two_cars(car2="pose_sorce = 'truth'"), "did you mean 'pose_source'?"),
+    case(
+        "positioning", two_cars(car2="positioning = { rate = 1 }"), "s.toml line", "vehicle.car2.positioning.rate", "'rate_hz'?"
+    ),
+    case(
+        "agent",
+        two_cars(agent="kind='leader_follower', leader='car1', distanc=1"),
+        "s.toml line",
+        "car2.agent.distanc",
+        "'distance'?",
+    ),
+    case("agent own", two_cars(agent="kind='trajectory', latncy_s=1"), "did you mean 'latency_s'?"),
+    case("record", two_cars(tail="[record]\nperiod = 1"), "s.toml line", "record.period", "did you mean 'period_s'?"),
+    case("metrics", two_cars(tail="[metrics]\nfrom = 1"), "s.toml line", "metrics.from", "did you mean 'from_s'?"),
+    case(
+        "box",
+        two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1], size=[1,1,1], yaw=1}]"),
+        "s.toml line",
+        "world.boxes[0]: unknown key 'yaw'; did you mean 'yaw_rad'?",
+    ),
+    set_case("set", "radio.loss.probabilty=0.1", "radio.loss.probabilty", "did you mean 'probability'?"),
+    set_case("set vehicle", "vehicle.car3.kind=lag", "unknown vehicle 'car3'", "allowed: car1, car2"),
+    set_case("set whole vehicle", "vehicle.car2=3", "vehicle.car2"),
+    set_case("set in a value", "duration_s.x=1", "'duration_s' is a value, not a table"),
+]
+
+
+@pytest.mark.parametrize(("text", "sets", "words"), UNKNOWN_KEYS)
+def test_an_unknown_key_is_refused(tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
+    check_refused(tmp_path, text, sets, words)
+
+
+WRONG_VALUES = [
+    case("string for number", two_cars(top="seed = 'x'"), "s.toml line 4: seed", "a whole number >= 0", "not 'x'"),
+    case("boolean for number", two_cars(tail="[metrics]\nfrom_s = true"), "metrics.from_s", "a number >= 0", "not True"),
+    case("negative", two_cars(agents="k1 = -0.8"), "s.toml line 9: agents.k1", "a number >= 0", "not -0.8"),
+    case("negative own", two_cars(agents="latency_s = -0.1"), "s.toml line 9: agents.latency_s", "a number >= 0", "not -0.1"),
+    case("zero period", two_cars(agents="period_s = 0"), "agents.period_s", "a number >= 1e-06", "not 0"),
+    case("not finite", two_cars(agents="k1 = inf"), "s.toml line 9: agents.k1", "must be finite, not inf"),
+    case("not a number", two_cars(car2="mass_kg = nan"), "vehicle.car2.mass_kg", "must be finite, not nan"),
+    case(
+        "not a number in a list", two_cars().replace("-1.0, -0.5", "-1.0, nan"), "vehicle.car2.pose", "must be finite, not nan"
+    ),
+    case("short pose", two_cars().replace("-1.0, -0.5, 0.0", "0, 0"), "vehicle.car2.pose", "a list of 3 values, each a number"),
+    case("string pose", two_cars().replace("[-1.0, -0.5, 0.0]", "'here'"), "vehicle.car2.pose", "a list of 3 values"),
+    case("choice", two_cars(agent="kind='trajectory', path='sqare'"), "car2.agent.path", "one of 'straight', 'circle'"),
+    case("window", two_cars(tail="[metrics]\nfrom_s=3\nto_s=1"), "metrics.to_s", "earlier than metrics.from_s (3), not 1"),
+    case(
+        "constructor",
+        two_cars(agent="kind='trajectory', path='straight', yaw_rate=1.0"),
+        "s.toml line",
+        "car2.agent",
+        "yaw_rate = 1.0",
+    ),
+    case(
+        "missing",
+        two_cars(agent="kind='leader_follower'"),
+        "s.toml line",
+        "vehicle.car2.agent.leader",
+        "is missing",
+        "the name of a vehicle",
+    ),
+    case(
+        "box without size",
+        two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1]}]"),
+        "s.toml line",
+        "world.boxes[0]: size is missing",
+    ),
+    case("boxes without boxes", two_cars(tail="[world]\nkind='boxes'"), "world.boxes", "is missing"),
+    case("wheels too heavy", two_cars(car2="mass_kg = 0.1"), "s.toml line", "vehicle.car2", "mass_kg = 0.1"),
+    case(
+        "no positioning sensor",
+        two_cars(car2="pose_source = 'positioning'"),
+        "s.toml line",
+        "car2",
+        "pose_source",
+        "positioning",
+    ),
+    case(
+        "no positioning sensor key",
+        two_cars(car2="pose_source = 'positioning'"),
+        ": vehicle.car2.pose_source:",
+    ),
+    case(
+        "unknown pose source",
+        two_cars(car2="pose_source = 'gps'"),
+        "vehicle.car2.pose_source",
+        "'truth', 'odometry', 'positioning'",
+    ),
+    case(
+        "leader unknown",
+        two_cars(agent="kind='leader_follower', leader='car9'"),
+        "car2",
+        "leader",
+        "car9",
+        "car1",
+    ),
+    case("leader itself", two_cars(agent="kind='leader_follower', leader='car2'"), "car2", "leader", "car1"),
+    case("name with a space", two_cars().replace('"car2"', '"car 2"'), "s.toml line", "name", "[A-Za-z0-9_-]", "not 'car 2'"),
+    case("name with a slash", two_cars().replace('"car2"', '"car/2"'), "s.toml line", "name", "[A-Za-z0-9_-]"),
+    case("name with a star", two_cars().replace('"car2"', '"*"'), "s.toml line", "name", "[A-Za-z0-9_-]"),
+    case("empty name", two_cars().replace('"car2"', '""'), "s.toml line", "name", "[A-Za-z0-9_-]"),
+    case("number for name", two_cars().replace('"car2"', "2"), "s.toml", "vehicle[1].name", "a string", "not 2"),
+    case(
+        "name twice",
+        two_cars().replace('"car2"', '"car1"'),
+        "s.toml line",
+        "vehicle.car1.name",
+        "two vehicles are called 'car1'",
+    ),
+    case("scenario name", two_cars().replace('"two-cars"', '"../x"'), "s.toml line 2: name", "[A-Za-z0-9_-]", "not '../x'"),
+    case("no name", two_cars().replace('name = "car2"', ""), "s.toml", "vehicle[1].name", "is missing"),
+    case("no kind", two_cars().replace('kind = "p2dx"\npose', "pose"), "s.toml line", "vehicle.car2.kind", "is missing"),
+    case("no agent kind", two_cars(agent="leader='car1'"), "s.toml line", "vehicle.car2.agent.kind", "is missing"),
+    case("no duration", two_cars().replace("duration_s = 0.5", ""), "s.toml", "duration_s", "is missing", "a number >= 1e-06"),
+    case(
+        "all kinds given",
+        two_cars(tail="[vehicles]\nkind='lag'"),
+        "s.toml line",
+        "vehicles.kind",
+        "no vehicle takes this default",
+    ),
+    case("name for all", two_cars(tail="[vehicles]\nname='lag'"), "s.toml line", "vehicles", "each vehicle has its own"),
+    set_case("set negative", "radio.loss.probability=-0.1", "a number >= 0 and <= 1", "not -0.1"),
+    set_case("set too large", "radio.loss.probability=1.5", "a number >= 0 and <= 1", "not 1.5"),
+    set_case("set not finite", "radio.delay.seconds=inf", "radio.delay.seconds", "must be finite, not inf"),
+    set_case("set not a number", "duration_s=nan", "duration_s", "must be finite, not nan"),
+    set_case("set not a number in a list", "vehicle.car2.pose=[0, nan, 0]", "vehicle.car2.pose", "must be finite, not nan"),
+    set_case("set a word", "duration_s=long", "a number >= 1e-06", "not 'long'"),
+    set_case("set a date", "duration_s=1979-05-27", "a number >= 1e-06", "1979"),
+    set_case("set a table", "agents={ period_s = -1 }", "agents.period_s", "a number >= 1e-06", "not -1"),
+    set_case("set a table to a value", "radio.loss=0.1", "radio.loss", "must be a table, not 0.1"),
+    set_case("set the seed", "seed=-1", "a whole number >= 0", "not -1"),
+    set_case("set a fraction as seed", "seed=1.5", "a whole number >= 0", "not 1.5"),
+    set_case("set an estimator", "vehicle.car2.agent.estimator=foo", "unknown estimator 'foo'", "dr, hold"),
+    set_case("set estimators", "agents.estimator=foo", "unknown estimator 'foo'", "dr, hold"),
+    set_case("set two values", "duration_s=1\nseed=3", "duration_s"),
+]
+
+
+@pytest.mark.parametrize(("text", "sets", "words"), WRONG_VALUES)
+def test_a_wrong_value_is_refused(tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
+    check_refused(tmp_path, text, sets, words)
+
+
+BULLET = ("physics.kind=bullet",)
+TIMES = [
+    set_case("agents period", "agents.period_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("agent period", "vehicle.car2.agent.period_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("latency", "agents.latency_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("record period", "record.period_s=0.013", "0.013", "1/120", and_set=BULLET),
+    set_case("positioning rate", "vehicle.car2.positioning.rate_hz=7", "0.142857", "1/120", and_set=BULLET),
+    set_case("duration", "duration_s=0.501", "0.501", "1/120", and_set=BULLET),
+    set_case("tiny agents period", "agents.period_s=1e-12", "must be a number >= 1e-06"),
+    set_case("tiny record period", "record.period_s=1e-12", "must be a number >= 1e-06"),
+    set_case("tiny positioning period", "vehicle.car2.positioning.rate_hz=1e12", "must be a number >= 1e-06"),
+    set_case("tiny physics period", "physics.rate_hz=1e12", "must be a number >= 1e-06", and_set=BULLET),
+    set_case("tiny duration", "duration_s=1e-12", "must be a number >= 1e-06"),
+    set_case("huge agents period", "agents.period_s=1e300", "agents.period_s"),
+    set_case("huge delay", "radio.delay.seconds=1e10", "radio.delay.seconds"),
+    set_case("huge jitter", "radio.delay.jitter_s=1e300", "radio.delay.jitter_s"),
+    set_case("huge overhead", "radio.phy.overhead_s=1e300", "radio.phy.overhead_s"),
+    set_case("huge seed", "seed=" + "9" * 30, "seed"),
+]
+
+
+@pytest.mark.parametrize(("text", "sets", "words"), TIMES)
+def test_a_time_that_cannot_be_kept_is_refused(
+    tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    check_refused(tmp_path, text, sets, words)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["agents.period_s=0.013", "agents.latency_s=0.013", "record.period_s=0.013", "vehicle.car2.positioning.rate_hz=7"],
+)
+def test_a_period_between_two_physics_steps_names_both_numbers(tmp_path: Path, setting: str) -> None:
+    number = {"0.013": "0.013", "7": "0.142857"}[setting.partition("=")[2]]
+    check_refused(tmp_path, two_cars(), (setting, *BULLET), (number, "1/120", "rate_hz"))
+
+
+@pytest.mark.parametrize(
+    ("x", "tail"), [("0.1", ""), ("-3.0", "[world]\nkind='boxes'\nboxes=[{center=[-3,-0.5,0.5], size=[1,1,1]}]")]
+)
+def test_bodies_that_overlap_at_the_start_are_refused(tmp_path: Path, x: str, tail: str) -> None:
+    text = two_cars(tail=tail).replace("-1.0, -0.5", f"{x}, -0.5" if tail else f"{x}, 0.1")
+    check_refused(tmp_path, text, BULLET, ("vehicle.car2.pose", "car2", "overlap", "at the start"))
+
+
+KINDS = [
+    ("physics.kind", "bulet", "bullet"),
+    ("world.kind", "emty", "empty"),
+    ("radio.preset", "wifi-b-1l", "wifi-b-1"),
+    ("radio.path_loss.kind", "log_distanc", "log_distance"),
+    ("radio.phy.kind", "dss", "dsss"),
+    ("radio.loss.kind", "bernouli", "bernoulli"),
+    ("radio.delay.kind", "fixd", "fixed"),
+    ("vehicle.car2.kind", "p2dxx", "p2dx"),
+    ("vehicle.car2.agent.kind", "leader_folower", "leader_follower"),
+]
+
+
+@pytest.mark.parametrize(("key", "wrong", "right"), KINDS, ids=lambda word: word)
+def test_an_unknown_kind_is_refused_with_the_nearest(tmp_path: Path, key: str, wrong: str, right: str) -> None:
+    words = (f"vcmvsp: --set {key}={wrong}: {key}: unknown", f"'{wrong}'", f"did you mean '{right}'?", "allowed: ")
+    check_refused(tmp_path, two_cars(), (f"{key}={wrong}",), words)
+
+
+@pytest.mark.parametrize("key", [key for key, _, _ in KINDS] + ["agents.runs", "vehicle.car2.pose_source"])
+def test_a_kind_that_is_no_string_is_refused(tmp_path: Path, key: str) -> None:
+    check_refused(tmp_path, two_cars(), (f"{key}=3",), (f"--set {key}=3: {key}: ",))
+
+
+@pytest.mark.parametrize("section", ["physics", "world", "radio", "agents", "vehicles", "record", "metrics"])
+@pytest.mark.parametrize("form", ["array", "value"])
+def test_a_table_must_be_a_table(tmp_path: Path, section: str, form: str) -> None:
+    plain = two_cars().replace('[physics]\nkind = "kinematic"\n', "").replace("[agents]\n", "")
+    text = f"{plain}\n[[{section}]]\n" if form == "array" else f"{section} = 3\n{plain}"
+    check_refused(tmp_path, text, (), ("s.toml line", f" {section}: must be a table, not "))
+
+
+def without_vehicles() -> str:
+    return two_cars().partition("[[vehicle]]")[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "sets", "words"),
+    [
+        case(
+            "vehicle is one table",
+            without_vehicles() + "[vehicle]\nname='car1'",
+            "s.toml",
+            "vehicle: needs at least one [[vehicle]]",
+        ),
+        case(
+            "vehicle is a list of numbers",
+            "vehicle = [3]\n" + without_vehicles(),
+            "s.toml",
+            "vehicle[0]: must be a table, not 3",
+        ),
+        case("vehicle is a number", "vehicle = 3\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
+        case("vehicle is an empty list", "vehicle = []\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
+        case(
+            "set in a vehicle that is a number",
+            "vehicle = 3\n" + without_vehicles(),
+            "vehicle",
+            sets=("vehicle.car1.kind=lag",),
+        ),
+        case("no vehicle", without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
+        case("empty", "", "s.toml", "needs at least one [[vehicle]]"),
+        case("layer is a list", two_cars(tail="[[radio.loss]]\nkind='none'"), "s.toml line", "radio.loss: must be a table"),
+        case(
+            "agent is a number",
+            two_cars().replace('agent = { kind = "leader_follower", leader = "car1" }', "agent = 3"),
+            "car2.agent",
+        ),
+        case("positioning is a number", two_cars(car2="positioning = 3"), "s.toml line", "vehicle.car2.positioning", "a table"),
+        case("not TOML", "name = \n", "s.toml", "is not valid TOML", "line 1"),
+        case("key twice", "name = 'a'\nname = 'b'\n", "s.toml", "is not valid TOML", "line 2"),
+        case("not UTF-8", b"name = '\xff'\n", "s.toml", "UTF-8"),
+        case("binary", bytes(range(256)), "s.toml", "UTF-8"),
+    ],
+)
+def test_a_file_of_another_shape_is_refused(
+    tmp_path: Path, text: str | bytes, sets: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    check_refused(tmp_path, text, sets, words)
+
+
+AGENTS = '''
+from vcmvsp.cosim import Agent
+from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
+
+class Picky(Agent):
+    def __init__(self, n: int = 1) -> None:
+        raise ValueError("n = 1 is not my number")
+    def act(self, obs, radio): ...
+class Broken(Agent):
+    def __init__(self) -> None:
+        self.x = {}.nothing
+    def act(self, obs, radio): ...
+class Leaving(Agent):
+    def __init__(self) -> None:
+        raise SystemExit(3)
+    def act(self, obs, radio): ...
+class Hasty(Agent):
+    period = -1.0
+    def act(self, obs, radio): ...
+class Mine(LeaderFollower):
+    """Its constructor is the base class's."""
+class Mute: ...
+class Unfinished(Agent): ...
+nothing = 3
+'''
+
+
+@pytest.mark.parametrize(
+    ("text", "sets", "words"),
+    [
+        set_case("no file", "vehicle.car2.agent.kind=nix.py:A", "vehicle.car2.agent.kind", "there is no file", "nix.py"),
+        set_case(
+            "syntax error", "vehicle.car2.agent.kind=syntax.py:A", "'syntax.py' cannot be imported", "SyntaxError", "line 1"
+        ),
+        set_case(
+            "import error", "vehicle.car2.agent.kind=imports.py:A", "No module named 'no_such_thing'", "imports.py line 3"
+        ),
+        set_case("no such class", "vehicle.car2.agent.kind=mine.py:Nobody", "'mine.py' has no class 'Nobody'"),
+        set_case("no class name", "vehicle.car2.agent.kind=mine.py:", "has no class ''"),
+        set_case(
+            "no colon", "vehicle.car2.agent.kind=mine.py", "unknown agent kind 'mine.py'", "module:Class or file.py:Class"
+        ),
+        set_case("no module", "vehicle.car2.agent.kind=no.such:A", "'no.such' cannot be imported", "No module named 'no'"),
+        set_case("class without act", "vehicle.car2.agent.kind=mine.py:Mute", "'mine.py:Mute' is no agent", "act(obs, radio)"),
+        set_case("number for class", "vehicle.car2.agent.kind=mine.py:nothing", "is no agent", "act(obs, radio)"),
+        set_case(
+            "act of the base class",
+            "vehicle.car2.agent.kind=mine.py:Unfinished",
+            "act",
+        ),
+        set_case("constructor refuses", "vehicle.car2.agent.kind=mine.py:Picky", "n = 1 is not my number"),
+        set_case("constructor fails", "vehicle.car2.agent.kind=mine.py:Broken", "mine.py line 11", "AttributeError"),
+        set_case("constructor leaves", "vehicle.car2.agent.kind=mine.py:Leaving", "SystemExit"),
+        set_case("negative period of the class", "vehicle.car2.agent.kind=mine.py:Hasty", "period"),
+        set_case(
+            "inherited constructor",
+            "vehicle.car2.agent.distance=far",
+            "a number > 0",
+            and_set=("vehicle.car2.agent.kind=mine.py:Mine",),
+        ),
+        set_case("vehicle of another part", "vehicle.car2.kind=json:JSONDecoder", "vehicle"),
+        set_case("loss of another part", "radio.loss.kind=json:JSONDecoder", "lost"),
+        set_case("number for loss", "radio.loss.kind=math:pi", "math:pi"),
+    ],
+)
+def test_a_class_that_cannot_be_used_is_refused(
+    tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    (tmp_path / "mine.py").write_text(AGENTS)
+    (tmp_path / "syntax.py").write_text("class A(:\n")
+    (tmp_path / "imports.py").write_text("\n\nimport no_such_thing\n")
+    agent = "kind='mine.py:Mine', leader='car1'" if "vehicle.car2.agent.distance=far" in sets else "kind='trajectory'"
+    check_refused(tmp_path, text.replace('kind = "leader_follower", leader = "car1"', agent), sets, words)
+
+
+def test_a_constructor_that_refuses_is_reported_with_its_table(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(AGENTS)
+    check_refused(
+        tmp_path, two_cars(agent="kind='mine.py:Picky'"), (), ("s.toml line", "vehicle.car2.agent", "n = 1 is not my number")
+    )
+
+
+@pytest.mark.parametrize("setting", ["foo", "=1", " =1", ""])
+def test_a_setting_without_a_key_or_an_equals_sign_is_refused(tmp_path: Path, setting: str) -> None:
+    check_refused(tmp_path, two_cars(), (setting,), (f"--set {setting}", "KEY=VALUE"))
+
+
+@pytest.mark.parametrize("setting", [".=1", "radio..x=1", "vehicle..x=1"])
+def test_a_setting_with_an_empty_part_of_a_key_is_refused(tmp_path: Path, setting: str) -> None:
+    check_refused(tmp_path, two_cars(), (setting,), ("unknown",))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("formation-circl", ("unknown scenario", "did you mean 'formation-circle'?", ".toml")),
+        ("nix.toml", ("nix.toml", "there is no such file")),
+        ("no/nix", ("no/nix", "there is no such file")),
+        ("", ("unknown scenario ''",)),
+        ("folder", ("folder",)),
+        ("./folder", ("./folder", "is a folder, not a scenario file")),
+        ("folder.toml", ("folder.toml", "is a folder, not a scenario file")),
+    ],
+)
+def test_a_scenario_that_is_not_there_is_refused(tmp_path: Path, name: str, words: tuple[str, ...]) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.toml").mkdir()
+    outcomes = [vcmvsp("check", name), vcmvsp("run", name, "--out", "out"), vcmvsp("run", name), vcmvsp("show", name)]
+    assert len(set(outcomes)) == 1
+    code, out, err = outcomes[0]
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert all(word in err for word in words), err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "folder.toml"]

@@ -1,0 +1,63 @@
+"""One [[vehicle]] for many."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.scenario.expand import repeated
+from vcmvsp.cosim.scenario.loader import load
+from vcmvsp.cosim.config.provenance import Source
+
+SWARM = {
+    "name": "swarm",
+    "duration_s": 1.0,
+    "vehicle": [
+        {"name": "uav", "kind": "kinematic", "count": 6, "columns": 3, "spacing": [10.0, 20.0], "position": [1.0, 2.0, 3.0]},
+        {"name": "car1", "kind": "kinematic", "pose": [5.0, 5.0, 0.5]},
+    ],
+}
+
+
+def test_copies_stand_in_rows_and_others_are_left_alone() -> None:
+    parsed, _ = load(SWARM)
+    assert [each.name for each in parsed.vehicle] == [*(f"uav{i}" for i in range(1, 7)), "car1"]
+    places = [each.start[0] for each in parsed.vehicle]
+    assert places[:6] == [(1.0 + 10.0 * (i % 3), 2.0 + 20.0 * (i // 3), 3.0) for i in range(6)]
+    assert parsed.vehicle[-1].start == ((5.0, 5.0, 0.0), 0.5)
+
+
+@given(count=st.integers(1, 200), columns=st.none() | st.integers(1, 20))
+def test_no_two_copies_share_a_name_or_a_place(count: int, columns: int | None) -> None:
+    one = {"name": "a", "count": count, **({} if columns is None else {"columns": columns})}
+    copies = repeated([one], Source("test", Path()))
+    assert len(copies) == count == len({each["name"] for each in copies}) == len({tuple(each["position"]) for each in copies})
+
+
+def test_one_of_many_can_be_set_by_its_name_and_all_by_theirs() -> None:
+    parsed, _ = load(SWARM, settings={"vehicle.uav.count": 2, "vehicle.uav2.kind": "lag", "vehicle.uav.heading": 1.0})
+    assert [each.kind for each in parsed.vehicle] == ["kinematic", "lag", "kinematic"]
+    assert [each.heading for each in parsed.vehicle] == [1.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ({"count": 0}, "vehicle.uav.count"),
+        ({"count": 2.5}, "vehicle.uav.count"),
+        ({"columns": 3}, "vehicle.uav.columns"),
+        ({"count": 2, "spacing": [1.0]}, "vehicle.uav.spacing"),
+        ({"count": 2, "position": "here"}, "vehicle.uav.position"),
+    ],
+)
+def test_what_cannot_be_repeated_is_refused(keys: dict[str, object], key: str) -> None:
+    with pytest.raises(ScenarioError) as raised:
+        load({**SWARM, "vehicle": [{"name": "uav", "kind": "kinematic", **keys}]})
+    assert raised.value.key == key
+
+
+def test_a_pose_or_a_position_but_not_both() -> None:
+    with pytest.raises(ScenarioError, match="either pose, or position and heading"):
+        load({**SWARM, "vehicle": [{"name": "a", "kind": "kinematic", "pose": [1, 0, 0], "position": [1, 0, 0]}]})

@@ -1,0 +1,305 @@
+"""Who gets in to a run, with real certificates and real sessions, from here and from another machine, and who is told why."""
+
+import contextlib
+import datetime as dt
+import os
+import random
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+import zenoh
+
+from vcmvsp.cosim.security import authority, certificates, x509
+from vcmvsp.cosim.security.certificates import Bundle, Keys
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.transport import tls_diagnosis, key_names, access_control
+from vcmvsp.cosim.transport.access_control import merge
+from tests.support.cosim.secure_hub import (
+    PATIENCE_S,
+    QUIET,
+    Hub,
+    answering,
+    bundle,
+    dial,
+    greet,
+    issued,
+    start,
+    until,
+)
+from tests.support.cosim.run_processes import reserved
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
+    return issued(tmp_path_factory.mktemp("network"))
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Keys:
+    """Another authority, which has given a certificate of the same name."""
+    folder = tmp_path_factory.mktemp("foreign") / "keys"
+    authority.init(folder)
+    authority.issue(folder, "car2", ["car2"])
+    return certificates.load(folder)
+
+
+@pytest.fixture
+def hub(keys: Keys, stack: contextlib.ExitStack) -> Hub:
+    return stack.enter_context(Hub(access_control.hub_security(keys)))
+
+
+def lasting(folder: Path, name: str, seconds: float, monkeypatch: pytest.MonkeyPatch) -> Bundle:
+    """A certificate that ends so long from now."""
+    with monkeypatch.context() as patch:
+        real = x509.now
+        patch.setattr(x509, "now", lambda: real() + dt.timedelta(days=-1, seconds=seconds))
+        return authority.issue(folder, name, [name], days=1)
+
+
+def test_who_has_a_certificate_comes_in_and_both_know_the_other(hub: Hub, keys: Keys) -> None:
+    with dial(hub.endpoint, bundle(keys, "car2")) as host:
+        access_control.check_hub(link.auth_identifier for link in host.info.links())
+        until(lambda: hub.links("car2"))
+        assert greet(host, "car2") == [b"welcome"]
+    until(lambda: tls_diagnosis.diagnose(hub.endpoint, bundle(keys, "car2")) is None)
+
+
+def refused(endpoint: str, machine: Bundle | None) -> str:
+    """Why nothing came of dialling; the reason is found, and says that trying again is no use."""
+    with pytest.raises(zenoh.ZError, match="Unable to connect"):
+        dial(endpoint, machine)
+    return diagnosed(endpoint, machine).why
+
+
+def diagnosed(endpoint: str, machine: Bundle | None) -> tls_diagnosis.Refusal:
+    """What is final; a listener that takes its time is no reason, and whoever dials asks again."""
+    found: list[tls_diagnosis.Refusal] = []
+
+    def is_final() -> bool:
+        found[:] = [each for each in [tls_diagnosis.diagnose(endpoint, machine)] if each is not None]
+        return bool(found) and found[0].final
+
+    until(is_final)
+    return found[0]
+
+
+def test_a_file_of_another_authority_is_refused(hub: Hub, keys: Keys, foreign: Keys) -> None:
+    other = bundle(foreign, "car2")
+    assert "another authority than" in refused(hub.endpoint, other)
+    half = foreign.folder / "half.keys"  # which trusts the run, but is not trusted by it
+    half.write_text(other.key_pem + other.certificate_pem + keys.ca_pem)
+    crossed = msgspec.structs.replace(other, path=half, ca_pem=keys.ca_pem)
+    assert "the run does not" in refused(hub.endpoint, crossed)
+
+
+def test_an_expired_certificate_is_refused_though_the_clock_of_its_owner_is_late(
+    hub: Hub, keys: Keys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = lasting(keys.folder, "old", -5.0, monkeypatch)
+    assert "by the clock of the run's machine" in refused(hub.endpoint, old)
+
+
+def test_without_a_certificate_nobody_comes_in(hub: Hub, keys: Keys) -> None:
+    assert "wants certificates" in refused(hub.endpoint.replace("tls/", "tcp/"), None)
+    rules = access_control.machine_security(bundle(keys, "car2"))
+    for part in ("connect_private_key_base64", "connect_certificate_base64", "enable_mtls"):
+        del rules["transport"]["link"]["tls"][part]
+    dialling = {"mode": "client", "connect": {"endpoints": [hub.endpoint], "timeout_ms": 0}}
+    with pytest.raises(zenoh.ZError, match="Unable to connect"):
+        start(merge(QUIET, dialling, rules))
+    assert hub.links("car2") == []
+
+
+def test_a_run_under_a_name_that_its_certificate_has_not_is_refused(keys: Keys, stack: contextlib.ExitStack) -> None:
+    elsewhere = stack.enter_context(Hub(access_control.hub_security(keys), ("tls/127.0.0.2:0",)))
+    why = refused(elsewhere.endpoint, bundle(keys, "car2"))
+    assert why == "the run's certificate is not for '127.0.0.2'; on its machine: vcmvsp keys hub --name 127.0.0.2 --keys DIR"
+
+
+def test_a_host_cannot_pose_as_a_run(keys: Keys, stack: contextlib.ExitStack) -> None:
+    rules = access_control.hub_security(keys)
+    posing = bundle(keys, "car3")
+    own = {"listen_private_key_base64": posing.key_pem, "listen_certificate_base64": posing.certificate_pem}
+    rules = merge(rules, {"transport": {"link": {"tls": {name: access_control._base64(pem) for name, pem in own.items()}}}})
+    impostor = stack.enter_context(Hub(rules))
+    assert "no run: its certificate is that of a host" in refused(impostor.endpoint, bundle(keys, "car2"))
+    with pytest.raises(UsageError, match="what answers there is 'car3', not a run"):
+        access_control.check_hub(["hub", "car3"])
+
+
+def test_a_run_whose_certificate_has_expired_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
+) -> None:
+    folder = authority.init(tmp_path / "keys").folder
+    machine = authority.issue(folder, "car2", ["car2"])
+    with monkeypatch.context() as patch:
+        real = x509.now
+        patch.setattr(x509, "now", lambda: real() - dt.timedelta(days=2))
+        authority.renew_hub(folder, days=1)
+    late = stack.enter_context(Hub(access_control.hub_security(certificates.load(folder))))
+    assert "has expired; on its machine: vcmvsp keys hub" in refused(late.endpoint, machine)
+
+
+def test_tls_to_a_run_without_is_refused(keys: Keys, stack: contextlib.ExitStack) -> None:
+    plain = stack.enter_context(Hub({}, ("tcp/127.0.0.1:0",)))
+    endpoint = plain.endpoint.replace("tcp/", "tls/")
+    with pytest.raises(zenoh.ZError, match="Unable to connect"):
+        dial(endpoint, bundle(keys, "car2"))
+    silent = "what listens there does not answer in TLS; is it a run with --listen tcp/...?"
+    assert tls_diagnosis.diagnose(endpoint, bundle(keys, "car2")) == tls_diagnosis.Refusal(silent, final=False)
+    assert tls_diagnosis.diagnose(plain.endpoint, None) is None
+
+
+def test_where_nobody_listens_one_may_wait(keys: Keys, stack: contextlib.ExitStack) -> None:
+    port = stack.enter_context(reserved())
+    for machine, protocol in ((bundle(keys, "car2"), "tls"), (None, "tcp")):
+        found = tls_diagnosis.diagnose(f"{protocol}/127.0.0.1:{port}", machine)
+        assert found == tls_diagnosis.Refusal("nobody listens there (Connection refused)", final=False)
+        found = tls_diagnosis.diagnose(f"{protocol}/nobody.invalid:{port}", machine)
+        assert found == tls_diagnosis.Refusal("no machine is known by the name 'nobody.invalid'", final=False)
+
+
+HUB_PROCESS = """
+import json, sys, zenoh
+from pathlib import Path
+from vcmvsp.cosim.security import certificates
+from vcmvsp.cosim.transport import key_names, access_control as security
+zenoh.init_log_from_env_or(security.LOG)
+folder, endpoint = sys.argv[1:]
+own = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"delay": 0, "multicast": {"enabled": False}}}
+own["transport"] = {"shared_memory": {"enabled": False}}
+rules = security.hub_security(certificates.load(Path(folder)))
+with zenoh.open(zenoh.Config.from_json5(json.dumps(security.merge(own, rules)))) as session:
+    door = session.declare_queryable(key_names.JOIN)
+    print("up", flush=True)
+    for query in door:
+        with query:
+            query.reply(str(query.key_expr), b"welcome")
+"""
+
+
+@contextlib.contextmanager
+def hub_process(*arguments: str, before: tuple[str, ...] = ()) -> Iterator["subprocess.Popen[str]"]:
+    environment = {name: value for name, value in os.environ.items() if name != "RUST_LOG"}
+    environment["PYTHONPATH"] = str(Path(certificates.__file__).parent.parent)
+    process = subprocess.Popen(
+        [*before, sys.executable, "-c", HUB_PROCESS, *arguments], stdout=subprocess.PIPE, text=True, env=environment
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def test_the_run_logs_whom_it_turns_away_and_why(
+    keys: Keys, foreign: Keys, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
+) -> None:
+    port = stack.enter_context(reserved())
+    mixed = msgspec.structs.replace(bundle(foreign, "car2"), ca_pem=keys.ca_pem)
+    expired = lasting(keys.folder, "older", -5.0, monkeypatch)
+    with hub_process(str(keys.folder), f"tls/127.0.0.1:{port}") as process:
+        for machine, protocol in ((mixed, "tls"), (expired, "tls"), (None, "tcp")):
+            with pytest.raises(zenoh.ZError):
+                dial(f"{protocol}/127.0.0.1:{port}", machine)
+        with dial(f"tls/127.0.0.1:{port}", bundle(keys, "car2")) as host:
+            assert greet(host, "car2") == [b"welcome"]
+        process.kill()
+        said, _ = process.communicate()
+    for reason in ("UnknownIssuer", "certificate expired", "corrupt message"):
+        assert reason in said
+
+
+def test_a_link_ends_with_its_certificate(hub: Hub, keys: Keys, monkeypatch: pytest.MonkeyPatch) -> None:
+    ending = lasting(keys.folder, "ending", 4.0, monkeypatch)
+    with dial(hub.endpoint, ending):
+        until(lambda: hub.links("ending") == [True, False])
+
+
+def test_three_hundred_connections_of_garbage_hurt_nobody(keys: Keys, stack: contextlib.ExitStack) -> None:
+    # Zenoh pauses a listener for 0.1 s after each handshake that fails: with a single one this would take half a minute.
+    hub = stack.enter_context(Hub(access_control.hub_security(keys), ("tls/127.0.0.1:0",) * 20))
+    inside = stack.enter_context(dial(hub.endpoint, bundle(keys, "car2")))
+    key = key_names.host_key("car2", str(inside.zid()), "ask")
+    answering(inside, key)
+    assert greet(inside, "car2") == [b"welcome"]
+    draw, silent = random.Random(1), []
+    for number in range(300):
+        _, port = hub.endpoints[number % len(hub.endpoints)].rsplit(":", 1)
+        connection = socket.create_connection(("127.0.0.1", int(port)), timeout=PATIENCE_S)
+        kind = number // len(hub.endpoints) % 3
+        with contextlib.suppress(OSError):  # the hub may have hung up already
+            connection.sendall((b"", draw.randbytes(300), b"\x16\x03\x01\x02\x00\x01" + draw.randbytes(511))[kind])
+        silent.append(connection)
+        if kind:
+            connection.close()
+        assert hub.ask("car2", inside, within_s=PATIENCE_S) == [b"answer"] if number % 20 == 0 else True
+    late = None
+    while late is None:
+        with contextlib.suppress(zenoh.ZError):
+            late = stack.enter_context(dial(hub.endpoints[-1], bundle(keys, "car3")))
+    assert greet(late, "car3") == [b"welcome"]
+    assert hub.ask("car2", inside, within_s=PATIENCE_S) == [b"answer"]
+    assert set(hub.seen) == {"greeting vcmvsp/join/car2 hello", "greeting vcmvsp/join/car3 hello"}
+    for connection in silent:
+        connection.close()
+
+
+# --- another machine ---
+
+
+@pytest.fixture
+def other_machine() -> Iterator[tuple[str, str]]:
+    """A network namespace and its address, linked to this one, which has the next; others who test here have other ones."""
+    space, near, far = (f"vc{os.getpid()}{end}" for end in "snf")
+    third, fourth = divmod(os.getpid() % 2**14 * 4, 256)
+    there, here = f"10.214.{third}.{fourth + 1}", f"10.214.{third}.{fourth + 2}"
+    if os.geteuid() != 0 or shutil.which("ip") is None:
+        pytest.skip("network namespaces need root and the command ip")
+
+    def ip(*arguments: str) -> None:
+        subprocess.run(["ip", *arguments], check=True, capture_output=True, text=True)
+
+    try:
+        ip("netns", "add", space)
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"no network namespace can be made here: {error.stderr.strip()}")
+    try:
+        try:
+            ip("link", "add", near, "type", "veth", "peer", "name", far, "netns", space)
+        except subprocess.CalledProcessError as error:
+            pytest.skip(f"no link between namespaces can be made here: {error.stderr.strip()}")
+        ip("addr", "add", f"{here}/30", "dev", near)
+        ip("link", "set", near, "up")
+        ip("-n", space, "addr", "add", f"{there}/30", "dev", far)
+        ip("-n", space, "link", "set", far, "up")
+        yield space, there
+    finally:
+        subprocess.run(["ip", "link", "del", near], check=False, capture_output=True)
+        subprocess.run(["ip", "netns", "del", space], check=False, capture_output=True)
+
+
+def test_between_machines(other_machine: tuple[str, str], tmp_path: Path, foreign: Keys) -> None:
+    space, address = other_machine
+    there, endpoint = ("ip", "netns", "exec", space), f"tls/{address}:7447"
+    held = authority.init(tmp_path / "keys")
+    machine = authority.issue(held.folder, "car2", ["car2"])
+    with hub_process(str(held.folder), endpoint, before=there):
+        assert f"not for '{address}'; on its machine: vcmvsp keys hub --name {address}" in refused(endpoint, machine)
+    authority.renew_hub(held.folder, [address])
+    with hub_process(str(held.folder), endpoint, before=there):
+        with dial(endpoint, machine) as host:
+            assert greet(host, "car2") == [b"welcome"]
+            assert greet(host, "car3") == []
+        assert "another authority than" in refused(endpoint, bundle(foreign, "car2"))
+        assert "wants certificates" in refused(endpoint.replace("tls/", "tcp/"), None)

@@ -1,0 +1,371 @@
+"""A study's folder: readable at any moment, the same whatever ended the study in between."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pyarrow.parquet as pq
+import pytest
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.tables.schema import read_table
+from vcmvsp.cosim.studies import plan as plans
+from vcmvsp.cosim.studies import rows
+from vcmvsp.cosim.studies import store as stores
+from vcmvsp.cosim.studies.engine import study
+from vcmvsp.cosim.studies.checks import examined
+from vcmvsp.cosim.studies.plan import Plan
+from vcmvsp.cosim.studies.store import Store, so_far
+from vcmvsp.cosim.studies.worker import failed
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, start, two
+
+NAP = "agents.nap_s"
+
+
+def plan_of(**more: Any) -> Plan:
+    given = {"scenario_toml": 'name = "two"\n', "vary": {LOSS: [0.0, 0.5], "n": [1, 2]}, "seeds": [3, 4], "metrics": ["a"]}
+    return Plan(scenario="two", **{**given, **more})
+
+
+def fill(store: Store, skip: int = 0, stop: int | None = None) -> None:
+    """Rows that are odd in every way: a metric in few runs only, numbers without a value, failures."""
+    for number, run in enumerate(store.plan.runs):
+        if skip <= number < (stop or store.plan.size):
+            values: dict[str, Any] = {"a": 0.1 * run.seed, "none": None, "whole": run.seed, "digest": run.key}
+            values |= {f"per.car{number}.x": 1.0 / 3.0} if number % 3 == 0 else {f"radio.losses.l{number % 4}": 7}
+            row = rows.encode(rows.Row(values))
+            store.add(run.key, failed("no") if number == 5 else row)
+
+
+def whole(folder: Path, plan: Plan) -> bytes:
+    with Store(folder, plan, resume=False, force=False) as store:
+        fill(store)
+        store.finish()
+    return (folder / "study.parquet").read_bytes()
+
+
+def test_the_table_is_there_from_the_start_and_grows(tmp_path: Path) -> None:
+    with Store(tmp_path / "s", plan_of(), resume=False, force=False) as store:
+        assert pq.read_table(tmp_path / "s" / "study.parquet").num_rows == 0
+        fill(store, stop=3)
+        store.write()
+        found = pq.read_table(tmp_path / "s" / "study.parquet")
+        assert columns(found, LOSS, "n", "seed") == [(0.0, 1, 3), (0.0, 1, 4), (0.0, 2, 3)]
+    assert not (tmp_path / "s" / "study.lock").exists()
+
+
+@pytest.mark.parametrize("written", [0, 1, 4, 8])
+@pytest.mark.parametrize("torn", [b"", b'{"run":"0\\n1\\n3","row":{"val', bytes(60) + b"\n", bytes(60), b"\xff\n[1]\n"])
+def test_whatever_is_in_table_and_journal_when_it_ends_the_rest_gives_the_same_bytes(
+    tmp_path: Path, written: int, torn: bytes
+) -> None:
+    expected = whole(tmp_path / "whole", plan_of())
+    store = Store(tmp_path / "s", plan_of(), resume=False, force=False)
+    with store:
+        fill(store, stop=written or None)
+        if written:
+            store.write()
+        fill(store, skip=2, stop=6)  # some twice, and in another order than the plan's
+        saved = tmp_path / "as killed"
+        shutil.copytree(tmp_path / "s", saved)
+    with (saved / "study.journal").open("ab") as journal:
+        journal.write(torn)
+    with Store(saved, plan_of(), resume=True, force=False) as again:
+        assert "0.5\n1\n4" not in again.rows  # the failed one
+        fill(again)
+        again.finish()
+    assert (saved / "study.parquet").read_bytes() == expected
+    assert not (saved / "study.journal").exists()
+
+
+def test_lines_after_one_that_a_power_cut_spoilt_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcmvsp.cosim.studies.store.SHARE", 1e-9)  # it is not time for another table, however long this takes
+    with Store(tmp_path / "s", plan_of(), resume=False, force=False) as store:
+        store.write()
+        fill(store)
+        shutil.copytree(tmp_path / "s", tmp_path / "cut")
+    journal = tmp_path / "cut" / "study.journal"
+    lines = journal.read_bytes().split(b"\n")
+    lines[2] = bytes(len(lines[2]))
+    journal.write_bytes(b"\n".join(lines))
+    with Store(tmp_path / "cut", plan_of(), resume=True, force=False) as again:
+        missing = [number for number, run in enumerate(plan_of().runs) if run.key not in again.rows]
+    assert missing == [2, 5]  # and the one that failed
+
+
+def test_plan_and_table_are_on_the_disk_before_they_replace_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    sync, replace, folder = os.fsync, Path.replace, tmp_path.stat().st_ino
+
+    def synced(file: int) -> None:
+        status = os.fstat(file)
+        done.append("the folder" if status.st_ino == folder else f"{status.st_size} bytes")
+        sync(file)
+
+    def replaced(path: Path, target: Path) -> Path:
+        done.append(f"{path.stat().st_size} bytes are {target.name}")
+        return replace(path, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
+    with Store(tmp_path, plan_of(), resume=False, force=False):
+        pass
+    expected = []
+    for name in ("study.toml", "study.parquet"):
+        size = (tmp_path / name).stat().st_size
+        expected += [f"{size} bytes", f"{size} bytes are {name}", "the folder"]
+    assert done == expected
+
+
+def test_more_values_and_seeds_may_be_asked_for_later(tmp_path: Path) -> None:
+    more = plan_of(vary={LOSS: [0.25, 0.0, 0.5], "n": [2, 1, 3.5]}, seeds=[2, 3, 4, 5])
+    expected = whole(tmp_path / "whole", more)
+    whole(tmp_path / "s", plan_of())
+    with Store(tmp_path / "s", more, resume=True, force=False) as store:
+        assert len(store.rows) == 7
+        fill(store)
+        store.finish()
+    assert (tmp_path / "s" / "study.parquet").read_bytes() == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"scenario_toml": 'name = "three"\n'}, r"the scenario differs \(name: 'three' now, 'two' then\)"),
+        ({"set": {"duration_s": 3}}, r"--set differs \(duration_s: 3 now, nothing then\)"),
+        ({"files": {"mine.py": "abc"}}, "its file differs .mine.py"),
+        ({"files": {"mine.py": "0", "two.py": "1 3"}}, "its file differs .two.py"),
+        ({"versions": {"vcmvsp": "99"}}, "the version of differs .vcmvsp: '99' now"),
+        ({"vary": {LOSS: [0.0, 0.5]}}, "it varies radio.loss.probability, n"),
+        ({"vary": {LOSS: [0.0], "n": [1, 2]}}, "not left out: radio.loss.probability was varied over 0.5"),
+        ({"seeds": [3]}, "seeds may be added, not left out: they were 3 to 4"),
+    ],
+)
+def test_another_study_is_not_gone_on_with(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    before = whole(tmp_path, plan_of(files={"mine.py": "0", "two.py": "1 2"}))
+    with pytest.raises(UsageError, match=words), Store(tmp_path, plan_of(**change), resume=True, force=False):
+        pass
+    assert (tmp_path / "study.parquet").read_bytes() == before
+
+
+def test_a_file_that_came_with_a_new_value_does_not_make_it_another(tmp_path: Path) -> None:
+    whole(tmp_path, plan_of(files={"mine.py": "0"}))
+    more = plan_of(files={"mine.py": "0 1", "new.py": "2"})
+    with Store(tmp_path, more, resume=True, force=False) as store:
+        assert len(store.rows) == 7
+
+
+PREDICTOR = "from vcmvsp.agents.formation.reports.prediction import DeadReckoning\n\n\nclass Own(DeadReckoning):\n    pass\n"
+
+
+def with_own(folder: Path, what: str) -> tuple[dict[str, Any], str]:
+    """Values that name two files of one basename, an agent's or an estimator's, and a key for them."""
+    for name in ("one", "other"):
+        (folder / name).mkdir()
+        text = PREDICTOR if what == "estimator" else (mine(folder).parent / "mine.py").read_text()
+        (folder / name / "own.py").write_text(f"{text}# {name}\n")
+    if what == "estimator":
+        return two(), ESTIMATOR
+    return two(vehicle=[{"name": "car1", "agent": {"kind": "mine.py:Mine"}}], agents={}), "vehicle.car1.agent.kind"
+
+
+@pytest.mark.parametrize("what", ["agent", "estimator"])
+def test_rows_of_code_that_has_changed_since_are_not_mixed_with_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenario, key = with_own(tmp_path, what)
+    name = "Own" if what == "estimator" else "Mine"
+    values = [f"one/own.py:{name}", f"other/own.py:{name}"]
+    given: dict[str, Any] = {"seeds": 1, "jobs": 1, "out": tmp_path / "s"}
+    study(scenario, vary={key: values[:1]}, **given)
+    assert study(scenario, vary={key: values}, resume=True, **given).num_rows == 2
+    for changed in ("one", "other"):
+        path = tmp_path / changed / "own.py"
+        before = path.read_text()
+        path.write_text(f"{before}# changed\n")
+        with pytest.raises(UsageError, match=r"holds another study: its file differs \(own\.py: "):
+            study(scenario, vary={key: values}, seeds=2, out=tmp_path / "s", resume=True)
+        path.write_text(before)
+
+
+def test_comments_and_the_study_table_of_a_scenario_do_not_make_it_another(tmp_path: Path) -> None:
+    whole(tmp_path, plan_of())
+    with Store(tmp_path, plan_of(scenario_toml='name = "two" # 2\n[study]\nseeds = 3\n'), resume=True, force=False) as store:
+        assert len(store.rows) == 7
+
+
+def test_a_folder_that_holds_something_needs_a_word(tmp_path: Path) -> None:
+    whole(tmp_path / "s", plan_of())
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").touch()
+    for folder, resume, words in (
+        ("s", False, "holds a study of two"),
+        ("other", False, "not empty"),
+        ("other", True, "no study"),
+    ):
+        with pytest.raises(UsageError, match=words), Store(tmp_path / folder, plan_of(), resume=resume, force=False):
+            pass
+    (tmp_path / "s" / "report.html").touch()
+    with Store(tmp_path / "s", plan_of(), resume=False, force=True) as store:
+        assert not store.rows
+        assert not (tmp_path / "s" / "report.html").exists()
+
+
+def test_a_folder_that_cannot_be_read_is_named_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def iterdir(path: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    with pytest.raises(UsageError, match=f"^cannot write into {tmp_path}: Permission denied$"):
+        study(two(), vary={LOSS: [0.0]}, seeds=1, out=tmp_path)
+
+
+def test_only_what_is_written_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*counts: int) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    with pytest.raises(BrokenPipeError):
+        study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / "a", progress=gone)
+    for name in ("vcmvsp.cosim.studies.store.write_table", "vcmvsp.cosim.studies.outputs.write"):
+
+        def full(*given: Any, **more: Any) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(name, full)
+            with pytest.raises(UsageError, match=r"cannot write into .*: No space left on device"):
+                study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / name)
+
+
+def test_two_studies_started_at_once_without_a_folder_get_two(tmp_path: Path) -> None:
+    mine(tmp_path)
+    runs = [start(tmp_path, "mine.toml", "--vary", f"{NAP}=0.1", "--seeds", "1", "--jobs", "1", "--json") for _ in range(2)]
+    outs = [json.loads(run.communicate(timeout=60)[0])["out"] for run in runs]
+    assert sorted(outs) == ["runs/mine-study", "runs/mine-study-2"]
+    assert all((tmp_path / out / "report.html").exists() for out in outs)
+
+
+def test_two_studies_never_share_a_folder(tmp_path: Path) -> None:
+    with Store(tmp_path, plan_of(), resume=False, force=False):
+        for resume, force in ((True, False), (False, True)):
+            words = f"another study is writing there .process {os.getpid()} on"
+            with pytest.raises(UsageError, match=words), Store(tmp_path, plan_of(), resume=resume, force=force):
+                pass
+    (tmp_path / "study.lock").write_text("process 1 on this machine")  # whose holder is dead
+    with Store(tmp_path, plan_of(), resume=True, force=False):
+        pass
+    assert not (tmp_path / "study.lock").exists()
+
+
+def test_what_is_written_down_is_read_back(tmp_path: Path) -> None:
+    for text in ('name = "two"\n', "a = '''x'''\n", 'b = "\\\\ \\u0001"', "\n\nname = 1"):
+        plan = plan_of(scenario_toml=text, set={"a.b": [1, {"c": "d"}]}, files={"f": "0"}, versions={"vcmvsp": "1"})
+        (tmp_path / "study.toml").write_text(plan.to_toml(), "utf-8")
+        assert Plan.read(tmp_path / "study.toml") == plan
+        assert text in plan.to_toml() or "'''" in text
+
+
+def test_a_study_begun_with_cosim_is_gone_on_with_as_it_was(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"vary": {LOSS: [0.5]}, "seed": 7, "metrics": ["radio.frames"], "jobs": 1}
+    with Store(tmp_path / "s", first_of(settings), resume=False, force=False):
+        pass
+    again = study(two(), out=tmp_path / "s", resume=True, seeds=2, jobs=1)
+    assert again["seed"].to_pylist() == [7, 8]
+    assert again.equals(study(two(), seeds=2, **settings))
+    assert (tmp_path / "s" / "report.html").exists()
+    about = json.loads((tmp_path / "s" / "about.json").read_text())
+    assert (about["runs"], about["runs_made"]) == (2, 2)
+
+
+def first_of(settings: dict[str, Any]) -> Plan:
+    """The plan of a study of one run that was begun and got no further."""
+    base = plans.base_of(two())
+    asked = {"vary": settings["vary"], "seed": settings["seed"], "metrics": settings["metrics"]}
+    return examined(plans.make(base, seeds=1, settings={}, stored=None, **asked), base)
+
+
+def done(folder: Path) -> int:
+    """How many runs a folder holds: rows that were in the table before, and lines."""
+    journal = folder / "study.journal"
+    return journal.read_bytes().count(b"\n") if journal.exists() else 0
+
+
+def wait_for_lines(run: "subprocess.Popen[str]", folder: Path) -> None:
+    end = time.monotonic() + 60
+    while not (folder / "study.parquet").exists() or (
+        pq.read_table(folder / "study.parquet").num_rows == 0 and not done(folder)
+    ):
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+HOLD = ("--set", "agents.held_by=held", "--set", "agents.held_from=5")  # no run of the last seed goes on while it is there
+ARGUMENTS = ("mine.toml", "--vary", f"{NAP}=0.1,0.101,0.102", "--seeds", "6", "--jobs", "2", "--json", "--quiet", *HOLD)
+
+
+def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine(tmp_path)
+    (tmp_path / "held").touch()
+    killed = start(tmp_path, *ARGUMENTS, "--out", "killed")
+    wait_for_lines(killed, tmp_path / "killed")
+    workers = psutil.Process(killed.pid).children(recursive=True)
+    assert len(workers) == 2
+    killed.send_signal(signal.SIGKILL)
+    killed.communicate()
+    assert psutil.wait_procs(workers, timeout=30)[1] == []
+    (tmp_path / "held").unlink()
+    assert pq.read_table(tmp_path / "killed" / "study.parquet").num_rows < 18
+    assert (tmp_path / "killed" / "study.lock").exists()
+
+    out, err = start(tmp_path, *ARGUMENTS, "--out", "killed", "--resume").communicate(timeout=60)
+    about = json.loads((tmp_path / "killed" / "about.json").read_text())
+    assert 0 < about["runs_made"] < 18, err
+    monkeypatch.chdir(tmp_path)
+    whole_out = vcmvsp("study", *ARGUMENTS, "--jobs", "1", "--out", "whole").out
+    names = {path.name for path in (tmp_path / "whole").iterdir()}
+    assert {path.name for path in (tmp_path / "killed").iterdir()} == names
+    for name in names - {"about.json"}:
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    assert out.replace('"killed"', '"whole"') == whole_out
+    found = json.loads(out)
+    assert (found["runs"], found["failed"], len(found["rows"])) == (18, 0, 3)
+
+
+def test_ctrl_c_says_how_far_it_got_and_how_to_go_on(tmp_path: Path) -> None:
+    mine(tmp_path)
+    (tmp_path / "held").touch()
+    run = start(tmp_path, *ARGUMENTS, "--out", "s")
+    wait_for_lines(run, tmp_path / "s")
+    workers = psutil.Process(run.pid).children(recursive=True)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, out) == (130, "")
+    rows_there = pq.read_table(tmp_path / "s" / "study.parquet").num_rows
+    assert err == f"vcmvsp: interrupted: {rows_there} of 18 runs are done; the same command with --resume goes on\n"
+    assert rows_there > 0
+    assert psutil.wait_procs(workers, timeout=30)[1] == []
+
+
+def test_a_page_that_is_made_while_the_table_is_written_lacks_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Store(tmp_path / "s", plan_of(), resume=False, force=False) as store:
+        fill(store, stop=3)  # in the journal alone
+
+        def read(path: Path) -> Any:
+            found = read_table(path)
+            store.write()
+            return found
+
+        monkeypatch.setattr(stores, "read_table", read)
+        assert so_far(tmp_path / "s", store.plan).num_rows == 3
+        assert so_far(tmp_path / "s", store.plan).num_rows == 3

@@ -1,0 +1,164 @@
+"""Mean and band of each point: exact where they can be, right as often as they should be, blind to the order of runs."""
+
+import csv
+import io
+import math
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from vcmvsp.cosim.studies.summary import band, rows, summarise, to_csv
+
+METRIC = "formation.rms_m"
+numbers = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+def table(runs: list[dict[str, Any]]) -> pa.Table:
+    names = dict.fromkeys(name for run in runs for name in run)
+    return pa.table({name: [run.get(name) for run in runs] for name in ("error", *(n for n in names if n != "error"))})
+
+
+def runs(values: dict[float, list[float | None]]) -> list[dict[str, Any]]:
+    return [
+        {"radio.loss.probability": key, "seed": seed, METRIC: value, "error": None}
+        for key, listed in values.items()
+        for seed, value in enumerate(listed)
+    ]
+
+
+@settings(max_examples=40, deadline=None)  # the first one imports SciPy
+@given(st.lists(numbers, min_size=1, max_size=12))
+def test_the_mean_is_exact_to_the_last_bit(values: list[float]) -> None:
+    mean, low, high = band(values)
+    assert mean == (values[0] if min(values) == max(values) else math.fsum(values) / len(values))
+    if len(values) == 1:
+        assert low is high is None
+    else:
+        assert low is not None
+        assert high is not None
+        slack = 1e-12 * max(map(abs, values))  # numpy's mean of equal values may be off by a bit
+        assert min(values) - slack <= low <= high <= max(values) + slack
+
+
+@pytest.mark.parametrize("n", [5, 10, 30])
+def test_the_band_holds_the_true_mean_as_often_as_a_bootstrap_of_so_many_normal_values_does(n: int) -> None:
+    # Resampled means have the variance (n - 1)/n s^2 / n, so the band is mean +- 1.96 sqrt((n - 1)/n) s/sqrt(n), and Student's
+    # t with n - 1 degrees of freedom says how often that holds the truth.
+    expected = 2.0 * stats.t.cdf(1.95996 * math.sqrt((n - 1) / n), n - 1) - 1.0
+    draws, trials = np.random.default_rng(3), 500
+    bands = [band(draws.normal(7.0, 2.0, n)) for _ in range(trials)]
+    held = sum(each.low <= 7.0 <= each.high for each in bands if each.low is not None and each.high is not None) / trials
+    assert held == pytest.approx(expected, abs=4.0 * math.sqrt(expected * (1.0 - expected) / trials))
+
+
+def test_the_band_narrows_with_the_root_of_the_number_of_runs() -> None:
+    values = np.random.default_rng(1).normal(size=20)
+    few, many = band(values), band(np.tile(values, 16))
+    assert few.low is not None
+    assert few.high is not None
+    assert many.low is not None
+    assert many.high is not None
+    assert (few.high - few.low) / (many.high - many.low) == pytest.approx(4.0, rel=0.05)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(numbers, min_size=2, max_size=8), st.sampled_from([0.25, 2.0, 1024.0]))
+def test_another_unit_scales_the_band(values: list[float], factor: float) -> None:
+    here, there = band(values), band([factor * value for value in values])  # by a power of two: exact
+    assert [factor * each for each in here if each is not None] == [each for each in there if each is not None]
+
+
+def test_equal_values_have_a_band_without_width_and_one_value_has_none() -> None:
+    assert band([0.3, 0.3, 0.3]) == (0.3, 0.3, 0.3)
+    assert band([0.3]) == (0.3, None, None)
+    assert band([]) == (None, None, None)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.randoms(use_true_random=False))
+def test_the_order_of_the_runs_changes_no_bit(random: Any) -> None:
+    listed = runs({0.5: [0.1, 0.4, 0.2, None], 0.1: [1.0, 2.0, 4.0, 3.0], 0.9: [5.0, 5.0, 5.0, 5.0]})
+    sorted_rows = summarise(table(listed), ["radio.loss.probability"], [METRIC]).to_pylist()
+    random.shuffle(listed)
+    shuffled = summarise(table(listed), ["radio.loss.probability"], [METRIC]).to_pylist()
+    assert sorted(shuffled, key=str) == sorted(sorted_rows, key=str)
+
+
+def test_a_point_does_not_change_another() -> None:
+    both = summarise(table(runs({0.1: [1.0, 2.0, 4.0], 0.5: [3.0, 9.0, 1.0]})), ["radio.loss.probability"], [METRIC])
+    alone = summarise(table(runs({0.5: [3.0, 9.0, 1.0]})), ["radio.loss.probability"], [METRIC])
+    assert both.to_pylist()[1] == alone.to_pylist()[0]
+
+
+def test_points_come_in_the_order_of_the_study() -> None:
+    listed = runs({0.9: [1.0], 0.1: [2.0], 0.5: [3.0]})
+    assert summarise(table(listed), ["radio.loss.probability"], [METRIC])["radio.loss.probability"].to_pylist() == [
+        0.9,
+        0.1,
+        0.5,
+    ]
+
+
+def test_nulls_are_left_out_and_counted_and_failures_too() -> None:
+    listed = [*runs({0.1: [1.0, None, 3.0]}), {"radio.loss.probability": 0.1, "seed": 3, "error": "car2: it raised"}]
+    (point,) = summarise(table(listed), ["radio.loss.probability"], [METRIC]).to_pylist()
+    assert (point["n"], point["failed"], point[f"{METRIC}.n"], point[f"{METRIC}.mean"]) == (3, 1, 2, 2.0)
+
+
+def test_where_all_runs_failed_there_is_a_row_without_values() -> None:
+    failed = [{"radio.loss.probability": 0.1, "seed": seed, "error": "no"} for seed in (1, 2)]
+    (point,) = summarise(table(failed), ["radio.loss.probability"], [METRIC]).to_pylist()
+    assert (point["n"], point["failed"], point[f"{METRIC}.n"], point[f"{METRIC}.mean"]) == (0, 2, 0, None)
+
+
+@pytest.mark.parametrize("values", [[1, 2], ["a", "b"], [True, False], [[1, 2], [2, 1]], [{"kind": "a"}, {"kind": "b"}]])
+def test_values_of_any_type_make_points(values: list[Any]) -> None:
+    listed = [{"key": value, "seed": seed, METRIC: 1.0, "error": None} for value in values for seed in (1, 2)]
+    found = summarise(table(listed), ["key"], [METRIC])
+    assert found["key"].to_pylist() == values
+    assert found["n"].to_pylist() == [2, 2]
+
+
+def test_whole_numbers_and_truths_are_metrics_too() -> None:
+    listed = [{"key": 1, "seed": seed, "safety.collisions": seed, "error": None} for seed in (1, 2)]
+    assert summarise(table(listed), ["key"], ["safety.collisions"])["safety.collisions.mean"].to_pylist() == [1.5]
+
+
+def test_nothing_varied_is_one_point() -> None:
+    (point,) = summarise(table(runs({0.1: [1.0, 2.0]})), [], [METRIC]).to_pylist()
+    assert (point["n"], point[f"{METRIC}.mean"]) == (2, 1.5)
+
+
+@given(st.lists(st.lists(numbers, min_size=2, max_size=3), min_size=1, max_size=3))
+@settings(max_examples=15, deadline=None)
+def test_the_file_holds_every_digit(values: list[list[float]]) -> None:
+    summary = summarise(table(runs(dict(enumerate(map(list, values), 1)))), ["radio.loss.probability"], [METRIC])
+    read = list(csv.DictReader(io.StringIO(to_csv(summary))))
+    for row, point in zip(read, summary.to_pylist(), strict=True):
+        assert {name: float(text) for name, text in row.items()} == point
+
+
+def test_what_the_file_has_no_value_for_is_empty() -> None:
+    summary = summarise(table(runs({0.1: [1.0]})), ["radio.loss.probability"], [METRIC])
+    (row,) = csv.DictReader(io.StringIO(to_csv(summary)))
+    assert row == {
+        "radio.loss.probability": "0.1",
+        "n": "1",
+        "failed": "0",
+        f"{METRIC}.n": "1",
+        f"{METRIC}.mean": "1.0",
+        f"{METRIC}.low": "",
+        f"{METRIC}.high": "",
+    }
+
+
+def test_json_has_a_mapping_for_each_metric() -> None:
+    summary = summarise(table(runs({0.1: [1.0, 1.0]})), ["radio.loss.probability"], [METRIC])
+    assert rows(summary, ["radio.loss.probability"], [METRIC]) == [
+        {"radio.loss.probability": 0.1, "n": 2, "failed": 0, METRIC: {"n": 2, "mean": 1.0, "low": 1.0, "high": 1.0}}
+    ]

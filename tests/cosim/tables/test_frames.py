@@ -1,0 +1,122 @@
+"""Frames that a recorder keeps: packed as they come, they make the table that row after row would make, in little memory."""
+
+import gc
+import tracemalloc
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.tables import radio_frames
+from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, RunFacts, radio_table
+from vcmvsp.cosim.types import FrameReport
+
+NAMES = ("a", "b", "c", "d")
+FACTS = RunFacts(scenario="test", seed=1, end_ns=10**9, vehicles=NAMES)
+VALUES: dict[str, tuple[Any, ...]] = {  # of the parts of a link budget
+    "copy_ns": (-1, 9),
+    "snr_db": (4.5, 8.0),
+    "sinr_db": (3.0, np.inf),
+    "path_loss_db": (0.0, -0.0),
+    "walls": (0, 2),
+    "fading_db": (np.nan,),
+}
+
+
+def report(number: int, receivers: tuple[str, ...] = NAMES[1:]) -> FrameReport:
+    n = len(receivers)
+    return FrameReport(
+        frame=number,
+        sender=NAMES[0],
+        sent_ns=5 * number,
+        size_bytes=60 + number % 2,
+        receivers=receivers,
+        distance_m=np.arange(n) + 0.5 * number,
+        rssi_dbm=np.full(n, -60.0),
+        received_ns=np.arange(n) + 5 * number,
+        outcome=("received",) * n,
+        queue_ns=number,
+    )
+
+
+@st.composite
+def reports(draw: st.DrawFn) -> list[FrameReport]:
+    """Frames of any receivers and fates, in any order; parts of the link budget where there are such layers."""
+    told = []
+    for number in draw(st.permutations(range(draw(st.integers(0, 12))))):
+        receivers = tuple(draw(st.lists(st.sampled_from(NAMES), unique=True)))
+
+        def each(values: tuple[Any, ...], n: int = len(receivers)) -> list[Any]:
+            return draw(st.lists(st.sampled_from(values), min_size=n, max_size=n))
+
+        parts = {
+            name: np.array(each(values), np.int64 if isinstance(values[0], int) else np.float64)
+            for name, values in VALUES.items()
+            if draw(st.booleans())
+        }
+        fates: dict[str, Any] = {
+            "sender": draw(st.sampled_from(NAMES)),
+            "received_ns": np.array(each((-1, 70, 80)), np.int64),
+            "outcome": tuple(each(("received", "random loss", "under way", "collision"))),
+            "wall_materials": tuple(each(("", "1 brick", "2 wood"))) if draw(st.booleans()) else None,
+        }
+        told.append(msgspec.structs.replace(report(number, receivers), **fates, **parts))
+    return told
+
+
+def row_by_row(told: list[FrameReport]) -> Iterator[dict[str, Any]]:
+    for each in sorted(told, key=lambda each: each.frame):
+        for i, receiver in enumerate(each.receivers):
+            row: dict[str, Any] = {name: getattr(each, name, None) for name in RADIO_SCHEMA.names}
+            for name, value in row.items():
+                own = value[i] if isinstance(value, np.ndarray | tuple) else value
+                row[name] = own.item() if isinstance(own, np.generic) else own
+            row |= {name: 0 if dtype is np.int64 else 0.0 for name, dtype in radio_frames.BUDGET.items() if row[name] is None}
+            sent, got = row["sent_ns"], row["received_ns"]
+            row |= {
+                "receiver": receiver,
+                "delay_ns": got - sent if got >= 0 else None,
+                "received_ns": got if got >= 0 else None,
+            }
+            row["copy_ns"] = row["copy_ns"] if row["copy_ns"] > 0 else None
+            row["sinr_db"] = row["sinr_db"] if np.isfinite(row["sinr_db"]) else None
+            yield {**row, "wall_materials": row["wall_materials"] or ""}
+
+
+@given(reports())
+def test_the_table_is_that_of_row_after_row(told: list[FrameReport]) -> None:
+    assert repr(radio_table(told, FACTS).to_pylist()) == repr(list(row_by_row(told)))
+
+
+@given(reports(), st.sampled_from((1, 3, 7)))
+def test_how_many_are_packed_together_changes_no_byte(told: list[FrameReport], rows: int) -> None:
+    streams = []
+    for size in (radio_frames.CHUNK_ROWS, rows):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(radio_frames, "CHUNK_ROWS", size)
+            table, sink = radio_table(told, FACTS), pa.BufferOutputStream()
+            with pa.ipc.new_stream(sink, table.schema) as writer:
+                writer.write_table(table)
+            streams.append(sink.getvalue().to_pybytes())
+    assert streams[0] == streams[1]
+
+
+@pytest.mark.parametrize(("receivers", "most"), [(NAMES[1:], 60_000 * 50), ((), 20_000 * 100)])
+def test_what_is_kept_of_a_frame_is_its_numbers(receivers: tuple[str, ...], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 20,000 frames to three receivers each, or to none: the columns that differ from row to row, and no objects."""
+    monkeypatch.setattr(radio_frames, "CHUNK_ROWS", 3000)
+    kept = radio_frames.Frames(NAMES)
+    tracemalloc.start()
+    try:
+        kept.extend(report(number, receivers) for number in range(20_000))
+        gc.collect()
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(kept.columns()["frame"]) == 20_000 * len(receivers)
+    assert held < most

@@ -1,0 +1,71 @@
+"""A Zenoh router of somebody else's between a run and its hosts: the page's own configuration of it."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from vcmvsp import cosim
+from vcmvsp.cosim.security import certificates
+from vcmvsp.cosim.transport import access_control
+from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.run_processes import Stage, ended
+from tests.cosim.hosts.test_remote_hosts import SCENARIO
+from tests.support.docs.readme_pages import ROOT, blocks_of
+
+HOSTED = ("car2", "car3")
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    (tmp_path / "far.toml").write_text(SCENARIO.format(duration=1.0))
+    with Stage(tmp_path) as made:
+        yield made
+
+
+def configuration(run: int, listen: int) -> str:
+    """The page's, with other ports."""
+    page = "cosim/SCALING.md"
+    (text,) = (each.text for each in blocks_of(page, (ROOT / page).read_text("utf-8")) if each.language == "json5")
+    assert text.count("192.168.1.10:7447") == text.count("0.0.0.0:7448") == 1
+    return text.replace("192.168.1.10:7447", f"127.0.0.1:{run}").replace("0.0.0.0:7448", f"127.0.0.1:{listen}")
+
+
+def digest_of(folder: Path) -> Any:
+    return json.loads((folder / "metrics.json").read_text())["digest"]
+
+
+def test_a_router_between_a_run_and_its_hosts_changes_no_bit(stage: Stage) -> None:
+    beyond = stage.another_port()
+    with zenoh.open(zenoh.Config.from_json5(configuration(stage.port, beyond))) as router:
+        run = stage.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{stage.port}", "--out", "out")
+        dialled = f"tcp/127.0.0.1:{beyond}"
+        hosts = [stage.start("agent", "--vehicle", name, "--connect", dialled) for name in HOSTED]
+        code, said = ended(run)
+        assert code == 0, said
+        assert [ended(host)[0] for host in hosts] == [0, 0]
+        assert not router.is_closed()
+    alone = cosim.run(stage.folder / "far.toml", agents="inprocess", mcap=False).metrics["digest"]
+    assert digest_of(stage.out) == alone
+
+
+def test_with_certificates_a_router_is_no_way_in(stage: Stage) -> None:
+    """Not even one with the run's own certificate for those who dial it, and theirs for the run."""
+    keys = stage.folder / "keys"
+    assert vcmvsp("keys", "init", str(keys)).code == 0
+    assert vcmvsp("keys", "vehicle", *HOSTED, "--keys", str(keys), "--as", "both").code == 0
+    bundle = certificates.load_bundle(keys / "both.keys")
+    run = stage.start("run", "far.toml", "--listen", f"tls/127.0.0.1:{stage.port}", "--keys", "keys", "--out", "out")
+    beyond = stage.another_port()
+    config = zenoh.Config.from_json5(configuration(stage.port, beyond).replace("tcp/", "tls/"))
+    secure = access_control.merge(access_control._listening(certificates.load(keys)), access_control.machine_security(bundle))
+    config.insert_json5("transport/link/tls", json.dumps(secure["transport"]["link"]["tls"]))
+    with zenoh.open(config):
+        host = stage.start("agent", "--vehicle", "car2", "--connect", f"tls/127.0.0.1:{beyond}", "--keys", "keys/both.keys")
+        code, said = ended(host)
+        assert run.poll() is None
+    assert code == 2
+    assert "the run's rules do not know 'both'" in said

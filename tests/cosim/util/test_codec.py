@@ -1,0 +1,199 @@
+"""Everything that travels comes back bit for bit; what must not travel is refused."""
+
+import struct
+import typing
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from vcmvsp.cosim import types
+from vcmvsp.cosim.util.codec import Decoder, encode
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.frames import Quaternion
+from vcmvsp.cosim.types import AnyValue, Array, Vec3, Velocity
+
+FLOATS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
+TEXT = st.text(max_size=8)
+TIMES = st.integers(-(2**63), 2**63 - 1)
+VEC3 = st.tuples(FLOATS, FLOATS, FLOATS)
+QUATERNION = st.tuples(FLOATS, FLOATS, FLOATS, FLOATS)
+DTYPES = (
+    hnp.boolean_dtypes()
+    | hnp.integer_dtypes(endianness="?")
+    | hnp.unsigned_integer_dtypes(endianness="?")
+    | hnp.floating_dtypes(sizes=(16, 32, 64), endianness="?")
+)
+ARRAYS = DTYPES.flatmap(lambda dtype: hnp.arrays(dtype, hnp.array_shapes(min_dims=0, min_side=0, max_dims=3, max_side=4)))
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | FLOATS | TEXT | st.binary(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
+    max_leaves=6,
+)
+
+# By annotation, so that a new field of a value is tried without a new line here.
+BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
+    Vec3: VEC3,
+    Quaternion: QUATERNION,
+    Array: ARRAYS,
+    Array | None: ARRAYS | st.none(),
+    float: FLOATS,
+    float | None: FLOATS | st.none(),
+    int: TIMES,
+    str: TEXT,
+    bool: st.booleans(),
+    bytes: st.binary(max_size=16),
+    str | None: TEXT | st.none(),
+    tuple[str, ...]: st.lists(TEXT, max_size=3).map(tuple),
+    tuple[str, ...] | None: st.lists(TEXT, max_size=3).map(tuple) | st.none(),
+    tuple[float, float]: st.tuples(FLOATS, FLOATS),
+    Velocity | None: st.builds(Velocity, linear=VEC3, yaw_rate=FLOATS) | st.none(),
+    dict[str, Any] | bytes: st.dictionaries(TEXT, PLAIN, max_size=3) | st.binary(max_size=16),
+    dict[str, float]: st.dictionaries(TEXT, FLOATS, max_size=3),
+    dict[str, float | str | bool]: st.dictionaries(TEXT, FLOATS | TEXT | st.booleans(), max_size=3),
+}
+
+
+def instances(kind: Any) -> st.SearchStrategy[Any]:
+    if isinstance(kind, type) and issubclass(kind, types.Value):
+        return st.builds(kind, **{name: instances(hint) for name, hint in typing.get_type_hints(kind).items()})
+    if typing.get_origin(kind) is Literal:
+        return st.sampled_from(typing.get_args(kind))
+    if kind not in BY_ANNOTATION and typing.get_origin(kind) is tuple:
+        return st.lists(instances(typing.get_args(kind)[0]), max_size=3).map(tuple)
+    return BY_ANNOTATION[kind]
+
+
+def bits(value: Any) -> Any:
+    """A form in which only values that are equal to the last bit are equal (NaN and -0.0 among them)."""
+    if isinstance(value, msgspec.Struct):
+        return type(value).__name__, [bits(getattr(value, name)) for name in value.__struct_fields__]
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, float):
+        return struct.pack("<d", value)
+    if isinstance(value, dict):
+        return {name: bits(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [bits(each) for each in value]
+    return type(value).__name__, value
+
+
+def arrays_in(value: Any) -> list[Array]:
+    if isinstance(value, np.ndarray):
+        return [value]
+    if isinstance(value, msgspec.Struct):
+        return [array for name in value.__struct_fields__ for array in arrays_in(getattr(value, name))]
+    return []
+
+
+anything: Decoder[Any] = Decoder(AnyValue)
+array: Decoder[Array] = Decoder(Array)
+events: Decoder[list[Event]] = Decoder(list[Event])
+
+
+@pytest.mark.parametrize("kind", typing.get_args(AnyValue), ids=lambda kind: kind.__name__)
+@settings(max_examples=40)
+@given(data=st.data())
+def test_every_value_comes_back_bit_for_bit(kind: Any, data: st.DataObject) -> None:
+    value = data.draw(instances(kind))
+    back = anything.decode(encode(value))
+    assert bits(back) == bits(value)
+    assert encode(back) == encode(value)
+    assert not any(each.flags.writeable for each in arrays_in(back))
+
+
+@given(st.lists(st.tuples(TEXT, TIMES, instances(types.VehicleState)), max_size=4))
+def test_events_come_back_in_order(content: list[tuple[str, int, types.VehicleState]]) -> None:
+    given_events = [Event(key, time_ns, value) for key, time_ns, value in content]
+    assert bits(events.decode(encode(given_events))) == bits(given_events)
+
+
+@given(ARRAYS)
+def test_an_array_does_not_depend_on_how_it_lies_in_memory(value: Array) -> None:
+    assert encode(np.array(value, order="F")) == encode(value)
+    strided = np.repeat(value[..., None], 2, axis=-1)[..., 0]
+    assert encode(strided) == encode(value)
+
+
+def test_read_arrays_cannot_be_written() -> None:
+    back = array.decode(encode(np.zeros((2, 3))))
+    with pytest.raises(ValueError, match="read-only"):
+        back[0, 0] = 1.0
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        back.flags.writeable = True
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        np.array([{}, None], object),
+        np.array(["2012-01-01"], "datetime64[D]"),
+        np.zeros(2, [("a", "f8")]),
+        np.array([b"raw"]),
+        np.array(["text"]),
+        np.array([1j]),
+    ],
+    ids=lambda value: str(value.dtype),
+)
+def test_only_numbers_and_booleans_travel_in_arrays(bad: Array) -> None:
+    with pytest.raises((msgspec.ValidationError, NotImplementedError, TypeError, ValueError)):
+        array.decode(encode(bad))
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        ("|O", [1], b"\0" * 8),
+        ("<f8", [2], b"\0" * 8),  # too few bytes
+        ("<f8", [1], b"\0" * 9),
+        ("no dtype", [1], b"\0"),
+        pytest.param(("(2,", [1], b"\0")),
+        (3, [1], b"\0"),
+        ([["a", "<f8"]], [1], b"\0" * 8),
+        ("<f8", "x", b""),
+        ("<f8", [1]),
+        {"dtype": "<f8"},
+        None,
+        "<f8",
+    ],
+    ids=repr,
+)
+def test_a_forged_array_is_a_validation_error(forged: Any) -> None:
+    with pytest.raises(msgspec.ValidationError):
+        array.decode(msgspec.msgpack.encode(forged))
+
+
+@given(st.binary(max_size=64))
+def test_noise_is_a_decoding_error(noise: bytes) -> None:
+    decoders: tuple[Decoder[Any], ...] = (anything, array, events)
+    for decoder in decoders:
+        try:
+            value = decoder.decode(noise)
+        except ValueError:  # msgspec's errors, and UnicodeDecodeError
+            continue
+        encode(value)  # a few bytes may happen to be a value
+
+
+@given(st.text(max_size=12), st.lists(st.integers(-2, 5), max_size=3), st.binary(max_size=32))
+def test_noise_in_an_array_is_a_validation_error(dtype: str, shape: list[int], raw: bytes) -> None:
+    try:
+        value = array.decode(msgspec.msgpack.encode((dtype, shape, raw)))
+    except msgspec.ValidationError:
+        return
+    assert value.dtype.kind in "biuf"
+
+
+@pytest.mark.parametrize("number", [np.float64(0.1), np.float32(0.5), np.int64(-3), np.uint8(200), np.bool_(True)])
+def test_numpy_numbers_travel_as_plain_ones(number: Any) -> None:
+    assert encode(number) == msgspec.msgpack.encode(number.item())
+
+
+@pytest.mark.parametrize("bad", [object(), 1j, {1, 2}.__iter__(), lambda: None], ids=lambda bad: type(bad).__name__)
+def test_what_is_no_value_is_not_sent(bad: Any) -> None:
+    with pytest.raises(ValueError, match="cannot send"):
+        encode(bad)

@@ -1,0 +1,48 @@
+"""Key expressions mean here what they mean in Zenoh: Zenoh itself is asked."""
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.key_expressions import matches
+
+CHUNKS = st.sampled_from(["a", "b", "car1", "car2", "send", "A_b-9"])
+KEYS = st.lists(CHUNKS, min_size=1, max_size=5).map("/".join)
+EXPRESSIONS = st.lists(CHUNKS | st.sampled_from(["*", "**"]), min_size=1, max_size=6).map("/".join)
+
+
+@given(EXPRESSIONS, KEYS)
+def test_a_key_matches_if_zenoh_says_so(expression: str, key: str) -> None:
+    theirs, concrete = zenoh.KeyExpr.autocanonize(expression), zenoh.KeyExpr(key)
+    assert theirs.intersects(concrete) == theirs.includes(concrete)  # one question, where the key has no wildcard
+    assert matches(expression, key) == theirs.includes(concrete)
+
+
+@given(KEYS, st.data())
+def test_a_key_matches_what_it_is_blurred_to(key: str, data: st.DataObject) -> None:
+    """The random pairs above seldom match; these always do."""
+    chunks = key.split("/")
+    blurred = [data.draw(st.sampled_from([chunk, "*", "**"])) for chunk in chunks]
+    at = data.draw(st.integers(0, len(blurred)))
+    expression = "/".join([*blurred[:at], *data.draw(st.sampled_from([[], ["**"]])), *blurred[at:]])
+    assert matches(expression, key)
+    assert zenoh.KeyExpr.autocanonize(expression).includes(zenoh.KeyExpr(key))
+
+
+@pytest.mark.parametrize(
+    ("expression", "key", "expected"),
+    [
+        ("*/command", "car1/command", True),
+        ("*/command", "car1/agent/command", False),
+        ("*/command", "command", False),
+        ("**/command", "command", True),
+        ("car1/**", "car1", True),
+        ("car1/**", "car12/send", False),
+        ("car1", "car1/send", False),
+        ("*", "car1", True),
+        ("*", "car1/send", False),
+    ],
+)
+def test_the_routes_of_a_run(expression: str, key: str, expected: bool) -> None:
+    assert matches(expression, key) is expected

@@ -1,0 +1,359 @@
+"""The gate before the page: who brings the token comes in, nobody else, and none can spoil it for the others."""
+
+import contextlib
+import http.client
+import socket
+import time
+from collections.abc import Iterator
+from http import HTTPStatus
+from typing import Any
+
+import msgspec
+import pytest
+import viser
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
+from websockets.http11 import Request, Response
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+from websockets.typing import Origin, Subprotocol
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.view.auth import web_server, rules as gate_rules
+from vcmvsp.cosim.view.auth.allowed_messages import is_fit
+
+TOKEN = "a-secret-of-this-test"
+PATIENCE_S = 30.0
+VERSION = Subprotocol(f"viser-v{viser.__version__}")
+
+
+class Page:
+    """What a browser does with a server."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.server, self.port = server, server.get_port()
+        self.host = f"127.0.0.1:{self.port}"
+        self.cookie = f"vcmvsp-view-{self.port}={TOKEN}"
+
+    def get(self, path: str = "/", **headers: str) -> tuple[int, dict[str, str], bytes]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        with contextlib.closing(connection):
+            connection.request("GET", path, headers=headers)
+            response = connection.getresponse()
+            return response.status, dict(response.headers), response.read()
+
+    def connect(self, **changed: Any) -> Connection:
+        own: dict[str, Any] = {
+            "origin": Origin(f"http://{self.host}"),
+            "subprotocols": [VERSION],
+            "additional_headers": {"Cookie": self.cookie},
+            "compression": None,
+            "max_size": None,
+            "open_timeout": PATIENCE_S,
+            "close_timeout": PATIENCE_S,
+        }
+        return connect(f"ws://{self.host}/", **own | changed)
+
+    def connect_soon(self) -> Connection:
+        """As soon as the server has noticed that others have gone."""
+        until_s = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                return self.connect()
+            except (InvalidMessage, ConnectionError):
+                assert time.monotonic() < until_s
+                time.sleep(0.02)
+
+    def hears(self, client: Connection) -> bool:
+        """Whether what the server adds now reaches this client."""
+        label = f"hello {time.monotonic_ns()}"
+        folder = self.server.gui.add_folder(label)
+        try:
+            until_s = time.monotonic() + PATIENCE_S
+            while time.monotonic() < until_s:
+                with contextlib.suppress(TimeoutError):
+                    if label in _words(client.recv(timeout=0.5)):
+                        return True
+            return False
+        finally:
+            folder.remove()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    """A page that is served."""
+    server = web_server.open_server("127.0.0.1", 0, TOKEN)
+    yield Page(server)
+    web_server.close_server(server)
+
+
+def test_the_token_becomes_a_cookie_that_scripts_and_other_sites_do_not_get(page: Page) -> None:
+    status, headers, body = page.get(f"/?token={TOKEN}")
+    assert (status, headers["Location"], body) == (303, "/", b"")
+    cookie, *rules = headers["Set-Cookie"].split("; ")
+    assert cookie == page.cookie
+    assert {"HttpOnly", "SameSite=Strict"} <= {*rules}
+    status, headers, body = page.get("/", Cookie=f"other=1; {cookie}")
+    assert status == HTTPStatus.OK
+    assert b"<title>Viser" in body
+    policy = dict(each.split(" ", 1) for each in headers["Content-Security-Policy"].split("; "))
+    assert policy["default-src"] == policy["frame-ancestors"] == "'none'"
+    assert page.host in policy["connect-src"]
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Referrer-Policy"] == "no-referrer"
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("/", {}),
+        ("/?token=", {}),
+        ("/?token=wrong", {}),
+        ("/?token=wrong&token=" + TOKEN, {}),
+        ("/index.html", {"Cookie": "vcmvsp-view-PORT=wrong"}),
+        ("/index.html", {"Cookie": f"other={TOKEN}"}),
+        ("/", {"Cookie": "COOKIE", "Host": "evil.example:PORT"}),
+        ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1"}),
+        ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1:PORT@evil.example"}),
+        ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1:PORT#; script-src *"}),
+        ("/", {"Cookie": "COOKIE", "Host": "local\thost:PORT"}),
+        ("/", {"Cookie": "COOKIE", "Host": "10.0.0.1:PORT"}),
+        ("/", {"Cookie": "COOKIE", "Origin": "http://evil.example"}),
+        ("/", {"Cookie": "COOKIE", "Origin": "null"}),
+        (f"/?token={TOKEN}", {"Host": "evil.example:PORT"}),
+    ],
+)
+def test_a_request_that_is_not_ours_is_refused(page: Page, path: str, headers: dict[str, str]) -> None:
+    filled = {name: value.replace("COOKIE", page.cookie).replace("PORT", str(page.port)) for name, value in headers.items()}
+    status, answered, body = page.get(path, **filled)
+    assert status == HTTPStatus.FORBIDDEN
+    assert "Set-Cookie" not in answered
+    assert TOKEN.encode() not in body
+
+
+@pytest.mark.parametrize("name", ["localhost", "LOCALHOST", "127.0.0.1"])
+def test_the_machine_has_more_names_than_one(page: Page, name: str) -> None:
+    assert page.get("/", Cookie=page.cookie, Host=f"{name}:{page.port}")[0] == HTTPStatus.OK
+
+
+@pytest.mark.parametrize(
+    ("changed", "status"),
+    [
+        ({"additional_headers": {}}, 403),
+        ({"additional_headers": {"Cookie": "vcmvsp-view-PORT=wrong"}}, 403),
+        ({"origin": "http://evil.example"}, 403),
+        ({"origin": None}, 403),
+        ({"origin": "https://127.0.0.1:1"}, 403),
+        ({"subprotocols": ["viser-v0.0.1"]}, 400),
+        ({"subprotocols": None}, 400),
+    ],
+)
+def test_a_connection_that_is_not_ours_is_refused(page: Page, changed: dict[str, Any], status: int) -> None:
+    with pytest.raises(InvalidStatus) as caught:
+        page.connect(**changed).close()
+    assert caught.value.response.status_code == status
+
+
+@pytest.mark.parametrize("path", ["/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/..%5c..%5cetc", "//etc/passwd"])
+def test_no_file_is_served_but_the_page(page: Page, path: str) -> None:
+    status, _, body = page.get(path, Cookie=page.cookie)
+    assert (status, body) == (HTTPStatus.NOT_FOUND, b"") or b"NOT FOUND" in body
+    assert b"root:" not in body
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        bytes((1 << 20) + 1),
+        b"\xc1",
+        b"",
+        "a text",
+        msgspec.msgpack.encode([1, 2]),
+        b"\x91" * 5000,
+        msgspec.msgpack.encode({"type": "NoSuchMessage"}),
+        msgspec.msgpack.encode({"type": "ShareUrlRequest"}),
+        msgspec.msgpack.encode({"type": "FileTransferStartUpload"}),
+        msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": "x", "updates": {"update_cb": 1}}),
+        msgspec.msgpack.encode({"type": "ViewerCameraMessage"}),
+        msgspec.msgpack.encode({"type": "ViewerCameraMessage", "wxyz": "x", "position": 1, "extra": {}}),
+    ],
+    ids=range(12),
+)
+def test_what_is_no_message_ends_its_own_connection_quietly(
+    page: Page, message: bytes | str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with page.connect() as good, page.connect() as bad:
+        with contextlib.suppress(ConnectionClosed):
+            bad.send(message)
+        assert _is_closed(bad)
+        assert page.hears(good)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_frames_that_break_the_protocol_end_their_own_connection_quietly(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+    with page.connect() as good, page.connect() as bad:
+        bad.socket.sendall(b"\xff\xff\xff\xff\xff")
+        assert _is_closed(bad)
+        with socket.create_connection(("127.0.0.1", page.port)) as rude:
+            rude.sendall(b"\x16\x03\x01 this is no HTTP\r\n\r\n")
+            rude.settimeout(PATIENCE_S)
+            with contextlib.suppress(ConnectionError):
+                assert b"101" not in rude.recv(100)
+        assert page.hears(good)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_control_that_a_page_sets_is_set(page: Page) -> None:
+    box = page.server.gui.add_checkbox("a box", initial_value=False)
+    update = {"type": "GuiUpdateMessage", "uuid": box._impl.uuid, "updates": {"value": True}}
+    with page.connect() as client:
+        client.send(msgspec.msgpack.encode(update))
+        until_s = time.monotonic() + PATIENCE_S
+        while not box.value and time.monotonic() < until_s:
+            time.sleep(0.01)
+    assert box.value
+
+
+def test_there_are_no_more_pages_than_can_be_served(page: Page) -> None:
+    with contextlib.ExitStack() as stack:
+        first = stack.enter_context(page.connect())
+        refused = []
+        for _ in range(100):
+            try:
+                stack.enter_context(page.connect())
+            except InvalidStatus as error:
+                refused.append(error.response.status_code)
+        assert refused == [HTTPStatus.SERVICE_UNAVAILABLE] * (100 + 1 - gate_rules.MOST_PAGES)
+        assert page.hears(first)
+    with page.connect() as later:
+        assert page.hears(later)
+
+
+def test_those_who_say_nothing_keep_nobody_out(page: Page) -> None:
+    with contextlib.ExitStack() as stack:
+        first = stack.enter_context(page.connect())
+        for _ in range(web_server.MOST_SOCKETS + 20):
+            stack.enter_context(socket.create_connection(("127.0.0.1", page.port)))
+        assert page.hears(first)
+    with page.connect_soon() as later:
+        assert page.hears(later)
+
+
+def test_a_port_that_is_taken_is_said() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UsageError, match=f"cannot listen on 127.0.0.1:{port}: Address already in use; give another"):
+            web_server.open_server("127.0.0.1", port, TOKEN)
+
+
+@pytest.mark.parametrize(("host", "port"), [("no such host", 0), ("192.0.2.1", 0), ("127.0.0.1", 65536), ("127.0.0.1", -1)])
+def test_a_place_that_is_none_is_said(host: str, port: int) -> None:
+    with pytest.raises(UsageError, match="the view cannot listen on"):
+        web_server.open_server(host, port, TOKEN)
+
+
+def test_a_gate_that_does_not_hold_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gate_rules.Gate, "_answer", lambda *_: None)
+    with pytest.raises(UsageError, match=r"cannot be guarded \(200\)"):
+        web_server.open_server("127.0.0.1", 0, TOKEN)
+
+
+def test_viser_says_nothing_on_the_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    web_server.close_server(web_server.open_server("127.0.0.1", 0, TOKEN))
+    assert capfd.readouterr() == ("", "")
+
+
+class Asked:
+    """As much of a connection as the rules look at."""
+
+    class server:  # noqa: N801
+        connections: frozenset[object] = frozenset()
+
+    def respond(self, status: HTTPStatus, text: str) -> Response:
+        return Response(status, "", Headers(), text.encode())
+
+
+values = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=40)
+parts = st.sampled_from(
+    [TOKEN, "vcmvsp-view-80=", "vcmvsp-view-8080=", ";", "localhost", ":", "8080", "http://", "evil", "@", "/"]
+)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["Host", "Origin", "Cookie", "Upgrade", "Sec-WebSocket-Protocol"]),
+            values | st.lists(parts, max_size=4).map("".join),
+        ),
+        max_size=6,
+    ),
+    values | st.lists(parts | st.just("?token="), max_size=4).map("".join),
+)
+def test_whatever_is_asked_only_the_token_passes(headers: list[tuple[str, str]], path: str) -> None:
+    passed = Response(200, "", Headers(), b"the page")
+    ask = gate_rules.Gate("127.0.0.1", 8080, TOKEN, VERSION).before(lambda *_: passed)
+    response = ask(Asked(), Request("/" + path, Headers(headers)))
+    if response is passed:
+        assert any(name == "Cookie" and f"vcmvsp-view-8080={TOKEN}" in value for name, value in headers)
+        assert [value for name, value in headers if name == "Host"] == ["localhost:8080"]
+        assert {value for name, value in headers if name == "Origin"} <= {"http://localhost:8080"}
+    else:
+        assert response is not None
+
+
+things = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.binary(max_size=5) | st.sampled_from(["GuiUpdateMessage", "value", ""]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["type", "updates", "value"]), inner),
+    max_leaves=6,
+)
+
+
+@given(st.binary(max_size=200) | things.map(msgspec.msgpack.encode))
+def test_of_any_bytes_only_a_message_passes(message: bytes) -> None:
+    if is_fit(message):
+        content = msgspec.msgpack.decode(message)
+        assert content["type"] == "GuiUpdateMessage"
+        assert [*content["updates"]] == ["value"]
+
+
+@pytest.mark.parametrize(
+    ("host", "name", "let_in"),
+    [
+        ("0.0.0.0", "192.168.1.7", True),
+        ("0.0.0.0", socket.gethostname(), True),
+        ("0.0.0.0", "evil.example", False),
+        ("::", "[fe80::1]", True),
+        ("192.168.1.7", "192.168.1.7", True),
+        ("192.168.1.7", "192.168.1.8", False),
+        ("127.0.0.1", "192.168.1.7", False),
+        ("::1", "[::1]", True),
+    ],
+)
+def test_by_which_names_a_page_may_be_dialled(host: str, name: str, let_in: bool) -> None:
+    passed = Response(200, "", Headers(), b"the page")
+    ask = gate_rules.Gate(host, 8080, TOKEN, VERSION).before(lambda *_: passed)
+    request = Request("/", Headers({"Host": f"{name}:8080", "Cookie": f"vcmvsp-view-8080={TOKEN}"}))
+    assert (ask(Asked(), request) is passed) == let_in
+
+
+def _is_closed(client: Connection) -> bool:
+    """Whether the server ends a connection soon, whatever it says before."""
+    until_s = time.monotonic() + PATIENCE_S
+    with contextlib.suppress(TimeoutError):
+        while time.monotonic() < until_s:
+            try:
+                client.recv(timeout=PATIENCE_S)
+            except ConnectionClosed:
+                return True
+    return False
+
+
+def _words(message: object) -> str:
+    """What can be read in a message of viser's: its names are compressed."""
+    import zstandard
+
+    assert isinstance(message, bytes)
+    packed = int.from_bytes(message[8:16], "little")
+    return zstandard.ZstdDecompressor().decompress(message[16 : 16 + packed]).decode(errors="replace")

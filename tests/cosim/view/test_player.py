@@ -1,0 +1,259 @@
+"""A recorded run in the control station shows what one who looked on had seen, at any time, at the pace that is ordered."""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.view.player.playback import FASTEST, Player
+from vcmvsp.cosim.view.player.recording import Recording
+from vcmvsp.cosim.view.messages import Change, Go, Line, Seek, Sensors, Shown
+from tests.support.cosim.recorded_run import (
+    END_NS,
+    SENSORS,
+    Run,
+    all_of,
+    assert_same,
+    looked_on,
+    merged,
+    seen,
+    told,
+)
+
+TIMES = st.integers(0, END_NS)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return looked_on(tmp_path_factory.mktemp("runs") / "run")
+
+
+@pytest.fixture(scope="module")
+def recording(run: Run) -> Iterator[Recording]:
+    with closing(Recording(run.folder)) as opened:
+        yield opened
+
+
+# --- what is shown ---
+
+
+@settings(max_examples=60)
+@given(TIMES)
+def test_at_any_time_it_shows_what_one_who_looked_on_knew(run: Run, recording: Recording, time_ns: int) -> None:
+    assert_same(told(recording.at(time_ns, sensors=SENSORS)), seen(run.events, recording.vehicles, time_ns))
+
+
+def test_the_example_shows_all_that_a_run_can(recording: Recording) -> None:
+    """Else the law above says less than it seems to."""
+    shown = recording.at(END_NS, sensors=SENSORS)
+    assert set(shown.scans) | set(shown.images) == set(SENSORS)
+    assert set(shown.fixes) == set(recording.vehicles)
+    assert set(shown.places) == set(shown.notes) == {"car2", "car3"} == set(shown.heard_ns)
+    assert shown.sent is not None
+    assert shown.received is not None
+    assert 0 < shown.received.sum() < shown.sent.sum()
+    assert next(iter(shown.images.values())).focal_px > 0.0
+
+
+@given(TIMES, st.one_of(TIMES, st.none()))
+def test_what_is_left_out_is_as_it_was(recording: Recording, time_ns: int, other_ns: int | None) -> None:
+    first, last = sorted((time_ns, time_ns if other_ns is None else other_ns))
+    before, after = recording.at(first, sensors=SENSORS), recording.at(last, first, SENSORS)
+    assert_same(merged(before, after), all_of(recording.at(last, sensors=SENSORS)))
+
+
+@given(TIMES)
+def test_nothing_new_is_shown_where_no_time_has_gone_by(recording: Recording, time_ns: int) -> None:
+    halted = recording.at(time_ns).halted
+    assert recording.at(time_ns, time_ns, SENSORS) == Shown(time_ns=time_ns, halted=halted)
+
+
+@settings(max_examples=20)
+@given(st.lists(TIMES, min_size=1, max_size=8))
+def test_to_have_looked_elsewhere_changes_nothing(run: Run, recording: Recording, times_ns: list[int]) -> None:
+    for time_ns in times_ns:
+        recording.at(time_ns, sensors=SENSORS)
+    with closing(Recording(run.folder)) as fresh:
+        assert encode(fresh.at(times_ns[-1], sensors=SENSORS)) == encode(recording.at(times_ns[-1], sensors=SENSORS))
+
+
+def test_interventions_are_shown_from_their_time_on(recording: Recording) -> None:
+    def at(time_s: float) -> Shown:
+        return recording.at(round(time_s * SECOND_NS))
+
+    assert [at(time_s).halted for time_s in (1.0, 1.2, 2.7, 3.5)] == [(), ("car2",), (), ("car1", "car2", "car3")]
+    assert at(1.9).obstacles["crate"] == pytest.approx((-3.0, 2.0, 0.2, 0.0), abs=1e-3)
+    assert at(2.1).obstacles["crate"] == pytest.approx((-3.0, -1.0, 0.2, 0.4), abs=1e-3)
+    said = [(line.time_ns / SECOND_NS, line.text) for line in at(4.0).lines]
+    assert [time_s for time_s, _ in said] == sorted(time_s for time_s, _ in said)
+    assert any(time_s == 1.5 and "no radio" in text for time_s, text in said)
+    assert said[-1] == (4.0, "the run is complete") == (4.0, recording.ending)
+
+
+def test_obstacles_and_targets_keep_to_their_time_table(recording: Recording) -> None:
+    assert recording.at(0).obstacles["cart"] == (-4.0, -3.0, 0.3, 0.0)
+    assert recording.at(SECOND_NS * 3 // 2).obstacles["cart"] == pytest.approx((0.0, -3.0, 0.3, 0.5))
+    assert recording.at(2 * SECOND_NS).targets == {"alpha": pytest.approx((1.0, 5.0))}
+    assert "cart" not in recording.at(END_NS, SECOND_NS * 7 // 2).obstacles  # it has come to a rest
+
+
+def test_the_scenery_is_that_of_the_run(recording: Recording) -> None:
+    scenery = recording.scenery
+    assert (scenery.scenario, scenery.duration_ns, scenery.live) == ("shown-again", END_NS, False)
+    assert set(scenery.may) == {"pace", "seek", "sensors"}
+    assert [each.name for each in scenery.vehicles] == list(recording.vehicles)
+    assert {each.kind for each in scenery.vehicles} == {"p2dx"}
+    assert dict(scenery.vehicles[0].sensors) == {"scan": "lms", "camera": "nadir_camera"}
+    assert [each.name for each in scenery.obstacles] == ["crate", "cart"]
+    assert len(scenery.triangles) > 0
+
+
+# --- the player ---
+
+
+class Wall:
+    """A clock that stands until it is told."""
+
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def wall() -> Wall:
+    return Wall()
+
+
+@pytest.fixture
+def player(recording: Recording, wall: Wall) -> Player:
+    return Player(recording, wall)
+
+
+def test_it_stands_at_the_start_until_it_is_told_to_go(player: Player, wall: Wall) -> None:
+    assert (player.show().time_ns, player.show().pace.paused) == (0, True)
+    wall.now_s += 5.0
+    assert player.show().time_ns == 0
+    player.order(Go(speed=2.0))
+    assert player.show().time_ns == 0
+    wall.now_s += 0.75
+    shown = player.show()
+    assert (shown.time_ns, shown.pace.speed, shown.pace.paused, shown.pace.over) == (SECOND_NS * 3 // 2, 2.0, False, "")
+
+
+def test_it_pauses_goes_on_and_changes_its_speed_where_it_is(player: Player, wall: Wall) -> None:
+    player.order(Go(speed=1.0))
+    player.show()
+    wall.now_s += 1.0
+    player.order(Go(paused=True, speed=1.0))
+    assert player.show().time_ns == SECOND_NS
+    wall.now_s += 9.0
+    assert player.show().time_ns == SECOND_NS
+    player.order(Go(speed=0.5))
+    player.show()
+    wall.now_s += 1.0
+    assert player.show().time_ns == SECOND_NS * 3 // 2
+    player.order(Go(speed=None))
+    player.show()
+    wall.now_s += 0.01
+    assert player.show().time_ns == SECOND_NS * 3 // 2 + FASTEST * SECOND_NS // 100
+
+
+def test_a_step_is_as_long_as_it_was_ordered(player: Player, wall: Wall) -> None:
+    player.order(Go(paused=True, speed=1.0, step_ns=SECOND_NS // 10))
+    player.show()
+    wall.now_s += 3.0
+    shown = player.show()
+    assert (shown.time_ns, shown.pace.paused) == (SECOND_NS // 10, True)
+
+
+def test_at_its_end_it_stands_says_why_and_begins_again_only_if_told(player: Player, wall: Wall) -> None:
+    player.order(Go(speed=1.0))
+    player.show()
+    wall.now_s += 60.0
+    shown = player.show()
+    assert (shown.time_ns, shown.pace.paused, shown.pace.over) == (END_NS, True, "the run is complete")
+    wall.now_s += 60.0
+    assert player.show().time_ns == END_NS
+    player.order(Seek(time_ns=SECOND_NS))
+    shown = player.show()
+    assert (shown.time_ns, shown.pace.paused, shown.pace.over) == (SECOND_NS, True, "")
+    player.order(Seek(time_ns=10 * END_NS))
+    assert player.show().time_ns == END_NS
+    player.order(Go(speed=1.0))
+    assert player.show().time_ns == 0
+
+
+@pytest.mark.parametrize("order", [Change(key="radio.loss.probability", value=0.5), Go(speed=-1.0), Go(speed=math.nan)])
+def test_it_passes_over_what_a_recording_cannot_do(player: Player, wall: Wall, order: Any) -> None:
+    player.order(Go(speed=1.0))
+    player.show()
+    player.order(order)
+    wall.now_s += 0.5
+    assert (player.show().time_ns, player.show().pace.speed) == (SECOND_NS // 2, 1.0)
+
+
+def test_it_jumps_no_further_back_than_the_start(player: Player) -> None:
+    player.order(Seek(time_ns=-5))
+    assert player.show().time_ns == 0
+
+
+def test_readings_are_shown_when_they_are_asked_for_however_old_and_then_when_they_are_new(player: Player, wall: Wall) -> None:
+    player.order(Seek(time_ns=SECOND_NS * 13 // 10))
+    assert not player.show().scans
+    player.order(Sensors(names=("car1/camera", "car1/scan", "car9/scan", "car1/nothing", "car1/odometry")))
+    shown = player.show()
+    assert (set(shown.images), set(shown.scans)) == ({"car1/camera"}, {"car1/scan"})
+    assert not player.show().images
+    player.order(Go(speed=1.0))
+    player.show()
+    wall.now_s += 0.15
+    assert (set(player.show().images), set(player.show().scans)) == (set(), set())
+    player.order(Sensors(names=()))
+    wall.now_s += 2.0
+    assert not player.show().scans
+
+
+@settings(max_examples=30)
+@given(
+    orders=st.lists(
+        st.one_of(TIMES.map(lambda t: Seek(time_ns=t)), st.sampled_from([Go(speed=1.0), Go(speed=3.0, paused=True)])),
+        max_size=8,
+    )
+)
+def test_seeking_back_and_forth_ends_where_going_straight_does(recording: Recording, orders: list[Any]) -> None:
+    wall, known, last = Wall(), dict[str, Any](), -1
+    player = Player(recording, wall)
+    for order in [*orders, Sensors(names=SENSORS)]:
+        player.order(order)
+        wall.now_s += 0.35
+        shown = player.show()
+        if shown.time_ns < last or not known:  # then all is shown
+            known, last = all_of(shown), shown.time_ns
+        else:
+            known = merged_into(known, shown)
+            last = shown.time_ns
+    straight = all_of(recording.at(last, sensors=SENSORS))
+    assert_same(known, straight)
+
+
+def merged_into(known: dict[str, Any], shown: Shown) -> dict[str, Any]:
+    new = all_of(shown)
+    both = {name: {**value, **new[name]} for name, value in known.items() if isinstance(value, Mapping)}
+    rest = {name: known[name] if new[name] is None else new[name] for name in ("states", "sent", "received")}
+    return {**both, **rest, "lines": (*known["lines"], *new["lines"]), "halted": new["halted"]}
+
+
+def test_lines_are_told_once(player: Player, wall: Wall) -> None:
+    player.order(Go(speed=1.0))
+    lines: list[Line] = []
+    for _ in range(50):
+        lines += player.show().lines
+        wall.now_s += 0.1
+    assert len(lines) == len(set(lines)) == 6

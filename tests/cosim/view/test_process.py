@@ -1,0 +1,239 @@
+"""The process that serves the page of a run: what happens is shown, what is asked for comes back, and it ends with the run."""
+
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.parse
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import viser
+import zstandard
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+from websockets.typing import Origin, Subprotocol
+
+from vcmvsp.cosim.util import codec
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.view.live import protocol
+from vcmvsp.cosim.view.live.server_main import pump
+from vcmvsp.cosim.view.messages import Halt, Line, Pace, Shown
+from vcmvsp.cosim.view.live.server_process import Viewer
+from tests.support.cosim import view_pages
+from tests.support.cosim.run_processes import reserved
+
+PATIENCE_S = 30.0
+SCENERY = view_pages.scenery()
+CAMERA = {  # what a page says first
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (0.0, 0.0, 5.0),
+    "fov": 1.0,
+    "near": 0.1,
+    "far": 100.0,
+    "image_height": 480,
+    "image_width": 640,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def until(holds: Callable[[], Any]) -> Any:
+    """Wait until it does, and give what it is then."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not (value := holds()) and time.monotonic() < end_s:
+        time.sleep(0.01)
+    return value
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Iterator[Viewer]:
+    """A page of its own process."""
+    with Viewer.open(SCENERY, port=0) as opened:
+        yield opened
+
+
+def dialled(url: str) -> Connection:
+    """A connection as the page makes one."""
+    parts = urllib.parse.urlsplit(url)
+    token = urllib.parse.parse_qs(parts.query)["token"][0]
+    return connect(
+        f"ws://{parts.netloc}/",
+        origin=Origin(f"http://{parts.netloc}"),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        additional_headers={"Cookie": f"vcmvsp-view-{parts.port}={token}"},
+        compression=None,
+        max_size=None,
+        open_timeout=PATIENCE_S,
+    )
+
+
+def told(page: Connection) -> list[dict[str, Any]]:
+    """What the page is told next; nothing: not now."""
+    try:
+        data = page.recv(timeout=0.1)
+    except TimeoutError:
+        return []
+    assert isinstance(data, bytes)
+    packed = int.from_bytes(data[8:16], "little")
+    content = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed]))
+    messages: list[dict[str, Any]] = content["messages"]
+    return messages
+
+
+def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: Viewer) -> None:
+    feed, words, buttons = viewer.feed, str, dict[str, str]()
+    with dialled(viewer.url) as page:
+        page.send(msgspec.msgpack.encode(CAMERA))
+
+        def press() -> bool:
+            for message in told(page):
+                if message["type"] == "GuiButtonMessage":
+                    buttons[message["props"]["label"]] = message["uuid"]
+            return "STOP ALL" in buttons
+
+        assert until(press)
+        page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": buttons["STOP ALL"], "updates": {"value": True}}))
+        orders = until(feed.orders)
+        assert orders == [Halt(halted=True)]
+        feed.say(Line(time_ns=0, level="warning", text="the bridge is up"))
+        feed.on(Event("world/states", SECOND_NS, view_pages.shown(SCENERY, 1.0).states))  # type: ignore[arg-type]  # there are
+        feed.pace(Pace())
+        assert until(lambda: "the bridge is up" in words(told(page)))
+
+
+def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewer) -> None:
+    with view_pages.browser() as browser:
+        page, said = browser.new_page(), list[str]()
+        page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("requestfailed", lambda request: said.append(request.url))
+        page.goto(viewer.url)
+        page.get_by_role("button", name="STOP ALL").wait_for(timeout=1e3 * PATIENCE_S)
+        assert "token" not in page.url
+        assert said == []
+
+
+def test_it_ends_when_it_is_closed() -> None:
+    with reserved() as port:
+        viewer = Viewer.open(SCENERY, port=port)
+        with closing(http.client.HTTPConnection("127.0.0.1", port)) as before:
+            before.connect()
+        viewer.feed.close("the run is complete")
+        viewer.close()
+        viewer.close()
+        with pytest.raises(ConnectionRefusedError):
+            http.client.HTTPConnection("127.0.0.1", port).connect()
+
+
+def test_a_run_outlives_it() -> None:
+    with Viewer.open(SCENERY, port=0) as viewer:
+        viewer._process.kill()
+        viewer._process.wait()
+        for k in range(3):
+            viewer.feed.on(Event("world/states", k, view_pages.shown(SCENERY, 1.0).states))  # type: ignore[arg-type]  # there are
+            viewer.feed.pace(Pace(speed=float(k)))
+            time.sleep(0.05)
+        assert not viewer.feed.open
+        viewer.stay()
+
+
+def test_a_port_that_is_taken_is_said() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UsageError, match=f"cannot listen on 127.0.0.1:{port}: Address already in use"):
+            Viewer.open(SCENERY, port=port)
+
+
+PARENT = """
+import contextlib
+from vcmvsp.cosim.view.live.server_process import Viewer
+from tests.cosim import viewing
+with Viewer.open(viewing.scenery(), port=0) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
+    print(viewer._process.pid, flush=True)
+    viewer.stay()
+print("done", flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "last", "code"), [(signal.SIGKILL, "", -9), (signal.SIGINT, "done\n", 0)], ids=["killed", "Ctrl-C"]
+)
+def test_it_ends_with_its_parent_however_that_ends(number: signal.Signals, last: str, code: int) -> None:
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, cwd=ROOT, text=True)
+    assert parent.stdout is not None
+    with parent, parent.stdout:
+        child = int(parent.stdout.readline())
+        assert is_running(child)
+        parent.send_signal(number)
+        assert parent.stdout.read() == last
+        assert parent.wait(PATIENCE_S) == code
+    assert until(lambda: not is_running(child))
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is such a process, and not only what is left of it."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_of_what_lies_waiting_only_the_newest_is_shown_and_no_line_is_lost() -> None:
+    ours, theirs = protocol.pair()
+    shown: list[Shown] = []
+    for k in range(20):
+        line = Line(time_ns=k, level="info", text=str(k))
+        assert ours.offer(
+            codec.encode(Shown(time_ns=k, notes={"a": {"k": float(k)}}, targets={str(k): (0.0, 0.0)}, lines=(line,)))
+        )
+    ours.close()
+    end = protocol.Pipe(theirs)
+    pump(end, shown.append)
+    end.close()
+    (one,) = shown
+    assert (one.time_ns, one.notes) == (19, {"a": {"k": 19.0}})
+    assert [line.text for line in one.lines] == [*one.targets] == [str(k) for k in range(20)]
+
+
+def test_while_it_draws_the_run_goes_on() -> None:
+    ours, theirs = protocol.pair()
+    times, drawing, go_on = list[int](), threading.Event(), threading.Event()
+
+    def show(shown: Shown) -> None:
+        times.append(shown.time_ns)
+        drawing.set()
+        go_on.wait(PATIENCE_S)
+
+    end = protocol.Pipe(theirs)
+    thread = threading.Thread(target=pump, args=(end, show))
+    thread.start()
+    ours.offer(codec.encode(Shown(time_ns=0)))
+    drawing.wait(PATIENCE_S)
+    taken = [k for k in range(1, 100_000) if ours.offer(codec.encode(Shown(time_ns=k)))]
+    assert taken[-1] < 99_999  # in the end there was no room
+    ours.close()
+    go_on.set()
+    thread.join(PATIENCE_S)
+    end.close()
+    assert times == [0, taken[-1]]
+
+
+def test_no_secret_is_in_the_list_of_processes(viewer: Viewer) -> None:
+    token = urllib.parse.parse_qs(urllib.parse.urlsplit(viewer.url).query)["token"][0]
+    pid = viewer._process.pid
+    for what in ("cmdline", "environ"):
+        assert token.encode() not in Path(f"/proc/{pid}/{what}").read_bytes()
+    assert os.getpgid(pid) == pid  # where Ctrl-C does not reach it

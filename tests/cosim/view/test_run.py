@@ -1,0 +1,133 @@
+"""A run that is looked at while it goes on, from the command to the browser and back."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from vcmvsp import cosim
+from vcmvsp.cosim.tables.schema import load
+from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.view_pages import browser, positions
+
+WAIT_MS = 60_000
+PICTURES = "Array.from(document.images).map(image => image.src).filter(src => src.startsWith('blob:'))"
+
+SCENARIO = """
+name = "looked-at"
+duration_s = 3000.0
+seed = 3
+
+[physics]
+kind = "kinematic"
+
+[world]
+kind = "boxes"
+boxes = [{ center = [6, 6, 1], size = [3, 3, 2] }, { center = [-6, 6, 1], size = [1, 1, 2], color = [200, 30, 30] }]
+
+[radio.loss]
+kind = "bernoulli"
+probability = 0.0
+
+[agents]
+period_s = 0.1
+
+[vehicles]
+kind = "kinematic"
+sensors = { eye = { kind = "camera", rate_hz = 10.0, width = 64, height = 48 } }
+
+[[vehicle]]
+name = "car1"
+agent = { kind = "trajectory", path = "circle" }
+
+[[vehicle]]
+name = "car2"
+pose = [0.0, -1.0, 0.0]
+agent = { kind = "leader_follower", leader = "car1" }
+"""
+
+
+def is_trouble(message: Any) -> bool:
+    """Whether the page complains; viser does where a chart is made anew while the page is still loading."""
+    return message.type == "error" and "non-existent component" not in message.text
+
+
+@contextmanager
+def looked_at(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """The command, and where its page is."""
+    (folder / "looked-at.toml").write_text(SCENARIO)
+    options = ["--view", "--view-port", "0", "--out", str(folder / "out")]
+    command = [sys.executable, *UNDRAWN, "run", str(folder / "looked-at.toml"), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            line = next(line for line in process.stderr if line.startswith("control station: "))
+            yield process, line.split()[-1]
+        finally:
+            process.kill()
+
+
+def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repeated(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with browser() as chromium, looked_at(tmp_path) as (process, url):
+        page = chromium.new_page(viewport={"width": 1200, "height": 1000})
+        problems: list[str] = []
+        page.on("console", lambda message: problems.append(message.text) if is_trouble(message) else None)
+        page.goto(url)
+        page.wait_for_function("window.__viserSceneTree?.getState()['/vehicles/ground'] !== undefined", timeout=WAIT_MS)
+        _until_it_changes(page, lambda: positions(page, "/vehicles/ground").round(1).tolist())
+        page.get_by_label("eye (camera)").check()
+        _until_it_changes(page, lambda: page.evaluate(PICTURES))
+        page.get_by_text("Radio outage").click()
+        page.get_by_role("button", name="Inject outage").click()
+        page.get_by_text("no radio for car1, car2").wait_for(timeout=WAIT_MS)
+        begin_s = _time_s(page)
+        _until(page, lambda: _time_s(page) > begin_s + 0.5)  # five frames of each of both
+        page.get_by_role("button", name="End the run").click()
+        page.get_by_role("button", name="Yes, end it now").click()
+        assert process.wait(WAIT_MS / 1e3) == 130
+        assert problems == []
+    assert set(load(out).radio["outcome"].to_pylist()) == {"received", "outage"}
+    resolved = tomllib.loads((out / "scenario.toml").read_text())
+    assert [each["kind"] for each in resolved["intervention"]] == ["outage"]
+    again = cosim.run(out / "scenario.toml", set={"duration_s": json.loads((out / "metrics.json").read_text())["duration_s"]})
+    assert _lost(again.radio) == _lost(load(out).radio)
+
+
+def _lost(frames: Any) -> list[Any]:
+    """Frames that were lost in an outage."""
+    return [each for each in frames.to_pylist() if each["outcome"] == "outage"]
+
+
+def _time_s(page: Any) -> float:
+    """How far the run is, as the page says it."""
+    said = re.search(r"([\d.]+) s of 3000 s", page.inner_text("body"))
+    assert said is not None
+    return float(said[1])
+
+
+def _until(page: Any, holds: Callable[[], bool]) -> None:
+    """Wait until it does."""
+    end_s = time.monotonic() + WAIT_MS / 1e3
+    while not holds():
+        assert time.monotonic() < end_s
+        page.wait_for_timeout(100)
+
+
+def _until_it_changes(page: Any, look: Callable[[], Any]) -> None:
+    """Wait until there is something to be seen, and then something else."""
+    first: list[Any] = []
+
+    def changed() -> bool:
+        seen = look()
+        if seen and not first:
+            first.append(seen)
+        return bool(seen) and seen != first[0]
+
+    _until(page, changed)

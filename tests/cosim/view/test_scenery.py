@@ -1,0 +1,101 @@
+"""What the control station is told once: the vehicles of a scenario, and what stands around them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.util import codec
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.view.live import protocol
+from vcmvsp.cosim.view.scenery import scenery_of
+from vcmvsp.cosim.view.messages import Scenery
+
+SOLIDS: list[dict[str, Any]] = [
+    {"kind": "box", "center": [0.0, 0.0, 0.5], "size": [1.0, 1.0, 1.0], "color": [1, 0, 0]},
+    {"kind": "cylinder", "center": [10.0, 0.0, 0.5], "radius": 0.5, "height": 1.0, "color": [2, 0, 0]},
+    {"kind": "box", "center": [20.0, 0.0, 0.5], "size": [1.0, 1.0, 1.0], "yaw_rad": 0.5, "material": "brick"},
+]
+THINGS: dict[str, Any] = {
+    "movables": [
+        {
+            "name": "crate",
+            "solid": {"kind": "box", "center": [0, 5, 0.2], "size": [0.4, 0.6, 0.4], "yaw_rad": 0.3},
+            "mass_kg": 1.0,
+        }
+    ],
+    "moving": [
+        {
+            "name": "guard",
+            "solid": {"kind": "cylinder", "center": [0, 0, 0], "radius": 0.3, "height": 1.8},
+            "times_s": [0.0, 10.0],
+            "way": [[3, 3, 0.9, 0.1], [4, 3, 0.9, 0.1]],
+        }
+    ],
+    "targets": [{"name": "alpha", "place": [7.0, 8.0]}],
+}
+CONTENT: dict[str, Any] = {
+    "name": "small",
+    "duration_s": 1.0,
+    "seed": 3,
+    "agents": {"kind": "patrol", "period_s": 0.2},
+    "vehicle": [
+        {
+            "name": "car",
+            "kind": "p2dx",
+            "pose": [0, -5, 0],
+            "agent": {"waypoints": [[0, -6]]},
+            "sensors": {"scan": {"kind": "lms"}},
+        },
+        {"name": "uav", "kind": "quadrotor", "position": [0, -9, 2]},
+    ],
+}
+
+
+def small(world: dict[str, Any] | None = None, **more: Any) -> Scenery:
+    """The scenery of a world with two vehicles."""
+    return scenery_of(*scenarios.load({**CONTENT, "world": world or {"kind": "empty"}}), **more)
+
+
+def test_each_triangle_has_the_colour_of_its_solid() -> None:
+    scenery = small({"kind": "boxes", "boxes": [SOLIDS[0], SOLIDS[2]], "cylinders": [SOLIDS[1]]})
+    corners = scenery.vertices[scenery.triangles]
+    assert len(corners) == len(scenery.colors) > 24
+    for triangle, color in zip(corners, scenery.colors, strict=True):
+        solid = SOLIDS[round(float(triangle[:, 0].mean()) / 10.0)]
+        assert color.tolist() == solid.get("color", [164, 84, 66])
+
+
+@pytest.mark.parametrize("name", scenarios.names())
+def test_every_scenario_can_be_shown_and_sent(name: str) -> None:
+    parsed, source = scenarios.load(name)
+    scenery = scenery_of(parsed, source)
+    assert [craft.name for craft in scenery.vehicles] == [vehicle.name for vehicle in parsed.vehicle]
+    assert scenery.triangles.shape == scenery.colors.shape
+    if len(scenery.triangles):
+        assert scenery.triangles.max() < len(scenery.vertices)
+    start = protocol.starts.decode(codec.encode(protocol.Start(scenery=scenery, host="h", port=1, token="t")))
+    assert start.scenery.vehicles == scenery.vehicles
+    assert np.array_equal(start.scenery.vertices, scenery.vertices)
+
+
+def test_obstacles_and_targets_are_where_they_are_at_the_start() -> None:
+    scenery = small({"kind": "empty", **THINGS}, may=("move",))
+    crate, guard = scenery.obstacles
+    assert (crate.name, crate.shape, crate.size, crate.pose) == ("crate", "box", (0.4, 0.6, 0.4), (0.0, 5.0, 0.2, 0.3))
+    assert (guard.name, guard.shape, guard.size, guard.pose) == ("guard", "cylinder", (0.6, 0.6, 1.8), (3.0, 3.0, 0.9, 0.1))
+    assert (crate.may_be_moved, guard.may_be_moved) == (True, False)
+    assert scenery.targets == (("alpha", 7.0, 8.0),)
+    assert not small({"kind": "empty", **THINGS}).obstacles[0].may_be_moved
+
+
+def test_what_agents_said_counts_more_than_what_the_scenario_says() -> None:
+    car, uav = small().vehicles
+    assert (car.agent, car.period_s, car.flies, car.sensors) == ("patrol", 0.2, False, {"scan": "lms"})
+    assert (uav.agent, uav.period_s, uav.flies, uav.sensors) == ("", None, True, {})
+    parsed, source = scenarios.load("lab-patrol")  # its agents have periods of their own
+    with Assembly(parsed, source) as assembly:
+        told = scenery_of(parsed, source, world=assembly.world, infos=assembly.infos)
+    assert scenery_of(parsed, source).vehicles[0].period_s is None
+    assert told.vehicles[0].period_s == 0.1

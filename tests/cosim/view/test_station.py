@@ -1,0 +1,269 @@
+"""What the control station tells its pages: without a browser."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import viser
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.types import Mosaic, ProbabilityMap
+from vcmvsp.cosim.view.messages import Craft, Sensors, Shown
+from vcmvsp.cosim.view.page.links import fresh_links
+from vcmvsp.cosim.view.page.style import LOST_RGB, TINY, linear, rotated, rssi_colors
+from vcmvsp.cosim.view.page.sensors import painted, points_of
+from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
+from tests.support.cosim import view_pages
+from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking, scenery, shown, states
+
+ANGLES = st.floats(-3.0, 3.0)
+METRES = st.floats(-50.0, 50.0)
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[Looking]:
+    """A station of a live run of two robots and a quadrotor."""
+    with looking(scenery(3, flying=1)) as looked:
+        looked.show(0.0)
+        yield looked
+
+
+# --- the scene ---
+
+
+def test_bodies_stand_where_the_vehicles_are() -> None:
+    crafts = (
+        Craft(name="a", kind="p2dx", size=(0.4, 0.3, 0.2), offset=(-0.1, 0.0, 0.1)),
+        Craft(name="b", kind="p2dx", size=(1, 1, 1)),
+    )
+    with looking(scenery(vehicles=crafts)) as looked:
+        looked.station.show(Shown(time_ns=0, states=states([(2.0, 3.0, 0.0)], [math.pi / 2], ("a",))))
+        looked.station.draw()
+        bodies = looked.node("/vehicles/ground")
+    assert bodies.batched_positions[0] == pytest.approx((2.0, 2.9, 0.1), abs=1e-6)
+    assert bodies.batched_scales[0] == pytest.approx((0.4, 0.3, 0.2))
+    assert bodies.batched_scales[1] == pytest.approx((TINY,) * 3)  # nobody knows where it is
+
+
+def test_what_flies_is_drawn_otherwise_than_what_drives(live: Looking) -> None:
+    assert len(live.node("/vehicles/ground").batched_positions) == 2
+    assert len(live.node("/vehicles/air").batched_positions) == 1
+    down = live.node("/heights").points
+    assert down[0, 0, 2] == pytest.approx(3.0)
+    assert down[0, 1].tolist() == [*down[0, 0, :2].tolist(), 0.0]
+
+
+def test_what_has_not_changed_is_not_told_again(live: Looking) -> None:
+    live.show(5.0)
+    live.show(5.0)
+    assert live.told(live.station.draw) == []
+
+
+def test_who_comes_late_in_a_long_run_is_told_no_more_than_who_comes_early() -> None:
+    with looking(scenery(3, flying=1)) as looked:
+        looked.use("ring (ring)")
+        looked.use("down (nadir_camera)")
+        kept = []
+        for step in range(121):
+            color = (step, 0, 0)
+            looked.show(0.1 * step, scans={"v1/ring": view_pages.scan(1.0 + step)}, images={"v1/down": view_pages.picture(color)})
+            kept.append(len(looked.server._websock_server._broadcast_buffer.message_from_id))
+        assert kept[60] == kept[120]
+
+
+def test_many_vehicles_take_hardly_more_messages_than_few() -> None:
+    counts = []
+    for count in (4, 100):
+        with looking(scenery(count, flying=count // 2)) as looked:
+            looked.show(0.0)
+            looked.now_s += 0.01  # only what is told each time
+            looked.station.show(shown(looked.scene, 0.03))
+            counts.append(len(looked.told(looked.station.draw)))
+    assert counts[1] <= counts[0] + 16 - 4  # names, 16 at most at a time
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_runs_of_one_vehicle_or_none_are_shown(count: int) -> None:
+    with looking(scenery(count)) as looked:
+        looked.show(0.0)
+        looked.show(0.5)
+
+
+def test_a_vehicle_is_chosen_by_a_click_at_its_body(live: Looking) -> None:
+    (entry,) = live.node("/vehicles/air")._impl.click_cb
+    entry.callback(
+        viser.SceneNodePointerEvent(
+            client=None,  # type: ignore[arg-type]
+            client_id=1,
+            event="click",
+            target=live.node("/vehicles/air"),
+            ray_origin=(0, 0, 0),
+            ray_direction=(0, 0, -1),
+            screen_pos=(0.5, 0.5),
+            instance_index=0,
+            modifier=None,
+        )
+    )
+    assert live.part("Vehicle").value == "v3"
+    live.show(6.0)
+    assert live.node("/chosen").position[:2] == pytest.approx(shown(live.scene, 6.0).states.position[2, :2])  # type: ignore[union-attr]
+    live.use("Vehicle", "v1")
+
+
+def test_obstacles_and_targets_go_where_they_are_said_to_be(live: Looking) -> None:
+    live.show(7.0, obstacles={"crate": (1.0, 2.0, 0.3, 0.5)}, targets={"red": (5.0, 6.0)})
+    assert live.node("/obstacles/crate").position == pytest.approx((1.0, 2.0, 0.3))
+    assert live.node("/obstacles/crate").wxyz == pytest.approx(quaternion_from_yaw(0.5))
+    assert live.node("/targets/red").position == pytest.approx((5.0, 6.0, 0.0))
+
+
+def test_there_is_floor_under_every_vehicle_wherever_it_goes() -> None:
+    with looking(scenery(1)) as looked:
+        for x, y in ((0.0, 0.0), (500.0, -20.0), (-3.0, 900.0), (510.0, 0.0)):
+            looked.show(1.0, states=states([(x, y, 0.0)], [0.0], ("v1",)))
+            floor = looked.node("/floor")
+            assert abs(x - floor.position[0]) <= 0.5 * floor.width
+            assert abs(y - floor.position[1]) <= 0.5 * floor.height
+
+
+@given(st.integers(1, 400), st.integers(0, 2**32 - 1))
+def test_every_triangle_has_a_colour_near_its_own_out_of_few(count: int, seed: int) -> None:
+    colors = np.random.default_rng(seed).integers(0, 256, (count, 3), dtype=np.uint8)
+    kinds, which = by_color(colors)
+    assert len(kinds) <= MOST_COLORS
+    assert which.shape == (count,)
+    if len(np.unique(colors, axis=0)) <= MOST_COLORS:
+        assert np.array_equal(kinds[which], colors)
+
+
+def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
+    with looking(scenery(2, may=RECORDED)) as looked:
+        for second in range(400):
+            looked.station.show(shown(looked.scene, float(second)))
+        looked.show(400.0)
+        ends = looked.node("/trails").points.reshape(2, -1, 2, 3)
+        assert ends[0, -1, 1] == pytest.approx(shown(looked.scene, 400.0).states.position[0], abs=1e-5)  # type: ignore[union-attr]
+        size = ends.size
+        looked.show(10.0)
+        points = looked.node("/trails").points
+        assert points.size == size
+        assert np.ptp(points.reshape(2, -1, 3), axis=1).max() == 0.0
+
+
+# --- the radio ---
+
+
+def test_links_of_the_last_second_are_drawn_half_way_in_the_colour_of_their_power() -> None:
+    with looking(scenery(2)) as looked:
+        looked.show(3.0)
+        points, colors = looked.node("/links").points, looked.node("/links").colors
+        tops = [(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in looked.scene.vehicles]
+        here, there = shown(looked.scene, 3.0).states.position + np.array(tops)  # type: ignore[union-attr]
+        assert points[0] == pytest.approx(np.stack([here, 0.5 * (here + there)]), abs=1e-5)
+        assert colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
+        assert colors[1, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
+        looked.show(4.5, links=())
+        assert np.ptp(looked.node("/links").points, axis=1).max() == 0.0
+
+
+def test_a_lost_frame_blinks() -> None:
+    with looking(scenery(2)) as looked:
+        looked.show(3.0)
+        lengths = []
+        for quarter in range(4):
+            looked.now_s = 10.0 + 0.25 * quarter
+            looked.station.draw()
+            lengths.append(float(np.ptp(looked.node("/links").points[1], axis=0).max()))
+    assert lengths[0] == lengths[2] > 0.0
+    assert lengths[1] == lengths[3] == 0.0
+
+
+def test_of_too_many_links_the_newest_are_drawn() -> None:
+    scene = scenery(6)
+    names = tuple(each.name for each in scene.vehicles)
+    links = tuple(view_pages.link(names, sender, 2.0 - 0.1 * sender) for sender in range(6))
+    known = known_of(scene, shown(scene, 2.0, links=links))
+    assert set(fresh_links(known, 10)[0].tolist()) == {0, 1}
+    assert len(fresh_links(known, 100)[0]) == 30
+    assert all(2 in pair for pair in zip(*fresh_links(known, 100, of=2), strict=True))
+
+
+def test_colours_of_links_end_where_the_legend_says() -> None:
+    ends = rssi_colors(np.array([-200.0, -95.0, -40.0, 0.0]))
+    assert ends[0].tolist() == ends[1].tolist() == [68, 1, 84]
+    assert ends[2].tolist() == ends[3].tolist() == [112, 207, 87]
+
+
+# --- readings ---
+
+
+@given(yaw=ANGLES, x=METRES, y=METRES, range_m=st.floats(0.1, 8.0))
+def test_beams_end_where_they_hit(yaw: float, x: float, y: float, range_m: float) -> None:
+    points = points_of(view_pages.scan(range_m), np.array([x, y, 0.2]), np.array(quaternion_from_yaw(yaw)))
+    assert len(points) == 3  # one sees nothing
+    assert points[0] == pytest.approx((x + range_m * math.cos(yaw), y + range_m * math.sin(yaw), 0.2), abs=1e-4)
+    assert np.hypot(*(points[:, :2] - (x, y)).T) == pytest.approx([range_m] * 3, abs=1e-3)
+
+
+def test_readings_are_ordered_of_the_chosen_vehicle_alone_and_only_while_somebody_looks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with looking(scenery(3)) as looked:
+        looked.use("ring (ring)")
+        assert looked.orders == []
+        looked.looked_at(monkeypatch)
+        looked.use("down (nadir_camera)")
+        looked.use("Vehicle", "v2")
+        looked.use("ring (ring)", False)
+        looked.use("down (nadir_camera)", False)
+        assert looked.orders == [
+            Sensors(names=("v1/ring", "v1/down")),
+            Sensors(names=("v2/ring", "v2/down")),
+            Sensors(names=("v2/down",)),
+            Sensors(names=()),
+        ]
+
+
+def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
+    with looking(scenery(2)) as looked:
+        scans, images = {"v1/ring": view_pages.scan()}, {"v1/down": view_pages.picture((200, 0, 0))}
+        looked.show(0.0, scans=scans, images=images)
+        assert looked.server.scene.get_handle_by_name("/scans/v1/ring") is None
+        looked.use("ring (ring)")
+        looked.use("down (nadir_camera)")
+        looked.show(1.0)
+        assert looked.node("/scans/v1/ring").visible
+        (image,) = looked.parts(viser.GuiImageHandle)
+        assert image.visible
+        first = image.image
+        looked.show(2.0, images={"v1/down": view_pages.picture((0, 200, 0))})
+        assert not np.array_equal(first, image.image)
+        looked.use("Vehicle", "v2")
+        looked.show(3.0)
+        assert not looked.node("/scans/v1/ring").visible
+        assert not image.visible
+
+
+def test_an_empty_map_is_white_and_a_sure_target_dark() -> None:
+    chances = np.array([[0, 255]], np.uint8)
+    pixels = painted(ProbabilityMap(left=0.0, bottom=0.0, cell_m=1.0, probability=chances, seen=chances > 0))
+    assert pixels[0, 0, :3].tolist() == [255, 255, 255]
+    assert pixels[0, 1, :3].tolist() == [0x5E, 0x2A, 0x84]
+
+
+def test_what_was_never_seen_of_a_mosaic_is_left_out() -> None:
+    pixels = painted(Mosaic(left=0.0, bottom=0.0, cell_m=1.0, pixels=np.array([[(0, 0, 0), (9, 9, 9)]], np.uint8)))
+    assert pixels[0, :, 3].tolist() == [0, 255]
+
+
+# --- geometry ---
+
+
+@given(yaw=ANGLES, x=METRES, y=METRES)
+def test_turning_vectors_is_a_rotation(yaw: float, x: float, y: float) -> None:
+    turned = rotated(np.array([quaternion_from_yaw(yaw)]), np.array([(x, y, 1.0)]))[0]
+    c, s = math.cos(yaw), math.sin(yaw)
+    assert turned == pytest.approx((c * x - s * y, s * x + c * y, 1.0), abs=1e-9)

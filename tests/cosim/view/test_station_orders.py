@@ -1,0 +1,166 @@
+"""What is ordered at the control station, and when it can be: without a browser."""
+
+import math
+from collections.abc import Iterator
+
+import pytest
+import viser
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage, Pace, Seek
+from tests.support.cosim.view_pages import LIVE, RECORDED, Looking, looking, scenery, shown
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[Looking]:
+    """A station of a live run of two robots and a quadrotor."""
+    with looking(scenery(3, flying=1)) as looked:
+        looked.show(0.0)
+        yield looked
+
+
+LABELS = {
+    "pace": "Pause",
+    "halt": "STOP ALL",
+    "outage": "Inject outage",
+    "move": "Move obstacle",
+    "set": "Set",
+    "end": "End the run",
+    "seek": "Time [s]",
+    "sensors": "ring (ring)",
+}
+
+
+@pytest.mark.parametrize("may", [(), ("sensors",), ("pace", "seek"), ("halt", "outage"), LIVE])
+def test_only_what_is_obeyed_can_be_ordered(may: tuple[str, ...]) -> None:
+    with looking(scenery(2, may=may, keys={"radio.loss.probability": 0.2})) as looked:
+        assert {tag for tag, label in LABELS.items() if looked.has(label)} == set(may)
+
+
+@pytest.mark.parametrize(
+    ("acts", "order"),
+    [
+        ([("STOP ALL", True)], Halt(halted=True)),
+        ([("Let all go", True)], Halt(halted=False)),
+        ([("Vehicle", "v2"), ("Stop this vehicle", True)], Halt(vehicles=("v2",), halted=True)),
+        ([("Let it go", True)], Halt(vehicles=("v1",), halted=False)),
+        ([("Pause", True)], Go(paused=True, speed=1.0)),
+        ([("Go on", True)], Go(paused=False, speed=1.0)),
+        ([("Step 0.1 s", True)], Go(paused=True, speed=1.0, step_ns=100_000_000)),
+        ([("Speed", "0.2x")], Go(paused=False, speed=0.2)),
+        ([("Speed", "as fast as it can")], Go(paused=False, speed=None)),
+        ([("Inject outage", True)], Outage(vehicles=(), for_s=5.0)),
+        (
+            [("Frames from and to", "v3"), ("are lost for [s]", 2.5), ("Inject outage", True)],
+            Outage(vehicles=("v3",), for_s=2.5),
+        ),
+        ([("x [m]", 1.0), ("y [m]", -2.0), ("Move obstacle", True)], Move(obstacle="crate", position=(1.0, -2.0), yaw=0.2)),
+        ([("New value", 0.5), ("Set", True)], Change(key="radio.loss.probability", value=0.5)),
+    ],
+)
+def test_controls_give_their_orders(live: Looking, acts: list[tuple[str, object]], order: Order) -> None:
+    before = {label: live.part(label).value for label, _ in acts}
+    live.orders.clear()
+    live.show(8.0)  # says that the pace is 1x
+    for label, value in acts:
+        live.use(label, value)
+    assert live.orders == [order]
+    for label, value in before.items():
+        live.part(label)._impl.value = value
+    live.use("Vehicle", "v1")
+
+
+def test_an_obstacle_that_was_dragged_is_ordered_where_it_was_let_go(live: Looking) -> None:
+    live.orders.clear()
+    live.use("Drag")
+    gizmo = live.node("/gizmo")
+    assert gizmo.visible
+    gizmo.position, gizmo.wxyz = (2.5, 3.5, 0.3), quaternion_from_yaw(-0.4)
+    for phase in ("start", "update", "end"):
+        for callback in gizmo._impl_aux.update_cb:
+            callback(viser.TransformControlsEvent(client=None, client_id=1, target=gizmo, phase=phase))
+    assert live.orders == [Move(obstacle="crate", position=(2.5, 3.5), yaw=-0.4)]
+    live.use("Drag", False)
+    assert not gizmo.visible
+
+
+def test_what_no_list_offers_and_no_number_is_orders_nothing_of_the_kind(live: Looking) -> None:
+    live.orders.clear()
+    live.use("Vehicle", "stranger")
+    live.use("Obstacle", "stranger")
+    live.use("Links", "stranger")
+    live.use("On the floor", "stranger")
+    live.show(9.0)
+    for number in (math.nan, math.inf):
+        live.use("are lost for [s]", number)
+        live.use("Inject outage")
+        live.use("x [m]", number)
+        live.use("Move obstacle")
+    assert live.orders == []
+    live.use("Stop this vehicle")
+    assert live.orders == [Halt(vehicles=("v1",), halted=True)]
+    for label, value in (("Vehicle", "v1"), ("Obstacle", "crate"), ("Links", "all"), ("are lost for [s]", 5.0), ("x [m]", 0.0)):
+        live.use(label, value)
+
+
+def test_a_run_is_ended_only_when_it_was_said_twice() -> None:
+    with looking(scenery(1)) as looked:
+        assert not looked.part("Yes, end it now").visible
+        looked.use("End the run")
+        looked.use("No, let it go on")
+        assert not looked.part("Yes, end it now").visible
+        looked.use("End the run")
+        assert looked.orders == []
+        looked.use("Yes, end it now")
+        assert looked.orders == [End()]
+
+
+def test_a_recording_is_sought_by_hand_and_plays_by_itself() -> None:
+    with looking(scenery(2, may=RECORDED)) as looked:
+        looked.show(5.0)
+        assert looked.part("Time [s]").value == 5.0
+        assert looked.orders == []  # what the station sets is no order
+        looked.use("Time [s]", 30.0)
+        assert looked.orders == [Seek(time_ns=30 * SECOND_NS)]
+        looked.station.show(shown(looked.scene, 5.1))
+        looked.station.draw()
+        assert looked.part("Time [s]").value == 30.0  # the hand is on it still
+        looked.show(30.0)
+        looked.use("Pause")
+        assert looked.orders[1:] == [Go(paused=True, speed=1.0)]
+        assert not looked.has("Step 0.1 s")
+
+
+def test_a_speed_that_is_not_offered_is_shown_and_kept() -> None:
+    with looking(scenery(1)) as looked:
+        looked.show(1.0, pace=Pace(speed=3.3))
+        assert looked.part("Speed").value == "3.3x"
+        looked.use("Pause")
+        assert looked.orders == [Go(paused=True, speed=3.3)]
+
+
+def test_when_a_run_is_over_nothing_can_be_ordered_any_more() -> None:
+    with looking(scenery(2)) as looked:
+        looked.show(1.0, pace=Pace(over="done"), halted=("v1",))
+        labels = [
+            "STOP ALL",
+            "Let all go",
+            "Pause",
+            "Go on",
+            "Step 0.1 s",
+            "Inject outage",
+            "Move obstacle",
+            "Set",
+            "End the run",
+        ]
+        assert [label for label in [*labels, "Stop this vehicle", "Let it go"] if not looked.part(label).disabled] == []
+
+
+def test_what_is_stopped_is_marked() -> None:
+    with looking(scenery(3)) as looked:
+        looked.show(1.0, halted=("v2",))
+        assert (looked.node("/stopped").batched_scales[:, 0] > 0.1).tolist() == [False, True, False]
+        assert looked.part("Let all go").disabled is False
+        looked.show(2.0)
+        assert looked.node("/stopped").batched_scales[:, 0].max() < 0.1

@@ -1,0 +1,216 @@
+"""The page of the control station, as a browser has it."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.types import Array, Mosaic
+from vcmvsp.cosim.view.messages import Outage, Sensors
+from tests.support.cosim.view_pages import Looking, browser, looking, picture, positions, scenery, shown
+
+PATIENCE_S = 30.0  # a browser that draws without a graphics card, on a machine that does other things
+
+
+class Page:
+    """A station, and a browser that has its page open."""
+
+    def __init__(self, looked: Looking, opened: Any) -> None:
+        self.looked, self.page = looked, opened
+        self.problems: list[str] = []
+        self.requests: list[str] = []
+        opened.on("console", lambda message: self.problems.append(message.text) if message.type == "error" else None)
+        opened.on("pageerror", lambda error: self.problems.append(str(error)))
+        opened.on("request", lambda request: self.requests.append(request.url))
+        opened.goto(looked.url)
+        opened.wait_for_function(
+            "window.__viserSceneTree?.getState()['/vehicles/ground'] !== undefined", timeout=PATIENCE_S * 1e3
+        )
+        self.until(lambda: bool(looked.server.get_clients()))
+
+    def show(self, time_s: float, **more: Any) -> None:
+        """Show how things stand, to those who look."""
+        self.looked.now_s += 1.0
+        self.looked.station.show(shown(self.looked.scene, time_s, **more))
+
+    def until(self, holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
+        """Wait until something holds."""
+        end_s = time.monotonic() + seconds
+        while not holds():
+            assert time.monotonic() < end_s
+            self.page.wait_for_timeout(50)
+
+    def places(self) -> Array:
+        """Where the page has the robots."""
+        return positions(self.page, "/vehicles/ground")
+
+    def pixel(self, right: float, down: float) -> list[int]:
+        """The colour of the page there, each from 0 to 1."""
+        taken = cv2.imdecode(np.frombuffer(self.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        assert taken is not None
+        height, width = taken.shape[:2]
+        return [int(part) for part in taken[int(down * height), int(right * width), ::-1]]
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Any) -> Iterator[Page]:
+    with looking(scenery(5)) as looked:
+        looked.show(0.0)
+        opened = chromium.new_page(viewport={"width": 1000, "height": 700})
+        yield Page(looked, opened)
+        opened.close()
+
+
+def look_down(page: Page, x: float, y: float, height: float) -> None:
+    (client,) = page.looked.server.get_clients().values()
+    with client.atomic():
+        client.camera.position = (x, y - 0.02 * height, height)
+        client.camera.look_at = (x, y, 0.0)
+
+
+def test_the_page_has_all_vehicles_where_they_are_and_they_move(page: Page) -> None:
+    for time_s in (0.0, 4.0):
+        told = shown(page.looked.scene, time_s).states
+        assert told is not None
+        page.show(time_s)
+        page.until(lambda told=told: np.allclose(page.places(), told.position, atol=1e-4))  # type: ignore[misc]
+    names = page.page.evaluate("Object.keys(window.__viserSceneTree.getState()).filter(name => name.startsWith('/names/'))")
+    assert sorted(names) == [f"/names/v{index}" for index in range(1, 6)]
+
+
+def test_words_are_written(page: Page) -> None:
+    page.show(5.0)
+    page.page.get_by_text("5.00 s", exact=True).first.wait_for(timeout=PATIENCE_S * 1e3)
+    page.page.get_by_text("circle, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
+
+
+def test_a_press_of_inject_gives_the_order(page: Page) -> None:
+    page.looked.orders.clear()
+    page.page.get_by_text("Radio outage").click()
+    presses = 0
+
+    def pressed() -> bool:
+        """It may miss a button that still moves."""
+        nonlocal presses
+        presses += 1
+        page.page.get_by_role("button", name="Inject outage").click()
+        with contextlib.suppress(AssertionError):
+            page.until(lambda: bool(page.looked.orders), 5.0)
+        return bool(page.looked.orders)
+
+    page.until(pressed)
+    assert page.looked.orders == [Outage(vehicles=(), for_s=5.0)] * len(page.looked.orders)
+    assert len(page.looked.orders) <= presses
+
+
+def test_a_camera_is_asked_for_and_its_picture_changes(page: Page) -> None:
+    page.looked.orders.clear()
+    box = page.looked.part("down (nadir_camera)")
+    page.page.locator(f"[id='{box._impl.uuid}']").check()
+    page.until(lambda: bool(page.looked.orders))
+    assert page.looked.orders == [Sensors(names=("v1/down",))]
+    page.show(6.0, images={"v1/down": picture((200, 30, 30))})
+    page.until(lambda: bool(_sources(page)))
+    first = _sources(page)
+    page.show(6.0, images={"v1/down": picture((30, 200, 30))})
+    page.until(lambda: _sources(page) not in ([], first))
+    assert len(_sources(page)) == len(first) == 1
+
+
+def test_a_click_at_a_vehicle_chooses_it(page: Page) -> None:
+    page.show(7.0)
+    states = shown(page.looked.scene, 7.0).states
+    assert states is not None
+    look_down(page, float(states.position[3, 0]), float(states.position[3, 1]), 3.0)
+    canvas = page.page.locator("canvas").first.bounding_box()
+
+    def clicked() -> bool:
+        page.page.mouse.click(canvas["x"] + 0.5 * canvas["width"], canvas["y"] + 0.5 * canvas["height"])
+        page.page.wait_for_timeout(300)
+        return bool(page.looked.part("Vehicle").value == "v4")
+
+    page.until(clicked)
+    page.looked.use("Vehicle", "v1")
+
+
+def test_row_0_of_a_mosaic_is_its_south_edge(page: Page) -> None:
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[:] = (20, 20, 220)
+    pixels[0, 0] = (220, 20, 20)
+    page.looked.use("On the floor", "mosaic")
+    mosaic = Mosaic(left=10.0, bottom=10.0, cell_m=5.0, pixels=pixels)
+    scene = page.looked.scene
+    page.looked.station.show(shown(scene, 8.0))
+    look_down(page, 15.0, 15.0, 12.0)
+    page.show(8.1, mosaics={"v1": mosaic})
+    box = page.page.locator("canvas").first.bounding_box()
+
+    def redder(right: float, up: float) -> int:
+        across = (box["x"] + (0.5 + right) * box["width"]) / 1000
+        red, _, blue = page.pixel(across, (box["y"] + (0.5 - up) * box["height"]) / 700)
+        return red - blue
+
+    def quarters() -> list[int]:
+        return [redder(right, up) for right, up in ((-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1), (0.1, 0.1))]
+
+    page.until(lambda: sum(each < -50 for each in quarters()) == 3)  # it is there, and is looked at: nothing else is blue
+    assert [each > 0 for each in quarters()] == [True, False, False, False]
+
+
+def test_what_is_chosen_is_shown_though_the_run_stands_still(page: Page) -> None:
+    page.looked.now_s += 1.0
+    page.looked.use("Vehicle", "v2")
+    page.page.get_by_text("follow, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
+    page.looked.use("Vehicle", "v1")
+
+
+def test_who_comes_while_the_run_stands_still_sees_it_as_it_stands(chromium: Any) -> None:
+    with looking(scenery(2)) as looked:
+        looked.show(0.0)
+        looked.now_s += 1.0
+        looked.station.show(shown(looked.scene, 20.0))  # nobody looks: nothing is told
+        late = Page(looked, chromium.new_page())
+        told = shown(looked.scene, 20.0).states
+        assert told is not None
+        late.until(lambda: np.allclose(late.places(), told.position, atol=1e-4))
+        late.page.close()
+
+
+def test_the_camera_goes_along(page: Page) -> None:
+    page.looked.use("Camera follows")
+    (client,) = page.looked.server.get_clients().values()
+    for time_s in (9.0, 12.0):
+        before = client.camera._state
+        page.show(time_s)
+        states = shown(page.looked.scene, time_s).states
+        assert states is not None
+        place = states.position[0]
+        page.until(lambda before=before: client.camera._state is not before)  # type: ignore[misc]  # the page has told where it is
+        page.until(lambda place=place: np.allclose(client.camera.look_at, place, atol=0.02))  # type: ignore[misc]
+        assert np.linalg.norm(client.camera.position - place) < 13.0
+    page.looked.use("Camera follows", False)
+
+
+def test_nothing_comes_from_elsewhere_and_nothing_fails(page: Page) -> None:
+    own = page.looked.url
+    foreign = [url for url in page.requests if not url.startswith((own, "data:", f"blob:{own}", own.replace("http", "ws")))]
+    assert foreign == []
+    assert page.problems == []
+    assert any(url.startswith(own) for url in page.requests)
+
+
+def _sources(page: Page) -> list[str]:
+    sources: list[str] = page.page.evaluate(
+        "Array.from(document.images).map(image => image.src).filter(src => src.startsWith('blob:'))"
+    )
+    return sources

@@ -1,0 +1,128 @@
+"""What the panel of the control station says in words and draws as curves: without a browser."""
+
+import numpy as np
+import pytest
+import viser
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Presence, RealStatus
+from vcmvsp.cosim.view.messages import Craft, Line, Pace, Shown
+from vcmvsp.cosim.view.page.charts import POINTS, History, round_above
+from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
+from tests.support.cosim.view_pages import known_of, looking, scenery, shown
+
+
+def test_what_others_say_is_text_and_no_part_of_the_page() -> None:
+    bad = "<script>alert(1)</script>\x1b[31m"
+    crafts = (Craft(name="v1", kind=bad, size=(1, 1, 1), agent=bad),)
+    scene = scenery(vehicles=crafts, scenario=bad)
+    known = known_of(
+        scene,
+        Shown(
+            time_ns=0,
+            notes={"v1": {"mode": bad, bad: bad}},
+            presence={"v1": Presence(state="lost", since_ns=0, why=bad)},
+            real={"v1": RealStatus(link=1, age_s=0.1, causes=(bad,))},
+            lines=(Line(time_ns=0, level=bad, text=bad),),
+            pace=Pace(over=bad),
+        ),
+    )
+    for page in (vehicle_page(known, 0), run_page(known), log_page(known)):
+        assert "<script" not in page
+        assert "\x1b" not in page
+        assert "alert(1)" in page
+
+
+def test_the_chosen_vehicle_is_described_in_full() -> None:
+    scene = scenery(3)
+    known = known_of(
+        scene,
+        shown(
+            scene,
+            2.0,
+            notes={"v2": {"mode": "avoid", "gap": 1.25}},
+            real={"v2": RealStatus(link=1, age_s=0.1, battery_v=11.9, late_s=0.004)},
+            presence={"v2": Presence(state="back", since_ns=SECOND_NS)},
+            heard_ns={"v2": SECOND_NS},
+            halted=("v2",),
+        ),
+    )
+    page = vehicle_page(known, 1)
+    for words in (
+        "v2",
+        "p2dx",
+        "follow, every 0.1 s",
+        "avoid",
+        "1.25",
+        "0.60 m/s",
+        "11.9 V",
+        "back since 1.00 s",
+        "1.00 s ago",
+    ):
+        assert words in page
+    for words in ("by the operator", "4 ms", "to 21/21 (100 %), from 21/21 (100 %)", "to 21/21 (100 %), from 10/21 (48 %)"):
+        assert words in page
+
+
+def test_the_run_says_when_and_how_fast_it_is() -> None:
+    scene = scenery(1)
+    pace = Pace(speed=2.0, achieved=1.5)
+    page = run_page(known_of(scene, shown(scene, 1.5, pace=pace)))
+    assert "<b>1.50 s</b> of 60 s" in page
+    assert "running at 2x, reaches 1.5x" in page
+    assert "over: Ctrl-C" in run_page(known_of(scene, shown(scene, 1.5, pace=Pace(over="Ctrl-C"))))
+
+
+# --- curves ---
+
+
+def test_delivery_is_that_of_the_last_five_seconds() -> None:
+    scene = scenery(2)
+    history = History(scene)
+    known = Known(scene)
+    for second in range(21):  # all is received in the first ten seconds, nothing in the next ten
+        sent, received = np.full((2, 2), 10 * second), np.full((2, 2), 10 * min(second, 10))
+        known.take(Shown(time_ns=second * SECOND_NS, sent=sent, received=received))
+        history.sample(known)
+    delivery = np.array(history.numbers[2])[:, 0]
+    assert delivery[[5, 10]].tolist() == [100.0, 100.0]
+    assert delivery[[12, 20]].tolist() == [60.0, 0.0]
+
+
+def test_curves_are_bounded_and_begin_anew_where_time_goes_back() -> None:
+    scene = scenery(2)
+    history, known = History(scene), Known(scene)
+    for second in range(2 * POINTS):
+        known.take(shown(scene, float(second)))
+        assert history.sample(known)
+    assert len(history.time_s) == len(history.numbers[0]) == POINTS
+    assert not history.sample(known)  # nothing new
+    known.take(shown(scene, 3.0))
+    assert history.sample(known)
+    assert list(history.time_s) == [3.0]
+
+
+def test_charts_show_the_first_vehicles_and_the_chosen_one_and_none_of_what_nobody_knows() -> None:
+    with looking(scenery(9)) as looked:
+        for second in range(3):
+            looked.show(float(second), places={}, sent=None)
+        (speed,) = looked.parts(viser.GuiUplotHandle)
+        assert speed.title == "Speed [m/s]"
+        assert [each["label"] for each in speed.series[1:]] == [f"v{index}" for index in range(1, 8)]
+        assert speed.data[0].tolist() == [0.0, 1.0, 2.0]
+        assert speed.data[1] == pytest.approx([0.3 * 2.25] * 3)
+        looked.use("Vehicle", "v9")
+        looked.show(3.0, sent=None)
+        speed, error = looked.parts(viser.GuiUplotHandle)
+        assert [each["label"] for each in speed.series[1:]][-1] == "v9"
+        assert error.title == "Formation error [m]"
+
+
+@given(st.floats(0.011, 1e6))
+def test_axes_end_little_above_what_they_show(number: float) -> None:
+    top = round_above(number)
+    assert number * (1.0 - 1e-6) <= top <= 2.5 * number * (1.0 + 1e-6)
+    assert round_above(top) == top

@@ -1,0 +1,349 @@
+"""The driver on real pseudo-terminals and TCP connections, against the emulated robot at the pace of the wall clock."""
+
+import os
+import pty
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from vcmvsp.cosim.types import Vec3, Velocity
+from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
+from vcmvsp.hardware.drivers.arcos.packet import command
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
+from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
+from vcmvsp.hardware.emulators.arcos.serial_line import Faults
+from vcmvsp.hardware.drivers.base import (
+    ORIGIN,
+    Driver,
+    DriverError,
+    HandshakeError,
+    LinkLost,
+    Notice,
+    PortError,
+    Sample,
+)
+from tests.support.cosim.run_processes import reserved
+from tests.support.hardware import driver_runs
+from tests.support.hardware.driver_runs import drive, eventually, rest
+
+pytestmark = pytest.mark.usefixtures("steady")
+IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # more than what the driver waits for commands
+
+
+def connected(port: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContextManager[ArcosDriver]:
+    return driver_runs.connected(ArcosDriver(port, **options), start)
+
+
+def heard(served: Served) -> list[tuple[int, int | bytes | None]]:
+    with served.lock:
+        return [(number, argument) for _, number, argument in served.device.heard]
+
+
+def stands(served: Served) -> bool:
+    with served.lock:
+        return served.device.commanded() == (0.0, 0.0)
+
+
+def what(driver: Driver) -> list[str]:
+    return [each.what for each in driver.notices()]
+
+
+def test_three_seconds_on_a_terminal_and_a_gentle_end() -> None:
+    with serve_pty(Device(ROBOTS["amigo"], name="rosa")) as served:
+        with connected(served.url, robot="amigo") as driver:
+            samples = drive(driver, 3.0, v=0.2)
+            assert [each.cause for each in driver.notices()] == ["rosa, AmigoBot"]
+        eventually(lambda: not served.device.is_open)
+        assert heard(served)[-2:] == [(Command.ENABLE, 0), (Command.CLOSE, 1)]
+        with served.lock:
+            moving = max(time_ns for time_ns, number, value in served.device.heard if (number, value) == (Command.VEL, 200))
+            off = next(time_ns for time_ns, number, value in served.device.heard if (number, value) == (Command.ENABLE, 0))
+        assert off - moving > 250_000_000  # it was let come to a stand first, from 0.2 m/s at 0.75 m/s2
+    x, y, yaw = samples[-1].odometry.pose
+    assert 0.4 <= x <= 0.62
+    assert (y, yaw) == (0.0, 0.0)
+    assert samples[-1].odometry.v == pytest.approx(0.2, abs=0.001)
+    told = samples[-1].number - samples[0].number
+    seconds = (samples[-1].measured_ns - samples[0].measured_ns) / 1e9
+    assert told / seconds == pytest.approx(10.0, rel=0.1)
+    assert all(each.motors and not each.stopped for each in samples[2:])
+    assert {number for each in samples for number, _ in each.sonar} == set(range(8))
+
+
+def test_a_robot_whose_watchdog_is_off_is_warned_of() -> None:
+    with (
+        serve_pty(Device(msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.0))) as served,
+        connected(served.url, max_speed=1.5) as driver,
+    ):
+        off, fast = [each.cause for each in driver.notices() if each.what == "warned"]
+        assert "watchdog is off" in off
+        assert "max_speed = 1.5 m/s" in fast
+
+
+@pytest.mark.usefixtures("many_files_open")
+def test_with_more_than_a_thousand_open_files() -> None:
+    with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
+        assert drive(driver, 0.6, v=0.2)[-1].odometry.v > 0.0
+
+
+def test_both_wheels_in_one_command_over_tcp_from_a_start_pose() -> None:
+    with serve_tcp(Device(ROBOTS["p2dx"])) as served, connected(served.url, start=(5.0, 6.0, 1.5), mode="vel2") as driver:
+        samples = drive(driver, 1.2, v=0.2, w=0.25)
+        assert samples[-1].odometry.v == pytest.approx(0.2, abs=0.01)
+        assert samples[-1].odometry.w == pytest.approx(0.25, abs=0.06)  # a step of 20 mm/s on one side
+        assert samples[-1].odometry.pose[2] > 1.6
+        assert samples[-1].odometry.pose[1] > 6.1
+        numbers = [number for number, _ in heard(served)]
+        assert Command.VEL2 in numbers
+        assert Command.VEL not in numbers[numbers.index(Command.VEL2) :]
+
+
+def test_over_a_slow_and_bad_line() -> None:
+    faults = Faults(drop=0.001, flip=0.001, split=0.01, seed=3)
+    with (
+        serve_pty(Device(ROBOTS["amigo"]), faults=faults, paced=True) as served,
+        connected(served.url, connect_s=30.0) as driver,
+    ):
+        samples: list[Sample] = []
+        eventually(lambda: samples.extend(drive(driver, 0.2, v=0.2)) or len(samples) >= 4)  # type: ignore[func-returns-value]
+        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "no command for 0.5 s")
+
+
+def test_nobody_commands() -> None:
+    with serve_pty(Device(IMPATIENT)) as served, connected(served.url) as driver:
+        eventually(lambda: drive(driver, 0.4, v=0.2) and not stands(served))
+        eventually(lambda: stands(served))
+        with served.lock:
+            assert not served.device.watchdog_stopped
+        rest(0.9)  # longer than the robot's watchdog waits: the driver goes on talking to it
+        with served.lock:
+            assert not served.device.watchdog_stopped
+        assert stands(served)
+        assert [each.cause for each in driver.notices()][1:] == ["no command for 0.5 s"]
+        sample = drive(driver, 0.5, v=0.2)[-1]
+        assert sample.stopped == ""
+
+
+def test_a_stop_is_sent_at_once_and_told_and_so_is_the_stop_button() -> None:
+    with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
+        drive(driver, 0.5, v=0.2)
+        driver.stop("left the field")
+        eventually(lambda: stands(served))
+        eventually(lambda: (sample := driver.read()) is not None and sample.stopped == "left the field")
+        assert [(each.what, each.cause) for each in driver.notices()][1:] == [("stopped", "left the field")]
+        with served.lock:
+            served.device.estop_pressed = True
+        eventually(lambda: (sample := driver.read()) is not None and sample.emergency_stop and not sample.motors)
+        told: list[list[Notice]] = []
+        eventually(lambda: (new := driver.notices()) and not told.append(new))  # type: ignore[func-returns-value]
+        assert [each.cause for each in told[0]] == ["the robot has switched its motors off: its stop button is pressed"]
+
+
+def test_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
+    """It was moving when it was unplugged, its watchdog stopped it, and its session is still open: it must not move again."""
+    link = tmp_path / "robot"
+    first = serve_pty(Device(ROBOTS["amigo"]), link=link)
+    with connected(str(link), reconnect_s=20.0) as driver:
+        before = drive(driver, 1.0, v=0.2)[-1]
+        first.close()
+        eventually(lambda: "lost" in what(driver))
+        driver.read()  # nothing is raised
+        driver.write(Velocity(linear=(0.2, 0.0, 0.0)))  # dropped
+
+        robot = Device(ROBOTS["amigo"], old_session=True)
+        robot.receive(command(Command.VEL, 200) + command(Command.RVEL, 20), 0)
+        robot.watchdog_stopped = True
+        with serve_pty(robot, link=link) as again:
+            eventually(lambda: "connected" in what(driver))
+            eventually(lambda: driver.read() is not None)
+            assert heard(again)[2:5] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.PULSE, None)]  # behind ours above
+            assert all(value == 0 for number, value in heard(again)[2:] if number in (Command.VEL, Command.RVEL))
+            assert stands(again)
+            with again.lock:
+                assert robot.odometry == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+            sample = drive(driver, 0.6, v=0.2)[-1]
+            assert sample.link == 2
+            assert sample.odometry.pose[0] > before.odometry.pose[0]
+
+
+@pytest.mark.parametrize("serve", [serve_pty, serve_tcp])
+def test_unplugged_for_good(serve: Callable[[Device], Served]) -> None:
+    served = serve(Device(ROBOTS["amigo"]))
+    with connected(served.url) as driver:
+        drive(driver, 0.3, v=0.1)
+        served.close()
+
+        def lost() -> bool:
+            try:
+                driver.read()
+            except LinkLost as error:
+                return served.url in str(error) and "; " in str(error)
+            return False
+
+        eventually(lost)
+        with pytest.raises(LinkLost):
+            driver.write(Velocity())
+        driver.stop("too late")  # does not raise
+        assert what(driver) == ["connected", "lost", "stopped"]
+
+
+def test_not_back_in_time() -> None:
+    served = serve_tcp(Device(ROBOTS["amigo"]))
+    with connected(served.url, reconnect_s=0.7) as driver:
+        served.close()
+        with pytest.raises(LinkLost, match=r"closed the connection, and it was not back within 0.7 s \(nothing listens"):
+            drive(driver, 10.0)
+
+
+def test_a_robot_that_falls_silent() -> None:
+    with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url, silence_s=0.5) as driver:
+        drive(driver, 0.3)
+        with served.lock, pytest.raises(LinkLost, match=r"nothing was heard for 0\.5 s; look at the robot's battery"):
+            drive(driver, 10.0)  # who holds the lock, holds the robot
+
+
+def test_the_caller_never_waits() -> None:
+    """Though the robot hangs and takes nothing, until the port is full."""
+    with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url, silence_s=60.0) as driver, served.lock:
+        longest = 0.0
+        for _ in range(200):
+            begin = time.monotonic()
+            driver.write(Velocity(linear=(0.1, 0.0, 0.0)))
+            driver.read()
+            driver.stop("x")
+            longest = max(longest, time.monotonic() - begin)
+        assert longest < 1.0  # generous: this machine may be busy
+
+
+def refused(port: str, **options: Any) -> DriverError:
+    before = threading.active_count()
+    driver = ArcosDriver(port, **options)
+    with pytest.raises(DriverError) as error:
+        driver.open()
+    assert threading.active_count() == before
+    assert f"robot at {port}: " in str(error.value)
+    assert error.value.exit_code == 3
+    return error.value
+
+
+def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
+    missing = refused(str(tmp_path / "ttyUSB7"))
+    assert isinstance(missing, PortError)
+    assert "there is no such port; ports that are there: " in str(missing)
+    plain = tmp_path / "plain"
+    plain.write_text("x")
+    assert "not a serial port" in refused(str(plain)).happened
+    assert "not a serial port" in refused(str(tmp_path)).happened
+    assert "socket://localhost:8101" in refused("socket://robot").advice
+    assert "socket://localhost:8101" in refused("socket://robot:x").advice
+    assert "not known" in refused("udp://robot:1").happened
+    with reserved() as nobody:
+        for scheme in ("socket", "tcp"):
+            assert f"nothing listens on port {nobody} of 127.0.0.1" in refused(f"{scheme}://127.0.0.1:{nobody}").happened
+
+
+def test_a_port_that_belongs_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    def deny(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("serial.serialposix.os.open", deny)
+    error = refused("/dev/ttyUSB0")
+    assert "it may not be opened by you; join the group that owns it" in str(error)
+
+
+def test_a_port_may_not_be_used_twice() -> None:
+    with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
+        error = refused(served.url)
+        assert isinstance(error, PortError)
+        assert "it is in use; close the other program" in str(error)
+        assert drive(driver, 0.3)
+        with pytest.raises(RuntimeError, match="open already"):
+            driver.open()
+
+
+def test_the_wrong_robot() -> None:
+    with serve_pty(Device(ROBOTS["p2dx"])) as served:
+        error = refused(served.url, robot="amigo")
+        assert isinstance(error, HandshakeError)
+        assert "it is of kind p2dx (emulated), not amigo" in error.happened
+        with connected(served.url, robot="p2dx") as driver:  # the port is free again
+            assert driver.robot is ROBOTS["p2dx"]
+
+
+@contextmanager
+def terminal(answer: Callable[[bytes], bytes]) -> Iterator[str]:
+    """A terminal with somebody else behind it."""
+    here, there = pty.openpty()
+
+    def run() -> None:
+        with suppress(OSError):
+            while True:
+                os.write(here, answer(os.read(here, 4096)))
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield os.ttyname(there)
+    finally:
+        os.close(there)
+        thread.join(5.0)
+        os.close(here)
+
+
+def test_something_else_is_there() -> None:
+    with terminal(lambda data: data) as path:
+        assert "comes back unchanged" in refused(path).happened
+    with terminal(lambda data: b"$GPGGA,,,,,\r\n") as path:
+        error = refused(path, connect_s=0.4, baud=19200)
+        assert "and no packet among them; the baud rate may be wrong (it is 19200; try 9600, " in str(error)
+    with terminal(lambda data: b"") as path:
+        assert "nothing was heard for 0.4 s" in refused(path, connect_s=0.4).happened
+
+
+def test_closing_does_not_wait_for_a_robot_that_does_not_answer() -> None:
+    with terminal(lambda data: b"") as path:
+        driver = ArcosDriver(path, connect_s=60.0)
+        errors = []
+
+        def refuse() -> None:
+            try:
+                driver.open()
+            except HandshakeError as error:
+                errors.append(error.happened)
+
+        opening = threading.Thread(target=refuse, daemon=True)
+        opening.start()
+        eventually(lambda: driver._thread is not None and driver._line is not None)
+        begin = time.monotonic()
+        driver.close()
+        assert time.monotonic() - begin < driver.close_deadline_s
+        opening.join(5.0)
+        assert errors == ["it was closed while it was being connected"]
+
+
+def test_what_was_not_opened() -> None:
+    driver = ArcosDriver("/dev/x")
+    assert isinstance(driver, Driver)
+    for call in (driver.read, lambda: driver.write(Velocity())):
+        with pytest.raises(RuntimeError, match="/dev/x is not open"):
+            call()
+    driver.stop("nobody is there")
+    assert what(driver) == ["stopped"]
+    driver.close()
+
+
+def test_a_process_that_forgets_to_close_ends_and_its_robot_stops() -> None:
+    code = "import sys; from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver; ArcosDriver(sys.argv[1]).open()"
+    with serve_pty(Device(IMPATIENT)) as served:
+        subprocess.run([sys.executable, "-c", code, served.url], check=True, timeout=30, cwd=Path(__file__).parents[2])
+        eventually(lambda: served.device.watchdog_stopped)

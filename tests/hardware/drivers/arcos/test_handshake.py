@@ -1,0 +1,195 @@
+"""Connecting, in logical time: the handshake against the emulated robot, whatever state that is in and whatever gets lost."""
+
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.rng import stream
+from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.drivers.arcos.handshake import Handshake, Settings
+from vcmvsp.hardware.drivers.arcos.packet import Reader, command, frame, parse_command
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
+from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
+from vcmvsp.hardware.drivers.base import HandshakeError
+
+MS = 1_000_000
+
+
+def handshake(**options: object) -> Handshake:
+    given: dict[str, object] = {"device": "/dev/x", "kind": "", "settings": Settings(), "baud": 9600, "give_up_s": 10.0}
+    return Handshake(**(given | options))  # type: ignore[arg-type]
+
+
+def shake_hands(
+    client: Handshake, robot: Device, *, faults: Faults | None = None, start_ns: int = 0
+) -> list[tuple[int, bytes]]:
+    """Run it, a millisecond at a time; all that the client sent, with the times."""
+    faults = faults or Faults()
+    down, up = (Wire(faults, stream(faults.seed, name)) for name in ("down", "up"))
+    sent = [(start_ns, client.start(start_ns))]
+    down.push(sent[0][1], start_ns)
+    now = start_ns
+    while not client.done:
+        now += MS
+        up.push(robot.receive(down.pop(now), now), now)
+        heard = up.pop(now)
+        answer = client.receive(heard, now) if heard else client.advance(now)
+        if answer:
+            sent.append((now, answer))
+            down.push(answer, now)
+    return sent
+
+
+def commands(data: bytes) -> list[tuple[int, int | bytes | None]]:
+    return [parse_command(each) for each in Reader().feed(data)]
+
+
+def test_connects_and_leaves_the_robot_standing_with_motors_on() -> None:
+    robot, client = Device(ROBOTS["p2dx"], name="rosa"), handshake()
+    sent = shake_hands(client, robot)
+    assert client.robot is ROBOTS["p2dx"]
+    assert client.name == "rosa"
+    assert robot.is_open
+    assert robot.motors_on
+    assert robot.odometry == (0.0, 0.0, 0.0)
+    numbers = [number for _, data in sent for number, _ in commands(data)]
+    assert [each for each in numbers if each not in (Command.VEL, Command.RVEL)] == [0, 1, 2, 1, Command.CONFIG, Command.ENABLE]
+
+
+def test_zero_speed_is_the_first_of_all_and_comes_again_before_the_motors() -> None:
+    sent = b"".join(data for _, data in shake_hands(handshake(), Device(ROBOTS["amigo"])))
+    assert sent.startswith(bytes.fromhex("fafb060b3b00000b3b fafb06153b0000153b fafb03000000"))
+    asked = commands(sent)
+    enable = asked.index((Command.ENABLE, 1))
+    assert asked[enable - 3 : enable - 1] == [(Command.VEL, 0), (Command.RVEL, 0)]
+    assert all(argument == 0 for number, argument in asked if number in (Command.VEL, Command.RVEL))
+
+
+@pytest.mark.parametrize("turning", [0, 30])
+def test_a_robot_that_its_watchdog_stopped_does_not_move_again(turning: int) -> None:
+    robot = Device(ROBOTS["amigo"], old_session=True)
+    robot.receive(command(Command.VEL, 200) + command(Command.RVEL, turning), 0)
+    robot.advance(6000 * MS)
+    assert robot.watchdog_stopped
+    before = robot.odometry
+    assert before[0] != 0.0
+    shake_hands(handshake(), robot, start_ns=6000 * MS)
+    robot.advance(12_000 * MS)
+    assert robot.odometry == pytest.approx(before, abs=1e-9)
+
+
+def test_without_zero_speed_that_robot_would_move() -> None:
+    """The danger is real: what the test above guards against happens to a client that only synchronises."""
+    robot = Device(ROBOTS["amigo"], old_session=True)
+    robot.receive(command(Command.VEL, 200), 0)
+    robot.advance(6000 * MS)
+    before = robot.odometry
+    robot.receive(command(0), 6000 * MS)
+    robot.advance(7000 * MS)
+    assert robot.odometry[0] > before[0] + 0.05
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_connects_over_a_bad_line(seed: int) -> None:
+    """One byte in 250 is lost, one in 250 changed, both ways: some 7 % of the packets of 9 bytes, 38 % of those of 59."""
+    robot, client = Device(ROBOTS["amigo"], old_session=seed % 2 == 1), handshake(give_up_s=60.0)
+    shake_hands(client, robot, faults=Faults(drop=0.004, flip=0.004, split=0.01, seed=seed))
+    assert robot.is_open
+    assert robot.motors_on
+
+
+def test_garbage_before_the_answers_does_not_matter() -> None:
+    robot, client = Device(ROBOTS["amigo"]), handshake()
+    robot.receive(b"WMS2\r", 0)
+    answer = client.start(0)
+    now = 0
+    while not client.done:
+        now += MS
+        said = robot.receive(answer, now)
+        answer = client.receive(b"login: \xfa\xfa\xfb\x00" + said, now) if said else client.advance(now)
+    assert now < 1000 * MS
+
+
+def test_an_answer_behind_a_false_header_is_found_when_nothing_more_comes() -> None:
+    """Noise announces a packet of 200 bytes, which never come: the answer behind it counts all the same, after the wait."""
+    client = handshake()
+    client.start(0)
+    assert client.receive(b"\xfa\xfb\xc8" + frame(b"\0"), 10 * MS) == b""
+    assert client.advance(client.due_ns) == command(1)
+
+
+def test_settings_are_told_in_the_units_of_the_robot() -> None:
+    robot = Device(ROBOTS["p2dx"])
+    settings = Settings(max_speed=0.6, accel=0.25, decel=0.5, max_yaw_rate=1.0, yaw_accel=2.0)
+    shake_hands(handshake(settings=settings), robot)
+    motion = robot.motion
+    assert (motion.max_speed, motion.accel, motion.decel) == pytest.approx((0.6, 0.25, 0.5))
+    assert (motion.max_yaw_rate, motion.yaw_accel, motion.yaw_decel) == pytest.approx((1.0, 2.0, 2.0), abs=0.01)
+
+
+def test_the_kind_must_be_the_one_that_was_meant() -> None:
+    with pytest.raises(HandshakeError, match=r"/dev/x: it is of kind amigo \(rosa\), not p2dx; set robot = 'amigo'"):
+        shake_hands(handshake(kind="p2dx"), Device(ROBOTS["amigo"], name="rosa"))
+
+
+def test_kinds_are_compared_without_case_and_unknown_ones_are_named() -> None:
+    def connect(names: bytes) -> Handshake:
+        client = handshake()
+        client.start(0)
+        for data in (b"\x00", b"\x01", b"\x02" + names):
+            client.receive(frame(data), 0)
+        return client
+
+    assert connect(b"x\0Pioneer\0P2DX\0").robot is ROBOTS["p2dx"]
+    with pytest.raises(HandshakeError, match=r"Pioneer 'peoplebot', whose parameters are not known; .*p2dx, amigo, amigo-sh"):
+        connect(b"x\0Pioneer\0peoplebot\0")
+    with pytest.raises(HandshakeError, match="comes back unchanged; look for a loop-back"):
+        connect(b"")
+
+
+def fails(heard: bytes) -> str:
+    """What it says after ten seconds in which this came again and again."""
+    client, now = handshake(), 0
+    client.start(now)
+    while now < 20_000 * MS:
+        now += 10 * MS
+        try:
+            if heard:
+                client.receive(heard, now)
+            client.advance(now)
+        except HandshakeError as error:
+            assert now == 10_000 * MS
+            return str(error)
+    pytest.fail("it never gave up")
+
+
+def test_why_there_is_no_connection() -> None:
+    assert "nothing was heard for 10 s; is the robot on" in fails(b"")
+    assert "no packet among them; the baud rate may be wrong (it is 9600; try 19200, 38400, 57600, 115200)" in fails(
+        b"\x80\xff\x00"
+    )
+    assert "another client may be connected" in fails(frame(b"\x32" + bytes(24)))
+
+
+@given(st.lists(st.one_of(st.binary(min_size=1, max_size=60), st.binary(max_size=60).map(lambda rest: b"\x32" + rest))))
+def test_whatever_is_said_it_connects_or_says_why_not(said: list[bytes]) -> None:
+    """Packets of any content, in every stage."""
+    for echoes in ([], [b"\0"], [b"\0", b"\1"], [b"\0", b"\1", b"\2x\0Pioneer\0amigo\0"]):
+        client, now = handshake(), 0
+        client.start(now)
+        with suppress(HandshakeError):
+            for data in echoes + said:
+                now += 100 * MS
+                client.receive(frame(data), now)
+                client.advance(now)
+            assert not client.done or client.robot is not None
+
+
+def test_motors_that_stay_off_are_named() -> None:
+    robot = Device(ROBOTS["amigo"])
+    robot.estop_pressed = True
+    with pytest.raises(HandshakeError, match="its motors stay off; release the stop button"):
+        shake_hands(handshake(give_up_s=2.5), robot)

@@ -1,0 +1,339 @@
+"""The driver over real UDP and TCP sockets, against the emulated vehicle at the pace of the wall clock."""
+
+import itertools
+import math
+import socket
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from typing import Any
+
+import pytest
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.types import Vec3, Velocity
+from vcmvsp.hardware.drivers.base import ORIGIN, Driver, HandshakeError, LinkLost, PortError, Sample
+from vcmvsp.hardware.drivers.mavlink.codec import mavlink
+from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
+from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
+from vcmvsp.hardware.emulators.mavlink.telemetry import SITE
+from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
+from vcmvsp.hardware.station.process_client import READY_S
+from tests.support.cosim.run_processes import reserved
+from tests.support.hardware import driver_runs
+from tests.support.hardware.driver_runs import eventually, fly, rest
+from tests.support.netsim.gateway_context import free_ports
+
+pytestmark = pytest.mark.usefixtures("steady")
+FLYING = (0.0, 0.0, 10.0, 0.0)
+QUICK: dict[str, Any] = {"heartbeat_s": 0.1}  # so that nobody waits for them here
+GUIDED: dict[str, Any] = {"autopilot": "ardupilot", "mode": "GUIDED", "armed": True, **QUICK}
+
+
+def connected(address: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContextManager[MavlinkDriver]:
+    return driver_runs.connected(MavlinkDriver(address=address, **{"system_id": 1, **options}), start)
+
+
+def newest(driver: Driver) -> Sample:
+    kept: list[Sample] = []
+    eventually(lambda: (sample := driver.read()) is not None and not kept.append(sample))  # type: ignore[func-returns-value]
+    return kept[-1]
+
+
+def commands(served: Served, number: int) -> list[Any]:
+    with served.lock:
+        heard = [each for _, each in served.vehicle.heard]
+    return [each for each in heard if each.get_type() == "COMMAND_LONG" and each.command == number]
+
+
+def points(served: Served) -> list[Any]:
+    with served.lock:
+        return [each for _, each in served.vehicle.heard if each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+
+
+def notice(driver: Driver, what: str, word: str) -> Callable[[], bool]:
+    """Whether it has told this by now."""
+    seen: list[str] = []
+
+    def told() -> bool:
+        seen.extend(each.cause for each in driver.notices() if each.what == what)
+        return any(word in each for each in seen)
+
+    return told
+
+
+def test_px4_is_switched_armed_lifted_flown_east_and_left_holding() -> None:
+    port = free_ports(1)
+    with serve_udp(Vehicle(start=(3.0, 4.0, 0.0, 0.5 * math.pi), **QUICK), to=("127.0.0.1", port)) as served:
+        options: dict[str, Any] = {"switch_mode": True, "arm": True, "takeoff_m": 0.4, "connect_s": 15.0}
+        with connected(f"udpin:127.0.0.1:{port}", start=(0.0, 0.0, 0.0), **options) as driver:
+            assert isinstance(driver, Driver)
+            first = newest(driver)
+            assert first.state is not None
+            assert first.state.position[2] > 0.3
+            began, t0 = first.state.position, first.measured_ns
+            samples = fly(driver, 1.2, 1.0, 0.0, 0.0)
+            last = samples[-1]
+            assert last.state is not None
+            seconds = 1e-9 * (last.measured_ns - t0)
+            assert last.state.position[0] - began[0] == pytest.approx(seconds, abs=0.3 + 0.2 * seconds)  # it lags by 0.3 s
+            assert last.state.position[1] == pytest.approx(4.0, abs=0.05)
+            assert last.state.velocity[0] == pytest.approx(1.0, abs=0.1)
+            assert last.state.yaw == pytest.approx(0.5 * math.pi, abs=0.01)
+            assert last.motors
+            assert last.stopped == ""
+            assert last.battery_v == pytest.approx(15.8)
+            # Odometry began at the pose that `open` was given, and looks east where the vehicle looks north.
+            x, y, _ = last.odometry.pose
+            assert y < -0.4
+            assert abs(x) < 0.05
+            assert [each.number for each in samples] == sorted({each.number for each in samples})
+        with served.lock:
+            assert served.vehicle.mode == "HOLD"
+            assert served.vehicle.armed  # never disarmed in the air
+    arming = commands(served, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    assert {(each.param1, each.param2) for each in arming} == {(1.0, 0.0)}  # never by force
+
+
+def test_nothing_is_armed_or_switched_that_was_not_asked_for() -> None:
+    with serve_udp(Vehicle(**QUICK)) as served, connected(served.url) as driver:
+        samples = fly(driver, 0.5, 1.0, 0.0, 1.0)
+        eventually(lambda: points(served))
+        assert samples[-1].stopped == "it is in POSITION: it follows commands in OFFBOARD"
+        assert not samples[-1].motors
+        assert not commands(served, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+        assert not commands(served, mavlink.MAV_CMD_DO_SET_MODE)
+        assert served.vehicle.state.position == (0.0, 0.0, 0.0)
+        assert {(each.vx, each.vy, each.vz) for each in points(served)} == {(0.0, 0.0, 0.0)}
+
+
+def test_no_driver_takes_longer_than_a_station_waits_for_it() -> None:
+    with pytest.raises(ScenarioError, match="<= 15"):
+        call(MavlinkDriver, {"address": "udpin:0.0.0.0:1", "connect_s": 15.1}, key="driver")
+    longest = call(
+        MavlinkDriver,
+        {"address": "udpin:0.0.0.0:1", "connect_s": 15.0, "switch_mode": True, "arm": True, "takeoff_m": 9.0},
+        key="driver",
+    )
+    assert longest.open_deadline_s < READY_S - 5.0
+    with pytest.raises(ScenarioError, match="<= 2"):
+        call(MavlinkDriver, {"address": "udpin:0.0.0.0:1", "command_timeout_s": 2.1}, key="driver")
+
+
+@pytest.mark.parametrize("to", ["127.0.0.1", "::1"])
+def test_an_emulated_vehicle_speaks_to_any_machine(to: str) -> None:
+    """What is bound to loopback could not."""
+    with socket.socket(socket.AF_INET6 if ":" in to else socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        try:
+            ear.bind((to, 0))
+        except OSError:
+            pytest.skip("this machine has no IPv6")
+        ear.settimeout(20.0)
+        with serve_udp(Vehicle(**QUICK), to=(to, ear.getsockname()[1])) as served:
+            _, (source, *_) = ear.recvfrom(4096)
+            assert source == to
+            assert served._line._socket.getsockname()[0] in ("0.0.0.0", "::")  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("options", [{"arm": True}, {"switch_mode": True, "takeoff_m": 1.0}, {"system_id": 245}])
+def test_parameters_that_do_not_fit(options: dict[str, Any]) -> None:
+    with pytest.raises(ScenarioError, match=r"needs|differ"):
+        MavlinkDriver(address="udpin:127.0.0.1:14540", **options)
+
+
+def test_arming_that_is_refused_says_why() -> None:
+    with serve_udp(Vehicle(autopilot="ardupilot", can_arm=False, **QUICK)) as served:
+        driver = MavlinkDriver(address=served.url, system_id=1, switch_mode=True, arm=True, connect_s=1.0)
+        with pytest.raises(HandshakeError, match=r"waited for it to arm \(COMPONENT_ARM_DISARM: refused for now") as caught:
+            driver.open()
+        assert "Arming denied: no position estimate, no valid heading and no battery to speak of" in str(caught.value)
+        eventually(lambda: served.vehicle.mode == "BRAKE")
+        assert not served.vehicle.armed
+
+
+def test_the_pilot_takes_over_and_gives_back() -> None:
+    with serve_udp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.url) as driver:
+        eventually(lambda: newest(driver).stopped != "it is not armed")
+        eventually(lambda: fly(driver, 0.3, 1.0, 0.0, 0.0)[-1].stopped == "")
+        with served.lock:
+            served.vehicle.pilot_switches("LOITER")
+        eventually(lambda: "LOITER" in fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped)
+        eventually(notice(driver, "stopped", "it was switched to LOITER"))
+        fly(driver, 0.5, 1.0, 0.0, 0.0)
+        assert served.vehicle.mode == "LOITER"  # it was not fought
+        assert not commands(served, mavlink.MAV_CMD_DO_SET_MODE)
+        with served.lock:
+            served.vehicle.pilot_switches("GUIDED")
+        eventually(lambda: fly(driver, 0.1, 0.0, 1.0, 0.0)[-1].stopped == "")
+        eventually(lambda: fly(driver, 0.1, 0.0, 1.0, 0.0)[-1].state.velocity[1] > 0.8)  # type: ignore[union-attr]
+        with served.lock:
+            served.vehicle.pilot_switches("LOITER")
+        eventually(lambda: "LOITER" in newest(driver).stopped)
+    assert served.vehicle.mode == "LOITER"  # and at the end it is left to the pilot
+
+
+def test_stop_is_at_once_and_silence_of_the_caller_stops_too() -> None:
+    with serve_tcp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.url) as driver:
+        eventually(lambda: newest(driver).stopped != "it is not armed")
+        fly(driver, 0.6, 0.0, 1.0, 0.0, yaw_rate=0.3)
+        driver.stop("somebody shouted")
+        eventually(lambda: served.vehicle.commanded() == Velocity())
+        eventually(lambda: newest(driver).stopped == "somebody shouted")  # the one before may not have been read yet
+        fly(driver, 0.2, 0.0, 1.0, 0.0)
+        eventually(lambda: newest(driver).stopped == "no command for 0.5 s")
+        eventually(lambda: served.vehicle.commanded() == Velocity())
+        with pytest.raises(ValueError, match="finite"):
+            driver.write(Velocity(linear=(math.nan, 0.0, 0.0)))
+    assert served.vehicle.mode == "BRAKE"
+    assert served.vehicle.armed
+
+
+def test_a_vehicle_that_falls_silent_and_comes_back_gets_zero_first() -> None:
+    with (
+        serve_udp(Vehicle(start=FLYING, **GUIDED)) as served,
+        connected(served.url, silence_s=0.5, reconnect_s=30.0) as driver,
+    ):
+        fly(driver, 0.3, 1.0, 0.0, 0.0)
+        served.mute = True
+        seen: list[str] = []
+
+        def lost() -> bool:
+            seen.extend(f"{each.what} {each.cause}" for each in driver.notices())
+            return any("lost nothing was heard for 0.5 s" in each for each in seen)
+
+        eventually(lost)
+        with served.lock:
+            served.vehicle.heard.clear()
+        served.mute = False
+        eventually(lambda: (sample := driver.read()) is not None and sample.link == 2)
+        eventually(lambda: points(served))
+        assert {(each.vx, each.vy, each.vz) for each in points(served)} == {(0.0, 0.0, 0.0)}
+        eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped == "")
+
+
+def test_only_the_vehicle_that_was_lost_is_found_again_and_neither_switched_nor_armed() -> None:
+    """Although no number was given, another one flies by, and the caller says stop all the time."""
+    port = free_ports(1)
+    where = ("127.0.0.1", port)
+    options: dict[str, Any] = {"system_id": 0, "switch_mode": True, "arm": True, "silence_s": 0.5, "reconnect_s": 60.0}
+    with (
+        serve_udp(Vehicle(autopilot="ardupilot", **QUICK), to=where) as one,
+        connected(f"udpin:127.0.0.1:{port}", **options) as driver,
+        serve_udp(Vehicle(system_id=2, start=FLYING, **GUIDED), to=where) as two,
+    ):
+        one.mute = True
+        eventually(lambda: any(each.what == "lost" for each in driver.notices()))
+        with one.lock:
+            one.vehicle.pilot_switches("LOITER")
+            one.vehicle.pilot_arms(False)
+            one.vehicle.heard.clear()
+        driver.write(Velocity(linear=(1.0, 0.0, 0.0)))
+        rest(0.6)
+        one.mute = False
+
+        def back() -> bool:
+            driver.stop("the link is lost")
+            return (sample := driver.read()) is not None and sample.link == 2
+
+        eventually(back)
+        assert driver.peer is not None
+        assert driver.peer.sender.system == 1
+        fly(driver, 0.55, 1.0, 0.0, 0.0)  # longer than until something is asked for again
+        assert (one.vehicle.mode, one.vehicle.armed) == ("LOITER", False)
+        assert not commands(one, mavlink.MAV_CMD_DO_SET_MODE)
+        assert not commands(one, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+        with two.lock:
+            assert not any(each.get_type() == "SET_POSITION_TARGET_LOCAL_NED" for _, each in two.vehicle.heard)
+
+
+def test_a_vehicle_that_stays_silent_is_an_error() -> None:
+    with serve_udp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.url, silence_s=0.4) as driver:
+        served.mute = True
+
+        def reads() -> bool:
+            driver.read()
+            return False
+
+        with pytest.raises(LinkLost, match=r"nothing was heard for 0.4 s"):
+            eventually(reads)
+
+
+def test_a_position_that_is_no_number_is_no_sample() -> None:
+    with serve_udp(Vehicle(start=FLYING, **GUIDED)) as served, connected(served.url, silence_s=0.5) as driver:
+        eventually(lambda: newest(driver).motors)
+        with served.lock:
+            served.vehicle.blind = True
+
+        def flies() -> bool:
+            driver.write(Velocity(linear=(1.0, 0.0, 0.0)))
+            sample = driver.read()
+            assert sample is None or all(map(math.isfinite, sample.state.position))  # type: ignore[union-attr]
+            return False
+
+        with pytest.raises(LinkLost, match=r"it told no position for 0.5 s; look at its GPS"):
+            eventually(flies)
+        eventually(lambda: points(served)[-1].vy == 0.0)  # the last words
+        assert [vy for vy, _ in itertools.groupby(each.vy for each in points(served))][-2:] == [1.0, 0.0]
+
+
+def test_garbage_and_strangers_on_the_port_change_nothing() -> None:
+    port = free_ports(1)
+    noise = bytes(range(256)) * 4
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        serve_udp(Vehicle(start=FLYING, **GUIDED), to=("127.0.0.1", port)),
+    ):
+        stranger.connect(("127.0.0.1", port))
+        with connected(f"udpin:127.0.0.1:{port}") as driver:
+            false = mavlink.MAVLink_local_position_ned_message(1, 999.0, 999.0, 999.0, 0.0, 0.0, 0.0)
+            forged = false.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
+            for _ in range(30):
+                stranger.send(noise)
+                stranger.send(forged)
+                for sample in fly(driver, 0.01, 1.0, 0.0, 0.0):
+                    assert abs(sample.state.position[0]) < 10.0  # type: ignore[union-attr]
+            eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].state.velocity[0] > 0.5)  # type: ignore[union-attr]
+
+
+def test_wrong_ids_and_addresses(stack: ExitStack) -> None:
+    nobody = stack.enter_context(reserved())
+    with serve_udp(Vehicle(system_id=3, **QUICK)) as served:
+        with pytest.raises(HandshakeError, match=r"system 1 was not heard within 0.8 s, only system 3"):
+            MavlinkDriver(address=served.url, system_id=1, connect_s=0.8).open()
+        with pytest.raises(HandshakeError, match=r"nothing was heard within 0.2 s; let the autopilot"):
+            MavlinkDriver(address=f"udpin:127.0.0.1:{free_ports(1)}", connect_s=0.2).open()
+    for address, message in {
+        "udp:1.2.3.4:5": "this is no address; write udpin",
+        "udpin:127.0.0.1:99999": "there is no port 99999",
+        f"tcp:127.0.0.1:{nobody}": "nothing listens",
+        "/dev/no-such-port": "there is no such port",
+    }.items():
+        with pytest.raises(PortError, match=message):
+            MavlinkDriver(address=address).open()
+
+
+def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
+    rover = Vehicle(kind="rover", start=(5.0, 6.0, 0.0, 0.5 * math.pi), old=True, **GUIDED)
+    with serve_tcp(rover) as served:
+        options: dict[str, Any] = {
+            "geodetic_origin": SITE,
+            "origin": (100.0, 200.0, 0.0),
+            "connect_s": 15.0,
+            "telemetry_hz": 20.0,
+        }
+        with connected(served.url, **options) as driver:
+            first = newest(driver)
+            assert first.state is not None
+            assert first.state.position == pytest.approx((105.0, 206.0, 0.0), abs=0.05)
+            eventually(lambda: newest(driver).motors)
+            eventually(lambda: fly(driver, 0.1, 0.8, 0.0, 0.0)[-1].odometry.v > 0.75)
+            last = fly(driver, 0.3, 0.8, 0.0, 0.0)[-1]
+            assert last.state is not None
+            assert last.state.velocity[1] == pytest.approx(0.8, abs=0.15)  # it looks north
+            assert last.odometry.v == pytest.approx(0.8, abs=0.1)
+            eventually(lambda: fly(driver, 0.1, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1].odometry.w > 0.45)
+            turning = fly(driver, 0.3, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1]
+            assert turning.odometry.w == pytest.approx(0.5, abs=0.08)
+            with pytest.raises(RuntimeError, match="open already"):
+                driver.open()
+    assert served.vehicle.mode == "HOLD"

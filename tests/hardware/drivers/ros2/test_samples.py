@@ -1,0 +1,161 @@
+"""Poses, times and presence by themselves, without a network: laws."""
+
+from math import cos, pi, sin
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.hardware.drivers.ros2.cdr_messages import STAMPS_END_NS, OdometryMessage
+from vcmvsp.hardware.drivers.ros2.presence import Presence
+from vcmvsp.hardware.drivers.ros2.samples import Pose, Track
+
+MS, S = 10**6, 10**9
+coordinates = st.floats(-50.0, 50.0)
+angles = st.floats(-3.0, 3.0)
+poses = st.tuples(coordinates, coordinates, angles)
+
+
+def message(x: float, y: float, yaw: float, stamp_ns: int = 0, v: float = 0.0, w: float = 0.0) -> OdometryMessage:
+    return OdometryMessage((x, y, 0.0), quaternion_from_yaw(yaw), (v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns)
+
+
+def track(start: Vec3 = (0.0, 0.0, 0.0), pose: Pose = "odometry", origin: Vec3 = (0.0, 0.0, 0.0)) -> Track:
+    made = Track(start, pose, origin, 1000.0)
+    made.connect(anew=True)
+    return made
+
+
+@given(poses, st.lists(poses, min_size=2, max_size=6))
+def test_the_pose_is_the_start_pose_composed_with_what_odometry_moved(start: Vec3, told: list[Vec3]) -> None:
+    """start o first^-1 o last, in homogeneous matrices by hand."""
+    made = track(start)
+    samples = [made.add(message(*each), number * S, "") for number, each in enumerate(told)]
+    assert samples[0].odometry.pose == start
+    (x0, y0, yaw0), (x1, y1, yaw1) = told[0], told[-1]
+    forward = cos(yaw0) * (x1 - x0) + sin(yaw0) * (y1 - y0)
+    left = -sin(yaw0) * (x1 - x0) + cos(yaw0) * (y1 - y0)
+    x, y, yaw = samples[-1].odometry.pose
+    assert x == pytest.approx(start[0] + cos(start[2]) * forward - sin(start[2]) * left, abs=1e-9)
+    assert y == pytest.approx(start[1] + sin(start[2]) * forward + cos(start[2]) * left, abs=1e-9)
+    assert abs(wrap(yaw - start[2] - (yaw1 - yaw0))) < 1e-9
+
+
+def test_the_heading_goes_on_over_half_a_turn() -> None:
+    made = track()
+    yaws = [made.add(message(0.0, 0.0, wrap(0.5 * each)), each * S, "").odometry.pose[2] for each in range(30)]
+    assert yaws == pytest.approx([0.5 * each for each in range(30)])
+
+
+def test_a_leap_is_left_out_and_what_follows_counts() -> None:
+    made = Track((0.0, 0.0, 0.0), "odometry", (0.0, 0.0, 0.0), 1.0)
+    made.connect(anew=True)
+    told = [made.add(message(x, 0.0, 0.0), number * S // 10, "") for number, x in enumerate((0.0, 0.1, -40.0, -39.9))]
+    assert [each.odometry.pose[0] for each in told] == pytest.approx([0.0, 0.1, 0.1, 0.2])
+    assert made.leaps == 1
+
+
+def test_odometry_of_the_same_node_goes_on_over_a_loss_and_that_of_another_begins_anew() -> None:
+    made = track()
+    made.add(message(1.0, 0.0, 0.0), 0, "")
+    made.connect(anew=False)
+    assert made.add(message(3.0, 0.0, 0.0), S, "").odometry.pose == (2.0, 0.0, 0.0)
+    made.connect(anew=True)
+    sample = made.add(message(0.0, 0.0, 0.0), 2 * S, "")
+    assert (sample.odometry.pose, sample.link, sample.number) == ((2.0, 0.0, 0.0), 3, 3)
+
+
+@given(poses, poses, st.floats(-3.0, 3.0))
+def test_in_the_world_the_state_is_the_frame_moved_by_its_origin(origin: Vec3, told: Vec3, v: float) -> None:
+    sample = track((9.0, 9.0, 1.0), "world", origin).add(message(*told, v=v, w=0.3), 0, "")
+    assert sample.state is not None
+    heading = origin[2] + told[2]
+    x = origin[0] + cos(origin[2]) * told[0] - sin(origin[2]) * told[1]
+    y = origin[1] + sin(origin[2]) * told[0] + cos(origin[2]) * told[1]
+    assert sample.state.position == pytest.approx((x, y, 0.0), abs=1e-9)
+    assert abs(wrap(sample.state.yaw - heading)) < 1e-9
+    assert sample.state.velocity == pytest.approx((v * cos(heading), v * sin(heading), 0.0), abs=1e-9)
+    assert sample.state.angular_velocity == (0.0, 0.0, 0.3)
+    assert sample.odometry.pose == (*sample.state.position[:2], sample.state.yaw)
+
+
+def test_in_the_world_all_three_axes_are_kept() -> None:
+    """Nose down by a quarter turn about y: the body's x axis points to -z."""
+    pitched = OdometryMessage((1.0, 2.0, 3.0), (cos(pi / 4), 0.0, sin(pi / 4), 0.0), linear=(1.0, 0.0, 0.0))
+    state = track(pose="world").add(pitched, 0, "").state
+    assert state is not None
+    assert state.position == (1.0, 2.0, 3.0)
+    assert state.velocity == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)
+
+
+def times(made: Track, stamps_and_arrivals: list[tuple[int, int]]) -> list[int]:
+    return [made.add(message(0.0, 0.0, 0.0, stamp), arrived, "").measured_ns for stamp, arrived in stamps_and_arrivals]
+
+
+AHEAD = 1_700_000_000 * S  # the robot's clock
+
+
+def test_what_was_held_up_is_as_old_as_it_is() -> None:
+    """Two seconds of messages that come all at once, after a stall of the network."""
+    true = [1000 * S + number * 50 * MS for number in range(1, 80)]
+    arrivals = [each if number < 40 else 1004 * S + number for number, each in enumerate(true)]
+    told = times(track(), [(each + AHEAD, arrived) for each, arrived in zip(true, arrivals, strict=True)])
+    for each, measured in zip(true, told, strict=True):
+        assert 0 <= measured - each <= 2 * MS  # 500 ppm of 4 s
+
+
+@pytest.mark.parametrize("by_ns", [-500 * MS, -3600 * S, 100 * MS, 3600 * S])
+def test_a_clock_that_is_set_is_followed_after_three_messages(by_ns: int) -> None:
+    true = [10 * S + number * 50 * MS for number in range(20)]
+    told = times(track(), [(each + AHEAD + (by_ns if number >= 10 else 0), each) for number, each in enumerate(true)])
+    for number, (each, measured) in enumerate(zip(true, told, strict=True)):
+        assert measured <= each
+        assert number in (10, 11) or each - measured <= MS
+
+
+def test_another_node_has_another_clock() -> None:
+    made = track()
+    times(made, [(AHEAD + number * S, number * S) for number in range(5)])
+    made.connect(anew=True)
+    assert times(made, [(7 * S, 10 * S)]) == [10 * S]
+
+
+def test_the_robots_clock_is_known_once_it_was_heard() -> None:
+    made = track()
+    assert made.stamp_ns(5 * S) == 0
+    assert times(made, [(0, 77)]) == [77]  # a node that stamps nothing
+    assert made.stamp_ns(5 * S) == 0
+    times(made, [(1700 * S, 10 * S)])
+    assert made.stamp_ns(12 * S) == pytest.approx(1702 * S, abs=2 * MS)
+
+
+def test_a_clock_at_the_end_of_its_stamps_gives_none() -> None:
+    made = track()
+    times(made, [(STAMPS_END_NS - 1, 10 * S)])
+    assert made.stamp_ns(12 * S) == 0
+
+
+def test_a_robot_is_there_while_it_is_heard_and_hears() -> None:
+    presence = Presence(1.0)
+    assert presence.missing(0) == (True, True)
+    assert presence.hear(b"a", 0)
+    presence.listen(True, 0)
+    assert presence.missing(S - 1) == (False, False)
+    assert presence.due_ns(0) == S
+    assert presence.missing(S) == (True, False)
+    presence.hear(b"a", 9 * S)
+    presence.listen(False, 9 * S)  # such as when a router is started anew
+    assert presence.missing(10 * S - 1) == (False, False)
+    presence.hear(b"a", 10 * S)
+    assert presence.missing(10 * S) == (False, True)
+    assert presence.due_ns(10 * S) == 11 * S
+
+
+def test_one_node_is_followed_until_it_is_silent() -> None:
+    presence = Presence(1.0)
+    assert [presence.hear(each, 0) for each in (b"a", b"b", b"a")] == [True, False, True]
+    assert not presence.hear(b"b", S - 1)
+    assert presence.hear(b"b", S)
+    assert not presence.hear(b"a", S)

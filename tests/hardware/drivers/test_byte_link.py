@@ -1,0 +1,57 @@
+"""A serial port, played by a pseudo-terminal, whose other side does not read, or goes away."""
+
+import os
+import pty
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import pytest
+
+from vcmvsp.hardware.drivers.base import LinkLost
+from vcmvsp.hardware.drivers.byte_link import Line, open_line
+from tests.support.hardware.driver_runs import eventually
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Line, int]]:
+    """A line, and the descriptor of its other side, which a test may close."""
+    other, ours = pty.openpty()
+    tty.setraw(ours)
+    line = open_line(os.ttyname(ours), 9600)
+    os.close(ours)
+    yield line, other
+    line.close()
+    with suppress(OSError):
+        os.close(other)
+
+
+def all_of(count: int, read: Callable[[], bytes]) -> bytes:
+    """What is read until it is so much: Linux takes bytes to the other side of a terminal a little later, or in pieces."""
+    heard = bytearray()
+    eventually(lambda: heard.extend(read()) or len(heard) >= count)  # type: ignore[func-returns-value]
+    return bytes(heard)
+
+
+def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[Line, int]) -> None:
+    line, other = ends
+    assert line.read() == b""
+    line.write(bytes(range(256)))
+    assert all_of(256, lambda: os.read(other, 512)) == bytes(range(256))
+    os.write(other, b"\0\x03\x11\x13\r\n")
+    assert all_of(6, line.read) == b"\0\x03\x11\x13\r\n"
+
+
+def test_who_does_not_read_is_not_waited_for_for_ever(ends: tuple[Line, int]) -> None:
+    line, _ = ends
+    with pytest.raises(LinkLost, match="takes no more bytes"):
+        line.write(bytes(10_000_000))
+
+
+def test_a_port_that_is_unplugged_says_so(ends: tuple[Line, int]) -> None:
+    line, other = ends
+    os.close(other)
+    with pytest.raises(LinkLost, match="unplugged"):
+        line.read()
+    with pytest.raises(LinkLost, match="unplugged"):
+        line.write(b"\0")

@@ -1,0 +1,250 @@
+"""The emulated robot at a port, and the line to it. Only what concerns ports runs at the pace of the wall clock."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial  # type: ignore[import-untyped]
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.rng import stream
+from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.drivers.arcos.packet import Reader, command, frame
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
+from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
+from vcmvsp.hardware.drivers.arcos.sip import decode, is_sip
+from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
+from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
+
+AMIGO = ROBOTS["amigo"]
+MS = 1_000_000
+BOTH = pytest.mark.parametrize("serve", [serve_pty, serve_tcp])
+Serve = Callable[..., Served]
+
+
+class Port:
+    """A client's end."""
+
+    def __init__(self, url: str) -> None:
+        self.serial, self.reader = serial.serial_for_url(url, timeout=0.02), Reader()
+
+    def __enter__(self) -> "Port":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if socket := getattr(self.serial, "_socket", None):
+            socket.close()  # pyserial leaves it open where the other end has gone first
+        self.serial.close()
+
+    def say(self, number: int, argument: int | None = None) -> None:
+        self.serial.write(command(number, argument))
+
+    def hear(self, until: Callable[[list[bytes]], bool]) -> list[bytes]:
+        """Packets until there are enough of them."""
+        heard: list[bytes] = []
+        end = time.monotonic() + PATIENCE_S
+        while not until(heard):
+            assert time.monotonic() < end, f"only {len(heard)} packets came in time"
+            heard += self.reader.feed(self.serial.read(256))
+        return heard
+
+    def connect(self) -> None:
+        for number in range(3):
+            self.say(number)
+            assert self.hear(bool)[0][0] == number
+        self.say(Command.OPEN, 1)
+
+
+# At a port
+
+
+@BOTH
+def test_a_client_connects_drives_and_leaves(serve: Serve) -> None:
+    def metres(heard: list[bytes]) -> float:
+        return decode(heard[-1]).x * AMIGO.dist_factor / 1e3 if heard and is_sip(heard[-1]) else 0.0
+
+    with serve(Device(AMIGO)) as served, Port(served.url) as port:
+        began = time.monotonic()
+        port.connect()
+        port.say(Command.ENABLE, 1)
+        port.say(Command.VEL, 200)
+        told = [decode(each) for each in port.hear(lambda heard: metres(heard) > 0.1)]
+        took = time.monotonic() - began
+        assert took > 0.1 / 0.2  # at the pace of the wall clock
+        assert len(told) <= 10 * took + 1
+        assert told[-1].motors_on
+        port.say(Command.CLOSE)
+    assert served.error is None
+
+
+@BOTH
+def test_a_device_that_is_served_again_goes_on_from_where_it_is(serve: Serve) -> None:
+    device = Device(AMIGO, old_session=True)
+    device.advance(10**11)
+    for _ in range(2):
+        with serve(device) as served, Port(served.url) as port:
+            port.hear(lambda heard: len(heard) >= 3)
+        assert 10**11 < device.now_ns < 1.1 * 10**11
+
+
+@BOTH
+def test_it_can_be_read_and_moved_from_outside(serve: Serve) -> None:
+    with serve(Device(AMIGO, start=None)) as served, Port(served.url) as port:
+        port.connect()
+        with served.lock:
+            served.device.moved((0.0, 0.0, 0.0), 0.0, 0.0)
+            served.device.moved((1.0, 0.0, 0.0), 0.0, 0.0)
+        port.hear(lambda heard: bool(heard) and decode(heard[-1]).x == round(1000 / AMIGO.dist_factor))
+
+
+@BOTH
+def test_who_hangs_up_without_closing_finds_the_old_session(serve: Serve) -> None:
+    with serve(Device(AMIGO)) as served:
+        with Port(served.url) as port:
+            port.connect()
+        with Port(served.url) as port:
+            port.say(0)
+            assert is_sip(port.hear(bool)[0])
+
+
+@BOTH
+def test_unplugging_ends_the_stream(serve: Serve) -> None:
+    with serve(Device(AMIGO)) as served, Port(served.url) as port:
+        port.connect()
+        served.close()
+        with pytest.raises(serial.SerialException):
+            port.hear(lambda _: False)
+        served.close()  # once more does no harm
+
+
+@BOTH
+def test_nothing_is_left_behind(serve: Serve) -> None:
+    before = held()
+    for _ in range(3):
+        with serve(Device(AMIGO)) as served, Port(served.url) as port:
+            port.connect()
+    eventually(lambda: held() <= before)
+
+
+def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
+    link = tmp_path / "robot"
+    for _ in range(2):  # plugged in again, at the same place
+        with serve_pty(Device(AMIGO), link=link) as served, Port(served.url) as port:
+            assert served.url == str(link)
+            port.connect()
+        assert not link.is_symlink()
+    link.touch()
+    with pytest.raises(FileExistsError):
+        serve_pty(Device(AMIGO), link=link)
+
+
+def test_a_port_in_use_is_refused() -> None:
+    with serve_tcp(Device(AMIGO)) as served, pytest.raises(OSError, match="in use"):
+        serve_tcp(Device(AMIGO), port=int(served.url.rpartition(":")[2]))
+
+
+def test_an_error_inside_is_told_on_closing() -> None:
+    served = serve_pty(Device(AMIGO, old_session=True))
+    with served.lock:
+        served.device.battery_v = float("nan")  # no packet can be made of it
+    with Port(served.url):
+        served._thread.join(PATIENCE_S)
+    with pytest.raises(ValueError, match="NaN"):
+        served.close()
+
+
+@BOTH
+def test_a_bad_line_spoils_packets_and_the_reader_notices(serve: Serve) -> None:
+    def noticed(heard: list[bytes]) -> bool:
+        return len(heard) >= 6 and served.up.dropped + served.up.flipped > 0 and port.reader.dropped_bytes > 0
+
+    faults = Faults(drop=0.01, flip=0.01, split=0.05, seed=4)
+    with serve(Device(AMIGO, old_session=True), faults=faults) as served, Port(served.url) as port:
+        port.hear(noticed)
+
+
+# The line alone
+
+
+def wire(baud: int | None = None, seed: int = 0, **faults: float) -> Wire:
+    return Wire(Faults(**faults, seed=seed), stream(seed, "line"), baud)  # type: ignore[arg-type]
+
+
+def test_ten_bits_a_byte() -> None:
+    """59 bytes at 9600 baud take 61.46 ms, and what comes meanwhile waits for them."""
+    line = wire(baud=9600)
+    line.push(bytes(range(59)), 0)
+    line.push(b"\xff", 10 * MS)
+    assert line.pop(61 * MS) == bytes(range(58))
+    assert line.pop(round(59 / 960 * 1e9)) == b"\x3a"
+    assert line.due_ns == pytest.approx(60 / 960 * 1e9, abs=60)
+    assert line.pop(63 * MS) == b"\xff"
+    assert line.due_ns is None
+
+
+@given(st.binary(max_size=300), st.integers(0, 300))
+def test_a_good_line_gives_what_it_takes(data: bytes, cut: int) -> None:
+    line = wire()
+    line.push(data[:cut], 5)
+    line.push(data[cut:], 5)
+    assert line.pop(5) == data
+
+
+def test_rates_of_faults() -> None:
+    n = 100_000
+    line = wire(drop=0.02, flip=0.03)
+    line.push(bytes(n), 0)
+    got = np.frombuffer(line.pop(0), np.uint8)
+    assert len(got) == n - line.dropped
+    assert np.count_nonzero(got) == line.flipped
+    for count, p in ((line.dropped, 0.02), (line.flipped, 0.03 * 0.98)):
+        assert abs(count - n * p) < 4 * np.sqrt(n * p * (1 - p))
+    assert set(np.unique(got).tolist()) == {0, 1, 2, 4, 8, 16, 32, 64, 128}
+
+
+def test_gaps_delay_and_lose_nothing() -> None:
+    line = wire(split=0.2)
+    line.push(bytes(range(100)), 0)
+    pieces = []
+    while (due := line.due_ns) is not None:
+        assert due % (30 * MS) == 0
+        pieces.append(line.pop(due))
+    assert b"".join(pieces) == bytes(range(100))
+    assert 10 < len(pieces) < 32
+
+
+@given(st.lists(st.binary(min_size=1, max_size=20), max_size=20), st.integers(0, 2**32))
+def test_faults_depend_on_the_seed_and_not_on_how_the_bytes_come(parts: list[bytes], seed: int) -> None:
+    cut, whole = (wire(seed=seed, drop=0.1, flip=0.1) for _ in range(2))
+    for each in parts:
+        cut.push(each, 0)
+    whole.push(b"".join(parts), 0)
+    assert cut.pop(0) == whole.pop(0)
+
+
+def test_a_client_that_repeats_itself_drives_over_a_bad_line() -> None:
+    """2 % of bytes lost and 2 % changed each way: 0.2 m/s for 10 s, told twice a second, in the line's own time."""
+    device = Device(AMIGO, old_session=True)
+    down, up = wire(baud=9600, seed=1, drop=0.02, flip=0.02), wire(baud=9600, seed=2, drop=0.02, flip=0.02)
+    reader, packets = Reader(), 0
+    for ms in range(0, 10_000, 5):
+        if ms % 500 == 0:
+            down.push(command(Command.ENABLE, 1) + command(Command.VEL, 200), ms * MS)
+        up.push(device.receive(down.pop(ms * MS), ms * MS), ms * MS)
+        packets += sum(is_sip(each) for each in reader.feed(up.pop(ms * MS)))
+    assert 1.5 < device.odometry[0] < 2.0
+    assert 10 < packets < 50  # 0.96 to the power of 39 to 42 bytes is 0.19
+    assert device.reader.bad_checksums > 0
+
+
+def test_a_full_packet_of_16_sonars_fits_into_its_tenth_of_a_second_at_9600_baud() -> None:
+    device = Device(ROBOTS["p2dx"], old_session=True, ping_ms=10)
+    sent = device.advance(100 * MS)
+    assert len(sent) == 83 == len(frame(bytes(78)))
+    line = wire(baud=9600)
+    line.push(sent, 0)
+    assert line.pop(100 * MS) == sent

@@ -1,0 +1,487 @@
+"""Sources of positions over real sockets, pseudo-terminals and Zenoh sessions; what is refused, and what is told."""
+
+import contextlib
+import itertools
+import json
+import math
+import os
+import pty
+import socket
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.cosim.types import Fix
+from vcmvsp.hardware.drivers.base import HandshakeError, PortError
+from vcmvsp.hardware.localisation import Located, dwm1001, pose_topic, ubisense
+from vcmvsp.hardware.localisation import port_source
+from vcmvsp.hardware.localisation import source as sources_common
+from vcmvsp.cosim.estimation.fusion import Fusion
+from vcmvsp.hardware.localisation.world_transform import Placing, Posed
+from vcmvsp.hardware.localisation.pose_topic import ExternalPose
+from vcmvsp.hardware.localisation.systems import Dwm1001, Localisation, Nmea, Ubisense
+from tests.support.cosim.run_processes import reserved
+
+DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
+GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
+HERE: dict[str, Any] = {"latitude_deg": 48.0 + 7.038 / 60.0, "longitude_deg": 11.0 + 31.0 / 60.0, "height_m": 545.4 + 46.9}
+
+
+def wait(what: Callable[[], Any]) -> Any:
+    """What it gives, as soon as that is something."""
+    last = time.monotonic() + DEADLINE_S
+    while time.monotonic() < last:
+        if found := what():
+            return found
+        time.sleep(0.005)
+    raise AssertionError("nothing came")
+
+
+def fixes(source: Localisation) -> list[Fix]:
+    return source.read(time.monotonic_ns())
+
+
+def causes(source: Localisation, word: str) -> Callable[[], list[str]]:
+    """The notices with a word, as they come."""
+
+    def look() -> list[str]:
+        source.read(time.monotonic_ns())
+        return [each.cause for each in source.notices() if word in each.cause]
+
+    return look
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources_common, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(sources_common, "CENSUS_S", 0.2)
+
+
+@contextlib.contextmanager
+def listening(source: Any) -> Iterator[Any]:
+    source.open()
+    try:
+        yield source
+    finally:
+        source.close()
+        source.close()
+
+
+@contextlib.contextmanager
+def sending(source: Ubisense) -> Iterator[Callable[..., None]]:
+    """Sends datagrams to where a source listens."""
+    port = int(source.device.rpartition(":")[2])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+
+        def send(*, tag: str = "11", at: Any = (1.0, 2.0, 0.5), source_ns: int = 0, sigma_m: float | None = None) -> None:
+            located = Located(tag=tag, position=at, source_ns=source_ns, sigma_m=sigma_m)
+            out.sendto(ubisense.encode(located), ("127.0.0.1", port))
+
+        yield send
+
+
+class Terminal:
+    """A pseudo-terminal with a name of its own, that can be unplugged and plugged in again."""
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.plug()
+
+    def plug(self) -> None:
+        self.here, self._there = pty.openpty()
+        tty.setraw(self._there)
+        os.set_blocking(self.here, False)
+        self.link.symlink_to(os.ttyname(self._there))
+
+    def unplug(self) -> None:
+        self.link.unlink()
+        os.close(self.here)
+        os.close(self._there)
+
+    def read(self) -> bytes:
+        with contextlib.suppress(BlockingIOError):
+            return os.read(self.here, 4096)
+        return b""
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[Terminal]:
+    terminal = Terminal(tmp_path / "tty")
+    yield terminal
+    terminal.unplug()
+
+
+def test_ubisense_positions_are_turned_and_moved_into_the_world() -> None:
+    source = Ubisense(listen="udp://127.0.0.1:0", tag="0x11", offset=(10.0, 20.0, 1.0), turn_rad=0.5 * math.pi, sigma_m=0.3)
+    assert isinstance(source, Localisation)
+    with listening(source), sending(source) as send:
+        send(tag="22", at=(7.0, 7.0, 7.0))
+        send()
+        before = time.monotonic_ns()
+        (fix,) = wait(lambda: fixes(source))
+        assert fix.position == pytest.approx((8.0, 21.0, 1.5))
+        assert (fix.sigma_m, fix.yaw) == (0.3, None)
+        assert abs(fix.time_ns - (before - 0.1 * SECOND_NS)) < DEADLINE_S * SECOND_NS
+        assert fixes(source) == []
+        send(sigma_m=0.05)
+        (fix,) = wait(lambda: fixes(source))
+        assert fix.sigma_m == pytest.approx(0.05)
+        assert [each.cause for each in source.notices()] == ["positions of tag 0000000000000011 come"]
+
+
+def test_the_systems_clock_gives_the_times_between_positions() -> None:
+    """Two that were measured 40 ms apart, and came together."""
+    source = Ubisense(listen="udp://127.0.0.1:0", tag="11", latency_s=0.05)
+    with listening(source), sending(source) as send:
+        for tick in range(3):
+            send(source_ns=10**15 + tick * 40_000_000)
+        seen: list[Fix] = []
+
+        def all_three() -> bool:
+            seen.extend(fixes(source))
+            return len(seen) == 3
+
+        wait(all_three)
+        apart = [b.time_ns - a.time_ns for a, b in itertools.pairwise(seen)]
+        assert all(0 <= each <= 40_000_000 for each in apart)
+        assert seen[-1].time_ns <= time.monotonic_ns() - 50_000_000
+
+
+@pytest.mark.usefixtures("impatient")
+def test_several_tags_and_none_named_is_an_error_that_lists_them() -> None:
+    source = Ubisense(listen="udp://127.0.0.1:0")
+    with listening(source), sending(source) as send:
+
+        def look() -> str:
+            send(tag="A1")
+            send(tag="B2")
+            try:
+                assert fixes(source) == []  # nobody knows whose
+            except HandshakeError as error:
+                return str(error)
+            return ""
+
+        error = wait(look)
+        assert "2 tags" in error
+        assert "00000000000000A1, 00000000000000B2" in error
+        assert "tag = " in error
+
+
+@pytest.mark.usefixtures("impatient")
+def test_the_only_tag_needs_no_name() -> None:
+    source = Ubisense(listen="udp://127.0.0.1:0")
+    with listening(source), sending(source) as send:
+        assert wait(lambda: send() or fixes(source))[0].position == pytest.approx((1.0, 2.0, 0.5))
+
+
+def test_a_port_in_use_and_addresses_that_are_none_say_what_to_do() -> None:
+    with listening(Ubisense(listen="udp://127.0.0.1:0")) as first, pytest.raises(PortError, match=r"in use.*close the other"):
+        Ubisense(listen=first.device).open()
+    with pytest.raises(PortError, match=r"no interface with the address 192\.0\.2\.1.*0\.0\.0\.0"):
+        Ubisense(listen="udp://192.0.2.1:5010").open()
+    with pytest.raises(PortError, match="no address is known"):
+        Ubisense(listen="udp://no.such.host.invalid:5010").open()
+    with pytest.raises(PortError, match="no such port"):
+        Dwm1001(port="/dev/ttyNONE").open()
+    with pytest.raises(PortError, match="not a serial port"):
+        Nmea(port="/dev/null", **HERE).open()
+
+
+@pytest.mark.parametrize(
+    "listen", ["127.0.0.1:5010", "udp://127.0.0.1", "tcp://127.0.0.1:1", "udp://:5010", "udp://a:99999", ""]
+)
+def test_what_is_no_address_is_refused_when_the_scenario_is_read(listen: str) -> None:
+    with pytest.raises(ScenarioError, match=r"udp://0\.0\.0\.0:5010") as caught:
+        call(Ubisense, {"listen": listen}, key="vehicle.car1.localisation")
+    assert caught.value.key == "vehicle.car1.localisation.listen"
+
+
+@pytest.mark.parametrize(
+    ("kind", "table", "said"),
+    [
+        (Ubisense, {"tag": "car1"}, "hexadecimal"),
+        (Ubisense, {"tag": "1" * 17}, "hexadecimal"),
+        (Ubisense, {"tag": "-1"}, "hexadecimal"),
+        (Ubisense, {"sigma_m": 0.0}, "> 0|above 0|greater"),
+        (Ubisense, {"offset": [1.0, 2.0]}, "3"),
+        (Ubisense, {"offset": [1.0, math.nan, 0.0]}, "finite"),
+        (Dwm1001, {}, "is missing"),
+        (Nmea, {"port": "/dev/ttyUSB0", "latitude_deg": 91.0, "longitude_deg": 0.0}, "90"),
+        (ExternalPose, {"key": "a//b"}, "mocap/car1"),
+        (ExternalPose, {"key": "a", "mode": "peer"}, "connect"),
+    ],
+)
+def test_wrong_parameters_are_named(kind: Any, table: dict[str, Any], said: str) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        call(kind, table, key="localisation")
+
+
+@pytest.mark.usefixtures("impatient")
+def test_silence_is_told_with_its_cause_and_its_end() -> None:
+    source = Ubisense(listen="udp://127.0.0.1:0", tag="11")
+    with listening(source), sending(source) as send:
+        assert "location engine" in wait(causes(source, "nothing comes"))[0]
+        port = int(source.device.rpartition(":")[2])
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            out.sendto(b"hello", ("127.0.0.1", port))
+        assert wait(causes(source, "none are Ubisense's"))
+        send(tag="22")
+        assert "0000000000000022" in wait(causes(source, "not among those"))[0]
+        send(at=None)
+        assert wait(causes(source, "says that it has none"))
+        send(at=(1e6, 0.0, 0.0))
+        assert wait(causes(source, "10 km"))
+        send()
+        assert wait(causes(source, "come"))
+        assert len(fixes(source)) <= 1
+        assert wait(causes(source, "nothing comes"))
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_clock_that_jumps_is_told() -> None:
+    source = Ubisense(listen="udp://127.0.0.1:0", tag="11")
+    with listening(source), sending(source) as send:
+        for stamp in (1000, 1001, 1002, 9_001_000, 9_001_001, 9_001_002):
+            send(source_ns=stamp * 1_000_000)
+        assert wait(causes(source, "clock"))
+
+
+def test_a_dwm1001_is_woken_unplugged_and_woken_again(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dwm1001, "Waker", lambda patient=dwm1001.Waker: patient(0.1))
+    monkeypatch.setattr(port_source, "RETRY_S", 0.05)
+    source, tag = Dwm1001(port=str(terminal.link), offset=(1.0, 0.0, 0.0)), dwm1001.Tag()
+
+    def turn() -> list[Fix]:
+        answer = tag.receive(terminal.read()) + tag.say(Located(position=(1.0, 2.0, 0.5), quality=0.9))
+        os.write(terminal.here, answer)
+        time.sleep(0.02)
+        return fixes(source)
+
+    with listening(source):
+        assert wait(turn)[0].position == pytest.approx((2.0, 2.0, 0.5))
+        waker = source._waker
+        terminal.unplug()
+        assert "plug it in" in wait(causes(source, "gone"))[0]
+        terminal.plug()
+        tag = dwm1001.Tag()
+        assert wait(turn)[0].position == pytest.approx((2.0, 2.0, 0.5))
+        assert wait(causes(source, "positions come"))
+        assert source._waker is not waker  # a module that was off has forgotten all; so must whoever asks it
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_receiver_tells_positions_of_the_tangent_plane_and_a_wrong_baud_rate_is_guessed(terminal: Terminal) -> None:
+    with listening(Nmea(port=str(terminal.link), **HERE)) as source:
+        os.write(terminal.here, bytes(range(128, 256)) + b"\n")
+        assert wait(causes(source, "wrong baud rate"))
+        os.write(terminal.here, GGA[:20])
+        time.sleep(0.05)
+        os.write(terminal.here, GGA[20:])
+        (fix,) = wait(lambda: fixes(source))
+        assert fix.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        assert fix.sigma_m == pytest.approx(0.9 * 4.0 / math.sqrt(2.0))
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_port_that_is_back_and_silent_is_told(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(port_source, "RETRY_S", 0.05)
+    with listening(Nmea(port=str(terminal.link), **HERE)) as source:
+        terminal.unplug()
+        assert wait(causes(source, "gone"))
+        terminal.plug()
+        assert wait(causes(source, "nothing comes"))
+
+
+def test_a_source_can_be_opened_again(terminal: Terminal) -> None:
+    source = Nmea(port=str(terminal.link), **HERE)
+    source.close()  # never opened
+    for _ in range(2):
+        with listening(source):
+            os.write(terminal.here, GGA)
+            assert wait(lambda: fixes(source))
+    with listening(source), pytest.raises(PortError, match="in use"):
+        Nmea(port=str(terminal.link), **HERE).open()
+
+
+def test_a_reader_that_fails_is_no_silence(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = Nmea(port=str(terminal.link), **HERE)
+    monkeypatch.setattr(source._reader, "feed", lambda chunk: 1 / 0)
+    with listening(source):
+        os.write(terminal.here, GGA)
+
+        def look() -> str:
+            try:
+                fixes(source)
+            except Exception as error:
+                return str(error)
+            return ""
+
+        assert "ZeroDivisionError" in wait(look)
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with reserved() as port:
+        yield port
+
+
+@contextlib.contextmanager
+def bridge(mode: str, endpoint: str) -> Iterator[Callable[[str, Any], None]]:
+    """Somebody who publishes poses, as a router or as a client."""
+    where = {"listen": {"endpoints": [endpoint]}} if mode == "router" else {"connect": {"endpoints": [endpoint]}}
+    with opened({"mode": mode, **where}, {}, "no bridge") as session:
+
+        def say(key: str, what: Any) -> None:
+            session.put(key, what if isinstance(what, bytes) else json.dumps(what))
+
+        yield say
+
+
+@pytest.mark.parametrize("mode", ["connect", "listen"])
+def test_poses_come_over_zenoh(mode: Any, port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{port}"
+    source = ExternalPose(key="mocap/car1", endpoint=endpoint, mode=mode, turn_rad=1.0, offset=(0.0, 0.0, 2.0), sigma_rad=0.05)
+    assert isinstance(source, Localisation)
+    with contextlib.ExitStack() as stack:
+        if mode == "listen":
+            stack.enter_context(listening(source))
+            say = stack.enter_context(bridge("client", endpoint))
+        else:
+            say = stack.enter_context(bridge("router", endpoint))
+            stack.enter_context(listening(source))
+        for wrong in (b"\xff", b"{}", b"[1, 2]", b'{"x": NaN, "y": 0}', {"x": 1e5, "y": 0}, b" " * 5000, {"x": "1", "y": 0}):
+            say("mocap/car1", wrong)
+        say("mocap/car2", {"x": 5.0, "y": 5.0})
+        full = {"t": time.time(), "x": 1.0, "y": 0.0, "z": 0.25, "yaw": 3.0, "sigma": 0.002, "frame": "lab"}
+        (fix,) = wait(lambda: say("mocap/car1", full) or fixes(source))[:1]
+        assert fix.position == pytest.approx((math.cos(1.0), math.sin(1.0), 2.25))
+        assert fix.yaw == pytest.approx(4.0 - math.tau)
+        assert (fix.sigma_m, fix.sigma_rad) == (0.002, 0.05)
+        assert [each.cause for each in source.notices()] == ["positions come"]
+
+
+def test_nobody_to_connect_to_and_nothing_to_listen_on(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pose_topic, "_CONNECT_MS", 100)
+    with pytest.raises(PortError, match="start the router"):
+        ExternalPose(key="a", endpoint=f"tcp/127.0.0.1:{port}").open()
+    with socket.create_server(("127.0.0.1", port)), pytest.raises(PortError, match="free port"):
+        ExternalPose(key="a", endpoint=f"tcp/127.0.0.1:{port}", mode="listen").open()
+
+
+def test_a_session_in_which_nothing_can_be_heard_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Deaf:
+        closed = False
+
+        def declare_subscriber(self, *_: object) -> None:
+            raise zenoh.ZError("no")
+
+        def close(self) -> None:
+            self.closed = True
+
+    session = Deaf()
+    monkeypatch.setattr(pose_topic, "opened", lambda *_: session)
+    with pytest.raises(PortError, match="nothing can be heard"):
+        ExternalPose(key="a").open()
+    assert session.closed
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_bridge_that_goes_and_comes_back_is_heard_again(port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{port}"
+    with contextlib.ExitStack() as stack:
+        with bridge("router", endpoint) as say:
+            source = stack.enter_context(listening(ExternalPose(key="a", endpoint=endpoint)))
+            wait(lambda: say("a", {"x": 0.0, "y": 0.0}) or fixes(source))
+            source.notices()  # nothing may have come for a while before that
+        assert wait(causes(source, "does a bridge publish"))
+        with bridge("router", endpoint) as say:
+            wait(lambda: say("a", {"x": 0.0, "y": 0.0}) or fixes(source))
+            assert wait(causes(source, "positions come"))
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(
+    position=st.none() | st.tuples(numbers, numbers, numbers),
+    sigma=st.none() | numbers,
+    yaw=st.none() | st.floats(-10.0, 10.0),
+    sigma_rad=numbers,
+    source_ns=st.none() | st.integers(-(2**63), 2**64),
+)
+def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
+    position: Any, sigma: Any, yaw: Any, sigma_rad: float, source_ns: int | None
+) -> None:
+    placing = Placing(sigma_m=0.1, latency_s=0.1, offset=(1.0, 2.0, 3.0), turn_rad=0.3)
+    for arrived in (10**9, 2 * 10**9):
+        posed = Posed(position=position, sigma_m=sigma, yaw=yaw, sigma_rad=sigma_rad, source_ns=source_ns)
+        fix = placing.place(posed, arrived)
+        if fix is not None:
+            assert math.hypot(*fix.position) <= 10_000.0
+            assert 1e-3 <= fix.sigma_m <= 10_000.0
+            assert arrived - 10**10 <= fix.time_ns <= arrived - 10**8
+            assert (fix.yaw is None) == (yaw is None or not 0.0 < sigma_rad <= math.pi)
+            assert fix.yaw is None or fix.sigma_rad >= 1e-3
+            assert fix.yaw is None or fix.yaw == pytest.approx(math.remainder(yaw + 0.3, math.tau), abs=1e-9)
+        elif position is not None:
+            assert placing.old or placing.unknown or not math.hypot(*position) <= 9_990.0
+
+
+@pytest.mark.parametrize(
+    ("said", "position", "yaw"),
+    [
+        (b'{"x": 1, "y": 2, "yaw": 0.5}', True, (0.5, 0.02)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma": 1e200}', False, None),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma": 0}', True, (0.5, 0.02)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma_yaw": 0}', True, (None, 0.0)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma_yaw": 1e-200}', True, (0.5, 0.001)),
+        (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma_yaw": 4}', True, (None, 0.0)),
+        (b'{"x": 1, "y": 2, "t": 1e299}', True, (None, 0.0)),
+        (b'{"x": 1, "y": 2, "a": ' + b"[" * 2000 + b"]" * 2000 + b"}", False, None),
+    ],
+)
+def test_no_message_ends_anything(said: bytes, position: bool, yaw: Any) -> None:
+    reader, placing, fusion = pose_topic.Reader(0.02), Placing(sigma_m=0.1, latency_s=0.0), Fusion(start=(0.0, 0.0, 0.0))
+    fixes = [placing.place(each, SECOND_NS) for each in reader.feed(said)]
+    known = [each for each in fixes if each is not None]
+    assert bool(known) == position
+    for fix in known:
+        assert (fix.yaw, fix.sigma_rad) == yaw
+        fusion.fix(fix.time_ns, fix.position[0], fix.position[1], fix.sigma_m)
+    assert bool(known) or reader.bad_messages + placing.unknown == 1
+
+
+def test_a_clock_that_stands_still_is_told_and_gives_no_readings() -> None:
+    placing = Placing(sigma_m=0.1, latency_s=0.1)
+    times = [placing.place(Located(position=(0.0, 0.0, 0.0), source_ns=7), tick * SECOND_NS) for tick in range(60)]
+    assert [each is None for each in times] == [False] * 10 + [True] * 50
+    assert placing.old == 50
+
+
+def test_tags_without_number_fill_nothing() -> None:
+    placing = Placing(sigma_m=0.1, latency_s=0.1)
+    for number in range(1000):
+        placing.place(Located(tag=str(number), position=(0.0, 0.0, 0.0), source_ns=number + 1), number)
+    assert len(placing.tags) == len(placing._clocks) == 64
+
+
+def test_the_sessions_that_zenoh_opens_are_closed() -> None:
+    """One that nobody closed would keep the process from ending."""
+    source = ExternalPose(key="a", endpoint="tcp/127.0.0.1:0", mode="listen")
+    with listening(source):
+        session = source._session
+        assert session is not None
+        assert not session.is_closed()
+    assert session.is_closed()
+    assert isinstance(session, zenoh.Session)

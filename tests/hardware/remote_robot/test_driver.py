@@ -1,0 +1,478 @@
+"""Both ends on one machine: `ZenohDriver` here, ``vcmvsp robot`` with a robot in software in a process of its own."""
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vcmvsp.cosim.security import authority
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError, Sample
+from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
+from tests.support.cosim.run_processes import reserved
+
+PATIENCE_S = 30.0  # whatever the machine does beside
+PROGRAM = """
+import time
+shift_ns = {shift_ns}
+if shift_ns:
+    now = time.monotonic_ns
+    time.monotonic_ns = lambda: now() + shift_ns
+from vcmvsp.cosim.cli import app as cli
+from vcmvsp.cosim.cli.robot import robot_command
+cli.app.command("robot")(robot_command)
+cli.main()
+"""
+LOGGED = """
+import json, time
+from vcmvsp.hardware.drivers.bench_robot import Bench
+
+
+class Logged(Bench):
+    def __init__(self, *, address: str, unplugged_s: float | None = None) -> None:
+        super().__init__(rate_hz=50.0, latency_s=0.0, accel=5.0, decel=5.0, unplugged_s=unplugged_s)
+        self._log = address
+
+    def _note(self, *what: object) -> None:
+        with open(self._log, "a") as file:
+            file.write(json.dumps([time.monotonic_ns(), *what]) + "\\n")
+
+    def open(self, start):
+        self._note("open", list(start))
+        super().open(start)
+
+    def write(self, velocity):
+        self._note("write", velocity.linear[0])
+        super().write(velocity)
+
+    def stop(self, cause):
+        self._note("stop", cause)
+        super().stop(cause)
+
+    def close(self):
+        self._note("close")
+        super().close()
+"""
+RUN = """
+import sys, time
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
+driver = ZenohDriver(listen=sys.argv[1], vehicle="car3", open_deadline_s=30.0, silence_s=30.0, reconnect_s=30.0)
+driver.open()
+print("open", flush=True)
+while True:
+    driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
+    driver.read()
+    time.sleep(0.02)
+"""
+
+
+class Program:
+    """``vcmvsp robot`` in a process, what it says, and what its robot was told."""
+
+    def __init__(self, folder: Path, port: int, *options: str, protocol: str = "tcp", shift_ns: int = 0) -> None:
+        self.log = folder / "robot.log"
+        (folder / "logged.py").write_text(LOGGED)
+        words = ["robot", "--vehicle", "car3", "--connect", f"{protocol}/127.0.0.1:{port}"]
+        if "--driver" not in options:
+            words += ["--driver", f"{folder / 'logged.py'}:Logged:{self.log}"]
+        command = [sys.executable, "-c", PROGRAM.format(shift_ns=shift_ns), *words, *options]
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE)
+        self._said = b""
+
+    def until(self, text: str) -> None:
+        """Wait until it says this."""
+        end = time.monotonic() + PATIENCE_S
+        pipe = self.process.stderr
+        assert pipe is not None
+        with selectors.DefaultSelector() as selector:
+            selector.register(pipe, selectors.EVENT_READ)
+            while text not in self.said:
+                assert selector.select(max(0.0, end - time.monotonic())), f"it never said {text!r}: {self.said}"
+                chunk = os.read(pipe.fileno(), 65536)
+                self._said += chunk
+                assert chunk or text in self.said, f"it ended without {text!r}: {self.said}"
+
+    @property
+    def said(self) -> str:
+        return self._said.decode()
+
+    def told(self) -> list[list[Any]]:
+        """What its robot was told: time, what, with what."""
+        return [json.loads(line) for line in self.log.read_text().splitlines()]
+
+    def when(self, found: Callable[[list[list[Any]]], object]) -> list[list[Any]]:
+        """The same, as soon as it is so."""
+        until(lambda: self.log.exists() and found(self.told()))
+        return self.told()
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        self.process.send_signal(number)
+        self._said += self.process.communicate(timeout=PATIENCE_S)[1]
+        return self.process.returncode
+
+
+@contextlib.contextmanager
+def program(folder: Path, port: int, *options: str, **more: Any) -> Iterator[Program]:
+    folder.mkdir(exist_ok=True)
+    started = Program(folder, port, *options, **more)
+    try:
+        yield started
+    finally:
+        if started.process.poll() is None:
+            started.process.kill()
+        with contextlib.suppress(ValueError):  # it was asked before
+            started.process.communicate(timeout=PATIENCE_S)
+
+
+@contextlib.contextmanager
+def driver(port: int, **options: Any) -> Iterator[ZenohDriver]:
+    """One that is open; it is closed at the end."""
+    made = ZenohDriver(
+        listen=f"tcp/127.0.0.1:{port}", vehicle="car3", **{"open_deadline_s": PATIENCE_S, "silence_s": PATIENCE_S, **options}
+    )
+    made.open((1.0, 2.0, 0.0))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def until(condition: Callable[[], object]) -> None:
+    last = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < last, "it never came true"
+        time.sleep(0.01)
+
+
+def drive(made: ZenohDriver, found: Callable[[Sample], object], v: float = 0.3) -> Sample:
+    """Drive until a sample is so."""
+    last = time.monotonic() + PATIENCE_S
+    while time.monotonic() < last:
+        made.write(Velocity(linear=(v, 0.0, 0.0)))
+        sample = made.read()
+        if sample is not None and found(sample):
+            return sample
+        time.sleep(0.01)
+    raise AssertionError("it never came true")
+
+
+def lost(made: ZenohDriver) -> DriverError:
+    """What ends a connection."""
+    with pytest.raises(DriverError) as caught:
+        drive(made, lambda _: False)
+    return caught.value
+
+
+def writes(told: list[list[Any]]) -> list[int]:
+    return [each[0] for each in told if each[1] == "write"]
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with reserved() as port:
+        yield port
+
+
+def test_it_is_driven_stopped_and_let_go_run_after_run(tmp_path: Path, port: int) -> None:
+    with program(tmp_path, port) as robot:
+        robot.until("waiting for a run")
+        with driver(port) as made:
+            moved = drive(made, lambda each: each.odometry.pose[0] > 1.1)
+            assert moved.odometry.pose[1:] == (2.0, 0.0)  # it began at the run's start pose
+            assert moved.link == 1
+            made.stop("enough")
+            stood = robot.when(lambda told: told[-1][1:] == ["stop", "enough"])
+            until(lambda: (each := made.read()) is not None and each.odometry.v == 0.0 and each.stopped == "enough")
+            drive(made, lambda each: each.odometry.v > 0.1)  # the next command moves it again
+            assert len(writes(robot.told())) > len(writes(stood))
+            until(lambda: (each := made.read()) is not None and each.stopped == "no command for 0.5 s")
+        assert robot.when(lambda told: told[-1][1] == "close")[-2][1:] == ["stop", "the run is over"]
+        causes = [(each.what, each.cause) for each in made.notices()]
+        assert ("stopped", "enough") in causes
+        assert ("stopped", "the run is over") in causes
+        with driver(port) as made:
+            drive(made, lambda each: each.odometry.v > 0.1)
+        assert [each[2] for each in robot.told() if each[1] == "open"] == [[1.0, 2.0, 0.0]] * 2
+        assert robot.end() == 0
+        assert robot.said.splitlines()[-1] == "car3: ended by SIGINT"
+
+
+def test_where_it_stands_may_be_told_at_the_robot(tmp_path: Path, port: int) -> None:
+    with program(tmp_path, port, "--pose", "5,-1,0") as robot, driver(port) as made:
+        assert drive(made, lambda each: each.odometry.v > 0.1).odometry.pose[1] == -1.0
+        assert robot.end(signal.SIGTERM) == 0  # with the run still there
+        assert robot.told()[-1][1] == "close"
+        error = lost(made)
+        assert isinstance(error, LinkLost)
+        assert "its program was ended by SIGTERM" in str(error)
+
+
+def test_a_robot_whose_program_dies_is_lost_by_name(tmp_path: Path, port: int) -> None:
+    with program(tmp_path, port) as robot, driver(port) as made:
+        drive(made, lambda each: each.odometry.v > 0.1)
+        robot.process.kill()
+        error = lost(made)  # by its token, long before silence would tell
+        assert isinstance(error, LinkLost)
+        assert str(error).startswith(f"robot at tcp/127.0.0.1:{port} (car3): the robot's program has ended")
+        made.stop("after the loss")  # never raises
+        assert "lost" in [each.what for each in made.notices()]
+
+
+def test_a_program_that_is_started_again_goes_on_where_odometry_was(tmp_path: Path, port: int) -> None:
+    with driven_alone(tmp_path / "first", port) as (robot, made):
+        before = drive(made, lambda each: each.odometry.pose[0] > 1.1)
+        robot.process.kill()
+        with program(tmp_path / "second", port) as again:
+            after = drive(made, lambda each: each.link >= 2)
+            assert after.odometry.pose[0] >= before.odometry.pose[0]
+            assert after.number > before.number
+            assert again.told()[0][2][0] >= before.odometry.pose[0]
+            what = [each.what for each in made.notices()]
+            assert what.index("lost") < len(what) - what[::-1].index("connected")
+
+
+@contextlib.contextmanager
+def driven_alone(folder: Path, port: int) -> Iterator[tuple[Program, ZenohDriver]]:
+    with program(folder, port) as robot, driver(port, reconnect_s=PATIENCE_S) as made:
+        yield robot, made
+
+
+@pytest.mark.parametrize(
+    ("number", "cause"),
+    [(signal.SIGKILL, "the link to the run is lost"), (signal.SIGSTOP, "no velocity from the run for 0.5 s")],
+)
+def test_a_run_that_dies_or_hangs_leaves_a_robot_that_stands(tmp_path: Path, port: int, number: int, cause: str) -> None:
+    with program(tmp_path, port) as robot:
+        run = subprocess.Popen([sys.executable, "-c", RUN, f"tcp/127.0.0.1:{port}"], stdout=subprocess.PIPE)
+        try:
+            last = time.monotonic() + PATIENCE_S
+            while True:
+                driven = len(writes(robot.told())) if robot.log.exists() else 0
+                robot.when(lambda told, driven=driven: len(writes(told)) > driven + 20)  # type: ignore[misc]
+                run.send_signal(number)
+                gone_ns = time.monotonic_ns()
+                told = robot.when(
+                    lambda told: told[-1][1] == "stop" and (number == signal.SIGSTOP or told[-1][2].startswith(cause))
+                )
+                if told[-1][2].startswith(cause):
+                    break
+                assert time.monotonic() < last, f"it stands, as {told[-1][2]}"
+                run.send_signal(signal.SIGCONT)  # it was late just before by itself, as on a machine that is held up
+            assert told[-1][0] - gone_ns < 5e9  # half a second, on a machine that is loaded tenfold
+            if number == signal.SIGSTOP:
+                assert told[-1][0] - writes(told)[-1] > 0.4e9  # half a second, less what there is between clock and log
+        finally:
+            run.kill()
+            run.communicate(timeout=PATIENCE_S)
+        assert robot.end() == 0
+        assert robot.told()[-1][1] == "close"
+
+
+class Proxy:
+    """Between a robot and its run: a TCP connection that can be frozen."""
+
+    def __init__(self, port: int) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._listener.getsockname()[1])
+        self._target, self._open = port, threading.Event()
+        self._open.set()
+        self._ends: list[socket.socket] = []
+        self._threads = [threading.Thread(target=self._accept, daemon=True)]
+        self._threads[0].start()
+
+    def freeze(self) -> None:
+        self._open.clear()
+
+    def thaw(self) -> None:
+        self._open.set()
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.thaw()
+        for end in self._ends:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+        for thread in self._threads:
+            thread.join(PATIENCE_S)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                self._ends.append(near)
+                self._open.wait(PATIENCE_S)
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._target), 1.0)
+                except OSError:
+                    near.close()
+                    continue
+                far.settimeout(None)
+                self._ends.append(far)
+                for pair in ((near, far), (far, near)):
+                    self._threads.append(threading.Thread(target=self._pump, args=pair, daemon=True))
+                    self._threads[-1].start()
+
+    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                self._open.wait(PATIENCE_S)
+                sink.sendall(data)
+        with contextlib.suppress(OSError):
+            sink.shutdown(socket.SHUT_RDWR)
+
+
+def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: int) -> None:
+    with contextlib.closing(Proxy(port)) as proxy, program(tmp_path, proxy.port) as robot:
+        with driver(port, silence_s=1.0, reconnect_s=PATIENCE_S) as made:
+            drive(made, lambda each: each.odometry.v > 0.1)
+            made.notices()
+            proxy.freeze()
+            until(lambda: "lost" in [each.what for each in made.notices()])
+            frozen = len(robot.when(lambda told: told[-1][1] == "stop"))
+            made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # it is dropped: nobody is there to follow it
+            made.read()
+            proxy.thaw()
+            again = drive(made, lambda each: each.link >= 2 and each.odometry.v > 0.1)
+            assert again.odometry.pose[0] > 1.0
+            told = robot.told()
+            assert "open" not in [each[1] for each in told[1:]]  # its own driver stayed open
+            anew = [each[1] for each in told[frozen:]]
+            assert anew[0] == "stop"
+            assert anew[-1] == "write"
+            assert {each[2] for each in told if each[1] == "write"} == {0.3}
+        assert robot.end() == 0
+
+
+def test_its_clock_may_say_anything(tmp_path: Path, port: int) -> None:
+    with program(tmp_path, port, shift_ns=-3600 * 10**9), driver(port) as made:
+        samples: list[Sample] = []
+        while len(samples) < 20:
+            before_ns = time.monotonic_ns()
+            samples.append(drive(made, lambda _: True))
+            assert samples[-1].measured_ns <= samples[-1].arrived_ns <= time.monotonic_ns()
+            assert samples[-1].measured_ns > before_ns - PATIENCE_S * 10**9
+        assert [each.number for each in samples] == sorted({each.number for each in samples})
+        measured = [each.measured_ns for each in samples]
+        assert measured == sorted(measured)  # some may be the same, where the offset of the clocks came to be known better
+        drive(made, lambda each: each.measured_ns > measured[0])
+        for notice in made.notices():
+            assert abs(notice.time_ns - time.monotonic_ns()) < PATIENCE_S * 10**9
+
+
+def test_a_second_program_waits_its_turn(tmp_path: Path, port: int) -> None:
+    with driven_alone(tmp_path / "first", port) as (first, made), program(tmp_path / "second", port) as second:
+        second.until("waiting: another program drives car3 already")
+        drive(made, lambda each: each.odometry.v > 0.1)
+        first.process.kill()
+        drive(made, lambda each: each.link >= 2)
+        made.close()
+        second.until("the run is over")
+
+
+def test_a_robot_that_its_own_driver_has_lost_may_come_back_or_ends_the_run(tmp_path: Path, port: int) -> None:
+    with program(tmp_path, port, "--set", "unplugged_s=0.4") as robot:
+        with driver(port, reconnect_s=PATIENCE_S) as made:
+            drive(made, lambda each: each.link >= 2)
+            assert [each[1] for each in robot.told()].count("open") >= 2
+            assert "bench aboard car3: the link is lost" in " ".join(each.cause for each in made.notices())
+        with pytest.raises(LinkLost, match="bench aboard car3: the link is lost"), driver(port) as made:
+            drive(made, lambda _: False)
+        assert robot.end() == 0
+
+
+def test_who_is_missing_is_said_with_what_starts_it(port: int) -> None:
+    made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3", open_deadline_s=0.2)
+    with pytest.raises(
+        HandshakeError, match=rf"robot of car3 did not come within 0.2 s; .*vcmvsp robot --vehicle car3 .*:{port}"
+    ):
+        made.open()
+    made.close()
+    made.close()
+    with pytest.raises(RuntimeError, match="is not open"):
+        made.read()
+
+
+def test_a_port_that_is_taken(port: int) -> None:
+    with socket.create_server(("127.0.0.1", port)):
+        made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3")
+        with pytest.raises(PortError, match="nothing can listen there"):
+            made.open()
+
+
+# --- certificates ---
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("robots") / "keys"
+    authority.init(folder)
+    for name in ("car2", "car3"):
+        authority.issue(folder, name, [name])
+    return folder
+
+
+def test_with_its_certificate_it_is_driven(tmp_path: Path, port: int, keys: Path) -> None:
+    with program(tmp_path, port, "--keys", str(keys / "car3.keys"), protocol="tls") as robot:
+        made = ZenohDriver(listen=f"tls/127.0.0.1:{port}", keys=keys.name, folder=str(keys.parent), vehicle="car3")
+        try:
+            made.open()
+            drive(made, lambda each: each.odometry.v > 0.1)
+        finally:
+            made.close()
+        assert any("certificate of 'car3'" in each.cause for each in made.notices())
+        assert robot.end() == 0
+
+
+def test_the_wrong_certificate_is_named_at_both_ends(tmp_path: Path, port: int, keys: Path) -> None:
+    made = ZenohDriver(listen=f"tls/127.0.0.1:{port}", keys=str(keys), vehicle="car3", open_deadline_s=PATIENCE_S)
+    failed: list[BaseException] = []
+
+    def opened() -> None:
+        try:
+            made.open()
+        except DriverError as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=opened)
+    thread.start()
+    try:
+        wait_for_listener(port)
+        with program(tmp_path, port, "--keys", str(keys / "car2.keys"), protocol="tls") as robot:
+            assert robot.process.wait(PATIENCE_S) == 2
+            robot.until("the certificate of 'car2' is for car2, not for car3")
+            assert not robot.log.exists()
+    finally:
+        made.close()
+        thread.join(PATIENCE_S)
+    causes = [each.cause for each in made.notices()]
+    assert "a robot was sent away: the certificate of 'car2' is for car2, not for car3" in causes
+    assert isinstance(failed[0], HandshakeError)
+
+
+def wait_for_listener(port: int) -> None:
+    def there() -> bool:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+            return True
+        return False
+
+    until(there)
+
+
+def test_without_a_run_the_wrong_certificate_ends_the_program_at_once(tmp_path: Path, port: int, keys: Path) -> None:
+    with program(tmp_path, port, "--keys", str(keys / "car2.keys"), protocol="tls") as robot:
+        assert robot.process.wait(PATIENCE_S) == 2
+        robot.until("car2.keys: is for car2, not for car3")

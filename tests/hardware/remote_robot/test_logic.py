@@ -1,0 +1,331 @@
+"""What both ends decide: orders, times and numbers of another machine, when a velocity counts; and what scenarios may say."""
+
+import math
+import time
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Odometry, Velocity
+from vcmvsp.hardware.drivers.bench_robot import Bench
+from vcmvsp.hardware.drivers.base import Driver, LinkLost, Notice, Sample
+from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
+from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
+from vcmvsp.hardware.remote_robot.run_side.orders import Orders
+from vcmvsp.hardware.remote_robot.run_side.samples import Track
+from vcmvsp.hardware.remote_robot.messages import Down, Up
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+
+SECOND = 10**9
+AHEAD = Velocity(linear=(0.3, 0.0, 0.0))
+
+
+# --- orders ---
+
+
+def test_whatever_is_commanded_a_robot_stands_until_it_has_said_so() -> None:
+    orders = Orders(0.5)
+    orders.connect(7)
+    orders.command(AHEAD, 0)
+    assert orders.at(0) is None
+    orders.heard(6)  # of the connection before
+    assert orders.at(0) is None
+    orders.heard(7)
+    assert orders.at(0) == AHEAD
+
+
+def test_a_command_counts_for_its_time_and_a_stop_until_the_next_command() -> None:
+    orders = Orders(0.5)
+    orders.connect(1)
+    orders.heard(1)
+    orders.command(AHEAD, 0)
+    assert orders.at(SECOND // 2 - 1) == AHEAD
+    assert orders.at(SECOND // 2) is None
+    assert orders.stopped == "no command for 0.5 s"
+    orders.command(AHEAD, SECOND)
+    assert orders.at(SECOND) == AHEAD
+    orders.stop("enough")
+    assert orders.at(SECOND) is None
+    orders.connect(9)
+    assert (orders.stopped, orders.held) == (NOT_YET, True)
+
+
+# --- samples ---
+
+
+def said(
+    number: int, there_ns: int, *, link: int = 1, opened: int = 1, heard: bool = True, sent_ns: int = 0, **changed: Any
+) -> Up:
+    """A sample that was measured 20 ms before it is said."""
+    sample = Sample(
+        number=number,
+        link=link,
+        arrived_ns=there_ns - 10_000_000,
+        measured_ns=there_ns - 20_000_000,
+        odometry=Odometry(pose=(0.1 * number, 0.0, 0.0), v=0.1, w=0.0),
+    )
+    sample = msgspec.structs.replace(sample, **changed)
+    return Up(said_ns=there_ns, heard=int(heard), yours_ns=sent_ns, heard_ns=there_ns, opened=opened, sample=sample)
+
+
+@given(
+    offset_ns=st.integers(-(10**18), 10**18),
+    there_ms=st.integers(0, 300),
+    back_ms=st.integers(0, 300),
+)
+def test_times_are_right_to_half_of_what_the_ways_take_together(offset_ns: int, there_ms: int, back_ms: int) -> None:
+    sent_ns = 1000 * SECOND
+    heard_ns = sent_ns + there_ms * 10**6
+    arrived_ns = heard_ns + back_ms * 10**6
+    track = Track((0.0, 0.0, 0.0))
+    track.connect(anew=True)
+    up = said(1, heard_ns - offset_ns, sent_ns=sent_ns)
+    track.hear(up, arrived_ns)
+    sample = track.sample(up, arrived_ns, "")
+    assert sample is not None
+    error = abs(sample.measured_ns - (heard_ns - 20_000_000))
+    drift = 100e-6 * (there_ms + back_ms) * 1e6
+    assert error <= (there_ms + back_ms) * 1e6 / 2 + drift + 10
+    assert sample.measured_ns <= sample.arrived_ns <= arrived_ns
+
+
+def heard(track: Track, up: Up, arrived_ns: int) -> Sample | None:
+    track.hear(up, arrived_ns)
+    return track.sample(up, arrived_ns, "")
+
+
+def test_without_an_exchange_no_time_is_known_and_no_sample_is_made() -> None:
+    track = Track((0.0, 0.0, 0.0))
+    track.connect(anew=True)
+    assert heard(track, said(1, 5, heard=False), SECOND) is None
+
+
+def test_numbers_and_links_go_on_whatever_the_robot_counts() -> None:
+    track = Track((1.0, 2.0, 0.5))
+    assert track.pose == (1.0, 2.0, 0.5)
+    track.connect(anew=True)
+    now = 10 * SECOND
+
+    def numbered(number: int, **more: Any) -> tuple[int, int] | None:
+        nonlocal now
+        now += SECOND // 10
+        sample = heard(track, said(number, now, sent_ns=now, **more), now)
+        return None if sample is None else (sample.number, sample.link)
+
+    assert numbered(5) == (1, 1)
+    assert numbered(6) == (2, 1)
+    assert numbered(6) is None  # said again
+    assert numbered(9) == (5, 1)  # two were not heard
+    assert numbered(10, link=2) == (6, 2)  # its own driver has connected again
+    assert numbered(1, opened=2) == (7, 3)  # ... was opened again
+    assert track.pose == (0.1, 0.0, 0.0)
+    track.connect(anew=False)
+    assert numbered(2, opened=2) == (8, 4)
+    track.connect(anew=True)
+    assert numbered(1) == (9, 5)
+
+
+def test_sonar_is_the_newest_of_each_since_the_last_read() -> None:
+    track = Track((0.0, 0.0, 0.0))
+    track.connect(anew=True)
+    now = SECOND
+    heard(track, said(1, now, sent_ns=now, sonar=((0, 1.0), (1, 2.0))), now)
+    both = heard(track, said(2, now, sent_ns=now, sonar=((0, 1.5),)), now)
+    assert both is not None
+    assert dict(both.sonar) == {0: 1.5, 1: 2.0}
+    track.taken()
+    none = heard(track, said(3, now, sent_ns=now), now)
+    assert none is not None
+    assert none.sonar == ()
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_a_sample_that_is_no_number_is_left_out(wrong: float) -> None:
+    track = Track((0.0, 0.0, 0.0))
+    track.connect(anew=True)
+    for changed in (
+        {"odometry": Odometry(pose=(0.0, wrong, 0.0), v=0.0, w=0.0)},
+        {"sonar": ((1, wrong),)},
+        {"battery_v": wrong},
+    ):
+        assert heard(track, said(1, SECOND, sent_ns=SECOND, **changed), SECOND) is None
+    assert track.pose == (0.0, 0.0, 0.0)
+
+
+@given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=6, max_size=6))
+def test_whatever_times_and_numbers_a_robot_tells_what_is_made_of_them_can_be_told_on(numbers: list[int]) -> None:
+    said_ns, yours_ns, heard_ns, measured_ns, arrived_ns, number = numbers
+    track = Track((0.0, 0.0, 0.0))
+    track.connect(anew=True)
+    now = 100 * SECOND
+    for each in (said(1, now, sent_ns=now), said(number, now, sent_ns=now, measured_ns=measured_ns, arrived_ns=arrived_ns)):
+        up = msgspec.structs.replace(
+            each,
+            said_ns=said_ns,
+            yours_ns=yours_ns,
+            heard_ns=heard_ns,
+            notices=(Notice(time_ns=said_ns, what="warned", cause="x" * 10_000),),
+            noticed=number,
+        )
+        for taken in (each, up):
+            sample = heard(track, taken, now)
+            notices = track.notices(taken, now)
+            assert sample is None or 0 <= sample.measured_ns <= sample.arrived_ns <= now
+            assert len(encode((sample, notices))) < 5000
+
+
+def test_each_notice_is_taken_once_though_it_is_said_again() -> None:
+    track = Track((0.0, 0.0, 0.0))
+    track.connect(anew=True)
+    first, second = (Notice(time_ns=5, what="stopped", cause=each) for each in ("one", "two"))
+    up = Up(said_ns=1, notices=(first,))
+    assert [each.cause for each in track.notices(up, SECOND)] == ["one"]
+    assert track.notices(up, SECOND) == []
+    assert [each.cause for each in track.notices(Up(said_ns=2, notices=(first, second)), SECOND)] == ["two"]
+    assert track.noticed == 2
+    track.connect(anew=True)  # another program, which counts anew
+    assert [each.cause for each in track.notices(up, SECOND)] == ["one"]
+
+
+# --- aboard ---
+
+
+class Robot:
+    """A robot in software that is open aboard, and what its user was told."""
+
+    def __init__(self, **options: Any) -> None:
+        self.now = SECOND
+        self.said: list[str] = []
+        self.bench = Bench(now=lambda: self.now, accel=100.0, decel=100.0, latency_s=0.0, **options)
+        self.aboard = Aboard(self.bench, None, self.said.append)
+        self.aboard.open("run", (0.0, 0.0, 0.0), str)
+        self.number = 0
+
+    def hear(self, velocity: Velocity | None, *, old_s: float = 0.0, stop: str = "stand") -> None:
+        self.number += 1
+        yours_ns = self.now - round(old_s * SECOND)
+        self.aboard.follow(Down(number=self.number, sent_ns=0, yours_ns=yours_ns, velocity=velocity, stop=stop), self.now)
+
+    def speed(self, seconds: float = 0.1) -> float:
+        self.now += round(seconds * SECOND)
+        sample = self.aboard.turn(self.now)
+        assert sample is not None
+        return sample.odometry.v
+
+
+def test_a_robot_stands_first_then_follows_and_stands_when_nothing_comes() -> None:
+    robot = Robot()
+    robot.hear(AHEAD)
+    assert robot.speed() == 0.0  # nobody has told it to stand yet
+    robot.hear(None)
+    robot.hear(AHEAD)
+    assert robot.speed() == pytest.approx(0.3)
+    assert robot.speed(0.3) == pytest.approx(0.3)
+    robot.speed(0.1)
+    assert robot.speed() == 0.0
+    assert robot.said[-1] == "stopped: no velocity from the run for 0.5 s"
+    robot.hear(AHEAD)
+    assert robot.speed() == pytest.approx(0.3)
+    robot.hear(None, stop="enough\x1b[2J")
+    assert robot.speed() == 0.0
+    assert robot.said[-1] == "stopped: enough"
+    robot.aboard.meet()
+    robot.hear(AHEAD)
+    assert robot.speed() == 0.0
+
+
+def test_velocities_that_may_be_old_count_for_nothing() -> None:
+    robot = Robot()
+    robot.hear(None)
+    robot.hear(AHEAD, old_s=0.6)
+    assert robot.speed() == 0.0
+    robot.hear(AHEAD, old_s=0.6)
+    assert [each for each in robot.said if "come too late" in each] == [
+        "warned: velocities come too late and do not count: 0.6 s for both ways"
+    ]
+    robot.hear(AHEAD, old_s=0.4)
+    assert robot.speed() == pytest.approx(0.3)
+
+
+def test_a_velocity_that_is_no_number_stops_it() -> None:
+    robot = Robot()
+    robot.hear(None)
+    robot.hear(AHEAD)
+    robot.hear(Velocity(linear=(math.nan, 0.0, 0.0)))
+    assert robot.speed() == 0.0
+
+
+def test_notices_wait_until_they_were_heard_and_none_comes_from_the_run_before() -> None:
+    robot = Robot()
+    robot.hear(None, stop="one")
+    robot.speed()
+    causes = [each.cause for each in robot.aboard.notices()]
+    assert causes == ["a robot in software", "one"]
+    assert robot.aboard.noticed == 0
+    robot.aboard.follow(Down(number=9, sent_ns=0, noticed=1), robot.now)
+    assert [each.cause for each in robot.aboard.notices()] == ["one"]
+    robot.aboard.close("over")
+    robot.aboard.open("next", (0.0, 0.0, 0.0), str)
+    assert [each.cause for each in robot.aboard.notices()] == ["a robot in software"]
+    assert robot.aboard.opened == 2
+
+
+def test_what_a_driver_raises_is_said_and_it_is_closed() -> None:
+    robot = Robot(unplugged_s=1.0)
+    robot.now += 2 * SECOND
+    with pytest.raises(LinkLost) as caught:
+        robot.aboard.turn(robot.now)
+    robot.aboard.fail(caught.value)
+    failure = robot.aboard.failure
+    assert failure is not None
+    assert (failure.kind, failure.device, robot.aboard.state) == ("lost", "bench", "closed")
+    robot.aboard.fail(ZeroDivisionError("division by zero"))
+    assert robot.aboard.failure is not None
+    assert robot.aboard.failure.happened == "its driver failed (ZeroDivisionError: division by zero)"
+
+
+# --- what a scenario may say ---
+
+
+def test_it_is_a_driver_and_being_made_does_nothing() -> None:
+    assert isinstance(ZenohDriver(listen="tls/0.0.0.0:7448", keys="there/is/none", vehicle="car3"), Driver)
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"listen": "tls/0.0.0.0:7448"}, 'TLS needs certificates: add keys = "DIR"'),
+        ({"listen": "tcp/0.0.0.0:7448"}, "add insecure = true where you trust everybody"),
+        ({"listen": "tcp/127.0.0.1:7448", "keys": "keys"}, "write tls/127.0.0.1:7448, or leave out keys"),
+        ({"listen": "tls/0.0.0.0:7448", "keys": "keys", "insecure": True}, "exclude one another"),
+        ({"listen": "7448"}, "must be tcp/HOST:PORT or tls/HOST:PORT"),
+        ({"listen": "tcp/127.0.0.1:7448", "vehicle": "car/3"}, "letters, digits"),
+    ],
+)
+def test_what_cannot_be_is_said(options: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        ZenohDriver(**options)
+    assert problem in str(caught.value)
+
+
+def test_it_must_know_whose_robot_it_waits_for() -> None:
+    made = ZenohDriver(listen="tcp/127.0.0.1:7448")
+    before = time.monotonic()
+    with pytest.raises(Exception, match="not told whose robot"):
+        made.open()
+    assert time.monotonic() - before < 30.0
+
+
+@given(st.binary(max_size=200))
+def test_bytes_that_are_no_message_are_refused_with_an_error_that_is_caught(data: bytes) -> None:
+    for decoder in (messages.hellos, messages.welcomes, messages.downs, messages.ups):
+        try:
+            decoder.decode(data)
+        except ValueError:
+            continue

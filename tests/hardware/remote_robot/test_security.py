@@ -1,0 +1,226 @@
+"""Who may be the robot of a vehicle: real certificates, real sessions, and all that others could try."""
+
+import contextlib
+import json
+import queue
+import time
+from typing import Any
+
+import pytest
+import zenoh
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.security import authority, certificates
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.transport import key_names, access_control
+from vcmvsp.cosim.types import Odometry
+from vcmvsp.hardware.drivers.base import Notice, Sample
+from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.run_side.admission import Admission
+from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Heard, Knock, News, Peer
+from vcmvsp.hardware.remote_robot.messages import Hello, Up, Welcome
+from tests.support.cosim.run_processes import reserved
+from tests.hardware.remote_robot.test_driver import PATIENCE_S, until
+
+HELLO = b"hello"
+ALL_GO = zenoh.CongestionControl.BLOCK  # of many at once, Zenoh else leaves out those that find no room
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> certificates.Keys:
+    folder = tmp_path_factory.mktemp("doors") / "keys"
+    authority.init(folder)
+    for name in ("car2", "car3", "gone"):
+        authority.issue(folder, name, [name])
+    authority.issue(folder, "laptop", ["car3", "car4"])
+    authority.issue(folder, "anna")
+    authority.revoke(folder, "gone")
+    return certificates.load(folder)
+
+
+class Stage:
+    """A door for the robot of car3, and machines that dial in."""
+
+    def __init__(self, keys: certificates.Keys, stack: contextlib.ExitStack) -> None:
+        self._keys, self._stack = keys, stack
+        self.news: queue.SimpleQueue[News] = queue.SimpleQueue()
+        self.endpoint = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
+        self.door = stack.enter_context(contextlib.closing(Door(self.endpoint, keys, "car3", self._take)))
+
+    def _take(self, news: News) -> None:
+        if isinstance(news, Knock):
+            news.answer(Welcome(run="yes"))
+        self.news.put(news)
+
+    def all(self) -> list[News]:
+        return [self.news.get() for _ in range(self.news.qsize())]
+
+    def dial(self, name: str) -> zenoh.Session:
+        bundle = certificates.load_bundle(self._keys.folder / f"{name}.keys")
+        own = {
+            "mode": "client",
+            "listen": {"endpoints": []},
+            "connect": {"endpoints": [self.endpoint], "timeout_ms": 0},
+            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            "transport": {"shared_memory": {"enabled": False}},
+        }
+        config = json.dumps(access_control.merge(own, access_control.machine_security(bundle)))
+        return self._stack.enter_context(zenoh.open(zenoh.Config.from_json5(config)))
+
+
+def greeted(session: zenoh.Session, name: str) -> bool:
+    replies = session.get(key_names.greet_key(name), payload=HELLO, timeout=PATIENCE_S)
+    return any(messages.welcomes.decode(each.ok.payload.to_bytes()).run == "yes" for each in replies if each.ok)
+
+
+def hearing(session: zenoh.Session, key: str) -> list[str]:
+    got: list[str] = []
+
+    def took(sample: zenoh.Sample) -> None:
+        got.append(sample.payload.to_string())
+
+    session.declare_subscriber(key, Callback(took, indirect=False))
+    return got
+
+
+def said(session: zenoh.Session, name: str, vehicle: str = "car3", what: Any = "up", zid: str = "") -> str:
+    return key_names.robot_key(name, vehicle, zid or str(session.zid()), what)
+
+
+@pytest.mark.parametrize("name", ["car3", "laptop"])
+def test_who_has_a_certificate_for_the_vehicle_is_heard_and_told(
+    keys: certificates.Keys, stack: contextlib.ExitStack, name: str
+) -> None:
+    stage = Stage(keys, stack)
+    robot = stage.dial(name)
+    assert greeted(robot, name)
+    peer = Peer(name, str(robot.zid()))
+    stage.door.follow(peer)
+    told = hearing(robot, said(robot, name, what="down"))
+    token = robot.liveliness().declare_token(said(robot, name, what="alive"))
+    box: list[News] = []
+
+    def both() -> bool:
+        robot.put(said(robot, name), b"here")
+        stage.door.say(b"there")
+        box.extend(stage.all())
+        return bool(told) and any(isinstance(each, Heard) for each in box)
+
+    until(both)
+    assert {each.peer for each in box if isinstance(each, Heard)} == {peer}
+    token.undeclare()  # type: ignore[no-untyped-call]
+    until(lambda: Gone(peer) in stage.all())
+
+
+def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, stack: contextlib.ExitStack) -> None:
+    stage = Stage(keys, stack)
+    robot = stage.dial("car3")
+    assert greeted(robot, "car3")
+    peer = Peer("car3", str(robot.zid()))
+    stage.door.follow(peer)
+    told = hearing(robot, said(robot, "car3", what="down"))
+
+    def is_told() -> bool:
+        stage.door.say(b"there")
+        return bool(told)
+
+    until(is_told)
+    others = {name: stage.dial(name) for name in ("car2", "anna", "gone")}
+    heard = {}
+    for name, session in others.items():
+        assert greeted(session, name) == (name == "car2")  # to be told why not
+        assert not greeted(session, "car3")
+        heard[name] = hearing(session, "vcmvsp/robot/**")
+        for key in (said(session, "car3", zid=peer.session), said(session, name, zid=peer.session), said(session, name)):
+            session.put(key, b"lie", congestion_control=ALL_GO)
+        for key in ("vcmvsp/robot/*/car3/*/up", "vcmvsp/robot/**", said(session, "car3", what="down", zid=peer.session), "**"):
+            session.put(key, b"lie", congestion_control=ALL_GO)
+        tokens = [session.liveliness().declare_token(said(session, "car3", what="alive", zid=peer.session))]
+        tokens.append(session.liveliness().declare_token(key_names.HUB_ALIVE))
+        for token in tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]
+    stage.door.say(b"there")
+    for key, what in (
+        ("vcmvsp/robot/car3/car3/*/up", b"for many"),  # within what it may say, and nobody's key
+        (said(robot, "car3"), b"x" * (access_control.MAX_ROBOT + 1)),
+        (said(robot, "car3"), b"truth"),
+    ):
+        robot.put(key, what, congestion_control=ALL_GO)
+    box: list[News] = []
+
+    def is_heard() -> bool:
+        box.extend(stage.all())
+        return any(isinstance(each, Heard) for each in box)
+
+    until(is_heard)
+    time.sleep(0.1)  # for what should not come
+    box += stage.all()
+    assert [each.data for each in box if isinstance(each, Heard)] == [b"truth"]
+    assert not [each for each in box if isinstance(each, Gone)]
+    assert {each.name for each in box if isinstance(each, Knock)} == {"car3", "car2"}
+    assert {word for got in heard.values() for word in got} == {"lie"}  # a session hears itself
+
+
+def test_without_the_rules_others_would_be_heard_and_hear(
+    keys: certificates.Keys, stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rules = access_control.driver_security(keys, "car3")
+    del rules["access_control"]
+    monkeypatch.setattr(access_control, "driver_security", lambda *_: rules)
+    stage = Stage(keys, stack)
+    peer = Peer("car3", "a1")
+    stage.door.follow(peer)
+    other = stage.dial("car2")
+    heard = hearing(other, said(other, "car3", what="down", zid="a1"))
+    box: list[News] = []
+
+    def through() -> bool:
+        other.put(said(other, "car3", zid="a1"), b"lie")
+        stage.door.say(b"there")
+        box.extend(stage.all())
+        return "there" in heard and any(isinstance(each, Heard) for each in box)
+
+    until(through)
+
+
+def test_keys_say_who_speaks_and_no_name_makes_one_of_another() -> None:
+    key = key_names.robot_key("laptop", "car3", "a1", "up")
+    assert key == "vcmvsp/robot/laptop/car3/a1/up"
+    assert key_names.robot_speaker(key) == ("laptop", "car3", "a1")
+    assert key_names.robot_speaker(key_names.greet_key("laptop")) == ("laptop", "", "")
+    for wrong in ("vcmvsp/robot/*/car3/a1/up", "vcmvsp/robot/laptop/car3/*/up", "vcmvsp/robot/laptop/car3/a1/up/x", f"{key}\n"):
+        assert key_names.robot_speaker(wrong) is None
+    for name, vehicle, zid in (
+        ("a/b", "car3", "a1"),
+        ("a", "car*", "a1"),
+        ("a", "car3", "**"),
+        ("a", "car3", ""),
+        ("", "c", "a"),
+    ):
+        with pytest.raises(ValueError, match="no key of a robot"):
+            key_names.robot_key(name, vehicle, zid, "up")
+
+
+def test_all_that_a_robot_says_at_once_fits_into_a_message() -> None:
+    many = tuple(Notice(time_ns=2**62, what="stopped", cause="\U0001f916" * 500) for _ in range(messages.NOTICES_AT_ONCE))
+    odometry = Odometry(pose=(1.0, 1.0, 1.0), v=1.0, w=1.0)
+    sample = Sample(number=1, link=1, arrived_ns=1, measured_ns=1, odometry=odometry, sonar=((1, 1.0),) * 64)
+    assert len(encode(Up(said_ns=2**62, sample=sample, notices=many))) < access_control.MAX_ROBOT
+
+
+def test_who_is_sent_away_is_told_why(keys: certificates.Keys) -> None:
+    def refusal(name: str, vehicle: str = "car3", protocol: int = messages.PROTOCOL) -> str:
+        hello = Hello(protocol=protocol, vehicle=vehicle, robot="r", session="a1", device="bench")
+        return Admission("car3", keys.folder).refusal(name, hello)
+
+    assert refusal("car3") == refusal("laptop") == ""
+    assert refusal("car2") == "the certificate of 'car2' is for car2, not for car3"
+    assert (
+        refusal("car2", "car2") == refusal("laptop", "car4").replace("car4", "car2") == "this is the port of car3, not of car2"
+    )
+    assert refusal("gone") == "the certificate of 'gone' has been revoked"
+    assert refusal("anna") == "the certificate of 'anna' is for watching only"
+    assert refusal("car3", protocol=99).endswith("use the same vcmvsp version")
+    assert "\x1b" not in refusal("car3", "\x1b[2Jcar")
+    anybody = Admission("car3", None)
+    assert anybody.refusal(key_names.OPEN, Hello(protocol=1, vehicle="car3", robot="r", session="a1", device="bench")) == ""

@@ -1,0 +1,257 @@
+"""What holds of a vehicle in the air behind the supervisor, whatever it is told."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.hardware.safety import (
+    AerialParameters,
+    AerialSupervisor,
+    Cause,
+    Heard,
+    Limits,
+    Others,
+    Polygon,
+    TimeOuts,
+)
+from vcmvsp.hardware.safety.geofence import RETURN_MPS
+from tests.support.hardware.supervised_flight import Flight, flown
+from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
+
+SECOND = 10**9
+PERIOD_NS = SECOND // 10
+QUAD = Limits(speed_mps=2.0, yaw_rate_radps=1.5, accel_mps2=1.5, stop_mps2=2.0, yaw_accel_radps2=3.0, yaw_stop_radps2=3.0)
+SQUARE = Polygon([(0, 0), (4, 0), (4, 3), (0, 3)])
+reals = st.floats(-4.0, 4.0) | st.sampled_from([0.0, 1.0, -1.0])
+commands = st.tuples(reals, reals, reals, reals)
+
+
+def heard(now: int) -> Heard:
+    return Heard(operator_ns=now, command_ns=now, positioning_ns=now, federation_ns=now)
+
+
+def told(command: Flight) -> Velocity:
+    return Velocity(linear=command[:3], yaw_rate=command[3])
+
+
+def crowd(places: Any, velocity: Any = None) -> Others:
+    """Others of 0.2 m at x, y, z."""
+    rows = np.array(places, float).reshape(-1, 3)
+    return Others(rows, np.zeros_like(rows) if velocity is None else np.array(velocity, float), np.full(len(rows), 0.2))
+
+
+def fly(
+    parameters: AerialParameters,
+    place: Flight,
+    asked: list[tuple[Flight, int]],
+    others: Others | None = None,
+    ideal: bool = False,
+) -> list[tuple[Flight, Flight, Any]]:
+    """Place, speeds and decision after each piece of a flight in which each of the commands lasts for some periods."""
+    supervisor, now, speeds, seen = AerialSupervisor(parameters), 0, (0.0, 0.0, 0.0, 0.0), []
+    for command, periods in asked:
+        for _ in range(periods):
+            decision = supervisor.step(now, told(command), place, others, heard(now))
+            sent: Flight = (*decision.command.linear, decision.command.yaw_rate)
+            for each in flown(place, speeds, sent, 0.1, parameters.limits, ideal=ideal):
+                place, speeds = each
+                seen.append((place, speeds, decision))
+            now += PERIOD_NS
+    return seen
+
+
+def flights(most: int) -> st.SearchStrategy[list[tuple[Flight, int]]]:
+    return st.lists(st.tuples(commands, st.integers(1, 12)), min_size=1, max_size=most)
+
+
+@settings(max_examples=120)
+@given(
+    name=st.sampled_from(sorted(FENCES)),
+    keep=limits,
+    climb=st.floats(0.1, 3.0),
+    ideal=st.booleans(),
+    margin=st.floats(0.0, 0.2),
+    asked=flights(5),
+)
+def test_it_never_leaves_fence_floor_and_ceiling(
+    name: str, keep: Limits, climb: float, ideal: bool, margin: float, asked: list[tuple[Flight, int]]
+) -> None:
+    fence = FENCES[name]
+    parameters = AerialParameters(
+        limits=keep,
+        climb_mps=climb,
+        radius_m=RADIUS,
+        reaction_s=0.1,
+        fence=fence,
+        fence_margin_m=margin,
+        floor_m=0.5,
+        ceiling_m=2.5,
+    )
+    last = np.zeros(4)
+    for (x, y, z, _), _, decision in fly(parameters, (*STARTS[name], 1.0, 0.0), asked, ideal=ideal):
+        assert room(fence, x, y) >= RADIUS + margin - 1e-6
+        assert 0.5 - 1e-6 <= z <= 2.5 + 1e-6
+        sent = np.array([*decision.command.linear, decision.command.yaw_rate])
+        across, before = math.hypot(*sent[:2]), math.hypot(*last[:2])
+        assert across <= keep.speed_mps + 1e-9
+        assert abs(sent[2]) <= climb
+        assert abs(sent[3]) <= keep.yaw_rate_radps
+        assert -0.1 * keep.stop_mps2 - 1e-9 <= across - before <= 0.1 * keep.accel_mps2 + 1e-9
+        assert math.dist(sent[:2], last[:2]) <= 0.1 * keep.stop_mps2 + 1e-9
+        assert -0.1 * keep.stop_mps2 - 1e-9 <= abs(sent[2]) - abs(last[2]) <= 0.1 * keep.accel_mps2 + 1e-9
+        assert sent[2] * last[2] >= 0.0
+        last = sent
+
+
+@settings(max_examples=100)
+@given(
+    keep=limits,
+    ideal=st.booleans(),
+    asked=flights(5),
+    places=st.lists(st.tuples(st.floats(0.9, 3.0), st.floats(-math.pi, math.pi), st.floats(-3.0, 3.0)), min_size=1, max_size=5),
+)
+def test_it_stays_outside_the_cylinders_of_standing_others(keep: Limits, ideal: bool, asked: Any, places: Any) -> None:
+    others = crowd([(r * math.cos(a), r * math.sin(a), z) for r, a, z in places])
+    parameters = AerialParameters(limits=keep, climb_mps=1.0, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3)
+    for place, _, _ in fly(parameters, (0.0, 0.0, 0.0, 0.0), asked, others, ideal):
+        beside = np.hypot(*(others.position[:, :2] - place[:2]).T) - RADIUS - 0.2 - 0.3
+        over = np.abs(others.position[:, 2] - place[2]) - RADIUS - 0.2 - 0.3
+        assert np.maximum(beside, over).min() >= -1e-6
+
+
+def test_it_flies_over_another_and_does_not_come_down_on_it() -> None:
+    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    other = crowd([(3.0, 0.0, 1.0)])
+    over = fly(parameters, (0.0, 0.0, 2.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
+    assert over[-1][0][0] > 5.0
+    assert all(decision.causes == () for _, _, decision in over[60:])
+    down = fly(parameters, (3.1, 0.1, 2.5, 0.0), [((0.0, 0.0, -1.0, 0.0), 40)], other)
+    assert down[-1][0][2] == pytest.approx(1.7, abs=1e-2)
+    assert down[-1][2].causes[-1] is Cause.SEPARATION
+    beside = fly(parameters, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
+    assert beside[-1][0][0] == pytest.approx(2.3, abs=1e-2)
+    away = fly(parameters, (0.0, 0.0, 2.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 40)], other)
+    assert away[-1][0][2] < -1.0  # far beside it, its height is nobody's business
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_on_a_slant_it_misses_the_edge_of_another(sign: float) -> None:
+    """Above it or beside it, and between both without a gap."""
+    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    other, nearest = crowd([(3.0, 0.0, 0.0)]), []
+    for tenth in range(10, 40):
+        slant = [((1.5, 0.0, -sign, 0.0), 40)]
+        seen = fly(parameters, (0.0, 0.0, 0.1 * tenth * sign, 0.0), slant, other)
+        gaps = [max(math.hypot(x - 3.0, y), abs(z)) - 0.7 for (x, y, z, _), _, _ in seen]
+        assert min(gaps) >= -1e-6
+        nearest.append(min(gaps))
+    assert min(nearest) < 0.01
+
+
+@pytest.mark.parametrize("inside", [0.0, 1e-12, 0.05])
+def test_who_is_a_little_too_near_does_not_come_nearer_in_any_way(inside: float) -> None:
+    """Poses have errors: one that waits below another must not be let through it by a millimetre."""
+    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    other, z = crowd([(0.0, 0.0, 1.7)]), 1.0 + inside
+    assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, 1.0, 0.0), 20)], other)[-1][0][2] == pytest.approx(z, abs=1e-9)
+    assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, -1.0, 0.0), 20)], other)[-1][0][2] < 0.0
+    assert fly(parameters, (0.1, 0.0, z, 0.0), [((1.0, 0.0, 0.0, 0.0), 20)], other)[-1][0][0] > 1.0
+
+
+def test_where_nobody_is_it_flies() -> None:
+    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, separation_m=0.3)
+    nobody = Others(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    assert fly(parameters, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], nobody)[-1][0][0] > 4.0
+
+
+@settings(max_examples=40)
+@given(keep=limits, ideal=st.booleans(), c=st.floats(0.1, 1.0), way=st.sampled_from(["beside", "above", "below"]))
+def test_before_one_that_comes_nearer_it_stands_when_the_distance_is_reached(
+    keep: Limits, ideal: bool, c: float, way: str
+) -> None:
+    axis, sign = {"beside": (0, 1.0), "above": (2, 1.0), "below": (2, -1.0)}[way]
+    parameters = AerialParameters(limits=keep, climb_mps=1.5, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3)
+    supervisor, place, speeds, now = AerialSupervisor(parameters), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0
+    at, going, ask = np.zeros(3), np.zeros(3), [0.0, 0.0, 0.0]
+    at[axis], going[axis], ask[axis] = 5.0 * sign, -c * sign, 3.0 * sign
+    while sign * (at[axis] - place[axis]) - RADIUS - 0.2 >= 0.3:
+        command = Velocity(linear=(ask[0], ask[1], ask[2]))
+        sent = supervisor.step(now, command, place, crowd([at], [going]), heard(now)).command
+        place, speeds = list(flown(place, speeds, (*sent.linear, 0.0), 0.1, keep, ideal=ideal))[-1]
+        at, now = at + 0.1 * going, now + PERIOD_NS
+    assert sign * (at[axis] - place[axis]) - RADIUS - 0.2 >= 0.3 - 0.1 * c - 1e-6
+    assert abs(speeds[axis]) <= 0.1 * keep.stop_mps2 + 1e-9
+
+
+def test_from_the_ground_it_climbs_through_the_floor_and_does_not_come_back() -> None:
+    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, floor_m=0.5, ceiling_m=2.0)
+    seen = fly(
+        parameters, (0.0, 0.0, 0.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 10), ((0.0, 0.0, 1.0, 0.0), 40), ((1.0, 0.0, -1.0, 0.0), 40)]
+    )
+    heights = [place[2] for place, _, _ in seen]
+    assert min(heights) == 0.0
+    assert max(heights) == pytest.approx(2.0, abs=1e-2)
+    assert heights[-1] == pytest.approx(0.5, abs=1e-2)
+    assert seen[-1][0][0] > 3.0  # the floor holds up nothing else
+    assert seen[-1][2].causes == (Cause.LIMITS, Cause.GEOFENCE)
+
+
+def test_at_the_fence_it_stands_and_can_leave() -> None:
+    for name, fence in FENCES.items():
+        parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=RADIUS, reaction_s=0.1, fence=fence)
+        x, y = STARTS[name]
+        seen = fly(parameters, (x, y, 1.0, 0.0), [((1.9, 0.4, 0.0, 0.0), 80)])
+        standing = seen[-1]
+        assert room(fence, *standing[0][:2]) == pytest.approx(RADIUS, abs=1e-2)
+        assert math.hypot(*standing[1][:2]) < 1e-2
+        assert standing[2].causes[-1] is Cause.GEOFENCE
+        away = fly(parameters, standing[0], [((-1.0, -0.2, 0.0, 0.0), 10)])
+        assert room(fence, *away[-1][0][:2]) > RADIUS + 0.05
+
+
+@settings(max_examples=60)
+@given(
+    name=st.sampled_from(sorted(FENCES)),
+    place=st.tuples(st.floats(-2.0, 7.0), st.floats(-4.0, 6.0)),
+    asked=flights(3),
+)
+def test_who_is_outside_never_gets_farther_out(name: str, place: tuple[float, float], asked: list[tuple[Flight, int]]) -> None:
+    fence = FENCES[name]
+    best = min(room(fence, *place), RADIUS)
+    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=RADIUS, reaction_s=0.1, fence=fence)
+    for (x, y, _, _), _, _ in fly(parameters, (*place, 1.0, 0.0), asked, ideal=True):
+        assert room(fence, x, y) >= best - 0.1 * RETURN_MPS - 1e-6
+        best = RADIUS if room(fence, x, y) >= RADIUS else best
+
+
+def test_stops_are_told_and_brake_on_all_axes() -> None:
+    watched = TimeOuts(positioning_s=0.3)
+    parameters = AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, fence=SQUARE, time_outs=watched)
+    here, go = (2.0, 1.0, 1.0, 0.0), Velocity(linear=(0.5, 0.5, 0.5), yaw_rate=0.3)
+    for command, pose, late, cause in (
+        (None, here, 0, Cause.COMMAND),
+        (go, None, 0, Cause.POSITIONING),
+        (go, (2.0, 1.0, math.nan, 0.0), 0, Cause.NOT_FINITE),
+        (Velocity(linear=(0.0, 0.0, math.inf)), here, 0, Cause.NOT_FINITE),
+        (go, here, 4, Cause.POSITIONING),
+    ):
+        supervisor = AerialSupervisor(parameters)
+        supervisor.step(0, go, here, None, heard(0))
+        supervisor.last = (0.6, 0.8, -0.5, 0.5)
+        ears = msgspec.structs.replace(heard(PERIOD_NS), positioning_ns=PERIOD_NS - late * PERIOD_NS)
+        decision = supervisor.step(PERIOD_NS, command, pose, None, ears)
+        assert decision.stop
+        assert decision.causes == decision.began == (cause,)
+        assert (*decision.command.linear, decision.command.yaw_rate) == pytest.approx((0.48, 0.64, -0.3, 0.2))
+
+
+@pytest.mark.parametrize(("low", "high"), [(2.0, 1.0), (1.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
+def test_the_floor_is_below_the_ceiling(low: float, high: float) -> None:
+    with pytest.raises(ValueError, match="below ceiling_m"):
+        AerialParameters(limits=QUAD, climb_mps=1.0, radius_m=0.2, reaction_s=0.1, floor_m=low, ceiling_m=high)

@@ -1,0 +1,335 @@
+"""What holds of a robot behind the supervisor, whatever it is told: a unicycle that is integrated exactly."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.frames import arc
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.hardware.safety import Cause, Heard, Limits, Others, Parameters, Polygon, Supervisor, TimeOuts
+from vcmvsp.hardware.safety.geofence import RETURN_MPS
+
+Pose = tuple[float, float, float]
+SECOND = 10**9
+PERIOD_NS = SECOND // 10
+RADIUS = 0.18
+FENCES = {
+    "square": Polygon([(0, 0), (4, 0), (4, 3), (0, 3)]),
+    "L, clockwise": Polygon([(0, 0), (0, 4), (2, 4), (2, 1.8), (5, 1.8), (5, 0)]),
+    "star": Polygon(
+        [(2.5 * (1 + i % 2) * math.cos(i * math.pi / 5), 2.5 * (1 + i % 2) * math.sin(i * math.pi / 5)) for i in range(10)]
+    ),
+    "thin corner": Polygon([(0, 0), (6, 1.5), (0, 3)]),
+}
+STARTS = {"square": (2, 1.5), "L, clockwise": (1, 1), "star": (0, 0), "thin corner": (1.5, 1.5)}
+HERE = {"operator_ns": 0, "command_ns": 0, "positioning_ns": 0, "federation_ns": 0}
+
+reals = st.floats(-3.0, 3.0) | st.sampled_from([0.0, 1.0, -1.0])
+commands = st.tuples(reals, reals)
+limits = st.builds(
+    Limits,
+    speed_mps=st.floats(0.1, 2.2),
+    yaw_rate_radps=st.floats(0.1, 5.0),
+    accel_mps2=st.floats(0.1, 3.0),
+    stop_mps2=st.floats(0.2, 3.0),
+    yaw_accel_radps2=st.floats(0.5, 10.0),
+    yaw_stop_radps2=st.floats(0.5, 10.0),
+)
+AMIGO = Limits(speed_mps=0.75, yaw_rate_radps=1.74, accel_mps2=0.3, stop_mps2=0.75, yaw_accel_radps2=2.0, yaw_stop_radps2=2.0)
+
+
+P2DX = Limits(speed_mps=0.75, yaw_rate_radps=1.74, accel_mps2=0.3, stop_mps2=0.6, yaw_accel_radps2=1.0, yaw_stop_radps2=1.0)
+
+HARD = Limits(speed_mps=1.3, yaw_rate_radps=1.0, accel_mps2=1.77, stop_mps2=2.98, yaw_accel_radps2=1.0, yaw_stop_radps2=2.0)
+
+
+def heard(now: int, **ages: int | None) -> Heard:
+    """All heard just now, but for those with an age, ns."""
+    return Heard(**{name: now - (ages.get(name, 0) or 0) for name in HERE})
+
+
+def room(fence: Polygon, x: float, y: float) -> float:
+    """Signed distance to the fence, m, positive inside: plain loops, another way than the product's."""
+    best, turns = math.inf, 0.0
+    for (ax, ay), (bx, by) in zip(fence.a.tolist(), fence.b.tolist(), strict=True):
+        along = (bx - ax, by - ay)
+        t = ((x - ax) * along[0] + (y - ay) * along[1]) / (along[0] ** 2 + along[1] ** 2)
+        t = max(0.0, min(1.0, t))
+        best = min(best, math.dist((x, y), (ax + t * along[0], ay + t * along[1])))
+        turns += math.atan2((ax - x) * (by - y) - (ay - y) * (bx - x), (ax - x) * (bx - x) + (ay - y) * (by - y))
+    return best if abs(turns) > math.pi else -best
+
+
+def ideal(
+    pose: Pose, speeds: tuple[float, float], told: tuple[float, float], dt: float, _: Limits
+) -> Iterator[tuple[Pose, tuple[float, float]]]:
+    """A robot that has the speed it is told at once."""
+    for part in range(1, 5):
+        yield arc(pose, *told, dt * part / 4), told
+
+
+def ramping(
+    pose: Pose, speeds: tuple[float, float], told: tuple[float, float], dt: float, limits: Limits
+) -> Iterator[tuple[Pose, tuple[float, float]]]:
+    """A robot that accelerates as much as the limits say and brakes no harder; each of the pieces is an arc."""
+    (v, w), (dv, dw) = speeds, (told[0] - speeds[0], told[1] - speeds[1])
+    ready_v, ready_w = abs(dv) / limits.stop_mps2, abs(dw) / limits.yaw_stop_radps2
+    times = sorted({0.0, dt, 0.5 * dt, min(dt, ready_v), min(dt, ready_w)})  # both speeds are linear in between
+    for t0, t1 in itertools.pairwise(times):
+        before = v, w
+        v = told[0] if t1 >= ready_v else speeds[0] + math.copysign(limits.stop_mps2 * t1, dv)
+        w = told[1] if t1 >= ready_w else speeds[1] + math.copysign(limits.yaw_stop_radps2 * t1, dw)
+        pose = arc(pose, 0.5 * (v + before[0]), 0.5 * (w + before[1]), t1 - t0)
+        yield pose, (v, w)
+
+
+def drive(
+    supervisor: Supervisor, robot: Any, pose: Pose, told: list[tuple[float, float, int]], keep: Limits
+) -> Iterator[tuple[Pose, tuple[float, float], Any]]:
+    """Pose, command and decision at each piece of a drive in which each of the commands lasts for some periods."""
+    now, speeds = 0, (0.0, 0.0)
+    for v, w, periods in told:
+        for _ in range(periods):
+            decision = supervisor.step(now, Velocity(linear=(v, 0.0, 0.0), yaw_rate=w), pose, None, heard(now))
+            command = decision.command.linear[0], decision.command.yaw_rate
+            for pose, speeds in robot(pose, speeds, command, PERIOD_NS / SECOND, keep):  # noqa: B007, B020
+                yield pose, command, decision
+            now += PERIOD_NS
+
+
+@settings(max_examples=300)
+@given(
+    name=st.sampled_from(sorted(FENCES)),
+    keep=limits,
+    robot=st.sampled_from([ideal, ramping]),
+    yaw=st.floats(-4.0, 4.0),
+    margin=st.floats(0.0, 0.2),
+    told=st.lists(st.tuples(reals, reals, st.integers(1, 12)), min_size=1, max_size=5),
+)
+def test_the_body_never_crosses_the_fence_and_its_margin(
+    name: str, keep: Limits, robot: Any, yaw: float, margin: float, told: list[tuple[float, float, int]]
+) -> None:
+    fence = FENCES[name]
+    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=fence, fence_margin_m=margin))
+    before = (0.0, 0.0)
+    for (x, y, _), command, _decision in drive(supervisor, robot, (*STARTS[name], yaw), told, keep):
+        assert room(fence, x, y) >= RADIUS + margin - 1e-6
+        assert abs(command[0]) <= keep.speed_mps + 1e-12
+        assert abs(command[1]) <= keep.yaw_rate_radps + 1e-12
+        if command != before:
+            gained = abs(command[0]) - abs(before[0])
+            assert -keep.stop_mps2 * 0.1 - 1e-12 <= gained <= keep.accel_mps2 * 0.1 + 1e-12
+            assert abs(abs(command[1]) - abs(before[1])) <= max(keep.yaw_accel_radps2, keep.yaw_stop_radps2) * 0.1 + 1e-12
+            assert command[0] * before[0] >= 0.0  # it stands before it turns back
+        before = command
+
+
+def one_step(
+    parameters: Parameters, pose: Pose, last: tuple[float, float], command: tuple[float, float], others: Others | None
+) -> tuple[float, float]:
+    """What becomes of a command a tenth of a second after ``last``."""
+    supervisor = Supervisor(parameters)
+    supervisor.step(0, Velocity(), pose, None, heard(0))
+    supervisor.last = last
+    safe = supervisor.step(PERIOD_NS, Velocity(linear=(command[0], 0, 0), yaw_rate=command[1]), pose, others, heard(PERIOD_NS))
+    assert not safe.stop
+    return safe.command.linear[0], safe.command.yaw_rate
+
+
+def crowd(places: list[tuple[float, float, float, float]]) -> Others:
+    """Others at x, y with velocities."""
+    rows = np.array(places, float).reshape(-1, 4)
+    return Others(rows[:, :2], rows[:, 2:], np.full(len(rows), 0.2))
+
+
+situations = {
+    "name": st.sampled_from(sorted(FENCES)),
+    "keep": limits,
+    "pose": st.tuples(st.floats(-1.0, 6.0), st.floats(-3.0, 5.0), st.floats(-4.0, 4.0)),
+    "last": st.tuples(st.floats(-1.5, 1.5), st.floats(-3.0, 3.0)),
+    "command": commands,
+    "places": st.lists(st.tuples(*4 * (reals,)), max_size=4),
+}
+
+
+@settings(max_examples=350)
+@given(**situations, which=st.sampled_from(["speed", "accel", "margin", "separation", "reaction"]), by=st.floats(0.0, 1.0))
+def test_a_stricter_limit_never_gives_a_faster_command(
+    name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any, which: str, by: float
+) -> None:
+    given_: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "reaction_s": 0.1, "fence": FENCES[name], "separation_m": 0.2}
+    stricter: Any = {
+        "speed": {"limits": msgspec.structs.replace(keep, speed_mps=keep.speed_mps * (1.0 - 0.9 * by))},
+        "accel": {"limits": msgspec.structs.replace(keep, accel_mps2=keep.accel_mps2 * (1.0 - 0.9 * by))},
+        "margin": {"fence_margin_m": by},
+        "separation": {"separation_m": 0.2 + by},
+        "reaction": {"reaction_s": 0.1 + by},
+    }[which]
+    loose = one_step(Parameters(**given_), pose, last, command, crowd(places))
+    strict = one_step(Parameters(**(given_ | stricter)), pose, last, command, crowd(places))
+    assert abs(strict[0]) <= abs(loose[0]) + 1e-9
+
+
+@settings(max_examples=200)
+@given(**situations, by=st.floats(0.0, 0.9))
+def test_a_stricter_yaw_rate_never_gives_a_faster_turn(
+    name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any, by: float
+) -> None:
+    rest: dict[str, Any] = {"radius_m": RADIUS, "reaction_s": 0.1, "fence": FENCES[name]}
+    tighter = msgspec.structs.replace(keep, yaw_rate_radps=keep.yaw_rate_radps * (1.0 - by))
+    loose = one_step(Parameters(limits=keep, **rest), pose, last, command, None)
+    strict = one_step(Parameters(limits=tighter, **rest), pose, last, command, None)
+    halving = 2.0**-12 * (abs(loose[1]) + abs(strict[1]))
+    assert abs(strict[1]) <= abs(loose[1]) + halving + 1e-9
+
+
+@settings(max_examples=300)
+@given(**situations)
+def test_what_is_safe_is_left_alone(name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any) -> None:
+    parameters = Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name], separation_m=0.2)
+    once = one_step(parameters, pose, last, command, crowd(places))
+    assert one_step(parameters, pose, last, once, crowd(places)) == once
+
+
+@settings(max_examples=40)
+@given(
+    name=st.sampled_from(sorted(FENCES)),
+    robot=st.sampled_from([ideal, ramping]),
+    yaw=st.floats(-4.0, 4.0),
+    keep=st.sampled_from([AMIGO, P2DX, HARD]),
+)
+def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: float, keep: Limits) -> None:
+    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name]))
+    periods = 20 + int(10 * (6.0 / keep.speed_mps + keep.speed_mps / keep.accel_mps2 + keep.speed_mps / keep.stop_mps2))
+    drives = list(drive(supervisor, robot, (*STARTS[name], yaw), [(3.0, 0.0, periods)], keep))
+    speeds = [command[0] for _, command, _ in drives][3:]
+    peak = speeds.index(max(speeds))
+    rises = sum(max(0.0, after - before) for before, after in itertools.pairwise(speeds[peak:]))
+    assert rises <= 0.03  # m/s: one that brakes harder than was reckoned with creeps the last millimetres
+    assert 0.0 <= speeds[-1] < 1e-2
+    (x, y, _), _, last = drives[-1]
+    assert room(FENCES[name], x, y) == pytest.approx(RADIUS, abs=1e-2)
+    assert last.causes[-1] is Cause.GEOFENCE
+    assert not last.stop
+
+
+def test_a_goal_beyond_the_fence_is_waited_for_without_trembling() -> None:
+    supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
+    pose, goal, seen = (1.0, 1.0, 1.0), (5.0, 2.0), []
+    for tick in range(600):
+        bearing = math.atan2(goal[1] - pose[1], goal[0] - pose[0])
+        ask = Velocity(linear=(math.dist(goal, pose[:2]), 0, 0), yaw_rate=2.0 * math.remainder(bearing - pose[2], math.tau))
+        told = supervisor.step(tick * PERIOD_NS, ask, pose, None, heard(tick * PERIOD_NS)).command
+        pose = arc(pose, told.linear[0], told.yaw_rate, 0.1)
+        seen.append((told.linear[0], told.yaw_rate))
+    assert all(abs(v) < 1e-3 and abs(w) < 1e-3 for v, w in seen[-100:])
+    assert 4.0 - pose[0] == pytest.approx(RADIUS, abs=1e-2)
+
+
+def test_a_robot_at_the_fence_can_turn_on_the_spot_and_leave() -> None:
+    supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES["square"]))
+    drives = list(drive(supervisor, ideal, (3.5, 1.5, 0.0), [(1.0, 0.0, 60), (1.0, 1.5, 18), (1.0, 0.0, 15)], AMIGO))
+    standing, leaving = drives[4 * 60 - 1], drives[-1]
+    assert standing[1][0] < 1e-3
+    assert leaving[1][0] > 0.1
+    assert leaving[0][0] < standing[0][0] - 0.1
+
+
+@settings(max_examples=200)
+@given(
+    name=st.sampled_from(sorted(FENCES)),
+    place=st.tuples(st.floats(-2.0, 7.0), st.floats(-4.0, 6.0), st.floats(-4.0, 4.0)),
+    told=st.lists(st.tuples(reals, reals, st.integers(1, 10)), min_size=1, max_size=3),
+)
+def test_who_is_outside_only_gets_nearer(name: str, place: Pose, told: list[tuple[float, float, int]]) -> None:
+    fence, supervisor = FENCES[name], Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=FENCES[name]))
+    best = min(room(fence, *place[:2]), RADIUS)
+    for (x, y, _), _command, _decision in drive(supervisor, ideal, place, told, AMIGO):
+        # exactly at a corner, one of two sides is the nearest: a period's motion at the speed allowed there is all it costs
+        assert room(fence, x, y) >= best - 0.1 * RETURN_MPS - 1e-6
+        best = max(best, min(room(fence, x, y), RADIUS))
+
+
+def test_a_robot_outside_finds_back_into_every_fence() -> None:
+    for name, fence in FENCES.items():
+        supervisor = Supervisor(Parameters(limits=AMIGO, radius_m=RADIUS, reaction_s=0.1, fence=fence))
+        pose = (6.5, 4.0, 0.0)
+        for tick in range(1200):
+            bearing = math.atan2(STARTS[name][1] - pose[1], STARTS[name][0] - pose[0])
+            if not fence.contains(*pose[:2]):
+                bearing = fence.way_back(*pose[:2])
+            turn = math.remainder(bearing - pose[2], math.tau)
+            ask = Velocity(linear=(0.7 if abs(turn) < 0.2 else 0.0, 0, 0), yaw_rate=2.0 * turn)
+            told = supervisor.step(tick * PERIOD_NS, ask, pose, None, heard(tick * PERIOD_NS)).command
+            pose = arc(pose, told.linear[0], told.yaw_rate, 0.1)
+        assert room(fence, *pose[:2]) > RADIUS - 1e-6, name
+
+
+@settings(max_examples=200)
+@given(
+    keep=limits,
+    robot=st.sampled_from([ideal, ramping]),
+    told=st.lists(st.tuples(reals, reals, st.integers(1, 10)), min_size=1, max_size=4),
+    places=st.lists(st.tuples(st.floats(0.7, 3.0), st.floats(-math.pi, math.pi)), min_size=1, max_size=6),
+)
+def test_standing_others_are_never_come_too_near(keep: Limits, robot: Any, told: Any, places: Any) -> None:
+    others = crowd([(r * math.cos(a), r * math.sin(a), 0.0, 0.0) for r, a in places])
+    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
+    pose, speeds, now = (0.0, 0.0, 0.0), (0.0, 0.0), 0
+    for v, w, periods in told:
+        for _ in range(periods):
+            command = supervisor.step(now, Velocity(linear=(v, 0, 0), yaw_rate=w), pose, others, heard(now)).command
+            for each in robot(pose, speeds, (command.linear[0], command.yaw_rate), 0.1, keep):
+                pose, speeds = each
+                gaps = np.hypot(*(others.position - pose[:2]).T) - RADIUS - 0.2
+                assert gaps.min() >= 0.3 - 1e-6
+            now += PERIOD_NS
+
+
+@settings(max_examples=60)
+@given(keep=limits, robot=st.sampled_from([ideal, ramping]), c=st.floats(0.1, 1.0))
+def test_before_one_that_comes_head_on_it_stands_when_the_distance_is_reached(keep: Limits, robot: Any, c: float) -> None:
+    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, separation_m=0.3))
+    pose, speeds, x, tick = (0.0, 0.0, 0.0), (0.0, 0.0), 4.0, 0
+    while x - pose[0] - RADIUS - 0.2 >= 0.3:
+        others = crowd([(x, 0.0, -c, 0.0)])
+        told = supervisor.step(tick * PERIOD_NS, Velocity(linear=(2.0, 0, 0)), pose, others, heard(tick * PERIOD_NS)).command
+        pose, speeds = list(robot(pose, speeds, (told.linear[0], told.yaw_rate), 0.1, keep))[-1]
+        x, tick = x - c * 0.1, tick + 1
+    # all that is missing then is what the other moved itself in its last period
+    assert x - pose[0] - RADIUS - 0.2 >= 0.3 - c * 0.1 - 1e-6
+    assert speeds[0] <= keep.stop_mps2 * 0.1 + 1e-9
+
+
+@settings(max_examples=500)
+@given(
+    keep=limits,
+    told=st.lists(commands, min_size=1, max_size=6),
+    source=st.sampled_from(sorted(HERE)),
+    at=st.integers(3, 8),
+    time_out=st.floats(0.05, 0.8),
+)
+def test_who_falls_silent_has_the_robot_stand_in_time(keep: Limits, told: Any, source: str, at: int, time_out: float) -> None:
+    """It brakes from the first step at which the time-out is over, at no less than the stop deceleration."""
+    name = source.removesuffix("_ns")
+    watched = TimeOuts(**{f"{name}_s": time_out})
+    supervisor = Supervisor(Parameters(limits=keep, radius_m=RADIUS, reaction_s=0.1, time_outs=watched))
+    last, before = at * PERIOD_NS, 0.0
+    for tick, (v, w) in enumerate(itertools.islice(itertools.cycle(told), 18)):
+        now = tick * PERIOD_NS
+        ages = {source: max(0, now - last)}
+        decision = supervisor.step(now, Velocity(linear=(v, 0, 0), yaw_rate=w), (0, 0, 0), None, heard(now, **ages))
+        late = now - last > round(time_out * SECOND)
+        assert decision.stop == late
+        assert (Cause(name) in decision.causes) == late
+        speed = abs(decision.command.linear[0])
+        if late:
+            assert speed <= max(0.0, before - keep.stop_mps2 * 0.1) + 1e-12
+        before = speed

@@ -1,0 +1,458 @@
+"""What a station does in a turn, with a robot in software on a clock that is set: laws of stopping, knowing and saying."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
+from vcmvsp.cosim.types import Array, Fix, Odometry, Vec3, VehicleState, Velocity
+from vcmvsp.hardware.drivers.bench_robot import Bench
+from vcmvsp.hardware.drivers.base import ORIGIN, Notice, Sample
+from vcmvsp.hardware.station.safety_factory import others_at
+from vcmvsp.hardware.station.controller import Onboard
+from vcmvsp.hardware.station.messages import Mission, Order, Part, Report
+from tests.support.hardware.stations import mission
+
+MS = 1_000_000
+TURN_MS = 20
+SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+TAG = Part(group="localisation", kind="a test's", params={})
+
+
+class Told:
+    """A driver whose samples a test makes."""
+
+    device, open_deadline_s, close_deadline_s = "test", 1.0, 1.0
+
+    def __init__(self) -> None:
+        self.next: Sample | None = None
+        self.sent: list[Velocity] = []
+        self.stops: list[str] = []
+
+    def open(self, start: Vec3 = ORIGIN) -> None: ...
+
+    def read(self) -> Sample | None:
+        sample, self.next = self.next, None
+        return sample
+
+    def write(self, velocity: Velocity) -> None:
+        self.sent.append(velocity)
+
+    def stop(self, cause: str) -> None:
+        self.stops.append(cause)
+
+    def notices(self) -> list[Notice]:
+        return []
+
+    def close(self) -> None: ...
+
+
+class Tag:
+    """A positioning system that a test speaks for."""
+
+    device = "tag"
+
+    def __init__(self) -> None:
+        self.fixes: list[Fix] = []
+
+    def open(self) -> None: ...
+
+    def read(self, now_ns: int) -> list[Fix]:
+        fixes, self.fixes = self.fixes, []
+        return fixes
+
+    def notices(self) -> list[Notice]:
+        return []
+
+    def close(self) -> None: ...
+
+
+class Station:
+    """A station on a clock of its own, and the run that gives it orders every 100 ms."""
+
+    def __init__(self, told: Mission, driver: Any = None, tag: Tag | None = None) -> None:
+        self.ns = 7_000_000_000
+        self.driver: Any = driver or Bench(now=self.now, latency_s=0.02, accel=2.0, decel=2.0)
+        self.driver.open(told.start)
+        self.onboard = Onboard(told, self.driver, tag, self.now)
+        self.said: list[Report] = []
+        self._orders = 0
+        self.climb = 0.0
+
+    def now(self) -> int:
+        return self.ns
+
+    def drive(
+        self,
+        seconds: float,
+        v: float | None = None,
+        w: float = 0.0,
+        *,
+        others: Array | None = None,
+        stop: str = "",
+        each: Callable[[], None] = lambda: None,
+    ) -> Report:
+        """For so long; v None: the run is silent."""
+        for turn in range(round(1000 * seconds / TURN_MS)):
+            self.ns += TURN_MS * MS
+            each()
+            order = None
+            if v is not None and turn % 5 == 0:
+                self._orders += 1
+                command = Velocity(linear=(v, 0.0, self.climb), yaw_rate=w)
+                order = Order(
+                    number=self._orders,
+                    sent_ns=5 * self.ns,  # the run's clock is another one
+                    command=command,
+                    command_ns=5 * self.ns,
+                    others=others,
+                    stop=stop,
+                )
+            self.said.append(self.onboard.turn(self.ns, order))
+            self.onboard.delivered()
+        return self.said[-1]
+
+    @property
+    def notices(self) -> list[tuple[str, str]]:
+        return [(each.what, each.cause) for report in self.said for each in report.notices]
+
+    @property
+    def stops(self) -> list[str]:
+        return [cause for what, cause in self.notices if what == "stopped"]
+
+
+def test_a_robot_goes_where_it_is_told_and_the_station_knows_where_it_is() -> None:
+    station = Station(mission())
+    report = station.drive(3.0, v=0.3, w=0.4)
+    assert report.state is not None
+    assert report.state.position[:2] == pytest.approx(station.driver.pose[:2], abs=0.002)
+    assert report.state.yaw == pytest.approx(station.driver.pose[2], abs=0.002)
+    v, yaw = 0.3, report.state.yaw
+    assert report.state.velocity == pytest.approx((v * math.cos(yaw), v * math.sin(yaw), 0.0), abs=1e-9)
+    assert report.causes == ()
+    assert station.stops == []  # standing before the first order is no stop
+
+
+def test_limits_and_ramps_hold_whatever_is_wanted() -> None:
+    station = Station(mission(max_speed=0.2, accel=0.5))
+    report = station.drive(2.0, v=9.0)
+    speeds = [each.sent.linear[0] for each in station.said if each.sent is not None]
+    assert max(speeds) == pytest.approx(0.2)
+    assert max(np.diff(speeds)) <= 0.5 * TURN_MS / 1000 + 1e-9
+    assert report.causes == ("limits",)
+
+
+def test_a_fence_is_not_left() -> None:
+    station = Station(mission(fence=SQUARE))
+    report = station.drive(10.0, v=0.5, w=0.05)
+    assert "geofence" in report.causes
+    x, y, _ = station.driver.pose
+    assert 0.7 < max(abs(x), abs(y)) <= 0.8 + 1e-6  # the robot has a radius of 0.2 m
+
+
+def test_others_are_kept_away_from() -> None:
+    station = Station(mission(separation_m=0.3))
+    rows = np.array([[1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25]])
+    report = station.drive(8.0, v=0.5, others=rows)
+    assert "separation" in report.causes
+    assert station.driver.pose[0] <= 1.5 - 0.25 - 0.3 - 0.2 + 1e-6
+
+
+def test_others_go_on_between_orders_for_a_second() -> None:
+    rows = np.array([[1.0, 2.0, 3.0, 0.5, 0.0, -0.5, 0.25]])
+    assert others_at(rows, 0.4).position.tolist() == [pytest.approx([1.2, 2.0, 2.8])]
+    assert others_at(rows, 9.0).position.tolist() == [pytest.approx([1.5, 2.0, 2.5])]
+    assert len(others_at(None, 0.0).position) == 0
+
+
+def test_without_a_word_of_the_run_the_robot_stops_until_it_is_back() -> None:
+    station = Station(mission(federation_s=0.5, command_s=None))
+    station.drive(1.0, v=0.4)
+    before_ns = station.ns
+    station.drive(2.0)
+    stopped = next(each for each in station.said if "federation" in each.causes)
+    assert stopped.sent == Velocity()
+    assert stopped.time_ns - before_ns <= 500 * MS + TURN_MS * MS
+    assert station.driver.pose[0] < 0.4 * 1.0 + 0.4 * 0.52 + 0.4**2 / 4.0 + 0.02
+    assert station.drive(1.0, v=0.4).causes == ()
+    assert station.stops == ["nothing was heard of the run for 0.5 s"]
+
+
+def test_a_command_that_is_old_stops_the_robot_until_there_is_a_new_one() -> None:
+    station = Station(mission(command_s=0.5))
+    station.drive(1.0, v=0.4)
+    given_ns = 5 * station.ns
+    for number in range(1000, 1060):  # the run lives, its agent does not
+        station.ns += TURN_MS * MS
+        aged_ns = given_ns + (number - 999) * TURN_MS * MS
+        order = Order(number=number, sent_ns=aged_ns, command=Velocity(linear=(0.4, 0.0, 0.0)), command_ns=given_ns)
+        report = station.onboard.turn(station.ns, order)
+        station.said.append(report)
+        station.onboard.delivered()
+    assert report.causes == ("command",)
+    assert station.stops == ["no command for 0.5 s"]
+    assert station.drive(1.0, v=0.4).causes == ()
+
+
+@pytest.mark.parametrize("operator", [0.5, None])
+def test_an_operator_who_falls_silent_stops_it_for_good(operator: float | None) -> None:
+    station = Station(mission(operator_s=operator))
+    report = station.drive(1.0, v=0.4)
+    assert report.causes == (("operator",) if operator else ())
+    if operator:
+        assert station.drive(1.0, v=0.4, each=station.onboard.operator_heard).causes == ()
+        station.drive(1.0, v=0.4)
+        assert station.drive(1.0, v=0.4, each=station.onboard.operator_heard).causes == ("operator",)
+        assert station.stops == ["nothing was heard of the operator for 0.5 s"]
+
+
+def test_the_first_halt_counts_and_stays() -> None:
+    station = Station(mission())
+    station.drive(1.0, v=0.4)
+    station.onboard.halt("operator's stop")
+    station.onboard.halt("something later")
+    report = station.drive(1.0, v=0.4, stop="later still")
+    assert report.causes == ("operator's stop",)
+    assert report.sent == Velocity()
+    assert station.stops == ["operator's stop"]
+    assert station.onboard.stands
+
+
+def test_a_number_that_is_none_stops_it_and_passes() -> None:
+    station = Station(mission())
+    station.drive(1.0, v=0.4)
+    assert station.drive(0.5, v=math.nan).causes == ("not_finite",)
+    rows = np.array([[math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25]])
+    assert station.drive(0.5, v=0.4, others=rows).causes == ("not_finite",)
+    assert station.drive(0.5, v=0.4).causes == ()
+
+
+def test_a_station_that_was_held_up_stops_its_robot_first() -> None:
+    station = Station(mission())
+    station.drive(1.0, v=0.4)
+    station.ns += 2_000 * MS
+    assert "clock" in station.drive(0.02, v=0.4).causes
+    assert station.drive(0.5, v=0.4).causes == ()
+    assert station.stops.count("the station was held up, or its clock jumped") == 1
+
+
+def test_rows_of_others_must_be_rows() -> None:
+    with pytest.raises(ValueError, match="rows of 7 numbers"):
+        Station(mission()).drive(0.1, v=0.0, others=np.zeros((2, 3)))
+
+
+def test_what_was_not_delivered_is_said_again() -> None:
+    station = Station(mission())
+    station.drive(1.0, v=0.4)
+    station.onboard.halt("enough")
+    for _ in range(3):
+        station.ns += TURN_MS * MS
+        report = station.onboard.turn(station.ns)
+        assert ("stopped", "enough") in [(each.what, each.cause) for each in report.notices]
+    station.onboard.delivered()
+    assert station.onboard.turn(station.ns).notices == ()
+
+
+# A robot that knows where it is, and one that does not
+
+
+def sample(
+    number: int, ns: int, *, pose: Vec3 = ORIGIN, state: VehicleState | None = None, link: int = 1, v: float = 0.0
+) -> Sample:
+    return Sample(
+        number=number, link=link, arrived_ns=ns, measured_ns=ns, odometry=Odometry(pose=pose, v=v, w=0.0), state=state
+    )
+
+
+def test_a_state_that_the_robot_knows_is_gone_on_with_and_then_grows_old() -> None:
+    driver = Told()
+    station = Station(msgspec.structs.replace(mission(positioning_s=1.0), flies=True), driver)
+    assert station.drive(0.1, v=0.0).causes[:1] == ("positioning",)
+    attitude = quaternion_from_yaw(0.3)
+    state = VehicleState(
+        position=(1.0, 2.0, 3.0), velocity=(0.5, 0.0, -0.5), attitude=attitude, angular_velocity=(0.0, 0.0, 0.8)
+    )
+    driver.next = sample(1, station.ns, state=state)
+    report = station.drive(0.2, v=0.1)
+    assert report.state is not None
+    assert report.state.position == pytest.approx((1.1, 2.0, 2.9))
+    assert yaw_of(report.state.attitude) == pytest.approx(0.3 + 0.16)
+    assert driver.sent[-1].linear[0] == pytest.approx(0.1)
+    later = station.drive(0.5, v=0.1).state
+    assert later is not None
+    assert later.velocity == (0.0, 0.0, 0.0)  # it is not believed to go on for ever
+    assert station.drive(0.5, v=0.1).causes == ("positioning",)
+
+
+def test_what_flies_stays_below_its_ceiling() -> None:
+    driver = Told()
+    station = Station(msgspec.structs.replace(mission(ceiling_m=3.0, max_climb=0.7, decel=1.0), flies=True), driver)
+    height, climbs = 1.0, list[float]()
+
+    def flown() -> None:
+        nonlocal height
+        vz = driver.sent[-1].linear[2] if driver.sent else 0.0
+        height += vz * TURN_MS / 1000
+        climbs.append(vz)
+        driver.next = sample(1, station.ns, state=VehicleState(position=(0.0, 0.0, height), velocity=(0.0, 0.0, vz)))
+
+    station.climb = 5.0
+    report = station.drive(8.0, v=0.0, each=flown)
+    assert max(climbs) == pytest.approx(0.7)
+    assert 2.9 < height <= 3.0 + 1e-6
+    assert "geofence" in report.causes
+
+
+@pytest.mark.parametrize("tag", [None, Tag()])
+def test_a_pose_that_is_no_number_stops_the_robot_at_once(tag: Tag | None) -> None:
+    driver = Told()
+    station = Station(msgspec.structs.replace(mission(), localisation=TAG if tag else None), driver, tag)
+
+    def told(x: float) -> Callable[[], None]:
+        def tell() -> None:
+            driver.next = sample(1, station.ns, pose=(x, 0.0, 0.0))
+            if tag:
+                tag.fixes = [Fix(time_ns=station.ns, position=(0.0, 0.0, 0.0), sigma_m=0.1)]
+
+        return tell
+
+    assert station.drive(0.4, v=0.1, each=told(0.0)).causes == ()
+    report = station.drive(0.02, v=0.1, each=told(math.nan))
+    assert report.causes == ("positioning",)
+    assert (report.state, report.odometry) == (None, None)  # what is no number is not handed on
+    assert station.drive(0.4, v=0.1, each=told(0.0)).causes == ()
+
+
+# Positions without heading
+
+
+class Guided:
+    """A robot in software with a tag of 5 Hz."""
+
+    def __init__(self, *, sigma_m: float = 0.05, offset: tuple[float, float] = (0.0, 0.0), **changed: Any) -> None:
+        self.tag, self.offset, self.sigma_m = Tag(), offset, sigma_m
+        self.station = Station(msgspec.structs.replace(mission(**changed), localisation=TAG), None, self.tag)
+        self.fixes, self._draws = True, np.random.default_rng(4)
+
+    def each(self) -> None:
+        if self.fixes and (self.station.ns // MS // TURN_MS) % 10 == 0:
+            x, y, _ = self.station.driver.pose
+            dx, dy = self._draws.normal(0.0, self.sigma_m, 2).tolist()
+            place = (x + dx + self.offset[0], y + dy + self.offset[1], 0.0)
+            self.tag.fixes.append(Fix(time_ns=self.station.ns, position=place, sigma_m=self.sigma_m))
+
+    def drive(self, seconds: float, v: float, w: float = 0.0) -> Report:
+        return self.station.drive(seconds, v, w, each=self.each)
+
+
+def test_positions_and_odometry_are_fused() -> None:
+    guided = Guided()
+    report = guided.drive(20.0, v=0.3, w=0.2)
+    assert report.state is not None
+    assert report.covariance is not None
+    x, y, yaw = guided.station.driver.pose
+    assert math.dist(report.state.position[:2], (x, y)) < 0.1
+    assert math.remainder(report.state.yaw - yaw, math.tau) == pytest.approx(0.0, abs=0.1)
+    assert math.sqrt(report.covariance[0, 0]) < 0.05
+    assert report.fix_age_s is not None
+    assert report.fix_age_s <= 0.2
+    fixes = [fix for each in guided.station.said for fix in each.fixes]
+    assert len(fixes) == 100
+
+
+def test_without_positions_the_robot_stops_until_they_are_back() -> None:
+    guided = Guided(positioning_s=1.0)
+    guided.drive(2.0, v=0.3)
+    guided.fixes = False
+    assert guided.drive(1.5, v=0.3).causes == ("positioning",)
+    assert guided.station.stops == ["its position is not known: positions or odometry stay away (time-out 1 s)"]
+    guided.fixes = True
+    assert guided.drive(1.0, v=0.3).causes == ()
+
+
+def test_positions_that_go_far_astray_stop_the_robot_for_good() -> None:
+    """Else it would take itself to be inside a fence that it has long left."""
+    guided = Guided()
+    guided.drive(3.0, v=0.3)
+    guided.offset = (5.0, 0.0)
+    report = guided.drive(3.0, v=0.3)
+    (cause,) = report.causes
+    assert cause.startswith("its position jumped by 5.0 m")
+    assert guided.station.stops == [cause]
+    assert report.sent == Velocity()
+    assert guided.station.driver.pose[0] < 3.0 * 0.3 + 2.0 * 0.3
+
+
+def test_a_robot_that_does_not_move_as_it_is_told_is_stopped_until_it_is_told_to_stand() -> None:
+    station = Station(mission())
+    station.drive(1.0, v=0.4)
+    pose, station.driver._most = station.driver.pose, (0.0, 0.0)
+    assert "stuck" in station.drive(3.0, v=0.4).causes
+    assert station.driver.pose == pytest.approx(pose, abs=0.2)
+    station.driver._most = (1.0, 1.0)
+    assert "stuck" in station.drive(1.0, v=0.4).causes
+    station.drive(0.1, v=0.0)
+    assert station.drive(1.0, v=0.4).causes == ()
+    assert len(station.stops) == 1
+
+
+def test_a_robot_that_is_kept_from_driving_from_the_beginning_says_why() -> None:
+    station = Station(mission(operator_s=0.5))
+    station.drive(1.0, v=0.0)
+    station.drive(3.0, v=0.4)
+    assert station.stops == ["nothing was heard of the operator for 0.5 s"]
+
+
+def test_a_position_that_jumps_a_little_is_left_out_and_then_believed_with_a_notice() -> None:
+    guided = Guided()
+    guided.drive(3.0, v=0.3)
+    guided.offset = (0.9, 0.0)
+    assert guided.drive(0.6, v=0.3).gated >= 2
+    report = guided.drive(8.0, v=0.3)
+    assert report.state is not None
+    assert report.state.position[0] == pytest.approx(guided.station.driver.pose[0] + 0.9, abs=0.15)
+    assert report.state.yaw == pytest.approx(0.0, abs=0.3)
+    assert [what for what, cause in guided.station.notices if "jumped" in cause] == ["warned"]
+
+
+def test_what_the_robot_did_while_it_was_not_heard_is_not_taken_for_standing_still() -> None:
+    driver, tag = Told(), Tag()
+    station = Station(msgspec.structs.replace(mission(), localisation=TAG), driver, tag)
+
+    def turn(x: float, link: int, fix: float | None = None) -> Report:
+        def tell() -> None:
+            driver.next = sample(1, station.ns, pose=(x, 0.0, 0.0), link=link)
+            if fix is not None:
+                tag.fixes = [Fix(time_ns=station.ns, position=(fix, 0.0, 0.0), sigma_m=0.05)]
+
+        return station.drive(0.02, v=0.0, each=tell)
+
+    for number in range(100):
+        report = turn(0.01 * number, 1, fix=0.01 * number)
+    assert report.covariance is not None
+    before = math.sqrt(report.covariance[0, 0])
+    station.drive(1.0, v=0.0)  # the link is lost, and the robot coasts on for 0.5 m
+    report = turn(0.99, 2)
+    assert report.covariance is not None
+    assert math.sqrt(report.covariance[0, 0]) > 5.0 * before
+    for _ in range(4):
+        report = turn(0.99, 2, fix=1.5)
+    assert report.gated == 0
+    assert report.state is not None
+    assert report.state.position[0] == pytest.approx(1.5, abs=0.05)
+
+
+def test_positions_alone_do_not_let_a_robot_drive_that_is_not_heard() -> None:
+    driver, tag = Told(), Tag()
+    station = Station(msgspec.structs.replace(mission(positioning_s=1.0), localisation=TAG), driver, tag)
+    driver.next = sample(1, station.ns)
+
+    def fixed() -> None:
+        tag.fixes = [Fix(time_ns=station.ns, position=(0.0, 0.0, 0.0), sigma_m=0.05)]
+
+    assert station.drive(0.9, v=0.1, each=fixed).causes == ()
+    assert station.drive(0.4, v=0.1, each=fixed).causes == ("positioning",)

@@ -1,0 +1,231 @@
+"""A real vehicle's place in a run: logical times, dead reckoning, events out of reports."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS, WallClock
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.frames import arc, quaternion_from_yaw, wrap
+from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
+from vcmvsp.cosim.scenario.schema import SafetyTable
+from vcmvsp.cosim.types import Fix, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
+from vcmvsp.hardware.drivers.base import Notice
+from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead
+from vcmvsp.hardware.real_vehicle import Seat
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
+
+START_NS = 1_000 * SECOND_NS  # what the monotonic clock shows at logical time 0
+speeds = st.floats(-2.0, 2.0)
+
+
+class Station:
+    """Says what it is told to say, and keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.saying: list[Report] = []
+        self.heard: list[Order] = []
+
+    def order(self, order: Order) -> bool:
+        self.heard.append(order)
+        return True
+
+    def reports(self) -> list[Report]:
+        said, self.saying = self.saying, []
+        return said
+
+
+def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[Seat, Station]:
+    """At x = 1 m, looking north, at logical time 0."""
+    clock = WallClock(now=lambda: START_NS)
+    clock.start()
+    vehicle = RealVehicle(
+        name="car1",
+        folder=".",
+        driver="bench",
+        driver_params={},
+        localisation=None,
+        localisation_params={},
+        fusion={},
+        safety=SafetyTable(),
+        pose_source=pose_source,
+        start=(1.0, 0.0, math.pi / 2),
+        height_m=0.0,
+        flies=flies,
+        positioning=None,
+        seed=0,
+    )
+    made, station = Seat(vehicle, clock), Station()
+    made.station = station
+    return made, station
+
+
+def state(x: float, y: float, yaw: float, v: float = 0.0, w: float = 0.0) -> VehicleState:
+    return VehicleState(
+        position=(x, y, 0.0),
+        velocity=(v * math.cos(yaw), v * math.sin(yaw), 0.0),
+        attitude=quaternion_from_yaw(yaw),
+        angular_velocity=(0.0, 0.0, w),
+    )
+
+
+def report(at_s: float, shown: VehicleState | None, **more: object) -> Report:
+    return Report(number=1, time_ns=START_NS + round(at_s * SECOND_NS), state=shown, **more)  # type: ignore[arg-type]
+
+
+def events(made: Seat, at_s: float) -> dict[str, list[Any]]:
+    made.hear()
+    found: dict[str, list[Any]] = {}
+    for event in made.publish(round(at_s * SECOND_NS)):
+        found.setdefault(event.key, []).append(event.value)
+    return found
+
+
+@given(st.floats(-math.pi, math.pi), speeds, speeds, st.floats(-0.4, 0.4))
+def test_on_the_ground_dead_reckoning_is_close_to_a_circular_arc(yaw: float, v: float, w: float, dt: float) -> None:
+    """The chord's direction is exact, its length that of the arc: off by its (w dt)^2 / 24 at most."""
+    later = ahead(state(1.0, 2.0, yaw, v, w), round(dt * SECOND_NS), flies=False)
+    x, y, turned = arc((1.0, 2.0, yaw), v, w, round(dt * SECOND_NS) / SECOND_NS)
+    assert math.dist(later.position[:2], (x, y)) <= abs(v * dt) * (w * dt) ** 2 / 24 + 1e-12
+    assert wrap(later.yaw - turned) == pytest.approx(0.0, abs=1e-9)
+    assert later.velocity[:2] == pytest.approx((v * math.cos(turned), v * math.sin(turned)), abs=1e-9)
+
+
+@given(speeds, speeds, speeds, st.floats(-0.4, 0.4))
+def test_in_the_air_it_goes_straight_on_while_it_turns(vx: float, vy: float, w: float, dt: float) -> None:
+    flying = VehicleState(position=(0.0, 0.0, 5.0), velocity=(vx, vy, 1.0), angular_velocity=(0.0, 0.0, w))
+    seconds = round(dt * SECOND_NS) / SECOND_NS
+    later = ahead(flying, round(dt * SECOND_NS), flies=True)
+    assert later.position == pytest.approx((vx * seconds, vy * seconds, 5.0 + seconds))
+    assert later.velocity == flying.velocity
+    assert later.yaw == pytest.approx(w * seconds)
+
+
+@given(st.floats(-math.pi, math.pi), speeds, speeds, st.floats(0.0, 0.4))
+def test_there_and_back_is_where_it_was(yaw: float, v: float, w: float, dt: float) -> None:
+    here = state(1.0, 2.0, yaw, v, w)
+    back = ahead(ahead(here, round(dt * SECOND_NS), flies=False), -round(dt * SECOND_NS), flies=False)
+    assert back.position == pytest.approx(here.position, abs=1e-9)
+    assert back.velocity == pytest.approx(here.velocity, abs=1e-9)
+
+
+def test_who_has_not_been_heard_of_for_long_is_taken_to_stand() -> None:
+    later = ahead(state(0.0, 0.0, 0.0, v=1.0, w=1.0), LONGEST_NS + 1, flies=False)
+    assert later.velocity == (0.0, 0.0, 0.0)
+    assert later.angular_velocity == (0.0, 0.0, 0.0)
+    assert math.hypot(*later.position[:2]) == pytest.approx(0.5)
+
+
+def test_before_anything_was_heard_it_stands_where_it_starts() -> None:
+    made, _ = seat()
+    assert made.state(0).position == (1.0, 0.0, 0.0)
+    assert made.state(0).yaw == pytest.approx(math.pi / 2)
+    told = events(made, 0.0)
+    assert [*told] == ["car1/estimate", "car1/real"]
+    assert told["car1/real"][0] == RealStatus(link=0, age_s=None)
+
+
+def test_each_instant_is_reckoned_from_the_report_before_it() -> None:
+    """Also where the run is late and newer ones are known."""
+    made, station = seat()
+    station.saying = [report(t, state(10.0 * t, 0.0, 0.0, v=1.0)) for t in (0.0, 0.1, 0.2)]
+    made.hear()
+    for at_s, x in ((0.05, 0.05), (0.1, 1.0), (0.15, 1.05), (0.3, 2.1)):
+        assert made.state(round(at_s * SECOND_NS)).position[0] == pytest.approx(x), at_s
+
+
+def test_the_same_instant_gives_the_same_whatever_was_heard_meanwhile() -> None:
+    made, station = seat()
+    station.saying = [report(0.0, state(0.0, 0.0, 0.0))]
+    made.hear()
+    first = made.state(SECOND_NS)
+    station.saying = [report(0.9, state(9.0, 9.0, 0.0))]
+    made.hear()
+    assert made.state(SECOND_NS) is first
+
+
+@pytest.mark.parametrize(("pose_source", "x"), [("fusion", 5.0), ("odometry", 7.0), ("truth", 5.0)])
+def test_an_agent_is_told_what_its_pose_source_says(pose_source: str, x: float) -> None:
+    made, station = seat(pose_source)
+    odometry = Odometry(pose=(7.0, 0.0, 0.0), v=0.0, w=0.0)
+    station.saying = [report(0.0, state(5.0, 0.0, 0.0), odometry=odometry, measured_ns=START_NS, sample=1)]
+    assert events(made, 0.0)["car1/estimate"][0].position[0] == x
+    assert made.state(0).position[0] == 5.0  # the world shows it where it is best known to be
+
+
+def test_odometry_is_gone_on_with_to_the_instant() -> None:
+    made, station = seat()
+    odometry = Odometry(pose=(0.0, 0.0, 0.0), v=1.0, w=0.0)
+    station.saying = [report(0.2, state(0.0, 0.0, 0.0), odometry=odometry, measured_ns=START_NS + SECOND_NS // 10, sample=1)]
+    assert events(made, 0.2)["car1/odometry"][0].pose[0] == pytest.approx(0.1)
+
+
+def test_each_fix_is_given_once_at_the_time_of_the_run_and_none_of_before_it() -> None:
+    made, station = seat()
+    fixes = [Fix(time_ns=START_NS + each, position=(0.0, 0.0, 0.0), sigma_m=0.1) for each in (-5, 7)]
+    station.saying = [report(0.1, None, fixes=tuple(fixes))]
+    assert [each.time_ns for each in events(made, 0.1)["car1/fix"]] == [7]
+    assert "car1/fix" not in events(made, 0.2)
+
+
+def test_ranges_and_incidents_of_all_reports_since_the_last_instant_are_given() -> None:
+    made, station = seat()
+    lost = Notice(time_ns=START_NS - SECOND_NS, what="lost", cause="the port is gone")
+    station.saying = [
+        report(0.02, None, sonar=((10, 1.0), (2, 2.0)), notices=(lost,)),
+        report(0.04, None, sonar=((2, 2.5),), causes=("limits",)),
+    ]
+    told = events(made, 0.1)
+    measured = told["car1/sonar"][0]
+    assert isinstance(measured, Measured)
+    assert list(measured.values.items()) == [("2", 2.5), ("10", 1.0)]
+    assert told["car1/incident"][0].happened_ns == -SECOND_NS
+    assert told["car1/real"][0].causes == ("limits",)
+
+
+def test_uncertainty_is_that_along_the_worse_axis() -> None:
+    made, station = seat()
+    turn = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = turn @ np.diag([0.01, 0.04]) @ turn.T
+    station.saying = [report(0.0, state(0.0, 0.0, 0.0), covariance=covariance)]
+    assert events(made, 0.0)["car1/real"][0].sigma_m == pytest.approx(0.2)
+
+
+def test_the_error_of_prediction_is_how_far_it_was_from_where_it_had_been_expected() -> None:
+    made, station = seat()
+    station.saying = [report(0.1, state(0.0, 0.0, 0.0, v=1.0))]
+    events(made, 0.1)
+    station.saying = [report(0.2, state(0.4, 0.0, 0.0, v=1.0))]
+    assert events(made, 0.2)["car1/real"][0].prediction_m == pytest.approx(0.3)
+
+
+def test_a_command_is_said_again_with_the_time_at_which_it_was_given() -> None:
+    made, station = seat()
+    made.order(None)
+    made.command(Event("car1/command", SECOND_NS, Velocity(linear=(0.2, 0.0, 0.0))))
+    made.order(None)
+    made.order(None)
+    first, *rest = station.heard
+    assert (first.command, first.command_ns) == (None, None)
+    assert [(each.command, each.command_ns) for each in rest] == [(Velocity(linear=(0.2, 0.0, 0.0)), START_NS + SECOND_NS)] * 2
+    assert [each.number for each in station.heard] == [1, 2, 3]
+
+
+def test_a_real_vehicle_takes_no_way_points() -> None:
+    made, _ = seat(flies=True)
+    with pytest.raises(FederateError, match="car1: was given a Waypoint"):
+        made.command(Event("car1/command", 0, Waypoint(position=(0.0, 0.0, 1.0))))
+
+
+def test_the_stop_of_an_operator_ends_the_run_once_it_is_recorded() -> None:
+    made, station = seat()
+    stopped = Notice(time_ns=START_NS, what="stopped", cause=OPERATOR_STOP)
+    station.saying = [report(0.1, None, notices=(stopped,), causes=(OPERATOR_STOP,))]
+    assert events(made, 0.1)["car1/incident"][0].cause == OPERATOR_STOP
+    assert str(made.over) == f"car1 stands: {OPERATOR_STOP}"

@@ -1,0 +1,302 @@
+import asyncio
+import contextlib
+import errno
+import socket
+import time
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import pytest
+
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
+from vcmvsp.netsim.bridge.gateways.udp.gateway import Udp
+from vcmvsp.netsim.bridge.gateways.udp.ports import PortPlan, Ports
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
+
+NAMES = ("a", "b", "c")
+
+
+@contextlib.contextmanager
+def program(port: int, host: str = "127.0.0.1") -> Iterator[socket.socket]:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as opened:
+        opened.bind((host, port))
+        opened.setblocking(False)
+        yield opened
+
+
+@contextlib.asynccontextmanager
+async def opened(door: Udp, hall: TestHall) -> AsyncIterator[TestHall]:
+    door.check(hall.vehicles)
+    await door.open(hall)
+    try:
+        yield hall
+    finally:
+        await door.close()
+
+
+async def heard(by: socket.socket) -> tuple[bytes, Any]:
+    return await asyncio.wait_for(asyncio.get_running_loop().sock_recvfrom(by, 65_536), PATIENCE_S)
+
+
+def test_what_is_broadcast_is_heard_by_all_others() -> None:
+    async def trial() -> None:
+        first = free_ports(300)
+        with program(first + 99) as a, program(first + 199) as b, program(first + 299) as c:
+            async with opened(Udp(first_port=first), TestHall(NAMES)) as hall:
+                a.sendto(b"hello", ("127.0.0.1", first))
+                assert (await heard(b))[0] == (await heard(c))[0] == b"hello"
+                assert [(each.sender, each.to) for each in hall.offered] == [(0, BROADCAST)]
+                with pytest.raises(BlockingIOError):
+                    a.recv(100)
+
+    asyncio.run(trial())
+
+
+def test_a_program_that_answers_to_where_a_question_came_from_answers_who_asked() -> None:
+    async def trial() -> None:
+        first = free_ports(300)
+        with program(first + 99) as a, program(first + 199) as b:
+            async with opened(Udp(first_port=first), TestHall(NAMES)) as hall:
+                a.sendto(b"question", ("127.0.0.1", first + 2))
+                question, source = await heard(b)
+                b.sendto(question + b", answer", source)
+                assert (await heard(a))[0] == b"question, answer"
+                assert [(each.sender, each.to) for each in hall.offered] == [(0, 1), (1, 0)]
+                a.sendto(b"all", ("127.0.0.1", first))
+                _, source = await heard(b)
+                assert source == ("127.0.0.1", first + 101)  # back to a, which broadcast it
+
+    asyncio.run(trial())
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
+    async def trial() -> None:
+        first = free_ports(200)
+        with program(first + 199, host) as b, program(first + 99, host) as a:
+            async with opened(Udp(listen=host, receive_host=host, first_port=first, max_bytes=65_535), TestHall(("a", "b"))):
+                for payload in (b"", b"\x00\xff" * 700, bytes(range(256)) * 255):
+                    a.sendto(payload, (host, first + 2))
+                    assert (await heard(b))[0] == payload
+
+    try:
+        with program(0, host):
+            pass
+    except OSError as error:
+        pytest.skip(f"this machine has no {host}: {error}")
+    asyncio.run(trial())
+
+
+def test_what_is_longer_than_a_frame_may_be_is_counted_and_not_sent() -> None:
+    async def trial() -> None:
+        first = free_ports(200)
+        with program(first + 199) as b, program(first + 99) as a:
+            async with opened(Udp(first_port=first), TestHall(("a", "b"))) as hall:
+                a.sendto(bytes(1473), ("127.0.0.1", first + 2))
+                a.sendto(bytes(60_000), ("127.0.0.1", first))
+                a.sendto(bytes(1472), ("127.0.0.1", first + 2))
+                assert len((await heard(b))[0]) == 1472
+                await until(lambda: hall.counts == {"a": {"longer than max_bytes": 2}})
+                assert len(hall.offered) == 1
+
+    asyncio.run(trial())
+
+
+def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_operating_system_has_none() -> None:
+    async def trial() -> None:
+        first = free_ports(300)
+        with program(first + 99) as a:
+            async with opened(Udp(first_port=first), TestHall(NAMES)) as hall:
+                hall.room = False
+                for k in range(1000):
+                    a.sendto(b"%d" % k, ("127.0.0.1", first))
+                await asyncio.sleep(0.02)
+                assert hall.offered == []
+                read_ns = time.monotonic_ns()
+                hall.room = True
+                await until(lambda: len(hall.offered) == 1000)
+                assert [each.payload for each in hall.offered] == [b"%d" % k for k in range(1000)]
+                times = [each.came_ns for each in hall.offered]
+                assert times == sorted(times)
+                assert times[-1] < read_ns  # they are those of coming, not of being read
+
+    asyncio.run(trial())
+
+
+def dropped(hall: TestHall) -> int:
+    return hall.counts.get("a", {}).get("dropped by the operating system", 0)
+
+
+def test_what_the_operating_system_has_no_room_for_is_counted() -> None:
+    async def trial() -> None:
+        first = free_ports(200)
+        hall = TestHall(("a", "b"))
+        with program(0) as a:
+            async with opened(door := Udp(first_port=first), hall):
+                line = door._lines[0, BROADCAST]
+                line.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                hall.room = False
+                for _ in range(500):
+                    a.sendto(bytes(1000), ("127.0.0.1", first))
+                await asyncio.sleep(0.005)
+                hall.room = True
+                await until(lambda: dropped(hall) + len(hall.offered) == 500)  # in some turns of the loop
+                assert dropped(hall) > 0
+
+    asyncio.run(trial())
+
+
+def test_nobody_need_be_there_to_hear() -> None:
+    async def trial() -> None:
+        first = free_ports(300)
+        with program(first + 99) as a, program(first + 299) as c:
+            async with opened(Udp(first_port=first), TestHall(NAMES)) as hall:
+                for _ in range(20):  # nobody is at b's port
+                    a.sendto(b"hello", ("127.0.0.1", first))
+                    assert (await heard(c))[0] == b"hello"
+                assert hall.counts == {}
+
+    asyncio.run(trial())
+
+
+def test_programs_of_some_vehicles_take_part_and_others_have_no_ports() -> None:
+    async def trial() -> None:
+        first = free_ports(300)
+        door = Udp(first_port=first, vehicles=("b", "c"))
+        with program(first + 99), program(first + 199) as b, program(first) as free:
+            async with opened(door, TestHall(NAMES)) as hall:
+                door.deliver(1, 0, b"to nobody")
+                b.sendto(b"to a", ("127.0.0.1", first + 101))
+                await until(lambda: [each.to for each in hall.offered] == [0])
+                assert free.getsockname()[1] == first
+                assert hall.counts == {}
+
+    asyncio.run(trial())
+
+
+def test_ports_of_single_vehicles_can_be_others() -> None:
+    async def trial() -> None:
+        first = free_ports(400)
+        own = Ports(send=first + 300, receive=f"127.0.0.1:{first + 301}", unicast={"b": first + 302})
+        door = Udp(first_port=first, ports={"a": own})
+        with program(first + 301) as a, program(first + 199) as b:
+            async with opened(door, TestHall(NAMES)) as hall:
+                a.sendto(b"1", ("127.0.0.1", first + 300))
+                a.sendto(b"2", ("127.0.0.1", first + 302))
+                a.sendto(b"3", ("127.0.0.1", first + 3))
+                await until(lambda: len(hall.offered) == 3)
+                assert sorted((each.payload, each.to) for each in hall.offered) == [(b"1", BROADCAST), (b"2", 1), (b"3", 2)]
+                b.sendto(b"4", ("127.0.0.1", first + 101))
+                assert (await heard(a)) == (b"4", ("127.0.0.1", first + 302))
+
+    asyncio.run(trial())
+
+
+def test_a_port_that_somebody_has_is_named_and_the_others_are_free_again() -> None:
+    async def trial() -> None:
+        first = free_ports(300)
+        with program(first + 103):
+            door = Udp(first_port=first)
+            with pytest.raises(DoorError, match=rf"port {first + 103} of 127.0.0.1 cannot be had .*ss -ulnp.*first_port"):
+                await door.open(TestHall(NAMES))
+            await door.close()
+        with program(first), program(first + 2):
+            pass
+
+    asyncio.run(trial())
+
+
+def test_so_is_an_address_that_this_machine_has_not() -> None:
+    async def trial() -> None:
+        door = Udp(listen="192.0.2.1")  # of documentation
+        with pytest.raises(DoorError, match=r"192.0.2.1 cannot be had .*; listen must be an address of this machine"):
+            await door.open(TestHall(NAMES))
+        await door.close()
+
+    asyncio.run(trial())
+
+
+def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    async def trial() -> None:
+        hall = TestHall(NAMES)
+        monkeypatch.setattr("vcmvsp.netsim.bridge.gateways.udp.gateway.socket.socket", full)
+        with pytest.raises(DoorError, match=r"Too many open files.*; there is a socket for each pair of vehicles: .*ulimit -n"):
+            await Udp().open(hall)
+        monkeypatch.undo()
+
+    asyncio.run(trial())
+
+
+def test_it_says_what_ports_are() -> None:
+    async def trial() -> None:
+        first = free_ports(300)
+        door = Udp(first_port=first)
+        lines = await door.open(TestHall(NAMES))
+        await door.close()
+        sends = f"a sends at 127.0.0.1 port {first} to all, {first + 2} to b, {first + 3} to c"
+        assert lines[0] == f"{sends}; hears at 127.0.0.1 port {first + 99}"
+        assert len(lines) == 3
+
+    asyncio.run(trial())
+
+
+@pytest.mark.parametrize(
+    ("params", "problem"),
+    [
+        (
+            {"listen": "0.0.0.0"},
+            "listen: 0.0.0.0 lets in everybody who can reach that address: listen at 127.0.0.1, or add insecure",
+        ),
+        ({"listen": "::", "receive_host": "::1"}, "add insecure = true where you trust everybody"),
+        ({"listen": "192.168.0.3", "receive_host": "192.168.0.7"}, "add insecure = true where you trust everybody"),
+        ({"listen": "nowhere"}, "bridge.udp.listen: must be an IPv4 or IPv6 address, not 'nowhere'"),
+        ({"receive_host": "a b"}, "bridge.udp.receive_host: must be an IPv4 or IPv6 address, not 'a b'"),
+        ({"vehicles": ["d"]}, "vehicles: unknown vehicle 'd' (allowed: a, b, c)"),
+        ({"ports": {"d": {}}}, "ports: unknown vehicle 'd'"),
+        ({"ports": {"a": {"unicast": {"a": 5000}}}}, "ports.a.unicast: unknown other vehicle 'a' (allowed: b, c)"),
+        ({"ports": {"a": {"unicast": {"d": 5000}}}}, "ports.a.unicast: unknown other vehicle 'd'"),
+        ({"ports": {"a": {"send": 18_101}}}, "18101 of b would be two things"),
+        ({"ports": {"a": {"unicast": {"b": 5000, "c": 5000}}}}, "5000 of a would be two things"),
+        ({"ports": {"a": {"receive": "127.0.0.1:18000"}}}, "a would receive at port 18000, which is one to send to"),
+        ({"ports": {"a": {"receive": "6001"}}}, "bridge.udp.ports.a.receive: must be an IPv4"),
+        ({"ports": {"a": {"receive": "127.0.0.1:0"}}}, "bridge.udp.ports.a.receive: must be HOST:PORT"),
+        ({"ports": {"a": {"receive": "127.0.0.1:٣٣"}}}, "bridge.udp.ports.a.receive: must be HOST:PORT"),
+        ({"ports": {"a": {"sends": 5000}}}, "unknown key 'sends'; did you mean 'send'?"),
+        ({"first_port": 65_400}, "first_port: 65400 leads to port 65600; the last is 65535"),
+        ({"first_port": 65_330}, "first_port: 65330 leads to port 65"),
+        ({"receive_host": "192.168.0.7"}, "to 192.168.0.7 of a: give this machine's address, and insecure = true"),
+        ({"receive_host": "::1"}, "from 127.0.0.1 nothing can be sent to ::1 of a: give addresses of one kind"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(params: dict[str, Any], problem: str) -> None:
+    with pytest.raises((ValueError, ScenarioError)) as error:
+        binding.call(Udp, params, key="bridge.udp").check(NAMES)
+    assert problem in str(error.value)
+
+
+def test_other_machines_are_let_in_if_that_is_wanted() -> None:
+    Udp(listen="192.168.0.3", receive_host="192.168.0.7", insecure=True).check(NAMES)
+    Udp(listen="127.0.0.2").check(NAMES)
+
+
+def test_by_default_no_port_is_one_that_linux_gives_to_whoever_asks_for_any() -> None:
+    names = [f"v{k}" for k in range(98)]
+    plan = PortPlan("127.0.0.1", binding.parameters(Udp)["first_port"].default, (), {}, "127.0.0.1")
+    ports = [*plan.sending(names).values(), *(place.port for place in plan.receiving(names).values())]
+    assert 1024 <= min(ports) <= max(ports) < 32_768  # from there to 60999 (ip-sysctl of Linux)
+
+
+def test_blocks_have_room_for_98_vehicles() -> None:
+    names = [f"v{k}" for k in range(99)]
+    Udp(first_port=40_000).check(names[:98])
+    with pytest.raises(ValueError, match="there are 99 vehicles; a run with UDP ports has 98 at most"):
+        Udp(first_port=40_000).check(names)
+    plan = PortPlan("127.0.0.1", 40_000, (), {}, "127.0.0.1")
+    ports = [*plan.sending(names[:98]).values(), *(each.port for each in plan.receiving(names[:98]).values())]
+    assert len(set(ports)) == len(ports) == 98 * 99

@@ -1,0 +1,556 @@
+"""USARSim's Wireless Simulation Server, from the side of programs written for it: a client of our own, made from its manual."""
+
+import asyncio
+import contextlib
+import random
+import re
+import socket
+import struct
+from collections.abc import AsyncIterator, Awaitable, Callable
+from unittest import mock
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
+from vcmvsp.netsim.bridge.gateways.wss.gateway import MOST_GUESTS, Wss
+from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, parse
+from vcmvsp.netsim.bridge.gateways.wss.stream import WINDOW, Stream, Window
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
+
+CARS = "car1", "car2", "car3"
+Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+class Robot:
+    """What a robot's program does."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+
+    @classmethod
+    async def dial(cls, port: int) -> "Robot":
+        sock = _narrow("127.0.0.1", 0)
+        await asyncio.get_running_loop().sock_connect(sock, ("127.0.0.1", port))
+        return cls(*await asyncio.open_connection(sock=sock))
+
+    async def ask(self, line: str) -> str:
+        self.writer.write(line.encode() + b"\r\n")
+        return await self.hear()
+
+    async def hear(self) -> str:
+        line = await asyncio.wait_for(self.reader.readline(), PATIENCE_S)
+        assert not line or line.endswith(b"\r\n")
+        return line.decode().removesuffix("\r\n")
+
+    async def port_to(self, robot: str) -> int:
+        found = re.fullmatch(rf"DNSREPLY \{{Robot {robot}\}} \{{Port (\d+)\}}", await self.ask(f"DNS {{Robot {robot}}}"))
+        assert found
+        return int(found[1])
+
+    def leave(self) -> None:
+        self.writer.close()
+
+
+def _narrow(host: str, port: int) -> socket.socket:
+    """A socket into which not much fits."""
+    made = socket.socket()
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65_536)
+    made.setblocking(False)
+    made.bind((host, port))
+    return made
+
+
+class World:
+    """A door, its hall, and robots."""
+
+    def __init__(self, hall: TestHall, door: Wss, port: int) -> None:
+        self.hall, self.door, self.port = hall, door, port
+        self._open: list[asyncio.StreamWriter | asyncio.Server] = []
+
+    def levels(self, dbm: float) -> None:
+        for one in range(len(CARS)):
+            for other in range(len(CARS)):
+                self.hall.levels[one, other] = dbm
+
+    async def robot(self, name: str = "", ports: str = "10") -> Robot:
+        robot = await Robot.dial(self.port)
+        self._open.append(robot.writer)
+        if name:
+            assert await robot.ask(f"INIT {{Robot {name}}} {{Port {ports}}}") == "INITREPLY {Status OK}"
+        return robot
+
+    async def listening(self, name: str, serve: Serve) -> Robot:
+        """A robot that listens on a port."""
+        server = await asyncio.start_server(serve, sock=_narrow("127.0.0.1", 0))
+        self._open.append(server)
+        return await self.robot(name, str(server.sockets[0].getsockname()[1]))
+
+    async def connect(self, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        self._open.append(writer)
+        return reader, writer
+
+    def close(self) -> None:
+        for each in self._open:
+            if isinstance(each, asyncio.StreamWriter):
+                each.transport.abort()  # whatever it has not sent yet
+            else:
+                each.close()
+
+
+@contextlib.asynccontextmanager
+async def served(
+    *, delay_s: float = 0.0, hears: Callable[[int, int, int], bool] = lambda *_: True, first_port: int = 0
+) -> AsyncIterator[World]:
+    """A door that serves, all in range of all."""
+    hall = TestHall(CARS, delay_s=delay_s, hears=hears)
+    door = Wss(port=free_ports(1, socket.SOCK_STREAM), first_port=first_port)
+    world = World(hall, door, door._port)
+    world.levels(-50.0)
+    trouble: list[object] = []
+    hall.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
+    await door.open(hall)
+    try:
+        yield world
+    finally:
+        world.close()
+        await door.close()
+        await asyncio.sleep(0)  # sockets are let go of in the next turn
+        assert not trouble
+
+
+async def refused(port: int) -> bool:
+    try:
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+    except ConnectionRefusedError:
+        return True
+    writer.close()
+    return False
+
+
+async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    with contextlib.suppress(OSError):
+        while data := await reader.read(5000):
+            writer.write(data)
+            await writer.drain()
+    writer.close()
+
+
+# --- words ------------------------------------------------------------------------------------------------------------------
+
+
+def test_what_the_manual_says_of_the_control_connection() -> None:
+    async def told() -> None:
+        async with served() as world:
+            world.hall.levels[0, 1] = -61.23456789  # the way back is stronger
+            car1, car2 = await world.robot("car1", "2001,2002"), await world.robot("car2", "3001")
+            assert await car1.ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength -61.2346}"
+            assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -61.2346}"
+            assert await car1.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength INF}"
+            assert await car1.ask("GETSS {Robot car3}") == "SS {Robot car3} {Strength NaN}"  # has not come
+            assert await car1.ask("GETSS {Robot nobody}") == "SS {Robot nobody} {Strength NaN}"
+            no_robot = "{Port -1} {Error NoSuchRobot}"
+            for name in ("nobody", "car1", "car3"):
+                assert await car1.ask(f"DNS {{Robot {name}}}") == f"DNSREPLY {{Robot {name}}} {no_robot}"
+            answer = await car1.ask("DNS {Robot car2} {Port 3002}")
+            assert answer == "DNSREPLY {Robot car2} {Port -1} {Error RobotDoesNotListenOnThisPort}"
+            ports = {await car2.ask(f"DNS {{Robot car1}}{port}") for port in ("", " {Port 2001}", " {Port 2002}")}
+            assert len(ports) == 2  # without one it is the first
+            assert await car1.port_to("car2") == await car1.port_to("car2")
+            assert await car1.ask("REVERSEDNS {Port 9}") == "REVERSEDNSREPLY {Port 9} {Error UnknownOrIllegalPort}"
+            for wrong in ("", "HELLO", "INIT {Robot car3} {Port 1}", "DNS", "DNS {Robot car2} {Port x}", "GETSS {Robot a b c}"):
+                assert re.fullmatch(r"ERROR \{Reason [\w.]+\}", await car1.ask(wrong))
+
+    asyncio.run(told())
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "GETSS {Robot car2}",
+        "INIT {Robot car9} {Port 10}",  # no such vehicle
+        "INIT {Robot car1} {Port 10}",  # has a program
+        "INIT {Robot car2}",
+        "INIT {Port 10}",
+        "INIT {Robot car2} {Port 0}",
+        "INIT {Robot car2} {Port 10,x}",
+        "INIT {Robot car2} {Port 65536}",
+    ],
+)
+def test_who_does_not_say_who_it_is_may_say_it_again(line: str) -> None:
+    async def told() -> None:
+        async with served() as world:
+            await world.robot("car1")
+            other = await world.robot()
+            assert (await other.ask(line)).startswith("ERROR {Reason ")
+            assert await other.ask("INIT {Robot car2} {Port 10}") == "INITREPLY {Status OK}"
+
+    asyncio.run(told())
+
+
+def test_lines_may_come_in_pieces_and_together() -> None:
+    async def told() -> None:
+        async with served() as world:
+            robot = await world.robot()
+            for piece in (b"INIT {Rob", b"ot car1} {Port 1", b"0}\r", b"\nGETSS {Robot car1}\r\nGETSS {Robot car2}\n"):
+                robot.writer.write(piece)
+                await asyncio.sleep(0.01)
+            answers = [await robot.hear() for _ in range(3)]
+            assert answers == ["INITREPLY {Status OK}", "SS {Robot car1} {Strength INF}", "SS {Robot car2} {Strength NaN}"]
+
+    asyncio.run(told())
+
+
+LINES = st.one_of(
+    st.binary(max_size=60),
+    st.text("{} \tRobotPrt15c\r\x00,-", max_size=40).map(str.encode),
+    st.builds(
+        lambda kind, robot, port: f"{kind} {{Robot {robot}}} {{Port {port}}}".encode(),
+        st.sampled_from(["INIT", "GETSS", "DNS", "REVERSEDNS", "ERROR"]),
+        st.sampled_from(["car1", "car2", "car9", "é", "{", ""]),
+        st.sampled_from(["1", "10,11", "99999", "-1", "1" * 30, ""]),
+    ),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(lines=st.lists(LINES, max_size=12))
+def test_every_line_has_one_answer(lines: list[bytes]) -> None:
+    wanted = sum(line.count(b"\n") + 1 for line in lines)
+
+    async def answered() -> list[str]:
+        async with served() as world:
+            await world.robot("car2")
+            robot = await world.robot()
+            robot.writer.write(b"".join(line + b"\n" for line in lines))
+            robot.writer.write_eof()
+            heard = (await asyncio.wait_for(robot.reader.read(), PATIENCE_S)).split(b"\r\n")
+            assert heard.pop() == b""
+            return [each.decode(errors="replace") for each in heard]
+
+    answers = asyncio.run(answered())
+    assert len(answers) == wanted
+    assert all(re.match(r"(INITREPLY|SS|DNSREPLY|REVERSEDNSREPLY|ERROR) \{", each) for each in answers)
+
+
+@given(line=st.binary(max_size=300) | LINES)
+def test_a_message_is_made_of_words(line: bytes) -> None:
+    message = parse(line)
+    if message is not None:
+        assert not any(set(word) & set("{} \r\n") for word in (message.kind, *message.fields, *message.fields.values()))
+
+
+# --- connections ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_megabyte_each_way_is_whole_after_a_lossy_link() -> None:
+    draws = random.Random(1)
+    sent = random.Random(2).randbytes(1_000_000)
+
+    async def back() -> tuple[bytes, TestHall]:
+        async with served(delay_s=0.0005, hears=lambda *_: draws.random() > 0.05) as world:
+            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
+            reader, writer = await world.connect(await car1.port_to("car2"))
+            writer.write(sent)
+            writer.write_eof()
+            heard = await asyncio.wait_for(reader.read(), PATIENCE_S)
+            await until(lambda: not world.door._relays)
+            return heard, world.hall
+
+    heard, hall = asyncio.run(back())
+    assert heard == sent
+    assert {(each.sender, each.to) for each in hall.offered} == {(0, 1), (1, 0)}
+    assert max(len(each.payload) for each in hall.offered) == 1400
+    assert sum(each["chunks of connections sent again"] for each in hall.counts.values()) > 30
+
+
+@settings(max_examples=40, deadline=None)
+@given(size=st.integers(0, 3000), seed=st.integers(0, 99))
+def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: int, seed: int) -> None:
+    draws = random.Random(seed)
+    sent = draws.randbytes(size)
+    air: list[tuple[int, bytes]] = []
+
+    async def heard() -> bytes:
+        loop = asyncio.get_running_loop()
+
+        def offer(number: int, chunk: bytes) -> bool:
+            room = draws.random() > 0.1
+            air.extend([(number, chunk)] * room)
+            return room
+
+        stream = Stream(loop, offer, 20)
+        (ours, source), (sink, theirs) = socket.socketpair(), socket.socketpair()
+        with ours, source, sink, theirs:
+            for each in (source, sink):
+                each.setblocking(False)
+            ours.sendall(sent)
+            ours.shutdown(socket.SHUT_WR)
+            carried = loop.create_task(stream.run(source, sink))
+            while not carried.done():
+                await asyncio.sleep(0)
+                if air:
+                    number, chunk = air.pop(draws.randrange(len(air)))
+                    fate = draws.random()
+                    if fate > 0.03:
+                        stream.deliver(number, chunk)
+                    if 0.3 < fate < 0.5:
+                        stream.deliver(number, chunk)  # twice
+                    if fate < 0.5:
+                        stream.lost(number)  # not in truth, or not only
+            await carried
+            theirs.settimeout(5)
+            return b"".join(iter(lambda: theirs.recv(4096), b""))
+
+    with mock.patch.multiple("vcmvsp.netsim.bridge.gateways.wss.stream", AGAIN_S=0.0, NO_ROOM_S=0.0):
+        assert asyncio.run(heard()) == sent
+
+
+def test_what_may_be_under_way_grows_with_what_arrives_and_is_halved_once_for_what_is_lost_together() -> None:
+    window = Window()
+    for _ in range(100):
+        window.grow()
+    assert window.chunks == WINDOW
+    for number in range(40, 60):
+        window.shrink(number, 100)
+    assert window.chunks == WINDOW / 2
+    for _ in range(32):  # one more for as many as there may be
+        window.grow()
+    assert window.chunks == pytest.approx(33.0, abs=0.02)
+    window.shrink(100, 120)
+    assert window.chunks == pytest.approx(16.5, abs=0.02)
+    for number in range(1000, 2000):
+        window.shrink(number, number + 1)
+    assert window.chunks == 2.0
+
+
+def test_who_is_called_can_ask_by_whom() -> None:
+    async def asked() -> list[str]:
+        answers: list[str] = []
+
+        async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            port = writer.get_extra_info("peername")[1]
+            answers.append(f"{await car2.ask(f'REVERSEDNS {{Port {port}}}')}".replace(str(port), "q"))
+            answers.append(f"{await car3.ask(f'REVERSEDNS {{Port {port}}}')}".replace(str(port), "q"))
+            writer.close()
+
+        async with served() as world:
+            car1, car2, car3 = await world.robot("car1"), await world.listening("car2", ask), await world.robot("car3")
+            reader, _ = await world.connect(await car1.port_to("car2"))
+            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+            return answers
+
+    assert asyncio.run(asked()) == [
+        "REVERSEDNSREPLY {Port q} {Robot car1}",
+        "REVERSEDNSREPLY {Port q} {Error UnknownOrIllegalPort}",
+    ]
+
+
+def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it_is_back() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
+            port = await car1.port_to("car2")
+            reader, writer = await world.connect(port)
+            writer.write(b"hello")
+            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
+            world.hall.levels[1, 0] = -93.001  # one direction is enough
+            with contextlib.suppress(ConnectionResetError):
+                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+            assert await refused(port)
+            assert await car1.port_to("car2") == port  # is told all the same
+            assert await refused(port)
+            world.hall.levels[1, 0] = -93.0
+            assert await car1.port_to("car2") == port
+            reader, writer = await world.connect(port)
+            writer.write(b"again")
+            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"again"
+            assert world.hall.counts["car1"]["connections closed, out of range"] == 1
+            world.levels(float("nan"))
+            with contextlib.suppress(ConnectionResetError):
+                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+
+    asyncio.run(tried())
+
+
+def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car1, car2 = await world.robot("car1"), await world.listening("car2", echo)
+            port = await car1.port_to("car2")
+            reader, writer = await world.connect(port)
+            car2.leave()
+            await until(lambda: 1 not in world.door._robots)
+            assert await refused(port)
+            writer.write(b"still here")  # what is connected goes on
+            assert await asyncio.wait_for(reader.readexactly(10), PATIENCE_S) == b"still here"
+            await world.listening("car2", elsewhere)
+            reader, _ = await world.connect(await car1.port_to("car2"))
+            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b"moved"
+
+    async def elsewhere(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"moved")
+        writer.close()
+
+    asyncio.run(tried())
+
+
+def test_a_robot_that_does_not_listen_is_not_reached() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            with _narrow("127.0.0.1", 0) as held:  # so that nobody else listens there
+                car1, _ = await world.robot("car1"), await world.robot("car2", str(held.getsockname()[1]))
+                reader, _ = await world.connect(await car1.port_to("car2"))
+                with contextlib.suppress(ConnectionResetError):
+                    assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+
+    asyncio.run(tried())
+
+
+def test_a_slow_reader_holds_the_sender_back() -> None:
+    reads = asyncio.Event()
+
+    async def slow(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reads.wait()
+        await echo(reader, writer)
+
+    async def tried() -> None:
+        async with served() as world:
+            car1, _ = await world.robot("car1"), await world.listening("car2", slow)
+            reader, writer = await world.connect(await car1.port_to("car2"))
+            writer.write(bytes(12_000_000))
+            writer.write_eof()
+            before = -1
+            while before != len(world.hall.offered):  # until nothing goes any more
+                before = len(world.hall.offered)
+                await asyncio.sleep(0.2)
+            assert sum(len(each.payload) for each in world.hall.offered) < 9_000_000
+            relay, _ = next(iter(world.door._relays.values()))
+            stream = relay._streams[0]
+            assert len(stream._under_way) + stream._in_order.qsize() <= WINDOW
+            reads.set()
+            assert len(await asyncio.wait_for(reader.read(), PATIENCE_S)) == 12_000_000
+
+    asyncio.run(tried())
+
+
+def test_chunks_wait_while_the_bridge_has_no_room() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
+            reader, writer = await world.connect(await car1.port_to("car2"))
+            world.hall.room = False
+            writer.write(b"patience")
+            await asyncio.sleep(0.05)
+            world.hall.room = True
+            assert await asyncio.wait_for(reader.readexactly(8), PATIENCE_S) == b"patience"
+
+    asyncio.run(tried())
+
+
+def test_what_is_no_chunk_harms_nobody() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
+            reader, writer = await world.connect(await car1.port_to("car2"))
+            await until(lambda: bool(world.door._relays))
+            header = next(iter(world.door._relays)).to_bytes(4, "big")
+            for payload in (b"", b"an agent spoke", header + bytes(4), header + b"\xff" * 10):
+                world.door.deliver(0, 1, payload)
+                world.door.deliver(2, 1, payload)
+            writer.write(b"hello")
+            assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
+
+    asyncio.run(tried())
+
+
+# --- crowds -----------------------------------------------------------------------------------------------------------------
+
+
+def test_lines_without_end_and_crowds_leave_others_alone() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car1, car2 = await world.robot("car1"), await world.listening("car2", echo)
+            endless = await world.robot()
+            endless.writer.write(b"x" * (10 * LONGEST_LINE))
+            with contextlib.suppress(ConnectionResetError):
+                assert await endless.hear() == "ERROR {Reason Line.Too.Long}"
+            crowd = [await world.robot() for _ in range(300)]
+            assert len(world.door._guests) <= MOST_GUESTS + 1
+            crowd[-1].writer.write(random.Random(4).randbytes(3000))
+            port = await car1.port_to("car2")
+            for _ in range(100):
+                await world.connect(port)
+                for target in (port, world.port):  # in and out again
+                    with socket.create_connection(("127.0.0.1", target)) as rude:
+                        rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
+            assert await (await world.robot("car3")).ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
+
+    asyncio.run(tried())
+
+
+def test_who_does_not_read_its_answers_is_not_read() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            deaf = await world.robot("car1")
+            deaf.reader._transport.pause_reading()  # type: ignore[attr-defined]
+            for _ in range(200):
+                deaf.writer.write(b"GETSS {Robot car1}\r\n" * 10_000)
+            before = -1
+            while before != (before := deaf.writer.transport.get_write_buffer_size()):
+                await asyncio.sleep(0.1)
+            assert before > 0
+            assert await (await world.robot("car2")).ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength INF}"
+
+    asyncio.run(tried())
+
+
+def test_ports_in_a_row_and_all_of_them_free_afterwards() -> None:
+    first = free_ports(4, socket.SOCK_STREAM)
+
+    async def tried() -> list[int]:
+        async with served(first_port=first) as world:
+            car1, car2 = await world.robot("car1"), await world.robot("car2")
+            return [await car1.port_to("car2"), await car2.port_to("car1"), await car1.port_to("car2")]
+
+    for _ in range(2):
+        assert asyncio.run(tried()) == [first, first + 1, first]
+
+
+def test_a_port_in_use_is_said() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            second = Wss(port=world.port)
+            with pytest.raises(DoorError, match=f"port {world.port}.*in use"):
+                await second.open(world.hall)
+            await second.close()
+
+    asyncio.run(tried())
+
+
+def test_an_address_must_be_one() -> None:
+    with pytest.raises(ScenarioError, match="listen: must be an IPv4 or IPv6 address, not 'here'"):
+        Wss(listen="here")
+
+
+@pytest.mark.parametrize("listen", ["0.0.0.0", "::", "192.168.0.3"])
+def test_other_machines_are_let_in_only_if_that_is_wanted(listen: str) -> None:
+    Wss(listen=listen, insecure=True).check(CARS)
+    with pytest.raises(ValueError, match=f"listen: {listen} lets in everybody .* ssh -L .*, or add insecure = true"):
+        Wss(listen=listen).check(CARS)
+
+
+def test_nothing_is_broadcast() -> None:
+    async def tried() -> TestHall:
+        async with served() as world:
+            car1, _, _ = await world.robot("car1"), await world.listening("car2", echo), await world.robot("car3")
+            reader, writer = await world.connect(await car1.port_to("car2"))
+            writer.write(b"hello")
+            await asyncio.wait_for(reader.readexactly(5), PATIENCE_S)
+            return world.hall
+
+    assert all(each.to != BROADCAST for each in asyncio.run(tried()).offered)

@@ -1,0 +1,341 @@
+"""Zenoh programs on the emulated network: plain client sessions, as anybody opens them."""
+
+import asyncio
+import contextlib
+import json
+import os
+import random
+import socket
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any
+
+import pytest
+import zenoh
+from hypothesis import example, given
+from hypothesis import strategies as st
+from zenoh.handlers import Callback
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, DoorError
+from vcmvsp.netsim.bridge.gateways.zenoh import BACKLOG, HEARD, NO_ROOM, TOO_LONG, Inbox, Publication, ZenohDoor
+from tests.support.netsim.gateway_context import TestHall, free_ports, until
+
+CARS = "car1", "car2", "car3"
+READY, LAST = "test/ready", "test/last"
+Heard = tuple[str, bytes | None]
+
+
+class Program:
+    """A client of a vehicle's door, that hears everything."""
+
+    def __init__(self, port: int) -> None:
+        config = {
+            "mode": "client",
+            "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "timeout_ms": 60_000, "exit_on_failure": True},
+            "scouting": {"multicast": {"enabled": False}},
+            "transport": {"shared_memory": {"enabled": False}},
+        }
+        self.session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        self.samples: list[zenoh.Sample] = []
+        self.session.declare_subscriber("**", Callback(self.samples.append, indirect=False))
+
+    def put(self, key: str, payload: str | bytes, **options: Any) -> None:
+        """Publish it, and wait for room as long as there is none: by default Zenoh drops what finds none for a millisecond."""
+        self.session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK, **options)
+
+    def delete(self, key: str) -> None:
+        """Likewise."""
+        self.session.delete(key, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    @property
+    def heard(self) -> list[Heard]:
+        """What it heard, in order; None: deleted."""
+        put = zenoh.SampleKind.PUT
+        return [
+            (str(each.key_expr), each.payload.to_bytes() if each.kind == put else None)
+            for each in self.samples
+            if str(each.key_expr) != READY
+        ]
+
+    def heard_last(self) -> bool:
+        return any(key == LAST for key, _ in self.heard)
+
+
+class World:
+    """A door, its hall, and programs."""
+
+    def __init__(self, hall: TestHall, door: ZenohDoor, port: int) -> None:
+        self.hall, self.door, self.port = hall, door, port
+        self.programs: list[Program] = []
+
+    async def program(self, vehicle: str) -> Program:
+        """A program that hears all that is delivered to its vehicle."""
+        row = CARS.index(vehicle)
+        program = await asyncio.to_thread(Program, self.port + row)
+        self.programs.append(program)
+        ready = encode(Publication(READY, b""))
+        while not program.samples:
+            self.door.deliver((row + 1) % len(CARS), row, ready)
+            await asyncio.sleep(0.005)
+        return program
+
+
+@contextlib.asynccontextmanager
+async def served(*, hears: Callable[[int, int, int], bool] = lambda *_: True, **params: Any) -> AsyncIterator[World]:
+    hall = TestHall(CARS, hears=hears)
+    port = free_ports(len(CARS), socket.SOCK_STREAM)
+    door = ZenohDoor(first_port=port, **params)
+    door.check(CARS)
+    trouble: list[object] = []
+    hall.loop.set_exception_handler(lambda _, context: trouble.append(context))  # would end the bridge
+    await door.open(hall)
+    world = World(hall, door, port)
+    try:
+        yield world
+    finally:
+        for program in world.programs:
+            program.session.close()  # type: ignore[no-untyped-call]
+        await door.close()
+        assert not trouble
+
+
+def test_what_is_published_crosses_with_all_that_belongs_to_it_and_comes_once() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car1, mate, car2 = await world.program("car1"), await world.program("car1"), await world.program("car2")
+            car1.put("pose", b"\x00\xff", encoding="application/cdr;geometry_msgs/Pose", attachment=b"7")
+            car1.delete("pose")
+            car1.put("a/*/b", "wild")
+            car1.put("spaces and \x00 and ü", "any")
+            car1.put(LAST, "")
+            for program in (car1, mate, car2):
+                await until(program.heard_last)
+                assert program.heard == [
+                    ("pose", b"\x00\xff"),
+                    ("pose", None),
+                    ("a/*/b", b"wild"),
+                    ("spaces and \x00 and ü", b"any"),
+                    (LAST, b""),
+                ]
+                sample = next(each for each in program.samples if str(each.key_expr) == "pose")
+                assert str(sample.encoding) == "application/cdr;geometry_msgs/Pose"
+                assert sample.attachment is not None
+                assert sample.attachment.to_bytes() == b"7"
+            assert [(each.sender, each.to) for each in world.hall.offered] == [(0, BROADCAST)] * 5
+
+    asyncio.run(tried())
+
+
+def test_the_channel_decides_who_hears_what_and_mates_hear_all() -> None:
+    draws = random.Random(1)
+    fates = [draws.random() > 0.3 for _ in range(200)] + [True]
+
+    async def tried() -> None:
+        async with served(hears=lambda sender, receiver, place: receiver == 2 and fates[place]) as world:
+            car1, mate = await world.program("car1"), await world.program("car1")
+            car2, car3 = await world.program("car2"), await world.program("car3")
+            for number in range(len(fates) - 1):
+                car1.put("count", str(number))
+            car1.put(LAST, "")
+            await until(car3.heard_last)
+            await until(mate.heard_last)
+            assert mate.heard == [*(("count", b"%d" % number) for number in range(200)), (LAST, b"")]
+            assert car3.heard == [each for each, fate in zip(mate.heard, fates, strict=True) if fate]
+            assert car2.heard == []
+
+    asyncio.run(tried())
+
+
+def test_answers_go_back_and_nothing_goes_round() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            programs = [await world.program(name) for name in CARS]
+            for program in programs:
+                program.put("hello", "")
+            await until(lambda: all(len(each.heard) >= 3 for each in programs))
+            programs[0].put(LAST, "")
+            await until(lambda: all(each.heard_last() for each in programs))
+            assert [len(each.heard) for each in programs] == [4] * 3
+            assert len(world.hall.offered) == 4
+
+    asyncio.run(tried())
+
+
+def test_what_is_for_one_vehicle_goes_to_it_alone() -> None:
+    async def tried() -> None:
+        async with served(unicast_prefix="to") as world:
+            car1, car2, car3 = [await world.program(name) for name in CARS]
+            car1.put("to/car2/go", "1")
+            car1.put("to/car1/note", "2")
+            car1.put("to/nobody", "3")
+            car1.put(LAST, "")
+            await until(car2.heard_last)
+            await until(car3.heard_last)
+            assert car2.heard == [("to/car2/go", b"1"), ("to/nobody", b"3"), (LAST, b"")]
+            assert car3.heard == [("to/nobody", b"3"), (LAST, b"")]
+            assert [each.to for each in world.hall.offered] == [1, BROADCAST, BROADCAST]
+
+    asyncio.run(tried())
+
+
+def test_what_is_too_long_or_the_simulators_own_stays() -> None:
+    async def tried() -> None:
+        async with served(max_bytes=1000) as world:
+            car1, car2 = await world.program("car1"), await world.program("car2")
+            car1.put("long", bytes(1001))
+            car1.put("k" * 600, bytes(500))
+            car1.put("vcmvsp/host/a/b/ask", "")
+            car1.put("@private/key", "")
+            car1.put(LAST, bytes(900))
+            await until(car2.heard_last)
+            assert [key for key, _ in car2.heard] == [LAST]
+            await until(lambda: world.hall.counts == {"car1": {TOO_LONG: 2}})
+
+    asyncio.run(tried())
+
+
+def test_what_an_agent_says_is_heard_under_its_name() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car2 = await world.program("car2")
+            sayings = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last is a publication under no key
+            for said in sayings:
+                world.door.deliver(0, 1, said)
+            world.door.deliver(0, 1, encode(Publication(LAST, b"")))
+            await until(car2.heard_last)
+            assert car2.heard == [*((HEARD + "car1", said) for said in sayings[:3]), (LAST, b"")]
+            assert world.hall.counts == {"car2": {"not taken by Zenoh": 1}}
+
+    asyncio.run(tried())
+
+
+def test_some_vehicles_take_part_at_endpoints_of_their_own() -> None:
+    async def tried() -> list[str]:
+        hall = TestHall(CARS)
+        port = free_ports(4, socket.SOCK_STREAM)
+        door = ZenohDoor(port, vehicles=("car1", "car3"), listen={"car3": f"tcp/127.0.0.1:{port + 3}"})
+        try:
+            lines = await door.open(hall)
+            door.deliver(0, 1, encode(Publication("k", b"")))  # takes no part
+        finally:
+            await door.close()
+        return [line.replace(str(port), "P").replace(str(port + 3), "P+3") for line in lines]
+
+    lines = asyncio.run(tried())
+    assert lines == [
+        "Zenoh clients of car1 connect to tcp/127.0.0.1:P",
+        "Zenoh clients of car3 connect to tcp/127.0.0.1:P+3",
+    ]
+
+
+def test_three_hundred_strangers_keep_nobody_out() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car2 = await world.program("car2")
+            with contextlib.ExitStack() as strangers:
+                for number in range(300):
+                    stranger = strangers.enter_context(socket.create_connection(("127.0.0.1", world.port)))
+                    with contextlib.suppress(OSError):
+                        stranger.sendall(os.urandom(number % 50))
+                car1 = await world.program("car1")
+                car1.put(LAST, "")
+                await until(car2.heard_last)
+
+    asyncio.run(tried())
+
+
+def test_what_comes_too_fast_is_counted_and_what_goes_on_is_in_order() -> None:
+    async def tried() -> None:
+        hall = TestHall(CARS)
+        taken: list[tuple[int, bytes, int]] = []
+
+        def offer(row: int, _: int, payload: bytes, *, came_ns: int) -> bool:
+            taken.append((row, payload, came_ns))
+            return payload != b"no room"
+
+        inbox = Inbox(hall, offer)
+        for number in range(BACKLOG + 10):
+            inbox.put(0, BROADCAST, str(number).encode())
+        inbox.put(1, BROADCAST, b"another's")
+        inbox.put(1, BROADCAST, b"no room")
+        inbox.count(1, TOO_LONG)
+        await until(lambda: bool(hall.counts))
+        assert hall.counts == {"car1": {NO_ROOM: 10}, "car2": {NO_ROOM: 1, TOO_LONG: 1}}
+        assert [payload for row, payload, _ in taken if row == 0] == [b"%d" % number for number in range(BACKLOG)]
+        assert [came_ns for *_, came_ns in taken] == sorted(came_ns for *_, came_ns in taken)
+        inbox.count(2, TOO_LONG)  # alone
+        await until(lambda: "car3" in hall.counts)
+
+    asyncio.run(tried())
+
+
+@given(payload=st.binary(max_size=60))
+@example(payload=b"\x92\xa1\x80")  # a key that is no text
+@example(payload=b"\x91" * 5000)
+def test_whatever_is_received_nothing_breaks(payload: bytes) -> None:
+    said: list[str] = []
+
+    class Session:
+        def put(self, key: str, *_: object, **__: object) -> None:
+            said.append(key)
+
+        def delete(self, key: str, **_: object) -> None:
+            said.append(key)
+
+    door = ZenohDoor()
+    door._hall, door._sessions = TestHallStub(), {0: Session()}  # type: ignore[assignment, dict-item]
+    door.deliver(1, 0, payload)
+    assert len(said) == 1
+
+
+class TestHallStub:
+    __test__ = False
+    vehicles = CARS
+
+
+@pytest.mark.parametrize(
+    ("params", "problem"),
+    [
+        ({"vehicles": ("car9",)}, "vehicles: unknown vehicle 'car9'"),
+        ({"listen": {"car9": "tcp/127.0.0.1:1"}}, "listen: unknown vehicle 'car9'"),
+        ({"listen": {"car1": "udp/127.0.0.1:1"}}, "must be tcp/HOST:PORT"),
+        ({"listen": {"car1": "tcp/127.0.0.1:0"}}, "must be tcp/HOST:PORT"),
+        ({"listen": {"car1": "tcp/127.0.0.1:65536"}}, "must be tcp/HOST:PORT"),
+        ({"listen": {"car1": "tcp/127.0.0.1:7461"}}, "tcp/127.0.0.1:7461 is that of two vehicles"),
+        ({"listen": {"car1": "tcp/0.0.0.0:7460"}}, "insecure = true"),
+        ({"listen": {"car1": "tcp/[::]:7460"}}, "insecure = true"),
+        ({"first_port": 65_534}, "first_port = 65534: there is no port left for 'car3'"),
+    ],
+)
+def test_what_cannot_be_is_said(params: Mapping[str, Any], problem: str) -> None:
+    with pytest.raises(ValueError, match=problem.replace("[", r"\[")):
+        ZenohDoor(**params).check(CARS)
+
+
+def test_other_machines_may_come_where_the_user_says_so() -> None:
+    ZenohDoor(listen={"car1": "tcp/0.0.0.0:7460"}, insecure=True).check(CARS)
+
+
+def test_a_port_in_use_is_said() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            second = ZenohDoor(first_port=world.port)
+            with pytest.raises(DoorError, match=f"cannot serve Zenoh clients at tcp/127.0.0.1:{world.port}"):
+                await second.open(world.hall)
+            await second.close()
+
+    asyncio.run(tried())
+
+
+def test_the_largest_publication_is_a_frame_of_the_largest_size() -> None:
+    async def tried() -> None:
+        async with served() as world:
+            car1, car2 = await world.program("car1"), await world.program("car2")
+            beside = len(encode(Publication(LAST, bytes(60_000), "zenoh/bytes"))) - 60_000
+            car1.put(LAST, bytes(LARGEST - beside + 1))
+            car1.put(LAST, bytes(LARGEST - beside))
+            await until(car2.heard_last)
+            assert [len(payload or b"") for _, payload in car2.heard] == [LARGEST - beside]
+            assert len(world.hall.offered[0].payload) == LARGEST
+
+    asyncio.run(tried())

@@ -1,0 +1,57 @@
+"""What is too long for one message reaches the bridge's process whole, and in its order."""
+
+from unittest import mock
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.types import Array, Traffic, frozen
+from vcmvsp.netsim.bridge.process import message_chunks
+
+ROOM = 200_000  # bytes of a message, as far as every Linux goes (`cosim.processes.local_link`)
+
+
+def traffic(deliveries: int, settled: int) -> tuple[Traffic, Array]:
+    number = np.arange(deliveries)
+    told = Traffic(
+        reports=(),
+        carries=frozen(np.zeros(0, np.int64)),
+        number=frozen(number),
+        receiver=frozen(number % 7, np.int32),
+        arrival_ns=frozen(number),
+        frame=frozen(number),
+        settled=frozen(10**9 + np.arange(settled)),
+    )
+    return told, frozen(10**18 + number)
+
+
+@given(deliveries=st.integers(0, 20), settled=st.integers(0, 20), most=st.integers(1, 8))
+def test_deliveries_come_whole_and_before_what_is_settled(deliveries: int, settled: int, most: int) -> None:
+    told, at_ns = traffic(deliveries, settled)
+    with mock.patch.object(message_chunks, "MOST", most):
+        said = list(message_chunks.due(42, told, at_ns))
+    assert np.concatenate([each.number for each in said]).tolist() == told.number.tolist()
+    assert np.concatenate([each.receiver for each in said]).tolist() == told.receiver.tolist()
+    assert np.concatenate([each.at_ns for each in said]).tolist() == at_ns.tolist()
+    assert np.concatenate([each.settled for each in said]).tolist() == told.settled.tolist()
+    assert {each.taken for each in said} == {42}
+    assert max(len(each.number) for each in said) <= most >= max(len(each.settled) for each in said)
+    last = max((k for k, each in enumerate(said) if len(each.number)), default=0)
+    assert not any(len(each.settled) for each in said[:last])
+
+
+@given(vehicles=st.integers(1, 60), most=st.integers(1, 100))
+def test_levels_come_row_by_row(vehicles: int, most: int) -> None:
+    dbm = np.arange(vehicles * vehicles, dtype=np.float64).reshape(vehicles, vehicles)
+    with mock.patch.object(message_chunks, "MOST_LEVELS", most):
+        said = list(message_chunks.levels(dbm))
+    assert [each.first for each in said] == np.cumsum([0, *(len(each.dbm) for each in said[:-1])]).tolist()
+    assert np.concatenate([each.dbm for each in said]).tolist() == dbm.tolist()
+    assert all(each.dbm.size <= max(most, vehicles) for each in said)
+
+
+def test_the_longest_messages_fit() -> None:
+    assert all(len(encode(each)) < ROOM for each in message_chunks.due(2**62, *traffic(3 * message_chunks.MOST, 3 * message_chunks.MOST)))
+    assert all(len(encode(each)) < ROOM for each in message_chunks.levels(np.full((500, 500), -81.25)))

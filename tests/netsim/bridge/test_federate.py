@@ -1,0 +1,277 @@
+"""The federate by itself: the test is the bridge process, the clock and the kernel."""
+
+import time
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.types import Array, Datagrams, Message, Reception, States, Traffic
+from vcmvsp.netsim.bridge.process import messages
+from vcmvsp.netsim.bridge.gateways.base import LARGEST
+from vcmvsp.netsim.bridge.federate import AGAIN_NS, BEHIND_NS, PATIENCE_NS, Bridge
+
+MS = 1_000_000
+RUN = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("a", "b"))
+
+
+class Beside:
+    """In the place of the process."""
+
+    unsaid = False
+
+    def __init__(self) -> None:
+        self.says: list[Any] = []
+        self.heard: list[Any] = []
+
+    def go_on(self) -> None:
+        pass
+
+    def read(self) -> list[Any]:
+        said, self.says = self.says, []
+        return said
+
+    def say(self, message: Any) -> None:
+        self.heard.append(message)
+
+
+class Clock:
+    """A clock that is ``ahead_ns`` of the machine's, and goes so many times as quickly."""
+
+    ahead_ns = 0
+
+    speed = 1
+
+    def logical_ns(self, monotonic_ns: int) -> int:
+        return self.speed * (monotonic_ns + self.ahead_ns)
+
+    def monotonic_ns(self, logical_ns: int) -> int:
+        return logical_ns // self.speed - self.ahead_ns
+
+
+def made(*, agents: bool = False) -> tuple[Bridge, Beside, Clock]:
+    none: Any = None
+    bridge = Bridge([], run="test", folder=".", vehicles=("a", "b"), agents=agents, air=none, tell=print, connect=False)
+    bridge.start(RUN)
+    process: Any = Beside()
+    bridge._process, bridge.clock = process, (clock := Clock())
+    return bridge, process, clock
+
+
+def came(first: int, *rows: tuple[int, int]) -> messages.Came:
+    """Broadcasts: sender and when."""
+    sender, came_ns = np.array(rows, np.int64).T
+    n = len(rows)
+    return messages.Came(
+        number=np.arange(first, first + n),
+        door=np.zeros(n, np.int32),
+        sender=sender.astype(np.int32),
+        to=np.full(n, -1, np.int32),
+        size_bytes=np.full(n, 10),
+        came_ns=came_ns,
+    )
+
+
+def sent(bridge: Bridge, now_ns: int) -> list[Datagrams]:
+    found = []
+    for event in bridge.step(now_ns, []).events:
+        assert (event.key, event.time_ns) == ("bridge/sent", now_ns)
+        assert isinstance(event.value, Datagrams)
+        found.append(event.value)
+    return found
+
+
+def test_a_run_that_is_behind_catches_up_before_it_takes_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    bridge, process, clock = made()
+    wall_ns = 5_000 * MS
+    monkeypatch.setattr(time, "monotonic_ns", lambda: wall_ns)
+    clock.ahead_ns = 1_000 * MS - wall_ns  # it is 1 s in the run's time
+    process.says = [came(0, (0, wall_ns))]
+    assert bridge.poll(1_000 * MS)
+    assert len(sent(bridge, 1_000 * MS)) == 1
+
+    process.says = [came(1, (0, wall_ns))]
+    wall_ns += BEHIND_NS + 2 * MS
+    assert bridge.poll(1_001 * MS)
+    step = bridge.step(1_001 * MS, [])
+    assert (step.events, step.next_ns) == ([], 1_002 * MS + BEHIND_NS)  # when it has caught up
+    assert bridge.step(1_001 * MS, []).events == []  # nor where it is woken again in this instant
+    assert bridge.poll(1_022 * MS)
+    assert len(sent(bridge, 1_022 * MS)) == 1
+
+    process.says = [came(2, (0, wall_ns))]
+    wall_ns += PATIENCE_NS
+    assert bridge.poll(1_023 * MS)  # it never catches up: programs are not left alone for ever
+    assert len(sent(bridge, 1_023 * MS)) == 1
+    assert [each.taken for each in process.heard] == [1, 2, 3]
+
+
+def test_at_any_speed_what_counts_is_how_late_the_run_is_on_the_wall_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    bridge, process, clock = made()
+    clock.speed = 10
+    wall_ns, now_ns = 500 * MS, 5_000 * MS
+    monkeypatch.setattr(time, "monotonic_ns", lambda: wall_ns)
+    process.says = [came(0, (0, wall_ns))]
+    assert bridge.poll(now_ns)
+    process.unsaid = True
+    step = bridge.step(now_ns, [])
+    assert (len(step.events), step.next_ns) == (1, now_ns + 10 * AGAIN_NS)  # a millisecond later, there
+    wall_ns += BEHIND_NS - MS  # which is ten times as much in the run's time
+    process.says = [came(1, (0, wall_ns))]
+    assert bridge.poll(now_ns)
+    assert len(sent(bridge, now_ns)) == 1
+    wall_ns += 2 * MS
+    process.says = [came(2, (0, wall_ns))]
+    bridge.poll(now_ns)
+    assert sent(bridge, now_ns) == []
+
+
+def test_levels_of_many_vehicles_are_told_in_pieces_that_a_message_holds() -> None:
+    n = 400
+    levels = np.arange(n * n, dtype=np.float64).reshape(n, n)
+    air: Any = Levels(levels)
+    names = tuple(f"v{k}" for k in range(n))
+    bridge = Bridge([], run="test", folder=".", vehicles=names, agents=False, air=air, tell=print, connect=False)
+    bridge.start(RUN)
+    process: Any = Beside()
+    bridge._process, bridge.clock = process, Clock()
+    process.says = [messages.Asked()]
+    bridge.poll(MS)
+    none = np.zeros((n, 3))
+    states = States(names=names, position=none, velocity=none, attitude=np.zeros((n, 4)), angular_velocity=none)
+    bridge.step(MS, [Event("world/states", 0, states)])
+    assert len(process.heard) > 1
+    assert max(len(encode(each)) for each in process.heard) < 100_000
+    assert [each.first for each in process.heard] == np.cumsum([0, *(len(each.dbm) for each in process.heard)])[:-1].tolist()
+    assert (np.concatenate([each.dbm for each in process.heard]) == levels).all()
+
+
+class Levels:
+    """In the place of the radio."""
+
+    def __init__(self, dbm: Array) -> None:
+        self.dbm = dbm
+
+    def levels_dbm(self, states: States) -> Array:
+        return self.dbm
+
+
+def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
+    bridge, process, _ = made(agents=True)
+    process.says = [messages.Counted(counts={"a": {"of the process": 1}}), messages.Counted(counts={"b": {"of the process": 2}})]
+    bridge.poll(MS)
+    for size in (LARGEST, LARGEST + 1, LARGEST + 2):
+        message = Message(sender="a", body=bytes(size), size_bytes=4)
+        reception = Reception(message=message, rssi_dbm=0.0, sent_ns=MS, received_ns=3 * MS)
+        bridge.step(3 * MS, [Event("b/heard", 3 * MS, reception)])
+    assert [len(each.payload) for each in process.heard if isinstance(each, messages.Spoken)] == [LARGEST]
+    assert bridge.lateness["counts"] == {
+        "a": {"of the process": 1},
+        "b": {"of the process": 2, "said by agents in more than 65535 bytes": 2},
+    }
+
+
+@pytest.mark.parametrize(
+    ("killed", "kind", "words"),
+    [
+        (False, "ip", []),
+        (True, "udp", ["bridge: its process did not end by itself and was killed"]),
+        (
+            True,
+            "ip",
+            ["bridge: its process did not end by itself and was killed: 'vcmvsp net down' clears away what it leaves behind"],
+        ),
+    ],
+)
+def test_a_process_that_had_to_be_killed_is_told_of_and_how_to_clear_up_behind_it(
+    killed: bool, kind: str, words: list[str]
+) -> None:
+    none: Any = None
+    told: list[str] = []
+    doors = [messages.DoorSpec(name=kind, kind=kind, params={})]
+    bridge = Bridge(doors, run="test", folder=".", vehicles=("a", "b"), agents=False, air=none, tell=told.append, connect=False)
+    process: Any = Beside()
+    process.killed, process.close = killed, list
+    bridge._process = process
+    bridge.close()
+    assert told == words
+
+
+def test_what_a_program_said_is_told_from_what_an_agent_said_though_it_is_the_same() -> None:
+    bridge, process, _ = made(agents=True)
+    process.says = [msgspec.structs.replace(came(0, (0, 0)), payloads=(b"same",))]
+    bridge.poll(MS)
+    sent(bridge, MS)
+    message = Message(sender="a", body=b"same", size_bytes=4)
+    heard = Event("b/heard", 3 * MS, Reception(message=message, rssi_dbm=0.0, sent_ns=MS, received_ns=3 * MS))
+    number = np.zeros(1, np.int64)
+    traffic = Traffic(
+        reports=(),
+        carries=number[:0],
+        number=number,
+        receiver=number + 1,
+        arrival_ns=number + 3 * MS,
+        frame=number,
+        settled=number,
+    )
+    bridge.step(3 * MS, [heard, Event("radio/traffic", 3 * MS, traffic)])  # in the order of their keys
+    assert not [each for each in process.heard if isinstance(each, messages.Spoken)]
+    bridge.step(3 * MS, [heard])
+    (spoken,) = [each for each in process.heard if isinstance(each, messages.Spoken)]
+    assert (spoken.sender, spoken.receiver, spoken.payload) == (0, 1, b"same")
+    bridge.step(4 * MS, [Event("b/heard", 4 * MS, msgspec.structs.replace(heard.value, received_ns=4 * MS))])
+    assert len([each for each in process.heard if isinstance(each, messages.Spoken)]) == 2
+
+
+def test_nothing_enters_at_the_end() -> None:
+    bridge, process, _ = made()
+    process.says = [came(0, (0, 0))]
+    assert not bridge.poll(RUN.duration_ns)
+    assert bridge.step(RUN.duration_ns, []).events == []
+
+
+@given(st.lists(st.lists(st.tuples(st.integers(0, 1), st.integers(-50, 50)), min_size=1, max_size=8), max_size=8), st.data())
+def test_datagrams_are_sent_when_they_came_however_late_the_instant_is_in_order_and_within_the_run(
+    batches: list[list[tuple[int, int]]], data: st.DataObject
+) -> None:
+    bridge, process, clock = made()
+    newest, now_ns, number = {0: 0, 1: 0}, 0, 0
+    for rows in batches:
+        now_ns += data.draw(st.integers(1, 60))
+        clock.ahead_ns = now_ns - time.monotonic_ns()
+        process.says = [came(number, *((sender, now_ns - clock.ahead_ns + offset) for sender, offset in rows))]
+        number += len(rows)
+        bridge._took_ns = 0  # however slow this machine is
+        assert bridge.poll(now_ns)
+        (datagrams,) = sent(bridge, now_ns)
+        assert datagrams.sender.tolist() == [sender for sender, _ in rows]
+        for (sender, offset), sent_ns in zip(rows, datagrams.sent_ns.tolist(), strict=True):
+            assert sent_ns == max(newest[sender], now_ns + offset)
+            newest[sender] = sent_ns
+
+
+def test_while_it_catches_up_it_asks_for_one_instant_however_often_it_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each that it asked for would be one in which it is asked again."""
+    bridge, process, clock = made()
+    wall_ns = 5_000 * MS
+    monkeypatch.setattr(time, "monotonic_ns", lambda: wall_ns)
+    clock.ahead_ns = 1_000 * MS - wall_ns
+    process.says = [came(0, (0, wall_ns))]
+    assert bridge.poll(1_000 * MS)
+    sent(bridge, 1_000 * MS)
+    process.says = [came(1, (0, wall_ns))]
+    wall_ns += 2 * BEHIND_NS
+    assert bridge.poll(1_001 * MS)
+    again_ns = bridge.step(1_001 * MS, []).next_ns
+    assert again_ns is not None
+    for now_ns in range(1_002 * MS, again_ns - BEHIND_NS, MS):
+        wall_ns += MS // 10
+        assert not bridge.poll(now_ns)
+        assert bridge.step(now_ns, []).next_ns == again_ns  # as it is when it is woken by traffic
+    assert bridge.poll(again_ns)
+    assert len(sent(bridge, again_ns)) == 1

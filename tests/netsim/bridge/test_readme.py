@@ -1,0 +1,121 @@
+"""The example of the README works as it stands there, and so does its door of one's own."""
+
+import asyncio
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+import vcmvsp.netsim.bridge
+from vcmvsp import netsim
+from vcmvsp.cosim.config import builtin_kinds
+from vcmvsp.netsim.bridge.gateways.base import Door
+from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.netsim.bridge_runs import BridgeRun, running
+from tests.support.netsim.gateway_context import TestHall, free_ports
+
+(HOME,) = netsim.bridge.__path__
+README = (Path(HOME) / "README.md").read_text(encoding="utf-8")
+FRONT = (Path(HOME).parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+def block(language: str, words: str, page: str = README) -> str:
+    (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL) if words in text]
+    return str(found)
+
+
+def at_ports(first: int, text: str) -> str:
+    """The same, but for the ports."""
+    return re.sub(r"\b18(\d{3})\b", lambda port: str(first + int(port[1])), text)
+
+
+def test_the_worked_example(tmp_path: Path) -> None:
+    first = free_ports(200)
+    for name, text in {
+        "two-programs.toml": block("toml", "two-programs"),
+        "echo.py": block("python", "hears.sendto"),
+        "ask.py": block("python", "asks.sendto"),
+    }.items():
+        (tmp_path / name).write_text(at_ports(first, text))
+    (command,) = re.findall(r"^    vcmvsp (run .*?) +#", README, re.MULTILINE)
+    shorter = [*command.split(), "--set", "duration_s=3.0"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(HOME).parents[1])}
+
+    def start(*arguments: str, **streams: int) -> "subprocess.Popen[str]":
+        return subprocess.Popen([sys.executable, *arguments], cwd=tmp_path, env=environment, encoding="utf-8", **streams)  # type: ignore[call-overload,no-any-return]
+
+    started = [start("echo.py"), run := start(*UNDRAWN, *shorter, stderr=subprocess.PIPE)]
+    try:
+        lines = [run.stderr.readline() for _ in range(2)] if run.stderr else []  # from then on its ports are there
+        started.append(ask := start("ask.py", stdout=subprocess.PIPE))
+        said = ask.communicate(timeout=60.0)[0].splitlines()
+        _, rest = run.communicate(timeout=60.0)
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+    assert [line.split()[:3] for line in lines] == [["bridge.udp:", car, "sends"] for car in ("car1", "car2")]
+    assert (ask.returncode, run.returncode) == (0, 0), rest
+    assert [line.partition(":")[0] for line in said] == [str(number) for number in range(20)]
+    answered = sum(line.endswith(" ms") for line in said)
+    out = tmp_path / "two-programs"
+    rows = pq.read_table(out / "bridge.parquet").to_pylist()
+    left = [row for row in rows if row["late_s"] is not None]
+    assert 0 < answered <= sum(row["receiver"] == "car1" for row in left)
+    assert all(15_000_000 <= row["wanted_ns"] - row["came_ns"] <= 25_000_000 for row in rows)
+    carried = json.loads((out / "about.json").read_text())["bridge"]
+    assert carried["delivered"] == len(left)
+    columns = re.search(r"`bridge.parquet` has a row per delivery: `(.*?)`.*?and\s`(.*?)`", README, re.DOTALL)
+    assert columns
+    assert [*rows[0]] == [*columns[1].split(", "), columns[2]]
+
+
+def test_the_ten_lines_of_the_first_page(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "setdefaulttimeout", lambda seconds: None)  # for all tests after this one
+    run = BridgeRun("car1", "car2", "car3", delay={"seconds": 0.02})
+    with running(run):
+        space: dict[str, Any] = {}
+        exec(
+            compile(at_ports(run.first_port, block("python", "where are you?", FRONT)), "README.md", "exec", dont_inherit=True),
+            space,
+        )
+        for each in ("car1", "car2"):
+            space[each].close()
+    assert capsys.readouterr().out == "b'behind you'\n"
+    assert [(report.sender, report.receivers) for report in run.reports] == [("car1", ("car2",)), ("car2", ("car1",))]
+
+
+def test_the_door_of_ones_own(tmp_path: Path) -> None:
+    space: dict[str, Any] = {}
+    exec(compile(block("python", "class RollCall"), "README.md", "exec", dont_inherit=True), space)
+    path = tmp_path / "heard.txt"
+
+    async def trial() -> list[str]:
+        door: Door = space["RollCall"](out=str(path))
+        hall = TestHall(("a", "b", "c"))
+        door.check(hall.vehicles)
+        (line,) = await door.open(hall)
+        assert str(path) in line
+        await asyncio.sleep(0.01)  # by then, all that was due before has been delivered
+        await door.close()
+        return path.read_text().splitlines()
+
+    assert sorted(asyncio.run(trial())) == [f"{x} heard {y}" for x in "abc" for y in "abc" if x != y]
+
+
+def test_every_door_has_its_part() -> None:
+    for kind in builtin_kinds.KINDS["door"]:
+        assert f"`[bridge.{kind}]`" in README
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", README):
+        assert (Path(HOME) / target).exists(), target
+    headings = {
+        re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in re.findall(r"^## (.*)$", README, re.MULTILINE)
+    }
+    assert set(re.findall(r"\]\(#([^)]+)\)", README)) <= headings

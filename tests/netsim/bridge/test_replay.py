@@ -1,0 +1,79 @@
+"""Whole runs with programs: made again they are the same, and what they leave fits together."""
+
+import contextlib
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim.recording.external_inputs import read_inputs
+from vcmvsp.cosim.runs.replay import replay
+from vcmvsp.cosim.types import Datagrams
+from tests.support.netsim.gateway_context import free_ports
+
+SAME = ("radio.parquet", "states.parquet", "metrics.json")
+SETTINGS: dict[str, Any] = {"duration_s": 1.5, "seed": 3, "physics.kind": "kinematic"}
+CHANNELS: dict[str, dict[str, Any]] = {
+    "uncontended": {"radio": {"loss": {"probability": 0.2}, "delay": {"seconds": 0.01, "jitter_s": 0.01}}},
+    "dcf": {"radio": {"preset": "wifi-g-54", "mac": {"kind": "dcf"}}},
+    "agents": {"bridge.agents": True, "radio": {"delay": {"seconds": 0.01}}},
+    "flooding": {"bridge.agents": True, "routing.kind": "flooding", "radio": {"loss": {"probability": 0.2}}},
+}
+
+
+@contextlib.contextmanager
+def programs(first_port: int) -> Iterator[None]:
+    """The first vehicle's says something to all, the second's to the third, over and over."""
+    stop = threading.Event()
+
+    def say() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+            while not stop.wait(0.004):
+                with contextlib.suppress(ConnectionError):  # there is no run yet, or no more
+                    program.sendto(b"to all", ("127.0.0.1", first_port))
+                    program.sendto(b"to one", ("127.0.0.1", first_port + 100 + 3))
+
+    thread = threading.Thread(target=say)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_run_with_programs_is_made_again_to_the_byte_and_what_it_leaves_fits_together(channel: str, tmp_path: Path) -> None:
+    first_port, folder = free_ports(300), tmp_path / "run"
+    with programs(first_port):
+        run = cosim.run(
+            "formation-circle", set={**SETTINGS, **CHANNELS[channel], "bridge.udp.first_port": first_port}, out=folder
+        )
+    again = replay(folder, out=tmp_path / "again")
+    for name in SAME:
+        assert (folder / name).read_bytes() == (again.folder / name).read_bytes(), name  # type: ignore[operator]
+
+    about = json.loads((folder / "about.json").read_text())["bridge"]
+    radio = {(row["frame"], row["receiver"]): row for row in pq.read_table(folder / "radio.parquet").to_pylist()}
+    deliveries = pq.read_table(folder / "bridge.parquet").to_pylist()
+    assert about == run.about["bridge"]
+    assert about["delivered"] == sum(row["late_s"] is not None for row in deliveries) > 0
+    for row in deliveries:
+        carried = radio[row["frame"], row["receiver"]]
+        assert carried["received_ns"] == row["wanted_ns"]
+        assert (carried["outcome"], carried["sender"] == row["sender"] or channel == "flooding") == ("received", True)
+    given = [(now_ns, value) for _, now_ns, value in read_inputs(folder / "hardware.mcap") if isinstance(value, Datagrams)]
+    to = np.concatenate([each.to for _, each in given])
+    entered_ns = np.concatenate([np.maximum(each.sent_ns, now_ns) for now_ns, each in given])  # later than sent, if held up
+    assert about["datagrams"] == len(to)
+    arrived = {(row["number"], row["receiver"]) for row in deliveries}
+    missing = int(np.where(to < 0, 2, 1).sum()) - len(arrived)
+    assert missing - 2 * int((entered_ns > 1_400_000_000).sum()) <= about["lost"] <= missing  # some are under way at the end
+    assert about["lost"] > 0 or "loss" not in CHANNELS[channel]["radio"]

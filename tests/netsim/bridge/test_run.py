@@ -1,0 +1,428 @@
+"""Programs and a run: a kernel, a radio, a bridge process and sockets."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.clock import SECOND_NS, WallClock
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.federate import Event, Prompted, Releasable, RunInfo, Slot, Step
+from vcmvsp.cosim.types import Message, Reception
+from vcmvsp.netsim.bridge.process.messages import DoorSpec
+from tests.support.netsim.bridge_runs import (
+    BROADCAST,
+    BridgeRun,
+    all_of,
+    running,
+    until_each_of,
+    wait_for,
+    what_is_there,
+)
+from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
+
+MS = 1_000_000
+
+
+def test_it_is_a_federate_to_which_somebody_may_come_at_any_time() -> None:
+    bridge = BridgeRun("a", "b", connect=False).bridge
+    assert isinstance(bridge, Prompted)
+    assert isinstance(bridge, Releasable)
+    assert (bridge.name, bridge.slot, bridge.wake_slot) == ("bridge", Slot.WORLD, Slot.APPLY)
+    assert bridge.reads == bridge.wakes == ("radio/traffic",)
+
+
+def test_a_scenario_that_is_only_checked_opens_nothing() -> None:
+    run = BridgeRun("a", "b", connect=False)
+    run.kernel.start()
+    with run.program(0), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(run.port(0, BROADCAST))
+    assert run.bridge.fileno() == -1
+    assert not run.bridge.poll(0)
+    run.kernel.close()
+    assert run.told == []
+
+
+def test_what_arrives_is_what_the_radio_says_datagram_by_datagram() -> None:
+    count = 2000
+    run = BridgeRun("a", "b", "c", loss={"probability": 0.3}, delay={"seconds": 0.002, "jitter_s": 0.004})
+    with run.program(1) as b, run.program(2) as c, running(run):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+            for k in range(count):
+                a.sendto(b"%d" % k, run.port(0, BROADCAST if k % 3 else 3))
+                time.sleep(0.0001)
+        wait_for(lambda: len(run.reports) == count)
+        wait_for(lambda: run.left == sum(int((report.received_ns >= 0).sum()) for report in run.reports))
+        heard = {1: [int(each) for each in what_is_there(b)], 2: [int(each) for each in what_is_there(c)]}
+    said: dict[int, int] = {}  # by number: sockets are read one after the other, each in its order
+    for to, own in ((-1, [k for k in range(count) if k % 3]), (2, [k for k in range(count) if not k % 3])):
+        numbers = [
+            n for _, value in run.sent for n, meant in zip(value.number.tolist(), value.to.tolist(), strict=True) if meant == to
+        ]
+        said |= dict(zip(numbers, own, strict=True))
+    wanted: dict[int, list[int]] = {1: [], 2: []}
+    for report, number in zip(run.reports, run.carries, strict=True):
+        assert report.receivers == (("b", "c") if said[number] % 3 else ("c",))
+        for name, at_ns in zip(report.receivers, report.received_ns.tolist(), strict=True):
+            if at_ns >= 0:
+                wanted["abc".index(name)].append(said[number])
+    lateness, rows = run.bridge.lateness, run.bridge.table().to_pylist()
+    for place in (1, 2):
+        assert sorted(heard[place]) == sorted(wanted[place])
+        left = sorted(
+            (each for each in rows if each["receiver"] == "abc"[place]),
+            key=lambda each: each["wanted_ns"] + round(each["late_s"] * SECOND_NS),
+        )
+        assert heard[place] == [said[each["number"]] for each in left]
+    assert lateness["datagrams"] == count
+    assert lateness["delivered"] == len(heard[1]) + len(heard[2]) == len(rows)
+    assert lateness["lost"] == sum(int((report.received_ns < 0).sum()) for report in run.reports) > 0
+    frames = {report.frame: report for report in run.reports}
+    for row in rows:
+        report = frames[row["frame"]]
+        place = report.receivers.index(row["receiver"])
+        assert (row["sender"], row["came_ns"], row["wanted_ns"]) == ("a", report.sent_ns, report.received_ns[place])
+        assert row["late_s"] >= 0.0
+
+
+def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_or_after_it_was_taken() -> None:
+    clock = WallClock()
+    run = BridgeRun("a", "b", clock=clock)
+    log, taken_ns = run.bridge.log, list[int]()
+
+    def note(*what: Any) -> None:
+        log(*what)
+        taken_ns.append(clock.logical_ns(time.monotonic_ns()))  # of a run that is late, it is not what it takes for now
+
+    run.bridge.log = note
+    with run.program(1) as b, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+
+        def early() -> None:
+            a.sendto(b"early", run.port(0, BROADCAST))
+            time.sleep(0.05)
+
+        run.go(early)
+        try:
+            assert b.recv(100) == b"early"
+            said_ns = []
+            for _ in range(50):
+                said_ns.append(time.monotonic_ns())
+                a.sendto(b"x", run.port(0, BROADCAST))
+            all_of(b, 50)
+        finally:
+            run.stop()
+    assert run.error is None
+    first, *times = np.concatenate([value.sent_ns for _, value in run.sent]).tolist()
+    assert first == 0
+    assert times == sorted(times)
+    assert all(sent_ns >= clock.logical_ns(said) - MS for sent_ns, said in zip(times, said_ns, strict=True))  # by two clocks
+    assert all(value.sent_ns.max() <= now_ns for (_, value), now_ns in zip(run.sent, taken_ns, strict=True))
+    assert [(key, time_ns) for key, time_ns, _ in run.logged] == [("bridge/sent", now_ns) for now_ns, _ in run.sent]
+    assert [value for *_, value in run.logged] == [value for _, value in run.sent]
+
+
+def test_one_that_floods_leaves_what_others_say_whole() -> None:
+    run = BridgeRun("a", "b", "c", "d")
+    flood = textwrap.dedent("""
+        import socket, sys
+        s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        while True:
+            s.sendto(bytes(1400), ("127.0.0.1", int(sys.argv[1])))
+    """)
+    with run.program(1) as b, running(run):
+        flooding = subprocess.Popen([sys.executable, "-c", flood, str(run.port(2, 4)[1])])
+        try:
+            wait_for(lambda: len(run.reports) > 1000)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+                for k in range(300):
+                    a.sendto(b"%d" % k, run.port(0, 2))
+                    time.sleep(0.001)
+                assert all_of(b, 300) == [b"%d" % k for k in range(300)]
+        finally:
+            flooding.kill()
+            flooding.wait()
+    counts: dict[str, dict[str, int]] = run.bridge.lateness["counts"]
+    assert set(counts) <= {"c"}  # nobody else lost anything on the way to the radio
+
+
+def test_lengths_from_none_to_more_than_a_frame_may_have() -> None:
+    run = BridgeRun("a", "b", udp={"max_bytes": 65_000})
+    with run.program(1) as b, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+        for payload in (b"", b"\x00" * 1400, bytes(range(250)) * 260, bytes(65_100), b"last"):
+            a.sendto(payload, run.port(0, 2))
+        assert all_of(b, 4) == [b"", b"\x00" * 1400, bytes(range(250)) * 260, b"last"]
+    assert run.bridge.lateness["counts"] == {"a": {"longer than max_bytes": 1}}
+    assert [report.size_bytes for report in run.reports] == [0, 1400, 65_000, 4]
+
+
+def test_that_the_process_is_gone_ends_the_run_with_its_name() -> None:
+    run = BridgeRun("a", "b")
+    run.go()
+    assert run.bridge._process is not None
+    os.kill(run.bridge._process.pid, signal.SIGKILL)
+    run.join()
+    assert isinstance(run.error, FederateError)
+    assert "bridge: its process was killed by SIGKILL: programs are cut off" in str(run.error)
+
+
+def test_when_the_run_is_killed_the_process_ends_and_ports_are_free() -> None:
+    first = free_ports(200)
+    script = textwrap.dedent(f"""
+        from tests.netsim.bridge_runs import BridgeRun
+        from vcmvsp.netsim.bridge.process.messages import DoorSpec
+        run = BridgeRun("a", "b", doors=[DoorSpec(name="udp", kind="udp", params={{"first_port": {first}}})])
+        run.go()
+        print(run.bridge._process.pid, flush=True)
+    """)
+    root = Path(__file__).parents[2]
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=root) as run:
+        assert run.stdout is not None
+        pid = int(run.stdout.readline())
+        assert Path(f"/proc/{pid}").exists()
+        run.kill()
+
+    def gone() -> bool:
+        try:
+            status = Path(f"/proc/{pid}/stat").read_text()
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        return status.rpartition(")")[2].split()[0] == "Z"  # whoever adopts it is slow
+
+    wait_for(gone)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", first))
+
+
+def test_ports_in_use_end_the_run_before_it_begins_and_leave_no_process() -> None:
+    run = BridgeRun("a", "b")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(run.port(1, BROADCAST))
+        with pytest.raises(FederateError, match=rf"bridge: bridge.udp: port {run.port(1, 0)[1]} of 127.0.0.1 cannot be had"):
+            run.go()
+    assert run.bridge._process is not None
+    assert run.bridge._process._process.returncode is not None
+
+
+class Agents:
+    """Says something in the name of vehicles, ten times a second, so many times, and keeps what they hear."""
+
+    name, slot, wake_slot = "agents", Slot.AGENT, Slot.AGENT
+    reads: tuple[str, ...] = ("*/heard",)
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self, says: dict[str, Any], times: int = 1000) -> None:
+        self.says, self.times, self.acted = says, times, 0
+        self.heard: list[Event] = []
+
+    def start(self, run: RunInfo) -> int:
+        self._end_ns = run.duration_ns
+        return 100_000_000
+
+    def step(self, now_ns: int, inbox: Any) -> Step:
+        self.heard += inbox
+        says = self.says if self.acted < self.times else {}
+        events = [Event(f"{name}/send", now_ns, Message(sender=name, body=body, size_bytes=20)) for name, body in says.items()]
+        self.acted += 1
+        return Step(events, min(self._end_ns, now_ns + 100_000_000))
+
+    def close(self) -> None:
+        pass
+
+
+def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
+    agents = Agents({"a": {"x": 1.5}, "b": b"said"})
+    own, said = [b"", b"said", b"one", b"two"], encode({"x": 1.5})
+    run = BridgeRun("a", "b", "c", hear=True, agents=[agents], delay={"seconds": 0.005})
+
+    def by_agents() -> list[tuple[str, str, bytes]]:
+        return [
+            (event.key, event.value.message.sender, event.value.message.body)
+            for event in agents.heard
+            if isinstance(event.value, Reception)
+            and event.value.message.sender == "a"
+            and isinstance(event.value.message.body, bytes)
+        ]
+
+    with run.program(1) as b, run.program(2) as c:
+        with running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+            for payload in own:
+                a.sendto(payload, run.port(0, BROADCAST))
+            heard_b, heard_c = until_each_of(b, [*own, said]), until_each_of(c, [*own, said])
+            wait_for(lambda: len(by_agents()) >= 2 * 3)
+        heard_b += what_is_there(b)
+        heard_c += what_is_there(c)
+    assert [each for each in heard_b if each in own] == own
+    assert {each for each in heard_b if each not in own} == {said}
+    assert heard_c.count(b"one") == heard_c.count(b"two") == heard_c.count(b"") == 1
+    assert sorted(by_agents()) == sorted((f"{name}/heard", "a", each) for name in "bc" for each in own if each)
+
+
+def test_what_agents_said_is_delivered_once_for_each_time_that_it_was_heard() -> None:
+    agents = Agents({"b": b"said"}, times=10)
+    run = BridgeRun("a", "b", "c", hear=True, agents=[agents])
+    with run.program(2) as c:
+        with running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as b:
+            for _ in range(5):
+                b.sendto(b"said", run.port(1, BROADCAST))  # the same as its agent says
+            assert all_of(c, 5 + 10) == [b"said"] * (5 + 10)
+            wait_for(lambda: agents.acted > 10)
+        assert what_is_there(c) == []
+
+
+def test_levels_are_told_while_a_door_asks(tmp_path: Path) -> None:
+    (tmp_path / "probe.py").write_text(
+        textwrap.dedent("""
+            from pathlib import Path
+
+            class Probe:
+                def __init__(self, out: str) -> None:
+                    self.out = Path(out)
+
+                async def open(self, hall):
+                    hall.loop.call_later(0.05, self.turn, hall)
+                    return []
+
+                def turn(self, hall):
+                    level = hall.level_dbm(2, 1)
+                    self.out.write_text(str(level))
+                    if level != level:
+                        hall.loop.call_later(0.02, self.turn, hall)
+
+                def deliver(self, sender, receiver, payload):
+                    pass
+
+                async def close(self):
+                    pass
+        """)
+    )
+    out = tmp_path / "level"
+    door = DoorSpec(name="probe", kind="probe.py:Probe", params={"out": str(out)})
+    run = BridgeRun("a", "b", "c", doors=[door], folder=str(tmp_path))
+    with running(run):
+        wait_for(lambda: out.exists() and out.read_text() == "-21.0")
+
+
+def test_a_run_of_many_messages_is_said_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcmvsp.netsim.bridge.process.message_chunks.MOST", 3)
+    names = [f"v{k}" for k in range(8)]
+    run = BridgeRun(*names)
+    with run.program(3) as heard, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        for k in range(100):
+            program.sendto(b"%d" % k, run.port(0, BROADCAST))
+        assert all_of(heard, 100) == [b"%d" % k for k in range(100)]
+        wait_for(lambda: run.left == 700)
+    assert run.bridge.lateness["delivered"] == 700
+
+
+def test_datagrams_contend_for_the_air_as_frames_of_agents_do() -> None:
+    run = BridgeRun("a", "b", "c", preset="wifi-g-54", mac={"kind": "dcf"})
+    with run.program(2) as c, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        for k in range(200):
+            program.sendto(b"a%d" % k, run.port(0, 3))
+            program.sendto(b"b%d" % k, run.port(1, 3))
+        heard = all_of(c, 400)
+    assert [each for each in heard if each.startswith(b"a")] == [b"a%d" % k for k in range(200)]
+    assert [each for each in heard if each.startswith(b"b")] == [b"b%d" % k for k in range(200)]
+    assert max(report.access_ns for report in run.reports) > 0
+    assert run.bridge.lateness["delivered"] == 400
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_at_another_speed_delays_are_so_much_shorter_on_the_wall_clock(speed: float) -> None:
+    run = BridgeRun("a", "b", clock=WallClock(speed), delay={"seconds": 0.1})
+    took_s = []
+    with run.program(1) as b, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+        for _ in range(3):
+            began = time.monotonic()
+            a.sendto(b"x", run.port(0, 2))
+            assert b.recv(100) == b"x"
+            took_s.append(time.monotonic() - began)
+    assert min(took_s) >= 0.1 / speed
+    assert all(row["wanted_ns"] - row["came_ns"] == 100_000_000 for row in run.bridge.table().to_pylist())
+
+
+class Halting:
+    """Holds up the run, once, at half a second, until it is let go on."""
+
+    name, slot, wake_slot = "halting", Slot.AGENT, Slot.AGENT
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        self.halts, self.goes_on = threading.Event(), threading.Event()
+
+    def start(self, run: RunInfo) -> int:
+        return 500_000_000
+
+    def step(self, now_ns: int, inbox: Any) -> Step:
+        self.halts.set()
+        assert self.goes_on.wait(PATIENCE_S)
+        return Step([], None)
+
+    def close(self) -> None:
+        pass
+
+
+def test_what_comes_while_the_run_stands_is_of_the_time_at_which_it_stood() -> None:
+    halting = Halting()
+    run = BridgeRun("a", "b", agents=[halting], delay={"seconds": 0.1})
+    run.kernel._tolerance_ns = 100 * MS
+    with running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+
+        def say(often: int) -> None:
+            for _ in range(often):
+                a.sendto(b"x", run.port(0, 2))
+                time.sleep(0.01)
+
+        assert halting.halts.wait(PATIENCE_S)
+        say(60)
+        halting.goes_on.set()
+        wait_for(lambda: sum(len(value.number) for _, value in run.sent) == 60)
+        say(10)
+        wait_for(lambda: sum(len(value.number) for _, value in run.sent) == 70)
+    assert run.kernel._clock.slipped_ns > 400 * MS
+    sent_ns = np.concatenate([value.sent_ns for _, value in run.sent])
+    assert sent_ns[0] >= 500 * MS  # and not long before that
+    assert sent_ns[59] <= 700 * MS  # nor when it came to go on: its next instant is at 0.6 s
+    assert (np.diff(sent_ns) >= 0).all()
+    assert all(row["late_s"] is None or row["late_s"] >= 0.0 for row in run.bridge.table().to_pylist())
+
+
+STUCK = """
+import time
+
+class Stuck:
+    async def open(self, hall):
+        return []
+
+    def deliver(self, sender, receiver, payload):
+        pass
+
+    async def close(self):
+        time.sleep(600.0)
+"""
+
+
+def test_that_the_process_had_to_be_killed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcmvsp.netsim.bridge.process_client.CLOSE_S", 0.1)
+    (tmp_path / "stuck.py").write_text(STUCK)
+    door = DoorSpec(name="stuck", kind="stuck.py:Stuck", params={})
+    run = BridgeRun("a", "b", doors=[door], folder=str(tmp_path), seconds=0.2)
+    run.go()
+    run.join()
+    process = run.bridge._process
+    assert process is not None
+    assert run.told[-1] == "bridge: its process did not end by itself and was killed"
+    assert process._process.returncode == -signal.SIGKILL

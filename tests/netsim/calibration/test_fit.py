@@ -1,0 +1,169 @@
+"""Calibration: known truth comes back, and lost rows count for what they say."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.netsim.calibration.fit import Links, fit
+from vcmvsp.netsim.propagation.walls import FixedWalls
+from vcmvsp.netsim.propagation.shadowing import Shadowing
+from vcmvsp.physics.line_of_sight.sightline import Sightline
+from tests.support.netsim.links import Line
+from tests.support.netsim.measured_links import BOXES, links, mean_of, normal_score, points, shadows, tour
+
+SEEDS = range(4)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+def test_known_truth_comes_back_within_its_standard_errors(lost: float) -> None:
+    """Shadowing from the channel's own layer, fading, links all over a place: every estimate, over several worlds.
+
+    Each score is nearly standard normal: none is beyond 4, and the means of 4 stay within 4 / sqrt(4).
+    """
+    scores = []
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        a, b = points(rng, 50), points(rng, 50)
+        a, b = np.repeat(a, 4, axis=0), np.repeat(b, 4, axis=0) + rng.exponential((1.0, 1.0, 0.0), (200, 3))
+        mean = mean_of(a, b)
+        level = mean - shadows(a, b, seed, Shadowing(6.0, 10.0)) + rng.normal(0.0, 2.0, 200)
+        found = fit(links(a, b, level, float(np.quantile(mean, lost)) if lost else -math.inf))
+        assert (found.lost > 0) == (lost > 0.0)
+        scores.append(
+            [
+                normal_score(found.level_dbm, -40.0),
+                normal_score(found.exponent, 3.0),
+                normal_score(found.shadowing_db, 6.0),
+                normal_score(found.correlation_distance_m, 10.0),
+                normal_score(found.fading_db, 2.0),
+            ]
+        )
+    assert np.abs(scores).max() < 4.0
+    assert np.abs(np.mean(scores, axis=0)).max() < 4.0 / math.sqrt(len(SEEDS))
+
+
+def test_without_losses_and_correlation_it_is_ordinary_least_squares() -> None:
+    rng = np.random.default_rng(1)
+    a, b = points(rng, 200), points(rng, 200)
+    level = mean_of(a, b) + rng.normal(0.0, 4.0, 200)
+    found = fit(links(a, b, level), reference_distance_m=2.0)
+    assert found.model == "independent"
+
+    X = np.column_stack([np.ones(200), -10.0 * np.log10(np.maximum(Line.between(a, b).distance_m, 2.0) / 2.0)])
+    beta, (squares,), *_ = np.linalg.lstsq(X, level, rcond=None)
+    errors = np.sqrt(np.diagonal(np.linalg.inv(X.T @ X)) * squares / 198)
+    assert (found.level_dbm.value, found.exponent.value) == pytest.approx(beta.tolist(), rel=1e-9)
+    assert (found.level_dbm.standard_error, found.exponent.standard_error) == pytest.approx(errors.tolist(), rel=1e-4)
+    student = 1.972017  # 97.5 % of Student's t with 198 degrees of freedom
+    assert found.exponent.high == pytest.approx(beta[1] + student * errors[1], rel=1e-5)
+    assert found.shadowing_db is not None
+    assert found.shadowing_db.value == pytest.approx(math.sqrt(squares / 198), rel=1e-4)
+    assert found.shadowing_db.standard_error == pytest.approx(math.sqrt(squares / 198) / math.sqrt(2 * 198), rel=1e-3)
+    likelihood = -0.5 * (200 * math.log(2.0 * math.pi * squares / 198) + 198)
+    assert found.log_likelihood == pytest.approx(likelihood, abs=1e-4)
+    assert found.aic["independent"] == pytest.approx(2 * 3 - 2 * likelihood, abs=1e-3)
+
+
+def test_lost_rows_keep_the_exponent_right_where_least_squares_is_wrong() -> None:
+    """30 % are lost: those received at a distance are the lucky ones, and levels seem to fall less than they do."""
+    tobit, naive = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        a, b = points(rng, 150), points(rng, 150)
+        mean = mean_of(a, b)
+        log = links(a, b, mean + rng.normal(0.0, 6.0, 150), float(np.quantile(mean, 0.3)))
+        found = fit(log)
+        tobit.append(normal_score(found.exponent, 3.0))
+        naive.append(fit(log.only(np.flatnonzero(~log.lost))).exponent.value - 3.0)
+    assert abs(np.mean(tobit)) < 4.0 / math.sqrt(8)
+    assert np.mean(naive) < -0.5
+
+
+def test_standard_errors_know_that_neighbours_are_alike() -> None:
+    """A robot on a tour round its base: ten times the rows on the same way tell hardly more, and are not said to."""
+    base = np.tile((-5.0, -5.0, 1.0), (400, 1))
+    way = tour(400)
+    level = mean_of(base, way) - shadows(base, way, 3, Shadowing(4.0, 10.0))
+    level += np.random.default_rng(1).normal(0.0, 1.0, 400)
+    every, few = fit(links(base, way, level)), fit(links(base[::10], way[::10], level[::10]))
+    assert every.exponent.standard_error > 0.6 * few.exponent.standard_error
+    assert every.exponent.naive_error is not None
+    assert every.exponent.naive_error < 0.5 * every.exponent.standard_error
+    assert abs(normal_score(every.exponent, 3.0)) < 4.0
+
+
+def test_repeated_measurements_tell_fading_from_shadowing() -> None:
+    rng = np.random.default_rng(2)
+    a, b = np.repeat(points(rng, 40, 400.0), 8, axis=0), np.repeat(points(rng, 40, 400.0), 8, axis=0)
+    place = np.repeat(rng.normal(0.0, 5.0, 40), 8)
+    found = fit(links(a, b, mean_of(a, b) + place + rng.normal(0.0, 2.0, 320)))
+    assert found.model.endswith("fading")
+    assert abs(normal_score(found.fading_db, 2.0)) < 4.0
+    assert abs(normal_score(found.shadowing_db, 5.0)) < 4.0
+    assert found.fading_db is not None
+    assert found.fading_db.standard_error == pytest.approx(2.0 / math.sqrt(2.0 * 280), rel=0.3)  # 280 = 40 places x (8 - 1)
+
+
+def test_both_directions_of_a_link_share_their_shadowing() -> None:
+    """Rows from b to a continue those from a to b: swapped, they give the same numbers."""
+    rng = np.random.default_rng(4)
+    a, b = points(rng, 150, 40.0), points(rng, 150, 40.0)
+    level = mean_of(a, b) - shadows(a, b, 7, Shadowing(6.0, 15.0))
+    swap = (rng.random(150) < 0.5)[:, None]
+    one, other = fit(links(a, b, level)), fit(links(np.where(swap, b, a), np.where(swap, a, b), level))
+    assert one.correlation_distance_m is not None
+    assert other.correlation_distance_m is not None
+    assert other.correlation_distance_m.value == pytest.approx(one.correlation_distance_m.value, rel=1e-3)
+    assert other.log_likelihood == pytest.approx(one.log_likelihood, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_losses_of_walls_come_back(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = points(rng, 250), points(rng, 250)
+    sightline = Sightline(BOXES)
+    walls = FixedWalls(sightline, materials_db={"concrete": 12.0, "plasterboard": 4.0})
+    loss = np.concatenate([walls.loss_db(Line.between(a[i], b[i : i + 1])) for i in range(250)])
+    log = links(a, b, mean_of(a, b) - loss + rng.normal(0.0, 3.0, 250), -98.0)
+    found = fit(log, sightline=sightline)
+    assert list(found.walls_db) == ["concrete", "plasterboard"]  # nothing is said of the wood, which no row crosses
+    assert abs(normal_score(found.walls_db["concrete"], 12.0)) < 4.0
+    assert abs(normal_score(found.walls_db["plasterboard"], 4.0)) < 4.0
+    assert abs(normal_score(found.exponent, 3.0)) < 4.0
+    assert found.walls_db["concrete"].standard_error < 1.5
+    assert found.aic["without walls"] > found.aic[found.model] + 10.0
+
+
+def test_losses_that_level_does_not_explain_are_counted() -> None:
+    rng = np.random.default_rng(1)
+    a, b = points(rng, 150), points(rng, 150)
+    level = mean_of(a, b) + rng.normal(0.0, 3.0, 150)
+    honest = fit(links(a, b, level, -100.0))
+    assert honest.unexplained == 0
+    near = np.argsort(Line.between(a, b).distance_m)[:3]
+    level[near] = -math.inf
+    jammed = fit(links(a, b, level, -100.0), sensitivity_dbm=-100.0)
+    assert jammed.unexplained == 3
+    assert "3 lost rows should have been strong enough" in jammed.summary()
+
+
+def test_a_sensitivity_that_received_rows_contradict_is_refused() -> None:
+    rng = np.random.default_rng(1)
+    a, b = points(rng, 100), points(rng, 100)
+    with pytest.raises(UsageError, match=r"sensitivity -60 dBm: 9.% of the received rows are weaker, down to "):
+        fit(links(a, b, mean_of(a, b)), sensitivity_dbm=-60.0)
+
+
+def test_walls_that_nothing_was_heard_through_are_named() -> None:
+    rng = np.random.default_rng(1)
+    a, b = points(rng, 60), points(rng, 60)
+    sightline = Sightline(BOXES[:1])
+    behind = np.array([sightline.crossings(a[i], b[i : i + 1])[0][0, 0] for i in range(60)])
+    level = np.where(behind, np.nan, mean_of(a, b) + rng.normal(0.0, 3.0, 60))
+    with pytest.raises(UsageError, match="walls of concrete are crossed by lost rows only"):
+        fit(Links(np.arange(60.0), a, b, level), sightline=sightline)
+    through = np.flatnonzero(behind)
+    with pytest.raises(UsageError, match="cannot be told apart"):
+        fit(Links(np.arange(60.0), a, b, mean_of(a, b)).only(through), sightline=sightline)

@@ -1,0 +1,210 @@
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.types import Array, FrameReport, Message
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.impairments.delay import NoDelay
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Paths
+from vcmvsp.netsim.impairments.loss import NoLoss
+from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
+from tests.support.netsim.channels import make_channel, one, send
+
+
+def broadcast(channel: Channel, sender: str, places: dict[str, tuple[float, float, float]], sent_ns: int = 0) -> FrameReport:
+    message = Message(sender=sender, body={}, size_bytes=100)
+    return one(channel.send(sent_ns, message, tuple(places), np.array(list(places.values()))))
+
+
+@pytest.mark.parametrize(
+    ("exponent", "range_m"),
+    [(2.0, 293.45), (2.5, 108.20), (3.0, 55.64), (4.0, 24.23)],  # d0 10^((Pd0 - cutoff) / (10 N)), two decimals
+)
+def test_range_of_the_wireless_simulation_server(exponent: float, range_m: float) -> None:
+    channel = make_channel("wss", path_loss={"exponent": exponent})
+    exact = 2.0 * 10 ** ((-49.67 + 93.0) / (10 * exponent))
+    assert exact == pytest.approx(range_m, abs=0.005)
+    assert send(channel, exact - 1e-6, exact + 1e-6).outcome == ("received", "below sensitivity")
+    assert send(channel, range_m - 0.05, range_m + 0.05).outcome == ("received", "below sensitivity")
+
+
+def test_by_default_the_wireless_simulation_server_cuts_nobody_off() -> None:
+    """Exponent 1 reaches 43 056 m."""
+    assert send(make_channel("wss"), 10_000.0, 43_055.0, 43_056.0).outcome == ("received", "received", "below sensitivity")
+
+
+def test_range_of_wifi_b() -> None:
+    """Between 85.56 and 85.57 m: an 802.11b node of ns-3.44 with this path loss receives at the one and not at the other."""
+    report = send(make_channel("wifi-b-1"), 1.0, 85.56, 85.57)
+    assert report.outcome == ("received", "received", "below sensitivity")
+    assert report.rssi_dbm[0] == pytest.approx(16.0206 - 40.052)  # Friis over the reference metre
+
+
+def test_range_of_zigbee() -> None:
+    assert send(make_channel("zigbee"), 31.4, 31.5).outcome == ("received", "below sensitivity")
+
+
+def test_a_level_equal_to_the_sensitivity_is_received() -> None:
+    channel = make_channel("wss", path_loss={"exponent": 2.0}, phy={"sensitivity_dbm": -49.67 - 40.0})
+    report = send(channel, 200.0, np.nextafter(200.0, 201.0) + 1e-9)  # 2 m x 10^(40 / 20)
+    assert report.rssi_dbm[0] == -49.67 - 40.0
+    assert report.outcome == ("received", "below sensitivity")
+
+
+def test_an_ideal_channel_delivers_everything_at_once_but_not_in_no_time() -> None:
+    report = send(make_channel("ideal"), 0.0, 1.0, 1e6, sent_ns=7, size_bytes=100)
+    assert report.outcome == ("received",) * 3
+    assert report.received_ns.tolist() == [7 + 1_800] * 3
+
+
+def test_the_report_says_what_was_sent_and_how_it_arrived() -> None:
+    places = {"a": (0.0, 0.0, 0.0), "b": (3.0, 4.0, 0.0), "c": (0.0, 0.0, 300.0)}
+    report = broadcast(make_channel("wifi-b-1"), "b", places, sent_ns=12)
+    assert (report.frame, report.sender, report.sent_ns, report.size_bytes) == (0, "b", 12, 100)
+    assert report.receivers == ("a", "c")
+    assert report.distance_m == pytest.approx([5.0, np.sqrt(9 + 16 + 300**2)])
+    assert report.received_ns.tolist() == [12 + 1_280_000, -1]
+    assert report.outcome == ("received", "below sensitivity")
+    arrays: list[Array] = [report.distance_m, report.rssi_dbm, report.received_ns]
+    assert [array.dtype for array in arrays] == [np.float64, np.float64, np.int64]
+    assert not any(array.flags.writeable for array in arrays)
+
+
+def test_frames_are_numbered_in_the_order_in_which_they_enter() -> None:
+    places = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0), "c": (2.0, 0.0, 0.0)}
+    channel = make_channel()
+    assert [broadcast(channel, sender, places).frame for sender in "abacc"] == [0, 1, 2, 3, 4]
+
+
+def test_a_sender_transmits_one_frame_at_a_time() -> None:
+    channel = make_channel("wifi-b-1")
+    arrivals = [send(channel, 5.0, sent_ns=t).received_ns.item() for t in (0, 0, 100, 10_000_000)]
+    assert arrivals == [1_280_000, 2_560_000, 3_840_000, 11_280_000]  # the fourth finds the air free
+
+
+def test_senders_do_not_wait_for_each_other() -> None:
+    places = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)}
+    channel = make_channel("wifi-b-1")
+    assert [broadcast(channel, sender, places).received_ns.item() for sender in "ab"] == [1_280_000, 1_280_000]
+
+
+def test_queue_obeys_lindley() -> None:
+    """Waiting time of frame k is W[k+1] = max(0, W[k] + air time - gap)."""
+    rng = np.random.default_rng(5)
+    channel, phy = make_channel("wifi-b-1"), Dsss()
+    now, wait = 0, 0
+    for gap, size in zip(rng.integers(0, 3_000_000, 300).tolist(), rng.integers(0, 200, 300).tolist(), strict=True):
+        air = phy.air_time_ns(size)
+        assert send(channel, 5.0, sent_ns=now, size_bytes=size).received_ns.item() == now + wait + air
+        now, wait = now + gap, max(0, wait + air - gap)
+
+
+def test_unicast_concerns_the_addressed_vehicle_alone() -> None:
+    report = send(make_channel("wss"), 10.0, 20.0, 1e6, to="car2")
+    assert report.receivers == ("car2",)
+    assert (report.distance_m.tolist(), report.outcome) == ([20.0], ("received",))
+
+
+def test_unicast_and_broadcast_draw_the_same() -> None:
+    to_all, to_one = (make_channel(loss={"probability": 0.5}, delay={"seconds": 0.1, "jitter_s": 0.05}) for _ in range(2))
+    for k in range(200):
+        all_rows = send(to_all, 1.0, 2.0, 3.0, sent_ns=k * 10**9)
+        one_row = send(to_one, 1.0, 2.0, 3.0, sent_ns=k * 10**9, to="car2")
+        assert one_row.received_ns.item() == all_rows.received_ns[1]
+
+
+def test_too_weak_comes_before_lost_by_chance() -> None:
+    report = send(make_channel("wifi-b-1", loss={"probability": 1.0}), 10.0, 1000.0)
+    assert report.outcome == ("random loss", "below sensitivity")
+    assert report.received_ns.tolist() == [-1, -1]
+
+
+def outcomes(channel: Channel, order: tuple[str, ...], frames: int = 150) -> dict[tuple[str, str], list[int]]:
+    """Reception times of every link, when every vehicle of ``order`` sends every second, in that order."""
+    places = {name: (float(ord(name)), 0.0, 0.0) for name in order}
+    found: dict[tuple[str, str], list[int]] = {}
+    for k in range(frames):
+        for sender in order:
+            report = broadcast(channel, sender, places, sent_ns=k * 10**9)
+            for receiver, received_ns in zip(report.receivers, report.received_ns.tolist(), strict=True):
+                found.setdefault((sender, receiver), []).append(received_ns)
+    return found
+
+
+CHANCE: dict[str, Any] = {"loss": {"probability": 0.4}, "delay": {"seconds": 0.1, "jitter_s": 0.03}}
+
+
+def test_a_link_fares_the_same_whoever_else_takes_part_and_in_whatever_order() -> None:
+    alone = outcomes(make_channel("wifi-b-1", **CHANCE), ("a", "b", "c"))
+    assert len({tuple(times) for times in alone.values()}) == 6  # six links, six fates
+    for order in [*permutations("abc"), tuple("zabyxc"), tuple("abcdefghijklmnopqrstuvw")]:
+        others_too = outcomes(make_channel("wifi-b-1", **CHANCE), order)
+        assert {link: others_too[link] for link in alone} == alone
+
+
+def test_vehicles_that_come_and_go_change_nothing_for_the_others() -> None:
+    few, many = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)}, {"c": (9.0, 0.0, 0.0), "a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)}
+    steady, changing = make_channel(**CHANCE), make_channel(**CHANCE)
+    for k in range(200):
+        expected = broadcast(steady, "a", few, k * 10**9).received_ns[-1]
+        assert broadcast(changing, "a", few if k % 3 else many, k * 10**9).received_ns[-1] == expected
+
+
+def test_seeds_repeat_and_differ() -> None:
+    once = outcomes(make_channel(seed=1, **CHANCE), ("a", "b"))
+    assert outcomes(make_channel(seed=1, **CHANCE), ("a", "b")) == once
+    assert outcomes(make_channel(seed=2, **CHANCE), ("a", "b")) != once
+    channel = make_channel(seed=2, **CHANCE)
+    outcomes(channel, ("a", "b"))
+    channel.start(seed=1)
+    assert outcomes(channel, ("a", "b")) == once
+
+
+def test_a_lonely_vehicle_talks_to_nobody() -> None:
+    report = send(make_channel("wifi-b-1", **CHANCE))
+    assert (report.receivers, report.outcome, report.received_ns.tolist()) == ((), (), [])
+
+
+def test_nobody_sends_from_nowhere_or_to_nobody() -> None:
+    with pytest.raises(ValueError, match=r"ghost sends.*known: a, b"):
+        broadcast(make_channel(), "ghost", {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)})
+    with pytest.raises(ValueError, match=r"'car7'; possible: car1"):
+        send(make_channel(), 1.0, to="car7")
+
+
+class Tunnel:
+    """A stranger's loss layer: the frame is lost beyond 10 m, by a cause of its own."""
+
+    cause = "tunnel"
+
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
+        far: Bools = frame.paths.distance_m > 10.0
+        return far
+
+
+class Nothing:
+    """A stranger's path loss that cannot tell."""
+
+    def loss_db(self, paths: Paths) -> Floats:
+        return np.full(paths.distance_m.shape, np.nan)
+
+
+class Timeless(Dsss):
+    def air_time_ns(self, size_bytes: int) -> int:
+        return 0
+
+
+def test_layers_of_ones_own() -> None:
+    channel = Channel(path_loss=LogDistance(), phy=Dsss(), loss=Tunnel(), delay=NoDelay())
+    assert send(channel, 5.0, 15.0).outcome == ("received", "tunnel")
+    unknown = Channel(path_loss=Nothing(), phy=Dsss(), loss=NoLoss(), delay=NoDelay())
+    assert send(unknown, 5.0).outcome == ("below sensitivity",)  # a level that is not a number is not heard
+
+
+def test_air_time_must_not_be_zero() -> None:
+    channel = Channel(path_loss=NoPathLoss(), phy=Timeless(), loss=NoLoss(), delay=NoDelay())
+    with pytest.raises(ValueError, match=r"Timeless\.air_time_ns\(100\) is 0"):
+        send(channel, 5.0)

@@ -1,0 +1,149 @@
+"""Contention through the channel: messages in, reports out, whatever the mac."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.types import FrameReport, Message, Reception, States
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.mac.csma154.parameters import Csma154
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.impairments.delay import NoDelay
+from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.netsim.interfaces.layers import Floats, Phy
+from vcmvsp.netsim.impairments.loss import NoLoss
+from vcmvsp.netsim.mac.ideal import Mac
+from vcmvsp.netsim.channel.reception import UNDER_WAY
+from vcmvsp.netsim.phy.standards import Dsss, Ieee802154
+from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.propagation.path_loss import LogDistance
+from vcmvsp.netsim.interfaces.radio import Radio
+from tests.support.netsim.channels import make_channel
+
+MS = 1_000_000
+NAMES = tuple(f"car{i}" for i in range(6))
+PLACES: Floats = np.array([(0.0, 0, 0), (20, 0, 0), (40, 10, 0), (60, 0, 0), (90, 5, 0), (120, 0, 0)])
+MACS = [("wifi-b-1", "dcf"), ("wifi-g-6", "dcf"), ("zigbee", "csma154")]
+CHANCE: dict[str, Any] = {"loss": {"probability": 0.1}, "fading": {"kind": "nakagami", "m": 1.5}}
+
+Offer = tuple[int, int, int]
+"""When (us), who, to whom (itself: all)."""
+OFFERS = st.lists(st.tuples(st.integers(0, 40_000), st.integers(0, 5), st.integers(0, 5)), max_size=30).map(sorted)
+
+
+def contended(preset: str, mac: str, **changes: Any) -> Channel:
+    return make_channel(preset, mac={"kind": mac}, **{**CHANCE, **changes})
+
+
+def play(channel: Channel, offers: list[Offer], cuts: list[int], names: tuple[str, ...] = NAMES) -> list[FrameReport]:
+    """Everything that is reported, the channel being advanced at the offers and at other times too."""
+    reports = []
+    places = np.concatenate([PLACES, np.full((len(names) - len(NAMES), 3), 1e9)])
+    for time_us, sender, to in sorted([*offers, *((cut, -1, -1) for cut in cuts)]):
+        reports += channel.advance(time_us * 1000)
+        if sender >= 0:
+            message = Message(sender=NAMES[sender], body={}, size_bytes=80, to=None if to == sender else NAMES[to])
+            reports += channel.send(time_us * 1000, message, names, places)
+    return reports + channel.advance(10**13)
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS)
+@settings(max_examples=15, deadline=None)
+@given(offers=OFFERS, cuts=st.lists(st.integers(0, 200_000), max_size=10))
+def test_every_frame_is_reported_once_however_the_channel_is_advanced(
+    preset: str, mac: str, offers: list[Offer], cuts: list[int]
+) -> None:
+    whole = play(contended(preset, mac), offers, [])
+    assert sorted(report.frame for report in whole) == list(range(len(offers)))
+    assert encode(play(contended(preset, mac), offers, cuts)) == encode(whole)
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS)
+def test_one_who_is_out_of_reach_changes_nothing(preset: str, mac: str) -> None:
+    rng = np.random.default_rng(4)
+    offers = sorted((int(t), int(s), int(s)) for t, s in zip(rng.integers(0, 200_000, 80), rng.integers(0, 6, 80), strict=True))
+    few = play(contended(preset, mac), offers, [])
+    many = play(contended(preset, mac), offers, [], (*NAMES, "far"))
+    for a, b in zip(few, many, strict=True):
+        assert (a.frame, a.received_ns.tolist(), a.outcome) == (b.frame, b.received_ns[:-1].tolist(), b.outcome[:-1])
+        assert np.array_equal(a.rssi_dbm, b.rssi_dbm[:-1])
+
+
+@pytest.mark.parametrize(("preset", "delay_us"), [("wifi-b-1", 1330), ("wifi-b-11", 341), ("wifi-g-6", 264)])
+def test_alone_on_the_air(preset: str, delay_us: int) -> None:
+    """DIFS and air time of 100 bytes; ns-3.44 has the same."""
+    channel = make_channel(preset, mac={"kind": "dcf"})
+    message = Message(sender="car0", body={}, size_bytes=100)
+    assert channel.send(100 * MS, message, NAMES[:2], PLACES[:2]) == []
+    assert channel.advance(100 * MS) == []
+    due = channel.next_ns()
+    assert due == (100_000 + delay_us) * 1000
+    (report,) = channel.advance(due)
+    assert report.received_ns.tolist() == [due]
+    assert (report.queue_ns, report.access_ns + report.air_time_ns) == (0, delay_us * 1000)
+    assert channel.next_ns() is None
+
+
+def test_a_radio_of_its_own_sensitivity_hears_more() -> None:
+    radios = {"car2": Radio(sensitivity_dbm=-100.0, antenna_height_m=0.0)}
+    parts: dict[str, Any] = {"path_loss": LogDistance(), "loss": NoLoss(), "delay": NoDelay(), "radios": radios}
+    channel = Channel(phy=Dsss(preamble_snr_db=-100.0), mac=Dcf(), **parts)
+    places = np.array([(0.0, 0, 0), (100, 0, 0), (0, 100, 0)])  # -84 dBm
+    channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=100), NAMES[:3], places)
+    assert channel.advance(10**10)[0].outcome == ("below sensitivity", "received")
+
+
+@pytest.mark.parametrize(("phy", "mac"), [(Dsss(), Dcf()), (Ofdm(), Dcf()), (Ieee802154(), Csma154())], ids=str)
+@pytest.mark.parametrize("power_dbm", [None, -60.0])
+def test_who_answers_with_little_power_is_not_heard(phy: Phy, mac: Mac, power_dbm: float | None) -> None:
+    """Its own radio's: the sender tries again, at least four times in all, before the next frame goes."""
+    radios = {"car1": Radio(tx_power_dbm=power_dbm, antenna_height_m=0.0)}
+    channel = Channel(phy=phy, mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), radios=radios)
+    for _ in range(2):
+        channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=80, to="car1"), NAMES[:2], PLACES[:2])
+    first, second = channel.advance(10**10)
+    assert first.outcome == second.outcome == ("received",)
+    started_ns = [int(each.received_ns[0]) - each.air_time_ns for each in (first, second)]
+    assert (started_ns[1] - started_ns[0] > 4 * first.air_time_ns) == (power_dbm is not None)
+
+
+def test_what_the_end_cuts_off_is_reported_as_under_way() -> None:
+    channel = contended("wifi-b-1", "dcf")
+    for _ in range(3):
+        channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=100), NAMES, PLACES)
+    first = channel.advance(102 * MS)
+    rest = channel.finish()
+    assert [report.frame for report in (*first, *rest)] == [0, 1, 2]
+    assert {word for report in rest for word in report.outcome} == {UNDER_WAY}
+    assert channel.next_ns() is None
+
+
+def test_the_federate_is_stepped_twice_a_frame_and_hears_at_its_end() -> None:
+    """Once to send it and once when it ends; the handing over may need one step more."""
+    radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}))
+    radio.start(RunInfo(scenario="test", seed=1, duration_ns=10**12, vehicles=NAMES))
+    zero = np.zeros((6, 3))
+    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (6, 1))
+    states = States(names=NAMES, position=PLACES, velocity=zero, attitude=attitude, angular_velocity=zero)
+    steps = 0
+    for k in range(50):
+        now = k * 100 * MS
+        sends = [Event(f"{name}/send", now, Message(sender=name, body={"k": k}, size_bytes=60)) for name in NAMES]
+        step = radio.step(now, [Event("world/states", now, states), *sends])
+        reports, due = [], step.next_ns
+        while due is not None:
+            step, steps = radio.step(due, []), steps + 1
+            for event in step.events:
+                if isinstance(event.value, Reception):
+                    assert event.time_ns == event.value.received_ns >= due
+                    assert event.value.sent_ns == now
+                else:
+                    reports.append(event.value)
+            due = step.next_ns
+        assert len(reports) == 6
+    assert steps <= 50 * 6 * 2

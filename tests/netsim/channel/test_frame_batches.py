@@ -1,0 +1,72 @@
+"""Broadcasts of one instant: together they fare as one after the other."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.netsim.channel.channel import Channel
+from tests.support.netsim.channels import make_channel
+
+NAMES = tuple(f"car{number}" for number in range(7))
+TABLES: dict[str, dict[str, Any]] = {
+    "ideal": {},
+    "lossy": {"loss": {"probability": 0.3}, "delay": {"seconds": 0.01, "jitter_s": 0.004}},
+    "late": {"delay": {"seconds": 1e-4, "jitter_s": 1e-3}},
+}
+INSTANT = st.tuples(
+    st.integers(0, 3_000_000),  # ns since the one before: some frames still wait for their radio, some begin at once
+    st.integers(0, 2),  # where everybody is
+    st.lists(st.integers(0, 6), min_size=2, max_size=7, unique=True),  # who sends, in this order
+    st.lists(st.sampled_from((20, 20, 300, 1500)), min_size=7, max_size=7),
+)
+
+
+@given(
+    preset=st.sampled_from(("ideal", "wifi-b-1", "wifi-g-54", "wss")),
+    table=st.sampled_from(sorted(TABLES)),
+    far_m=st.floats(1.0, 600.0),
+    instants=st.lists(INSTANT, min_size=1, max_size=4),
+)
+def test_broadcasts_of_one_instant_fare_as_one_after_the_other(
+    preset: str, table: str, far_m: float, instants: list[tuple[int, int, list[int], list[int]]]
+) -> None:
+    together, apart = make_channel(preset, **TABLES[table]), make_channel(preset, **TABLES[table])
+    places = [far_m * np.random.default_rng(each).random((7, 3)) for each in range(3)]
+    now_ns = 0
+    for wait_ns, where, senders, sizes in instants:
+        now_ns += wait_ns
+        messages = [Message(sender=NAMES[each], body={}, size_bytes=sizes[each]) for each in senders]
+        got = together.send_all(now_ns, messages, NAMES, places[where])
+        assert got is not None
+        assert list(map(encode, got)) == list(map(encode, _one_by_one(apart, now_ns, messages, places[where])))
+    alone = Message(sender=NAMES[0], body={}, size_bytes=20)  # what is sent next goes on from there
+    after = [channel.send(now_ns, alone, NAMES, places[0]) for channel in (together, apart)]
+    assert encode(after[0]) == encode(after[1])
+
+
+def _one_by_one(channel: Channel, now_ns: int, messages: list[Message], places: Any) -> list[FrameReport]:
+    return [report for message in messages for report in channel.send(now_ns, message, NAMES, places)]
+
+
+@pytest.mark.parametrize(
+    ("tables", "to"),
+    [
+        ({"mac": {"kind": "dcf"}}, None),  # they share the air
+        ({"fading": {"kind": "rayleigh"}}, None),  # each frame has a level of its own
+        ({"shadowing": {"sigma_db": 4.0}}, None),  # distance is not all
+        ({}, "car1"),
+    ],
+)
+def test_what_has_to_be_sent_one_by_one_is_refused_and_leaves_no_trace(tables: dict[str, Any], to: str | None) -> None:
+    messages = [Message(sender=name, body={}, size_bytes=20, to=to) for name in ("car0", "car2")]
+    places = np.arange(21.0).reshape(7, 3)
+    channel, other = make_channel("wifi-b-1", **tables), make_channel("wifi-b-1", **tables)
+    assert channel.send_all(0, messages, NAMES, places) is None
+    assert channel.send_all(0, messages[:1] * 2, NAMES, places) is None  # twice the same
+    ways = [_one_by_one(each, 0, messages, places) + each.advance(10**8) for each in (channel, other)]
+    assert encode(ways[0]) == encode(ways[1])

@@ -1,0 +1,201 @@
+"""The layers together: through the channel, whatever the mac."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.interfaces.layers import Floats
+from tests.support.netsim.channels import make_channel
+
+MS = 1_000_000
+NAMES = tuple(f"car{i}" for i in range(5))
+PLACES: Floats = np.array([(0.0, 0, 0), (15, 0, 0), (40, 10, 0), (70, 0, 0), (150, 5, 0)])
+MACS = [("wifi-b-1", "ideal"), ("wifi-b-1", "dcf"), ("zigbee", "csma154")]
+
+
+def channel(preset: str, mac: str, **changes: Any) -> Channel:
+    return make_channel(preset, mac={"kind": mac}, vehicles=NAMES, **changes)
+
+
+def play(air: Channel, *, unicast: bool = False, frames: int = 60, size_bytes: int = 90) -> list[FrameReport]:
+    """Five radios that send at random."""
+    rng = np.random.default_rng(6)
+    times = np.sort(rng.integers(0, 300 * MS, frames)).tolist()
+    reports = []
+    for at_ns, sender, hop in zip(times, rng.integers(0, 5, frames).tolist(), rng.integers(1, 5, frames).tolist(), strict=True):
+        to = NAMES[(sender + hop) % 5] if unicast else None
+        reports += air.advance(at_ns)
+        reports += air.send(at_ns, Message(sender=NAMES[sender], body={}, size_bytes=size_bytes, to=to), NAMES, PLACES)
+    return sorted(reports + air.advance(10**12), key=lambda report: report.frame)
+
+
+def fates(reports: list[FrameReport]) -> list[Any]:
+    return [(report.outcome, report.received_ns.tolist(), report.rssi_dbm.tolist()) for report in reports]
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS)
+@pytest.mark.parametrize("unicast", [False, True])
+def test_layers_that_touch_nothing_change_nothing(preset: str, mac: str, unicast: bool) -> None:
+    """A jammer that is off, changes long after; and levels that are asked for each attempt."""
+    without = fates(play(channel(preset, mac), unicast=unicast))
+    jammer = {"sources": [{"power_dbm": 60.0, "position": [0.0, 0.0, 0.0], "from_s": 1000.0}]}
+    script = {"changes": [{"from_s": 1000.0, "loss": 1.0, "attenuation_db": 99.0, "delay_s": 9.0}]}
+    assert fates(play(channel(preset, mac, jammer=jammer), unicast=unicast)) == without
+    assert fates(play(channel(preset, mac, script=script), unicast=unicast)) == without
+    assert fates(play(channel(preset, mac, delivery={"duplicate": 0.0}), unicast=unicast)) == without
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS)
+def test_a_jammer_spoils_what_it_drowns(preset: str, mac: str) -> None:
+    """Beside car1: whom car1 hears from elsewhere is drowned, farther receivers hear their neighbours."""
+    sources = [{"power_dbm": 10.0, "position": [15.0, 1.0, 0.0]}]
+    before, after = play(channel(preset, mac)), play(channel(preset, mac, jammer={"sources": sources}))
+    changed = [(a, b) for x, y in zip(before, after, strict=True) for a, b in zip(x.outcome, y.outcome, strict=True) if a != b]
+    assert changed
+    assert all(pair == ("received", "jammed") for pair in changed)
+    for report in after:
+        at = dict(zip(report.receivers, report.outcome, strict=True))
+        assert at.get("car1") != "received"
+        assert report.sinr_db is not None
+        assert report.snr_db is not None
+        heard = np.isfinite(report.sinr_db)
+        assert (report.sinr_db[heard] < report.snr_db[heard]).all()
+
+
+def test_a_weak_jammer_costs_what_it_adds_to_the_noise() -> None:
+    """Success over one link is that of the error rate at signal over noise and jammer."""
+    from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
+
+    jammer = {"sources": [{"power_dbm": -5.0, "position": [0.0, 50.0, 0.0]}]}
+    air = make_channel("wifi-g-54", jammer=jammer, phy={"tx_power_dbm": 0.0, "sensitivity_dbm": -100.0})
+    places, count = np.array([(0.0, 0.0, 0.0), (15.0, 0.0, 0.0)]), 4000
+    message = Message(sender="a", body={}, size_bytes=100)
+    reports = [air.send(k * MS, message, ("a", "b"), places)[0] for k in range(count)]
+    assert reports[0].sinr_db is not None
+    expected = OfdmErrors(54e6).frame_success(reports[0].sinr_db, 100)[0]
+    assert 0.1 < expected < 0.9
+    received = np.mean([report.outcome == ("received",) for report in reports])
+    assert abs(received - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count)
+    assert {word for report in reports for word in report.outcome} >= {"received", "jammed"}
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS)
+def test_a_trace_takes_the_place_of_the_models(preset: str, mac: str, tmp_path: Path) -> None:
+    """A link with a level of its own, one that loses everything, one that is late."""
+    rows = ["0,car0,car4,-60,0,0.0", "0,car0,car1,-60,1,0.0", "0,car0,car2,-60,0,0.5"]
+    (tmp_path / "links.csv").write_text("\n".join(["time_s,sender,receiver,rssi_dbm,loss,delay_s", *rows]))
+    air = channel(preset, mac, trace={"file": str(tmp_path / "links.csv")}, loss={"probability": 1.0})
+    message = Message(sender="car0", body={}, size_bytes=50)
+    (report,) = [*air.send(100 * MS, message, NAMES, PLACES), *air.advance(10**12)]
+    assert report.outcome == ("traced loss", "received", "random loss" if mac != "csma154" else report.outcome[2], "received")
+    assert report.rssi_dbm[[0, 1, 3]].tolist() == [-60.0] * 3
+    assert report.received_ns[1] == 600 * MS
+    assert report.received_ns[3] < 200 * MS
+
+
+def test_copies_and_a_limited_rate() -> None:
+    air = channel("ideal", "ideal", delivery={"rate_bps": 8000.0, "queue_s": 0.15, "duplicate": 1.0, "duplicate_delay_s": 0.01})
+    message = Message(sender="car0", body={}, size_bytes=100)  # 0.1 s each
+    reports = [air.send(k, message, NAMES, PLACES)[0] for k in range(4)]
+    assert [report.outcome[0] for report in reports] == ["received", "received", "rate limit", "rate limit"]
+    for k, report in enumerate(reports[:2]):
+        assert report.copy_ns is not None
+        assert report.received_ns[0] == pytest.approx((k + 1) * 100 * MS, abs=10_000)
+        assert report.copy_ns[0] == report.received_ns[0] + 10 * MS
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS[1:])
+@pytest.mark.parametrize("changes", [{"queue_frames": 3}, {"lifetime_s": 0.02}])
+def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dict[str, Any]) -> None:
+    air = make_channel(preset, mac={"kind": mac, **changes}, vehicles=NAMES)
+    reports = play(air, frames=300)
+    arrived = [(report, max(report.received_ns.tolist())) for report in reports if max(report.received_ns.tolist()) >= 0]
+    assert len(arrived) > 20
+    for report, at_ns in arrived:
+        assert at_ns - report.sent_ns == report.queue_ns + report.access_ns + report.air_time_ns
+        assert min(report.queue_ns, report.access_ns) >= 0
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS[1:])
+@settings(max_examples=40, deadline=None)
+@example(offers=[(0, 1, 1000, 0), (0, 1, 1000, 1)])  # one gives up before the other, which it waits for, has ended
+@given(
+    offers=st.lists(
+        st.tuples(st.integers(0, 9_000), st.integers(0, 2_000), st.sampled_from([1, 100, 1000]), st.integers(0, 4)),
+        min_size=1,
+        max_size=12,
+    ).map(sorted)
+)
+def test_nothing_is_decided_before_it_was_foretold(preset: str, mac: str, offers: list[tuple[int, int, int, int]]) -> None:
+    """Frames of all sizes, among radios that do not all hear each other, on their way to the radio for different times."""
+    air = channel(preset, mac, path_loss={"exponent": 4.0})
+    sent, told = 0, None
+    reports: list[FrameReport] = []
+    while sent < len(offers) or told is not None:
+        at_ns = offers[sent][0] * 1000 if sent < len(offers) else None
+        if at_ns is not None and (told is None or at_ns <= told):
+            early = air.advance(at_ns - 1)
+            assert not early
+            reports += air.advance(at_ns)
+            _, wait_us, size, sender = offers[sent]
+            message = Message(sender=NAMES[sender], body={}, size_bytes=size)
+            reports += air.send(at_ns, message, NAMES, PLACES, handover_ns=wait_us * 1000)
+            reports += air.advance(at_ns)
+            sent += 1
+        else:
+            assert told is not None
+            assert not air.advance(told - 1)
+            reports += air.advance(told)
+        told = air.next_ns()
+    assert sorted(report.frame for report in reports) == list(range(len(offers)))
+
+
+@pytest.mark.parametrize(("preset", "mac"), MACS[1:])
+def test_retries_at_levels_that_do_not_change(preset: str, mac: str) -> None:
+    """However the channel is advanced, jammed or not."""
+    jammer = {"sources": [{"power_dbm": -10.0, "position": [60.0, 20.0, 0.0]}]}
+    whole = play(channel(preset, mac, jammer=jammer), unicast=True, frames=120)
+    air, fine = channel(preset, mac, jammer=jammer), []
+    rng = np.random.default_rng(6)
+    times = np.sort(rng.integers(0, 300 * MS, 120)).tolist()
+    senders, hops = rng.integers(0, 5, 120).tolist(), rng.integers(1, 5, 120).tolist()
+    now = 0
+    for at_ns, sender, hop in zip(times, senders, hops, strict=True):
+        while now < at_ns:
+            now = min(at_ns, now + MS // 3)
+            fine += air.advance(now)
+        message = Message(sender=NAMES[sender], body={}, size_bytes=90, to=NAMES[(sender + hop) % 5])
+        fine += air.send(at_ns, message, NAMES, PLACES)
+    fine += air.advance(10**12)
+    assert encode(sorted(fine, key=lambda report: report.frame)) == encode(whole)
+
+
+@pytest.mark.parametrize("path_loss", ["log_distance", "friis", "none"])
+@pytest.mark.parametrize(("preset", "mac"), MACS)
+def test_who_moves_and_sends_together_fares_as_each_for_itself(
+    preset: str, mac: str, path_loss: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Budgets of those who send at one instant are worked out at once: the same to the last bit."""
+
+    def told() -> list[bytes]:
+        air = channel(preset, mac, path_loss={"kind": path_loss}, loss={"probability": 0.2})
+        found: list[FrameReport] = []
+        for k in range(6):
+            places = PLACES * (1.0 + 0.3 * k)
+            for name in NAMES[: 4 + k % 2]:
+                message = Message(sender=name, body={}, size_bytes=60 + 40 * (k % 2))
+                found += air.send(100 * k * MS, message, NAMES, places, handover_ns=len(found) * MS)
+            found += air.advance(100 * (k + 1) * MS - 1)
+        return [encode(report) for report in found]
+
+    together = told()
+    monkeypatch.setattr("vcmvsp.netsim.channel.link_budget.AT_ONCE", 0)
+    assert told() == together
+    assert len(together) == 27

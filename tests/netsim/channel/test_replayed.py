@@ -1,0 +1,164 @@
+"""Recorded frames fare as they did, whatever is drawn; what the recording does not know is drawn as if it knew nothing."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
+from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.replayed import RecordedChannel
+from tests.support.netsim.channels import make_channel
+
+MS = 1_000_000
+NAMES = ("a", "b", "c")
+PLACES = np.array([(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 84.0, 0.0)])
+LAYERS: dict[str, Any] = {
+    "loss": {"kind": "bernoulli", "probability": 0.3},
+    "delay": {"kind": "uniform", "from_s": 0.01, "to_s": 0.05},
+}
+DCF = {"mac": {"kind": "dcf"}}
+Sends = Sequence[tuple[int, str, str | None]]  # time, sender, to
+SENDS: Sends = [(k * 7 * MS, "abcb"[k % 4], (None, None, "a", None)[k % 4]) for k in range(80)]
+
+
+def lossy(seed: int = 1, **more: Any) -> Channel:
+    return make_channel("wifi-b-1", seed=seed, **LAYERS, **more)
+
+
+def reports(channel: Channel | RecordedChannel, sends: Sends, places: np.ndarray = PLACES) -> list[FrameReport]:
+    """What becomes of these frames, until all is decided."""
+    found = []
+    for time_ns, sender, to in sends:
+        found += channel.advance(time_ns)
+        found += channel.send(time_ns, Message(sender=sender, body={}, size_bytes=100, to=to), NAMES, places)
+    found += channel.advance(10**12)
+    return found + channel.finish()
+
+
+def table(found: Sequence[FrameReport]) -> pa.Table:
+    return radio_table(found, RunFacts(scenario="test", seed=1, end_ns=10**9, vehicles=NAMES))
+
+
+def saved(folder: Path, found: Sequence[FrameReport]) -> Path:
+    path = folder / "radio.parquet"
+    write_table(table(found), path)
+    return path
+
+
+def again(path: Path, seed: int = 2, **more: Any) -> RecordedChannel:
+    channel = RecordedChannel(lossy(seed, **more), path)
+    channel.start(seed)
+    return channel
+
+
+@pytest.mark.parametrize("mac", [{}, DCF], ids=["ideal", "dcf"])
+def test_the_same_frames_fare_the_same_whatever_seed_draws(tmp_path: Path, mac: dict[str, Any]) -> None:
+    then = reports(lossy(**mac), SENDS)
+    assert {cause for each in then for cause in each.outcome} > {"received", "random loss"}
+    drawn, recorded = reports(lossy(2, **mac), SENDS), reports(again(saved(tmp_path, then), **mac), SENDS)
+    assert table(drawn) != table(then)
+    assert table(recorded).equals(table(then))
+
+
+def test_a_report_is_the_recorded_one_to_the_last_bit(tmp_path: Path) -> None:
+    """Also what no table tells: which layers there were. ``fading`` has none here."""
+    then = reports(lossy(), SENDS)
+    for now, before in zip(reports(again(saved(tmp_path, then)), SENDS), then, strict=True):
+        for name in FrameReport.__struct_fields__:
+            mine, other = getattr(now, name), getattr(before, name)
+            assert (mine is None) == (other is None), name
+            np.testing.assert_array_equal(mine, other)
+            assert getattr(mine, "dtype", None) == getattr(other, "dtype", None), name
+
+
+def test_a_second_copy_arrives_again(tmp_path: Path) -> None:
+    more: dict[str, Any] = {"delivery": {"duplicate": 0.5, "duplicate_delay_s": 0.004}}
+    then = reports(lossy(**more), SENDS)
+    now = reports(again(saved(tmp_path, then), **more), SENDS)
+    copies = [each.copy_ns.tolist() for each in then if each.copy_ns is not None]
+    assert max(max(each) for each in copies) > 0
+    assert [each.copy_ns.tolist() for each in now if each.copy_ns is not None] == copies
+
+
+def test_the_recorded_delay_counts_from_when_the_frame_is_sent_now(tmp_path: Path) -> None:
+    then = reports(lossy(), SENDS)
+    later = [(time_ns + 1_234_567, sender, to) for time_ns, sender, to in SENDS]
+    now = reports(again(saved(tmp_path, then)), later, PLACES + 1000.0)
+    for mine, other in zip(now, then, strict=True):
+        assert mine.sent_ns == other.sent_ns + 1_234_567
+        assert mine.received_ns.tolist() == [t + 1_234_567 if t >= 0 else -1 for t in other.received_ns.tolist()]
+        assert mine.outcome == other.outcome
+
+
+def test_what_is_not_recorded_is_drawn_as_if_nothing_were(tmp_path: Path) -> None:
+    """A recording that was cut goes on as the run would have: frames keep their numbers, and so their draws."""
+    whole = reports(lossy(1), SENDS)
+    channel = again(saved(tmp_path, whole[:30]), seed=1)
+    assert table(reports(channel, SENDS)).equals(table(whole))
+    assert channel.unknown == 50
+
+
+@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(order=st.permutations(range(40)), kept=st.integers(0, 40))
+def test_a_frame_is_known_by_its_sender_and_number(tmp_path: Path, order: list[int], kept: int) -> None:
+    """In whatever order senders take turns: the k-th broadcast of each fares as its k-th did."""
+    sends = [(k * 50 * MS, "abcb"[k % 4], None) for k in range(40)]
+    then = reports(lossy(), sends)[:kept]
+    turns = [sends[k][1] for k in order]
+    now = reports(again(saved(tmp_path, then)), [(k * 50 * MS, sender, None) for k, sender in enumerate(turns)])
+    assert [each.frame for each in now] == list(range(40))
+    for name in NAMES:
+        before = [each.outcome for each in then if each.sender == name]
+        assert [each.outcome for each in now if each.sender == name][: len(before)] == before
+
+
+def test_a_frame_to_somebody_else_is_drawn(tmp_path: Path) -> None:
+    then = reports(lossy(), SENDS)
+    path = saved(tmp_path, then)
+    redirected = [(time_ns, sender, "b" if to else to) for time_ns, sender, to in SENDS]
+    channel = again(path)
+    now = reports(channel, redirected)
+    assert channel.unknown == 20  # every fourth
+    assert [each.receivers for each in now if each.sender == "c"] == [("b",)] * 20
+    assert [each.outcome for each in now if each.sender != "c"] == [each.outcome for each in then if each.sender != "c"]
+
+
+def test_how_many_were_not_recorded_is_told_at_the_end(tmp_path: Path) -> None:
+    path, told = saved(tmp_path, reports(lossy(), SENDS)[:77]), list[str]()
+    channel = RecordedChannel(lossy(), path, told.append)
+    reports(channel, SENDS)
+    assert told == []
+    channel.close()
+    assert told == ["3 of 80 frames were not in the recording: the radio has drawn what became of them"]
+    channel.start(1)
+    reports(channel, SENDS[:77])
+    channel.close()
+    assert len(told) == 1
+
+
+def test_nobody_hears_a_vehicle_that_is_alone(tmp_path: Path) -> None:
+    """Its frames are in no recording, and nobody misses them there."""
+    channel = again(saved(tmp_path, []))
+    (report,) = channel.send(0, Message(sender="a", body={}, size_bytes=9), ("a",), PLACES[:1])
+    assert (report.receivers, channel.unknown) == ((), 0)
+
+
+def test_files_that_are_no_recording_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "radio.parquet"
+    with pytest.raises(UsageError, match=r"radio\.parquet"):
+        RecordedChannel(lossy(), path)
+    path.write_bytes(b"PAR1 and nothing else")
+    with pytest.raises(UsageError, match="cannot be read"):
+        RecordedChannel(lossy(), path)
+    pq.write_table(pa.table({"frame": [1], "sender": ["a"]}), path)  # names are written otherwise
+    with pytest.raises(UsageError, match="no column sender, receiver"):
+        RecordedChannel(lossy(), path)

@@ -1,0 +1,288 @@
+"""What an operator does to the radio of a run: who is cut off, numbers that change; all else fares as it would have."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
+from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probability, States
+from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
+from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss
+from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
+from vcmvsp.netsim.channel.runtime_changes import Operated
+from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.propagation.path_loss import LogDistance
+from vcmvsp.netsim.impairments.random_delay import GammaDelay, UniformDelay
+from vcmvsp.netsim.channel.replayed import RecordedChannel
+from vcmvsp.netsim.impairments.script import Script
+from tests.support.netsim.channels import make_channel
+
+MS = 1_000_000
+NAMES = ("car1", "car2", "car3", "base")
+RUN = RunInfo(scenario="test", seed=4, duration_ns=10**10, vehicles=NAMES)
+CHANCE: dict[str, Any] = {
+    "loss": {"probability": 0.3},
+    "delay": {"seconds": 0.02, "jitter_s": 0.01},
+    "fading": {"kind": "nakagami", "m": 1.5},
+}
+MACS = pytest.mark.parametrize(("preset", "mac"), [("wifi-b-1", "ideal"), ("wifi-b-1", "dcf"), ("zigbee", "csma154")])
+OFFERS = st.lists(
+    st.tuples(st.integers(0, 60_000), st.sampled_from(NAMES), st.sampled_from((None, *NAMES))), min_size=1, max_size=30
+)
+
+
+def where() -> Event:
+    zero, n = np.zeros((len(NAMES), 3)), len(NAMES)
+    position = np.array([(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0)])
+    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    return Event(
+        "world/states", 0, States(names=NAMES, position=position, velocity=zero, attitude=attitude, angular_velocity=zero)
+    )
+
+
+def sends(offers: Sequence[tuple[int, str, str | None]]) -> list[Event]:
+    """Messages at these times, us."""
+    return [
+        Event(f"{sender}/send", at_us * 1000, Message(sender=sender, body={}, size_bytes=80, to=None if to == sender else to))
+        for at_us, sender, to in sorted(offers, key=lambda each: each[:2])
+    ]
+
+
+def outage(at_ns: int, until_ns: int, *vehicles: str) -> Event:
+    return Event("operator/outage", at_ns, Outage(vehicles=vehicles, until_ns=until_ns))
+
+
+def changed(at_ns: int, key: str, value: float) -> Event:
+    return Event("operator/changed", at_ns, Changed(key=key, value=value))
+
+
+def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (), *, asked: bool = True) -> list[FrameReport]:
+    """Every report of a run, by frames: stepped when something is sent, when it asks for it, and at other times (ns) too.
+
+    What the operator does is handed over at the next step, as by the kernel.
+    """
+    radio.start(RUN)
+    waiting = [where(), *sorted(told, key=lambda each: (each.time_ns, isinstance(each.value, Message)))]
+    times = sorted({*(each.time_ns for each in told if isinstance(each.value, Message)), *cuts, RUN.duration_ns})
+    found, due = [], None
+    while times or due is not None:
+        now = min(each for each in (due, *times[:1]) if each is not None)
+        times = times[1:] if times[:1] == [now] else times
+        inbox = [each for each in waiting if each.time_ns <= now]
+        waiting = waiting[len(inbox) :]
+        step = radio.step(now, inbox)
+        found += [event.value for event in step.events if isinstance(event.value, FrameReport)]
+        due = step.next_ns if asked else None
+    return sorted(found, key=lambda each: each.frame)
+
+
+@given(cuts=st.lists(st.sets(st.sampled_from(NAMES), min_size=1), max_size=3), sender=st.sampled_from(NAMES))
+def test_outages_do_what_a_script_with_the_same_changes_does(cuts: list[set[str]], sender: str) -> None:
+    operated = Operated()
+    for who in cuts:
+        operated.cut_off(sorted(who), 0, MS)
+    outages, receivers = operated.outages, tuple(each for each in NAMES if each != sender)
+    for present in (range(count) for count in range(len(cuts) + 1)):
+        ours, theirs = (each._together((*present,), sender, receivers) for each in (outages, Script(outages.changes)))
+        assert encode(list(ours)) == encode(list(theirs))
+
+
+def radio(preset: str = "wifi-b-1", mac: str = "ideal", **changes: Any) -> RadioFederate:
+    return RadioFederate(make_channel(preset, mac={"kind": mac}, **{**CHANCE, **changes}))
+
+
+def bare(report: FrameReport, at: int) -> Any:
+    """What a report says of one of the receivers."""
+    return encode([getattr(report, name)[at] for name in ("received_ns", "outcome", "rssi_dbm", "sinr_db")])
+
+
+@MACS
+@settings(max_examples=25, deadline=None)
+@given(
+    offers=OFFERS, begin=st.integers(0, 60_000), length=st.integers(1, 40_000), who=st.sets(st.sampled_from(NAMES), min_size=1)
+)
+def test_nothing_passes_in_an_outage_and_all_else_fares_as_without_it(
+    preset: str, mac: str, offers: list[tuple[int, str, str | None]], begin: int, length: int, who: set[str]
+) -> None:
+    begin_ns, end_ns = begin * 1000, (begin + length) * 1000
+    without = fates(radio(preset, mac), sends(offers))
+    with_it = fates(radio(preset, mac), [*sends(offers), outage(begin_ns, end_ns, *sorted(who))])
+    assert len(without) == len(with_it) == len(offers)
+    for plain, cut in zip(without, with_it, strict=True):
+        start = plain.sent_ns + plain.queue_ns + plain.access_ns
+        decided_ns = plain.sent_ns if mac == "ideal" else start + plain.air_time_ns
+        overlaps = start < end_ns and start + plain.air_time_ns > begin_ns and decided_ns >= begin_ns
+        for at, receiver in enumerate(plain.receivers):
+            if not (overlaps and who & {plain.sender, receiver}):
+                assert bare(cut, at) == bare(plain, at)
+                continue
+            assert cut.received_ns[at] == -1
+            behind = plain.outcome[at] in ("received", "random loss")  # what the air spoils is told as ever
+            assert cut.outcome[at] == ("outage" if behind else plain.outcome[at])
+
+
+def test_outages_may_overlap_and_come_one_after_the_other() -> None:
+    offers = [(k * 10_000, "car1", "car2") for k in range(60)]
+    calm: dict[str, Any] = {"loss": {"kind": "none"}, "fading": {"kind": "none"}}
+    told = [outage(100 * MS, 250 * MS, "car1"), outage(200 * MS, 300 * MS, "car2"), outage(400 * MS, 500 * MS, "base", "car2")]
+    found = fates(radio(**calm), [*sends(offers), *told])
+    lost = [each.sent_ns // (10 * MS) for each in found if each.outcome == ("outage",)]
+    assert lost == [*range(10, 30), *range(40, 50)]
+    assert {each.outcome for each in found} == {("received",), ("outage",)}
+
+
+@MACS
+@pytest.mark.parametrize(
+    ("key", "value", "tables"),
+    [
+        ("radio.loss.probability", 0.8, {"loss": {"probability": 0.8}}),
+        ("radio.loss.probability", 0.0, {"loss": {"probability": 0.0}}),
+        ("radio.delay.seconds", 0.1, {"delay": {"seconds": 0.1, "jitter_s": 0.01}}),
+        ("radio.delay.jitter_s", 0.0, {"delay": {"seconds": 0.02}}),
+    ],
+)
+def test_from_a_change_on_a_run_is_one_that_always_had_that_number(
+    preset: str, mac: str, key: str, value: float, tables: dict[str, Any]
+) -> None:
+    """The draws of a frame are its own: earlier frames fare as without the change, later ones as with that number from 0 on."""
+    rng, at_ns = np.random.default_rng(1), 251 * MS + 7
+    offers = [(int(t), NAMES[s], None) for t, s in zip(rng.integers(0, 500_000, 120), rng.integers(0, 4, 120), strict=True)]
+    one = fates(radio(preset, mac), sends(offers))
+    other = fates(radio(preset, mac, **tables), sends(offers))
+    both = fates(radio(preset, mac), [*sends(offers), changed(at_ns, key, value)])
+
+    def decided_ns(report: FrameReport) -> int:
+        on_air = report.queue_ns + report.access_ns + report.air_time_ns
+        return report.sent_ns + (0 if mac == "ideal" else on_air)
+
+    before = [decided_ns(each) < at_ns for each in one]
+    assert encode(both) == encode([a if first else b for a, b, first in zip(one, other, before, strict=True)])
+    assert encode(one) != encode(both) != encode(other)
+
+
+@MACS
+@settings(max_examples=15, deadline=None)
+@given(offers=OFFERS, cuts=st.lists(st.integers(0, 90_000_000), max_size=8))
+def test_it_makes_no_difference_when_the_radio_hears_of_it(
+    preset: str, mac: str, offers: list[tuple[int, str, str | None]], cuts: list[int]
+) -> None:
+    told = [outage(11 * MS + 1, 23 * MS, "car2"), changed(20 * MS, "radio.loss.probability", 0.9)]
+    told.append(changed(31 * MS + 5, "radio.delay.seconds", 0.05))
+    events = [*sends(offers), *told]
+    whole = fates(radio(preset, mac), events)
+    assert encode(fates(radio(preset, mac), events, cuts)) == encode(whole)
+    assert encode(fates(radio(preset, mac), events, asked=False)) == encode(whole)  # not even when it would like to
+
+
+def test_a_new_start_forgets_what_was_done() -> None:
+    offers = [(k * 1000, "car1", None) for k in range(50)]
+    used, told = radio(), [outage(0, 20 * MS, "car1"), changed(0, "radio.loss.probability", 1.0)]
+    assert {each for report in fates(used, [*sends(offers), *told]) for each in report.outcome} <= {
+        "outage",
+        "random loss",
+        "fading",
+    }
+    assert used.adjustable()["radio.loss.probability"] == 1.0
+    assert encode(fates(used, sends(offers))) == encode(fates(radio(), sends(offers)))
+    assert used.adjustable()["radio.loss.probability"] == 0.3
+
+
+def test_recorded_frames_fare_as_recorded(tmp_path: Path) -> None:
+    offers = [(k * 1000, "car1", None) for k in range(50)]
+    told = [outage(10 * MS, 20 * MS, "car1"), changed(30 * MS, "radio.loss.probability", 1.0)]
+    then = fates(radio(), [*sends(offers), *told])
+    write_table(radio_table(then, RunFacts(scenario="t", seed=4, end_ns=10**9, vehicles=NAMES)), tmp_path / "radio.parquet")
+    again = RadioFederate(RecordedChannel(make_channel("wifi-b-1", **CHANCE), tmp_path / "radio.parquet"))
+    assert [each.outcome for each in fates(again, [*sends(offers), outage(0, 10**9, "base")])] == [
+        each.outcome for each in then
+    ]
+    again.check_change("radio.loss.probability", 0.5)
+
+
+@dataclass(frozen=True)
+class Rain(NoLoss):
+    """Somebody's own layer."""
+
+    share: Probability
+    drops: int = 3
+    name: str = "drizzle"
+
+    def lost(self, frame: Frame, draw: Draw) -> Bools:
+        return np.asarray(draw()[..., 0] < self.share)
+
+
+class Snow(NoLoss):
+    """One that does not say what it was made of."""
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+
+
+def layered(loss: Loss, delay: Any = None) -> RadioFederate:
+    return RadioFederate(Channel(path_loss=LogDistance(), phy=Dsss(), loss=loss, delay=delay or NoDelay()))
+
+
+@pytest.mark.parametrize(
+    ("made", "keys"),
+    [
+        (layered(Bernoulli(0.2), FixedDelay(0.1)), {"loss.probability": 0.2, "delay.seconds": 0.1, "delay.jitter_s": 0.0}),
+        (layered(NoLoss(), UniformDelay(0.1, 0.2)), {"delay.from_s": 0.1, "delay.to_s": 0.2}),
+        (
+            layered(GilbertElliott()),
+            {"loss.to_bad_per_s": 0.1, "loss.to_good_per_s": 1.0, "loss.bad_loss": 1.0, "loss.good_loss": 0.0},
+        ),
+        (layered(Rain(0.5)), {"loss.share": 0.5, "loss.drops": 3}),
+        (layered(Snow(0.5)), {}),
+    ],
+)
+def test_what_may_change_are_the_numbers_of_the_layers_that_there_are(made: RadioFederate, keys: dict[str, float]) -> None:
+    assert made.adjustable() == {f"radio.{key}": value for key, value in keys.items()}
+    for key, value in made.adjustable().items():
+        made.check_change(key, value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("radio.loss.probability", 1.5, "radio.loss.probability: must be a number >= 0 and <= 1, not 1.5"),
+        ("radio.loss.probability", math.nan, "radio.loss.probability: must be finite, not nan"),
+        (
+            "radio.delay.mean_s",
+            10.0,
+            "radio.delay.sigma_s: must be between 1/32 and 3 times mean_s = 10 and not zero, not 0.02",
+        ),
+        (
+            "radio.phy.rate_bps",
+            1e6,
+            "radio.phy.rate_bps cannot change during a run; what can: "
+            "radio.loss.probability, radio.delay.mean_s, radio.delay.sigma_s, radio.delay.fixed_s",
+        ),
+        ("loss", 0.1, "loss cannot change during a run; what can: radio.loss"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_changes_nothing(key: str, value: float, words: str) -> None:
+    made = layered(Bernoulli(0.1), GammaDelay(0.05, 0.02))
+    before = made.adjustable()
+    with pytest.raises(ValueError, match=r".") as raised:
+        made.check_change(key, value)
+    assert str(raised.value).startswith(words)
+    assert made.adjustable() == before
+
+
+def test_a_change_is_judged_behind_those_before_it() -> None:
+    made = layered(NoLoss(), UniformDelay(0.01, 0.05))
+    with pytest.raises(ValueError, match=r"must not be less than from_s = 0\.1"):
+        made.check_change("radio.delay.from_s", 0.1)
+    made.check_change("radio.delay.from_s", 0.1, [("radio.delay.to_s", 0.2)])

@@ -1,0 +1,248 @@
+"""A trial of the channel alone: what adds up, what repeats, what does not depend on what."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, RunFacts, radio_table, write_table
+from vcmvsp.cosim.types import FrameReport
+from vcmvsp.netsim.evaluation import broadcast_trial
+from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.evaluation.row_file import RowFile
+from vcmvsp.netsim.evaluation.tally import Delays
+from tests.support.netsim.channels import make_channel
+
+
+@pytest.fixture(autouse=True)
+def _as_it_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To compile takes longer than all tests here."""
+    monkeypatch.setenv("VCMVSP_COMPILED", "0")
+
+
+def places(count: int, width_m: float = 150.0) -> Floats:
+    square = np.random.default_rng(5).uniform(0.0, width_m, (count, 2))
+    return np.column_stack([square, np.zeros(count)])
+
+
+def files(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def plan(position: Floats, **changes: Any) -> broadcast_trial.Broadcasts:
+    settings = {"rate_hz": 10.0, "size_bytes": 100, "duration_s": 1.0, "seed": 3, **changes}
+    return broadcast_trial.Broadcasts(position=position, **settings)
+
+
+def without_cpu(counts: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in counts.items() if name != "cpu_s"}
+
+
+CHANNELS: list[dict[str, Any]] = [
+    {"name": "ideal", "loss": {"probability": 0.3}, "delay": {"seconds": 0.01, "jitter_s": 0.005}},
+    {"name": "wifi-b-1", "shadowing": {"sigma_db": 4.0}},
+    {"name": "wifi-b-1", "mac": {"kind": "dcf"}},
+    {"name": "wifi-g-54", "mac": {"kind": "dcf"}, "fading": {"kind": "nakagami", "m": 1.0}},
+]
+
+
+# --- sending ----------------------------------------------------------------------------------------------------------------
+
+
+def test_every_radio_sends_once_a_period_until_the_end() -> None:
+    """Also where the period is no whole number of nanoseconds."""
+    for rate_hz, duration_s in ((10.0, 1.0), (3.0, 2.1), (0.4, 1.0)):
+        what = plan(places(40), rate_hz=rate_hz, duration_s=duration_s)
+        sent = list(what.sendings())
+        times = [time_ns for time_ns, _ in sent]
+        assert times == sorted(times)
+        assert times[0] >= 0
+        assert times[-1] < what.end_ns
+        for row, phase_ns in enumerate(what.phases_ns()):
+            own = [time_ns for time_ns, sender in sent if sender == row]
+            assert len(own) == max(0, np.ceil((duration_s - phase_ns / 1e9) * rate_hz))
+            assert np.allclose(own, phase_ns + np.arange(len(own)) * 1e9 / rate_hz, atol=1.0, rtol=0.0)
+
+
+def test_phases_are_uniform_in_the_period() -> None:
+    """Kolmogorov-Smirnov at 0.1 %: 1.95 / sqrt(n); and the mean within 4 standard errors."""
+    phases = np.sort(plan(np.zeros((2000, 3)), rate_hz=4.0).phases_ns()) / (SECOND_NS / 4)
+    assert phases[0] >= 0.0
+    assert phases[-1] < 1.0
+    assert np.abs(phases - np.arange(2000) / 2000).max() < 1.95 / np.sqrt(2000)
+    assert np.mean(phases) == pytest.approx(0.5, abs=4.0 / np.sqrt(12 * 2000))
+
+
+def test_phases_differ_from_seed_to_seed() -> None:
+    assert not set(plan(places(20), seed=1).phases_ns()) & set(plan(places(20), seed=2).phases_ns())
+
+
+# --- counting ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_every_frame_is_received_or_lost_at_every_receiver(channel: dict[str, Any]) -> None:
+    reports: list[FrameReport] = []
+    what = plan(places(12))
+    counts = broadcast_trial.run(make_channel(**channel), what, sink=reports.append)
+    assert counts["frames"] == 120 == len(reports)
+    assert counts["receptions"] + sum(counts["losses"].values()) == 120 * 11
+    outcomes = [outcome for report in reports for outcome in report.outcome]
+    assert counts["losses"] == {cause: outcomes.count(cause) for cause in sorted(set(outcomes) - {"received"})}
+    assert counts["delivery_ratio"] == outcomes.count("received") / len(outcomes)
+    delays = np.concatenate([report.received_ns[report.received_ns >= 0] - report.sent_ns for report in reports]) / 1e9
+    wanted = {"mean": np.mean(delays), **{f"p{p}": np.percentile(delays, p) for p in (50, 95, 99)}}
+    assert counts["delay_s"] == pytest.approx(wanted, rel=1e-12)
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_the_same_seed_gives_the_same_and_another_seed_something_else(channel: dict[str, Any], tmp_path: Path) -> None:
+    def once(name: str, seed: int) -> tuple[dict[str, Any], bytes]:
+        what, path = plan(places(8), seed=seed), tmp_path / name
+        facts = RunFacts(scenario="x", seed=seed, end_ns=what.end_ns, vehicles=what.names)
+        with RowFile(path, facts, rows=100) as rows:
+            counts = broadcast_trial.run(make_channel(**channel), what, sink=rows.add)
+        return without_cpu(counts), path.read_bytes()
+
+    assert once("a", 1) == once("b", 1)
+    assert once("a", 1)[1] != once("b", 2)[1]
+
+
+def test_a_vehicle_far_away_changes_nothing_for_the_others() -> None:
+    """No draw of theirs moves: losses, shadowing, fading and delays between them stay as they are."""
+    layers: dict[str, Any] = {
+        "loss": {"probability": 0.2},
+        "shadowing": {"sigma_db": 4.0},
+        "fading": {"kind": "rayleigh"},
+        "delay": {"seconds": 0.01, "jitter_s": 0.005},
+    }
+    near = places(6)
+    found = []
+    for position in (near, np.r_[near, [[1e6, 0.0, 0.0]]]):
+        reports: list[FrameReport] = []
+        broadcast_trial.run(make_channel("wifi-b-1", **layers), plan(position), sink=reports.append)
+        found.append(
+            [
+                (
+                    report.sender,
+                    report.sent_ns,
+                    report.outcome[:5],
+                    report.rssi_dbm[:5].tolist(),
+                    report.received_ns[:5].tolist(),
+                )
+                for report in reports
+                if report.sender != "v6"
+            ]
+        )
+    assert found[0] == found[1]
+
+
+def test_without_anybody_else_there_is_nothing_to_receive() -> None:
+    for channel in CHANNELS:
+        counts = broadcast_trial.run(make_channel(**channel), plan(places(1)))
+        assert counts["frames"] == 10
+        assert (counts["receptions"], counts["delivery_ratio"], counts["losses"]) == (0, None, {})
+        assert counts["delay_s"] == {"mean": None, "p50": None, "p95": None, "p99": None}
+
+
+def test_nobody_sends_in_a_time_shorter_than_all_phases() -> None:
+    counts = broadcast_trial.run(make_channel("ideal"), plan(places(3), rate_hz=1e-6, duration_s=1e-6))
+    assert (counts["frames"], counts["delivery_ratio"]) == (0, None)
+
+
+def test_progress_never_goes_back_nor_beyond_the_end() -> None:
+    seen: list[tuple[int, int]] = []
+    broadcast_trial.run(make_channel("ideal"), plan(places(20)), progress=lambda now_ns, end_ns: seen.append((now_ns, end_ns)))
+    assert seen == sorted(seen)
+    assert seen
+    assert all(now_ns < end_ns == SECOND_NS for now_ns, end_ns in seen)
+
+
+# --- delays -----------------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 10**12), st.integers(1, 4)), min_size=1, max_size=40),
+    st.lists(st.integers(0, 100), max_size=40),
+)
+def test_percentiles_are_those_of_all_delays(same: list[tuple[int, int]], each: list[int]) -> None:
+    delays = Delays()
+    for value, count in same:
+        delays.add(value, count)
+    delays.add_each(np.array(each, np.int64))
+    everything = np.array([value for value, count in same for _ in range(count)] + each) / 1e9
+    assert delays.percentiles_s(0, 37, 50, 95, 99, 100) == pytest.approx(
+        np.percentile(everything, [0, 37, 50, 95, 99, 100]), rel=1e-12, abs=1e-18
+    )
+    assert delays.mean_s() == pytest.approx(np.mean(everything), rel=1e-12)
+
+
+def test_delays_that_come_again_and_again_stay_exact() -> None:
+    values = np.random.default_rng(1).integers(0, 40, 1000)
+    delays = Delays(kept=100)
+    for begin in range(0, 1000, 50):
+        delays.add_each(values[begin : begin + 50])
+        assert delays.mean_s() is not None  # puts them away: 40 of them kept, and 40 more
+    assert delays.percentiles_s(5, 50, 99) == pytest.approx(np.percentile(values / 1e9, [5, 50, 99]), rel=1e-12)
+
+
+@given(st.lists(st.integers(0, 2**62), min_size=4, max_size=200))
+def test_percentiles_of_too_many_delays_are_right_within_half_a_bin(values: list[int]) -> None:
+    delays = Delays(kept=2)
+    for begin in range(0, len(values), 3):
+        delays.add_each(np.array(values[begin : begin + 3], np.int64))
+        assert delays.mean_s() is not None  # puts them away
+    found = delays.percentiles_s(0, 50, 95, 100)
+    assert found == pytest.approx(np.percentile(np.array(values) / 1e9, [0, 50, 95, 100]), rel=1.01 * 2.0**-13, abs=1e-18)
+
+
+# --- rows -------------------------------------------------------------------------------------------------------------------
+
+
+def facts_of(what: broadcast_trial.Broadcasts) -> RunFacts:
+    return RunFacts(scenario="trial", seed=what.seed, end_ns=what.end_ns, vehicles=what.names)
+
+
+def test_rows_are_those_of_a_run_in_order_of_sending(tmp_path: Path) -> None:
+    """In one group the very bytes, in many groups the same rows, also where frames are decided out of order."""
+    what, reports = plan(places(10), rate_hz=300.0, duration_s=0.1), list[FrameReport]()
+    broadcast_trial.run(make_channel("wifi-b-1", mac={"kind": "dcf"}), what, sink=reports.append)
+    numbers = [report.frame for report in reports]
+    assert numbers != sorted(numbers)
+    whole = radio_table(reports, facts_of(what))
+    write_table(whole, tmp_path / "whole")
+    for rows, name in ((10**9, "one"), (100, "many")):
+        with RowFile(tmp_path / name, facts_of(what), rows=rows) as file:
+            for report in reports:
+                file.add(report)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "whole").read_bytes()
+    many = pq.ParquetFile(tmp_path / "many")
+    assert many.num_row_groups > 10
+    assert many.read().to_pylist() == whole.to_pylist()
+    assert many.schema_arrow.equals(RADIO_SCHEMA)
+    assert files(tmp_path) == ["many", "one", "whole"]
+
+
+def test_a_run_that_breaks_off_leaves_what_was_there_before(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    path.write_text("old")
+
+    def stop(now_ns: int, end_ns: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), RowFile(path, facts_of(plan(places(3))), rows=1) as file:
+        broadcast_trial.run(make_channel("ideal"), plan(places(3)), sink=file.add, progress=stop)
+    assert files(tmp_path) == ["rows.parquet"]
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(("name", "problem"), [(".", "is a folder"), ("no/rows.parquet", "there is no folder")])
+def test_a_place_where_no_file_can_be_is_refused(name: str, problem: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=problem), RowFile(tmp_path / name, facts_of(plan(places(3)))):
+        pass

@@ -1,0 +1,144 @@
+"""Changes at run time: when they begin and end, which links they concern, and what several of them do together."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
+from vcmvsp.netsim.impairments.script import Change, Script
+
+CARS = ("car1", "car2", "car3", "base")
+MS = 1_000_000
+
+
+def frame(sender: str = "car1", *receivers: str, at_ns: int = 15 * 10**9, wait_ns: int = 0) -> Frame:
+    """A frame of 1 ms that begins at ``at_ns``, sent ``wait_ns`` before."""
+    names = receivers or tuple(name for name in CARS if name != sender)
+    nowhere = Paths.between(np.zeros(3), np.zeros((len(names), 3)))
+    return Frame(at_ns - wait_ns, at_ns, at_ns + MS, 100, nowhere, np.zeros(len(names)), Links(1, sender, names))
+
+
+def half() -> Any:
+    return np.full((3, 2), 0.5)
+
+
+def struck(script: Script, sent: Frame) -> list[str]:
+    lost = script.lost(sent, half)
+    return [name for name, gone in zip(sent.receivers, lost, strict=True) if gone]
+
+
+@pytest.mark.parametrize(
+    ("at_s", "touches"),
+    [(9.998, False), (9.999, False), (9.999_000_001, True), (10.0, True), (19.999_999_999, True), (20.0, False), (30.0, False)],
+)
+def test_from_then_till_then_for_frames_that_touch_it(at_s: float, touches: bool) -> None:
+    """The frame is 1 ms long; the change is [10 s, 20 s)."""
+    script = Script((Change(from_s=10.0, to_s=20.0, loss=1.0, attenuation_db=6.0, delay_s=0.25),))
+    sent = frame(at_ns=round(at_s * 1e9), wait_ns=3 * MS)
+    assert script.lost(sent, half).tolist() == [touches] * 3
+    assert script.gain_db(sent, half).tolist() == [-6.0 * touches] * 3
+    assert script.delay_ns(sent, half).tolist() == [4 * MS + 250 * MS * touches] * 3  # from the sending: wait, air time, delay
+
+
+def test_without_an_end_it_lasts() -> None:
+    script = Script((Change(from_s=10.0, loss=1.0),))
+    assert [len(struck(script, frame(at_ns=t * 10**9))) for t in (9, 10, 10**9)] == [0, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("links", "sender", "expected"),
+    [
+        (("**",), "car1", ["car2", "car3", "base"]),
+        (("car1/car2",), "car1", ["car2"]),
+        (("car1/car2",), "car2", []),
+        (("car1/*",), "car1", ["car2", "car3", "base"]),
+        (("*/car1",), "car2", ["car1"]),
+        (("*/car1",), "car1", []),
+        (("car1/car3", "*/base"), "car1", ["car3", "base"]),
+        (("nobody/*",), "car1", []),
+        ((), "car1", []),
+    ],
+)
+def test_links_by_key_expressions(links: tuple[str, ...], sender: str, expected: list[str]) -> None:
+    assert struck(Script((Change(from_s=0.0, links=links, loss=1.0),)), frame(sender)) == expected
+
+
+def test_links_that_nobody_has_are_told() -> None:
+    links = ("car1/*", "nobody/*", "car2/car2", "**", "*/base", "car1/car9", "nobody/*")
+    assert Script((Change(from_s=0.0, links=links, loss=1.0),)).unmatched(CARS) == ["nobody/*", "car2/car2", "car1/car9"]
+
+
+def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
+    """1 - 0.7 x 0.5 of what both concern."""
+    script = Script(
+        (
+            Change(from_s=0.0, to_s=9.0, loss=0.3, attenuation_db=3.0, delay_s=0.1),
+            Change(from_s=0.0, to_s=9.0, links=("car1/car2",), loss=0.5, attenuation_db=-10.0, delay_s=0.2),
+        )
+    )
+    sent, rng = frame("car1", "car2", "car3", at_ns=5 * 10**9), np.random.default_rng(1)
+    rate = np.mean([script.lost(sent, lambda: rng.random((2, 2))) for _ in range(20_000)], axis=0)
+    assert rate == pytest.approx([0.65, 0.3], abs=4.5 * math.sqrt(0.25 / 20_000))
+    assert script.gain_db(sent, half).tolist() == [7.0, -3.0]
+    assert script.delay_ns(sent, half).tolist() == [301 * MS, 101 * MS]
+
+
+def test_no_draw_changes_what_is_total_or_absent() -> None:
+    sent, most = frame("car1", "car2", "car3"), 1.0 - 2.0**-53
+    total = Script((Change(from_s=0.0, links=("car1/car2",), loss=1.0), Change(from_s=0.0, loss=0.0)))
+    for draw in (0.0, 0.5, most):
+        assert total.lost(sent, lambda draw=draw: np.full((2, 2), draw)).tolist() == [True, False]  # type: ignore[misc]
+
+
+spans = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers(1, 6))), max_size=6)
+
+
+@given(spans, st.integers(0, 20), st.integers(1, 4))
+def test_present_is_what_overlaps(found: list[tuple[int, int | None]], start: int, air: int) -> None:
+    """Against the definition, in whole ns: change k weakens by 2^k dB, so that the sum tells which are present."""
+    changes = tuple(
+        Change(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
+        for k, (begin, length) in enumerate(found)
+    )
+    sent = Frame(0, start, start + air, 9, Paths.between(np.zeros(3), np.zeros((1, 3))), np.zeros(1), Links(1, "a", ("b",)))
+    overlapping = (
+        2.0**k for k, (begin, length) in enumerate(found) if begin < start + air and (length is None or begin + length > start)
+    )
+    assert -Script(changes).gain_db(sent, half)[0] == sum(overlapping)
+
+
+def test_answers_do_not_depend_on_what_was_asked_before() -> None:
+    """Nor can what is answered be changed."""
+    changes = (Change(from_s=1.0, to_s=2.0, loss=0.4), Change(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0))
+    frames = [frame(sender, at_ns=t * MS) for t in range(900, 3200, 50) for sender in CARS]
+    used = Script(changes)
+    there = [used.gain_db(each, half).tolist() for each in frames]
+    back = [used.gain_db(each, half).tolist() for each in reversed(frames)][::-1]
+    assert there == back == [Script(changes).gain_db(each, half).tolist() for each in frames]
+    with pytest.raises(ValueError, match="read-only"):
+        used.gain_db(frames[0], half)[0] = 7.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"from_s": 5.0, "to_s": 5.0, "loss": 1.0},
+            r"to_s = 5: a change from 5 s must end later than it begins",
+        ),
+        ({"from_s": 5.0, "to_s": 6.0}, r"the change from 5 s changes nothing: give it loss, attenuation_db or delay_s"),
+        ({"from_s": 5.0, "loss": 1.5}, r"must be a number >= 0 and <= 1, not 1.5"),
+        ({"from_s": 5.0, "los": 1.0}, r"unknown key 'los'; did you mean 'loss'\?"),
+        ({"loss": 1.0}, r"from_s is missing"),
+    ],
+)
+def test_errors_by_name(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message) as raised:
+        binding.call(Script, {"changes": [{"from_s": 0.0, "loss": 0.1}, change]}, key="radio.script")
+    assert raised.value.key == "radio.script.changes[1]" + (".loss" if "must be a number" in message else "")

@@ -1,0 +1,185 @@
+"""What holds for any traffic: nothing is lost or invented, steps do not matter, nor others' draws."""
+
+from bisect import bisect
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.netsim.mac.dcf import events
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.mac.dcf.state import Rules, State
+from vcmvsp.netsim.interfaces.medium import Decided, Fate
+from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.ofdm import Ofdm
+from tests.support.netsim.dcf_runs import (
+    MS,
+    PHYS,
+    UNTIL,
+    US,
+    bytes_of,
+    frame,
+    mixed,
+    open_air,
+    periodic,
+    run,
+    square,
+)
+
+
+@pytest.mark.parametrize("phy", PHYS, ids=str)
+@pytest.mark.parametrize("seed", range(5))
+def test_every_frame_is_decided_once_or_waits(phy: Dsss | Ofdm, seed: int) -> None:
+    frames = mixed(seed)
+    for until in (20 * MS, 50 * MS, UNTIL):
+        medium = open_air(6, phy, seed=seed)
+        decided = run(medium, [each for each in frames if each.time_ns <= until], until)
+        later = list(medium.advance(UNTIL))
+        assert sorted(each.number for each in [*decided, *later]) == [each.number for each in frames if each.time_ns <= until]
+        assert [each.end_ns for each in decided] == sorted(each.end_ns for each in decided)
+        assert all(each.end_ns <= until for each in decided)
+        assert all(each.end_ns > until for each in later)
+        assert medium.next_ns() is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_received_took_its_time_and_a_radio_sends_one_frame_at_a_time(seed: int) -> None:
+    phy, frames = Dsss(11e6), mixed(seed, frames=200)
+    decided = run(open_air(6, phy, seed=seed), frames, UNTIL)
+    busy: dict[int, int] = {}
+    for each in sorted(decided, key=lambda one: one.start_ns):
+        offered = frames[each.number]
+        if each.start_ns < 0:
+            continue
+        end_ns = each.start_ns + phy.air_time_ns(offered.size_bytes)
+        assert each.start_ns >= offered.time_ns
+        assert each.end_ns >= end_ns
+        assert each.start_ns >= busy.get(offered.sender, 0)
+        busy[offered.sender] = end_ns
+        if offered.to < 0:
+            assert each.end_ns == end_ns
+            assert each.fate[offered.sender] == Fate.TRANSMITTING
+    received = [each for each in decided if (each.fate == Fate.RECEIVED).any()]
+    assert len(received) > 20
+
+
+@pytest.mark.parametrize("seed", [142, 149, 160])  # who overslept gets up at the very end of a frame that it does not hear
+def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    times: list[int] = []
+    upcoming = events.upcoming
+
+    def watched(s: State, rules: Rules) -> tuple[int, int, int]:
+        what, who, now = upcoming(s, rules)
+        times.append(now)
+        return what, who, now
+
+    monkeypatch.setattr(events, "upcoming", watched)
+    frames = [msgspec.structs.replace(each, time_ns=each.time_ns // (20 * US) * (20 * US)) for each in mixed(seed, frames=100)]
+    run(open_air(6, Ofdm(54e6), Dcf(cw_min=7, cca_threshold_dbm=-70.0), seed=seed), frames, UNTIL)
+    assert len(times) > 300
+    assert times == sorted(times)
+
+
+@settings(max_examples=25, deadline=None)
+@given(cuts=st.lists(st.integers(0, 80 * MS), max_size=40), seed=st.integers(0, 9), peek=st.booleans())
+def test_steps_do_not_matter(cuts: list[int], seed: int, peek: bool) -> None:
+    frames = mixed(seed, frames=40)
+    whole = run(open_air(6, seed=seed), frames, UNTIL)
+    medium = open_air(6, seed=seed)
+    decided: list[Decided] = []
+    offered = 0
+    for cut in [*sorted(cuts), UNTIL]:
+        upto = bisect(frames, cut, key=lambda one: one.time_ns)
+        for each in frames[offered:upto]:
+            medium.offer(each)
+            if peek:
+                medium.next_ns()
+        offered = max(offered, upto)
+        decided += medium.advance(cut)
+    assert bytes_of(decided) == bytes_of(whole)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_next_is_never_late_and_going_from_one_to_the_next_comes_to_an_end(seed: int) -> None:
+    frames = mixed(seed)
+    whole = run(open_air(6, seed=seed), frames, UNTIL)
+    medium, idle = open_air(6, seed=seed), 0
+    decided: list[Decided] = []
+    for each in frames:
+        while (now := medium.next_ns()) is not None and now < each.time_ns:
+            more = list(medium.advance(now))
+            assert all(one.end_ns == now for one in more)
+            decided += more
+            idle += not more
+        decided += medium.advance(each.time_ns)
+        medium.offer(each)
+    while (now := medium.next_ns()) is not None:
+        more = list(medium.advance(now))
+        decided += more
+        idle += not more
+    assert bytes_of(decided) == bytes_of(whole)
+    assert idle < 6 * sum(each.attempts for each in whole)
+
+
+def test_for_broadcasts_in_one_domain_next_is_exact() -> None:
+    levels = np.full((5, 5), 1e-6)
+    frames = periodic(levels, 100.0, 200 * MS)
+    medium, idle = open_air(5), 0
+    decided: list[Decided] = []
+    for each in frames:
+        medium.offer(each)
+        while (now := medium.next_ns()) is not None and now <= 200 * MS:
+            following = frames[each.number + 1].time_ns if each.number + 1 < len(frames) else UNTIL
+            if now >= following:
+                break
+            more = medium.advance(now)
+            decided += more
+            idle += not more
+    assert idle == 0
+    assert len(decided) > 90
+
+
+def test_radios_that_nobody_hears_change_nothing_for_others() -> None:
+    """Each radio's backoffs are its own, whatever and whenever others send."""
+    levels = np.zeros((4, 4))
+    levels[:2, :2] = 1e-6
+    frames = [each for each in periodic(levels, 300.0, 200 * MS) if each.sender < 2]
+    strangers = [each for each in periodic(levels, 300.0, 200 * MS) if each.sender >= 2]
+    alone = run(open_air(4), frames, UNTIL)
+    together = run(open_air(4), sorted([*frames, *strangers], key=lambda one: one.time_ns), UNTIL)
+    assert bytes_of([each for each in together if each.number in {one.number for one in frames}]) == bytes_of(alone)
+
+
+@settings(max_examples=15, deadline=None)
+@given(cuts=st.lists(st.integers(0, 300 * MS), max_size=6), seed=st.integers(0, 9))
+def test_many_at_once_as_arrays_are_the_same_as_one_by_one(cuts: list[int], seed: int) -> None:
+    """With levels that are others behind every cut, and queues that overflow."""
+    mac, n = Dcf(queue_frames=3, lifetime_s=0.02), 6
+    levels, frames = square(n, 200.0, 3.0, seed), periodic(square(n, 200.0, 3.0, seed), 60.0, 300 * MS, size=1000, seed=seed)
+    singly, together = open_air(n, mac=mac, seed=seed), open_air(n, mac=mac, seed=seed)
+    decided: list[Decided] = []
+    arrays: list[tuple[object, ...]] = []
+    offered = 0
+    for k, cut in enumerate([*sorted(cuts), UNTIL]):
+        now = frames[offered : max(bisect(frames, cut, key=lambda one: one.time_ns), offered)]
+        moved = levels * (1.0 + k)
+        time_ns, sender, number = (np.array([getattr(each, it) for each in now], int) for it in ("time_ns", "sender", "number"))
+        patience = np.array([each.patience for each in now])
+        together.offer_many(time_ns, sender, 1000, moved, patience, number)
+        decided += run(
+            singly,
+            [
+                frame(one.number, one.time_ns, one.sender, moved[one.sender], size=1000, patience=row)
+                for one, row in zip(now, patience, strict=True)
+            ],
+            cut,
+        )
+        batch = together.advance_arrays(cut)
+        assert batch[3].shape == batch[4].shape == (len(batch[0]), n)
+        arrays += zip(*(each.tolist() for each in batch[:3]), map(bytes, batch[3]), map(bytes, batch[4]), strict=True)
+        offered += len(now)
+    assert arrays == [(number, start, end, fate, least) for number, start, end, _, fate, least in bytes_of(decided)]
+    assert len(arrays) == len(frames)
+    assert together.next_ns() is None

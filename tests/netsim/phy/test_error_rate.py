@@ -1,0 +1,201 @@
+"""Error rates against ns-3.44 (its own classes, called one by one and in whole simulations) and against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.phy.error_rate import DsssErrors, ErrorRate, OqpskErrors, biorthogonal_error
+from vcmvsp.netsim.phy.error_rate_ofdm import MODES, OfdmErrors
+from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.phy.noise import ThermalNoise
+from tests.support.netsim.error_rate_curves import array, sinr_for
+
+DSSS = [DsssErrors(rate) for rate in (1e6, 2e6, 5.5e6, 11e6)]
+OFDM = [OfdmErrors(rate, model=model) for rate in MODES for model in ("table", "yans", "nist")]
+MODELS: list[ErrorRate] = [*DSSS, *OFDM, *(OfdmErrors(rate, long=True) for rate in MODES), OqpskErrors()]
+
+Points = tuple[tuple[float, float], ...]
+NS3_SUCCESS: dict[ErrorRate, Points] = {  # of 1088 bits (100 bytes of payload), at SINRs in dB: (SINR, success), ...
+    DsssErrors(): ((-6.0, 0.114408641), (-5.2, 0.492387011), (-4.1, 0.90090911)),
+    DsssErrors(2e6): ((-1.8, 0.098592624), (-0.8, 0.503983425), (0.4, 0.897292683)),
+    DsssErrors(5.5e6): ((1.0, 0.097880127), (1.9, 0.489886115), (3.0, 0.892215516)),
+    DsssErrors(11e6): ((4.0, 0.09515186), (4.9, 0.484629977), (6.1, 0.908406873)),
+    OfdmErrors(6e6, model="yans"): ((-1.9, 0.115129482), (-1.2, 0.506310104), (-0.2, 0.909650688)),
+    OfdmErrors(9e6, model="yans"): ((0.2, 0.08680217), (1.0, 0.495758392), (2.0, 0.898603442)),
+    OfdmErrors(12e6, model="yans"): ((0.9, 0.084900767), (1.7, 0.488377795), (2.7, 0.896574009)),
+    OfdmErrors(18e6, model="yans"): ((4.2, 0.090566992), (4.9, 0.525660184), (5.7, 0.895911398)),
+    OfdmErrors(24e6, model="yans"): ((6.8, 0.110641195), (7.7, 0.479551247), (9.0, 0.907638945)),
+    OfdmErrors(36e6, model="yans"): ((10.7, 0.10444984), (11.4, 0.500808867), (12.3, 0.892740365)),
+    OfdmErrors(48e6, model="yans"): ((14.1, 0.090226744), (15.2, 0.510007033), (16.5, 0.904655567)),
+    OfdmErrors(54e6, model="yans"): ((16.4, 0.097598723), (17.2, 0.502460811), (18.2, 0.897385047)),
+    OfdmErrors(6e6, model="nist"): ((2.4, 0.113828396), (2.7, 0.472891842), (3.3, 0.908955549)),
+    OfdmErrors(9e6, model="nist"): ((5.2, 0.091529106), (5.6, 0.550607148), (6.1, 0.891785734)),
+    OfdmErrors(12e6, model="nist"): ((5.4, 0.104814328), (5.7, 0.460088165), (6.3, 0.90585467)),
+    OfdmErrors(18e6, model="nist"): ((8.2, 0.083672905), (8.6, 0.5390978), (9.1, 0.888308191)),
+    OfdmErrors(24e6, model="nist"): ((11.7, 0.067550663), (12.1, 0.466304622), (12.7, 0.886183479)),
+    OfdmErrors(36e6, model="nist"): ((14.9, 0.130410509), (15.2, 0.462882849), (15.8, 0.887507278)),
+    OfdmErrors(48e6, model="nist"): ((19.6, 0.134635282), (20.0, 0.544208586), (20.6, 0.904733163)),
+    OfdmErrors(54e6, model="nist"): ((20.8, 0.122778052), (21.2, 0.535521127), (21.8, 0.897401443)),
+    OqpskErrors(): ((-1.5, 0.060843949), (-0.7, 0.481240135), (0.2, 0.894607301)),
+}
+# What each reference model needs for 50 % of a PSDU of 128 bytes, in dB: ns-3.44 and, for its NIST model, INET.
+HALF_DB = {
+    "dsss": (-5.22, -0.85, 1.88, 4.89),
+    "table": (-0.60, 0.97, 2.39, 4.88, 7.82, 10.99, 14.99, 16.33),
+    "yans": (-1.24, 0.97, 1.69, 4.84, 7.70, 11.37, 15.13, 17.16),
+    "nist": (2.71, 5.54, 5.72, 8.56, 12.12, 15.22, 19.94, 21.15),
+}
+
+
+@pytest.mark.parametrize("errors", NS3_SUCCESS, ids=str)
+def test_success_is_that_of_ns_3(errors: ErrorRate) -> None:
+    sinr_db, expected = np.array(NS3_SUCCESS[errors]).T
+    tolerance = 1e-6 if errors == OqpskErrors() else 1e-5
+    assert errors.success(sinr_db, 1088) == pytest.approx(expected, abs=tolerance)
+    assert np.exp(-1088 * errors.hazard(10.0 ** (sinr_db / 10.0))) == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.parametrize(("name", "tolerance_db"), [("dsss", 0.02), ("yans", 0.02), ("nist", 0.02), ("table", 0.085)])
+def test_50_percent_points(name: str, tolerance_db: float) -> None:
+    curves = DSSS if name == "dsss" else [errors for errors in OFDM if errors.model == name]
+    assert [sinr_for(errors, 1024, 0.5) for errors in curves] == pytest.approx(HALF_DB[name], abs=tolerance_db)
+
+
+NS3_RECEIVED = [  # ns-3.44: received of 20000 broadcasts over one link, by received level in dBm and payload in bytes
+    (DsssErrors(), ThermalNoise(), -99.5, 1, 13870),  # 968 of the lost by their headers
+    (DsssErrors(11e6), ThermalNoise(), -89.0, 100, 10344),
+    (OfdmErrors(6e6, model="yans"), ThermalNoise(), -94.5, 100, 16222),
+    (OfdmErrors(6e6, model="yans"), ThermalNoise(), -96.0, 1, 7689),  # 1096 by their headers
+    (OfdmErrors(54e6, model="yans"), ThermalNoise(), -76.5, 100, 10415),
+    (OqpskErrors(), ThermalNoise.ieee802154(-85.0), -87.0, 4, 12161),
+    (OqpskErrors(), ThermalNoise.ieee802154(-85.0), -86.5, 20, 13432),
+    (OqpskErrors(), ThermalNoise.ieee802154(-85.0), -86.0, 100, 11973),
+]
+
+
+@pytest.mark.parametrize(("errors", "noise", "rssi_dbm", "size_bytes", "received"), NS3_RECEIVED)
+def test_frames_that_ns_3_receives(
+    errors: ErrorRate, noise: ThermalNoise, rssi_dbm: float, size_bytes: int, received: int
+) -> None:
+    """Noise, headers, filling bits and the curve together, within 3.5 standard deviations."""
+    success = float(errors.frame_success(noise.snr_db(array(rssi_dbm)), size_bytes)[0])
+    assert received == pytest.approx(20_000 * success, abs=3.5 * math.sqrt(20_000 * success * (1.0 - success)))
+
+
+def test_noise() -> None:
+    assert ThermalNoise().dbm == pytest.approx(-93.97, abs=0.01)  # ns-3.44 for 802.11
+    assert ThermalNoise(1.0, 0.0).dbm == pytest.approx(-173.975, abs=0.001)  # the textbook -174 dBm/Hz
+    assert ThermalNoise.ieee802154(-92.0).dbm == pytest.approx(-92.4, abs=0.01)
+    assert ThermalNoise().snr_db(array(-82.0, -93.965)) == pytest.approx([11.965, 0.0], abs=0.001)
+
+
+def test_bits_that_must_survive() -> None:
+    """Rate x time: ns-3.44 counts what fills the last symbol, and 802.11g's 6 us of silence."""
+    assert OfdmErrors(54e6).payload(100)[1] == 54 * (6 * 4 + 6) == 1620
+    assert OfdmErrors(54e6, band="5GHz").payload(100)[1] == 54 * 6 * 4
+    assert OfdmErrors(6e6).payload(100)[1] == 6 * (47 * 4 + 6)
+    assert DsssErrors(1e6).payload(100)[1] == 8 * 136
+    assert DsssErrors(11e6).payload(100)[1] == 11 * 99  # 98.9 us
+    assert DsssErrors(5.5e6).payload(1)[1] == 297  # 54 us; 296 bits take 53.8
+    assert OqpskErrors().payload(20)[1] == 8 * (6 + 11 + 20)
+    assert OqpskErrors().payload(117)[1] == 8 * (117 + 2 * 17)  # two frames
+
+
+def test_rates_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"3e\+06"):
+        DsssErrors(3e6)
+    with pytest.raises(ScenarioError, match=r"1e\+06"):
+        OfdmErrors(1e6)
+
+
+@pytest.mark.parametrize("errors", MODELS, ids=str)
+@given(
+    worse_db=st.floats(-48.0, 48.0),
+    better_db=st.floats(-48.0, 48.0),
+    bits=st.integers(0, 20_000),
+    more=st.integers(0, 20_000),
+)
+def test_success_grows_with_sinr_and_falls_with_bits(
+    errors: ErrorRate, worse_db: float, better_db: float, bits: int, more: int
+) -> None:
+    sinr_db = np.sort(array(worse_db, better_db))
+    hazard = errors.bit_hazard(10.0 ** (sinr_db / 10.0))
+    assert np.all(np.isfinite(hazard))
+    assert np.all(hazard > 0.0)
+    assert hazard[1] <= hazard[0] * (1.0 + 1e-12)  # rounding within a step
+    success, of_longer = errors.success(sinr_db, bits), errors.success(sinr_db, bits + more)
+    assert np.all((of_longer >= 0.0) & (of_longer <= success) & (success <= 1.0))
+
+
+@given(
+    sinr_db=st.lists(st.floats(-20.0, 30.0), min_size=1, max_size=6),
+    bits=st.lists(st.integers(0, 3000), min_size=6, max_size=6),
+)
+def test_pieces_multiply(sinr_db: list[float], bits: list[int]) -> None:
+    errors, levels, sizes = OfdmErrors(12e6), np.array(sinr_db), np.array(bits[: len(sinr_db)])
+    whole = math.exp(-float(np.sum(sizes * errors.bit_hazard(10.0 ** (levels / 10.0)))))
+    assert whole == pytest.approx(float(np.prod(errors.success(levels, sizes))), rel=1e-9, abs=1e-300)
+
+
+def test_any_shape() -> None:
+    sinr_db = np.linspace(-5.0, 25.0, 12).reshape(3, 4)
+    success = OfdmErrors(24e6).success(sinr_db, 1000)
+    assert success.shape == (3, 4)
+    assert OfdmErrors(24e6).success(array(-math.inf), 1000)[0] < 1e-50  # no signal
+    assert success[1, 2] == OfdmErrors(24e6).success(array(sinr_db[1, 2]), 1000)[0]
+
+
+def test_tails() -> None:
+    """DBPSK has a closed form: pb = exp(-22 x) / 2, at 1e-12 as at 1e-200, and where a frame has 1e-300 left.
+
+    Between two steps, 2^-11 of an octave, a straight line is above an exponential by (22 x / 2^11)^2 / 8 of it.
+    """
+    errors = DsssErrors()
+    for bit_error in (1e-12, 1e-16, 1e-60, 1e-200):
+        sinr = -math.log(2.0 * bit_error) / 22.0
+        assert errors.bit_hazard(array(sinr))[0] == pytest.approx(bit_error, rel=(22.0 * sinr / 2**11) ** 2 / 8.0, abs=0.0)
+    sinr_db = array(10.0 * math.log10(-math.log(2e-12 / 1000.0) / 22.0))
+    assert 1.0 - errors.success(sinr_db, 1000)[0] == pytest.approx(1e-12, rel=5e-4, abs=0.0)  # doubles near 1 are 1.1e-16 apart
+    bit_error = -math.expm1(math.log(1e-300) / 18432)
+    sinr_db = array(10.0 * math.log10(-math.log(2.0 * bit_error) / 22.0))
+    assert errors.success(sinr_db, 18432)[0] == pytest.approx(1e-300, rel=0.01, abs=0.0)
+
+
+def test_tables_are_shared_and_cannot_be_written() -> None:
+    assert np.shares_memory(OfdmErrors(6e6).table, OfdmErrors(6e6).table)
+    assert not OfdmErrors(6e6).table.flags.writeable
+
+
+def test_biorthogonal_signals() -> None:
+    """Without energy one of 16 is guessed; with much, the 14 neighbours at sqrt(2 E) count: 14 Q(sqrt e) (union bound)."""
+    assert biorthogonal_error(array(0.0))[0] == pytest.approx(15.0 / 16.0, abs=1e-10)
+    for e, distance in ((20.0, 0.05), (40.0, 2e-3), (400.0, 1e-9)):
+        union = 14.0 * 0.5 * math.erfc(math.sqrt(e / 2.0))
+        error = float(biorthogonal_error(array(e))[0])
+        assert union * (1.0 - distance) <= error <= union * (1.0 + 1e-9)
+
+
+def test_biorthogonal_signals_by_simulation() -> None:
+    """The definition: the largest of 8 correlations, by magnitude and sign, is the sent one."""
+    rng, e = np.random.default_rng(3), 4.0
+    correlations = rng.standard_normal((200_000, 8))
+    correlations[:, 0] += math.sqrt(2.0 * e)
+    wrong = correlations[:, 0] < np.abs(correlations[:, 1:]).max(axis=1)
+    expected = float(biorthogonal_error(array(e))[0])
+    assert wrong.mean() == pytest.approx(expected, abs=4.0 * math.sqrt(expected / 200_000))
+
+
+def test_noise_alone_leaves_a_coin() -> None:
+    """At no signal DBPSK and O-QPSK decide by chance: pb = 1/2; the shortest code word of 4 bits is guessed with 1/16."""
+    nothing = array(0.0)
+    for errors in (DsssErrors(1e6), OqpskErrors()):
+        assert errors.hazard(nothing)[0] == pytest.approx(math.log(2.0), rel=1e-9)
+    assert errors_per_symbol(DsssErrors(5.5e6), nothing) == pytest.approx(15.0 / 16.0, rel=1e-9)
+
+
+def errors_per_symbol(errors: ErrorRate, sinr: Floats) -> float:
+    return -math.expm1(-4.0 * float(errors.hazard(sinr)[0]))

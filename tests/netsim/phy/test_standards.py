@@ -1,0 +1,62 @@
+from fractions import Fraction
+from math import ceil
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.interfaces.layers import Phy
+from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
+
+PHYS: list[Phy] = [ConstantRate(), ConstantRate(rate_bps=54e6, overhead_s=20e-6), Dsss(), Dsss(rate_bps=5.5e6), Ieee802154()]
+
+
+@pytest.mark.parametrize("mbps", ["1", "2", "5.5", "11"])
+@pytest.mark.parametrize("payload", [1, 100, 1500])
+def test_802_11b_air_time(mbps: str, payload: int) -> None:
+    payload_us = Fraction(8 * (payload + 36)) / Fraction(mbps)
+    assert Dsss(rate_bps=float(mbps) * 1e6).air_time_ns(payload) == (192 + ceil(payload_us)) * 1000
+
+
+NS3_AIR_TIME_US = {  # from PhyTxBegin to PhyTxEnd of a broadcast by ns-3.44, for payloads of 1, 7, 100, 333, 1500, 2000 bytes
+    1e6: (488, 536, 1280, 3144, 12480, 16480),
+    2e6: (340, 364, 736, 1668, 6336, 8336),
+    5.5e6: (246, 255, 390, 729, 2427, 3154),
+    11e6: (219, 224, 291, 461, 1310, 1673),
+}
+
+
+@pytest.mark.parametrize("rate_bps", NS3_AIR_TIME_US)
+def test_802_11b_air_time_is_that_of_ns_3(rate_bps: float) -> None:
+    air_ns = [Dsss(rate_bps=rate_bps).air_time_ns(payload) for payload in (1, 7, 100, 333, 1500, 2000)]
+    assert air_ns == [1000 * us for us in NS3_AIR_TIME_US[rate_bps]]
+
+
+@pytest.mark.parametrize(("payload", "microseconds"), [(1, 576), (7, 768), (20, 1184), (100, 3744), (114, 4192), (116, 4256)])
+def test_802_15_4_air_time(payload: int, microseconds: int) -> None:
+    """(6 + PSDU) x 32 us, as ns-3.44 takes; it stops at 114 bytes, the standard at 116 (PSDU 127 bytes, 4.256 ms)."""
+    assert Ieee802154().air_time_ns(payload) == microseconds * 1000
+
+
+def test_802_15_4_splits_what_does_not_fit() -> None:
+    phy = Ieee802154()
+    assert phy.air_time_ns(117) == phy.air_time_ns(116) + 640_000 + phy.air_time_ns(1)
+    assert phy.air_time_ns(1500) == 12 * (phy.air_time_ns(116) + 640_000) + phy.air_time_ns(1500 - 12 * 116)
+
+
+def test_constant_rate_air_time() -> None:
+    assert ConstantRate(rate_bps=250e3, overhead_s=1e-3).air_time_ns(100) == 1_000_000 + 3_200_000
+    assert ConstantRate(rate_bps=3e9, overhead_s=0.0).air_time_ns(1) == 3  # 2.67 ns
+    assert ConstantRate(rate_bps=1e9, overhead_s=0.0).air_time_ns(0) == 1  # never nothing
+
+
+@pytest.mark.parametrize("phy", PHYS)
+@given(size=st.integers(0, 100_000), more=st.integers(0, 5000))
+def test_air_time_is_positive_and_grows_with_the_payload(phy: Phy, size: int, more: int) -> None:
+    assert 1 <= phy.air_time_ns(size) <= phy.air_time_ns(size + more)
+
+
+def test_rates_that_802_11b_does_not_have_are_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"rate_bps.*3e\+06.*5\.5e6"):
+        Dsss(rate_bps=3e6)

@@ -1,0 +1,124 @@
+"""Losses of walls: the slab, the tables, and the reach of the radio through walls of a world."""
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.testing import check_channel
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, PathLoss, Paths
+from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, FixedWalls, ItuWalls, slab_loss_db
+from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, LogDistance
+from vcmvsp.physics.line_of_sight.sightline import Sightline
+from vcmvsp.physics.world.solids import Box
+
+
+class Across:
+    """Walls across the x axis, one at every tenth metre from x = 5 on."""
+
+    def __init__(self, *materials: str, thickness_m: float = 0.2) -> None:
+        self.materials = materials
+        self.thickness_m: Floats = np.full(len(materials), thickness_m)
+
+    def crossings(self, tx: Floats, rx: Floats) -> tuple[Bools, Floats]:
+        walls = 5.0 + 10.0 * np.arange(len(self.materials))
+        low, high = np.minimum(tx[0], rx[:, :1]), np.maximum(tx[0], rx[:, :1])
+        crossed: Bools = (low < walls) & (walls < high)
+        return crossed, crossed * self.thickness_m
+
+
+def line(*distances: float) -> Paths:
+    return Paths.between(np.zeros(3), np.array([(d, 0.0, 0.0) for d in distances]))
+
+
+@pytest.mark.parametrize(
+    ("material", "thickness_m", "at_2437_mhz", "at_5200_mhz"),
+    [
+        ("plasterboard", 0.025, 1.0, 1.5),
+        ("wood", 0.040, 0.8, 1.5),
+        ("glass", 0.006, 1.7, 1.8),
+        ("brick", 0.110, 3.5, 3.8),
+        ("concrete", 0.150, 11.4, 19.4),
+        ("concrete", 0.200, 14.7, 25.4),
+    ],
+)
+def test_usual_walls(material: str, thickness_m: float, at_2437_mhz: float, at_5200_mhz: float) -> None:
+    """Worked from ITU-R P.2040-3 independently of this program, rounded to 0.1 dB (channel 6, and 5.2 GHz)."""
+    assert slab_loss_db(material, thickness_m, 2.437e9) == pytest.approx(at_2437_mhz, abs=0.05)
+    assert slab_loss_db(material, thickness_m, 5.2e9) == pytest.approx(at_5200_mhz, abs=0.05)
+
+
+def transmitted(material: str, thickness_m: float, frequency_hz: float, extra_turns: Floats) -> Floats:
+    """Power through a slab by the exact coefficient of ITU-R P.2040-3, (43): the echoes' phase is turned further."""
+    a, b, c, d = ITU_MATERIALS[material]
+    f = frequency_hz * 1e-9
+    n = np.sqrt(a * f**b - 17.98j * c * f**d / f)
+    r = (1.0 - n) / (1.0 + n)
+    passage = np.exp(-2j * np.pi * frequency_hz / SPEED_OF_LIGHT * thickness_m * n - 1j * np.pi * extra_turns)
+    power: Floats = np.abs((1.0 - r**2) * passage / (1.0 - (r * passage) ** 2)) ** 2
+    return power
+
+
+@pytest.mark.parametrize("material", [name for name in ITU_MATERIALS if name != "metal"])
+@pytest.mark.parametrize("frequency_hz", [1e9, 2.4e9, 5.9e9])
+@pytest.mark.parametrize("thickness_m", [0.001, 0.05, 0.3])
+def test_the_slab_is_the_average_of_the_exact_one_over_the_phase(
+    material: str, frequency_hz: float, thickness_m: float
+) -> None:
+    exact = transmitted(material, thickness_m, frequency_hz, np.arange(500) / 500)
+    assert slab_loss_db(material, thickness_m, frequency_hz) == pytest.approx(-10.0 * np.log10(exact.mean()), abs=1e-6)
+
+
+def test_metal_is_dark_and_no_thickness_leaves_the_reflections() -> None:
+    assert ItuWalls(Across("metal", thickness_m=0.001)).loss_db(line(10.0)).tolist() == [300.0]
+    for material in ("brick", "glass"):
+        assert 0.0 < slab_loss_db(material, 1e-9, 2.4e9) < 2.0
+
+
+def test_walls_add_up_and_are_capped() -> None:
+    walls = Across("brick", "concrete", "brick")
+    brick, concrete = slab_loss_db("brick", 0.2, 2.4e9), slab_loss_db("concrete", 0.2, 2.4e9)
+    expected = [0.0, brick, brick + concrete, 2 * brick + concrete]
+    assert ItuWalls(walls).loss_db(line(1.0, 10.0, 20.0, 30.0)) == pytest.approx(expected, abs=1e-9)
+    assert ItuWalls(walls, cap_db=12.0).loss_db(line(1.0, 30.0)).tolist() == [0.0, 12.0]
+    assert FixedWalls(walls).loss_db(line(1.0, 10.0, 20.0, 30.0)) == pytest.approx([0.0, 6.325, 12.65, 18.975], abs=1e-12)
+
+
+def test_fixed_losses_by_material() -> None:
+    walls = Across("wood", "stone", "paper")
+    layer = FixedWalls(walls, wall_db=1.0, materials_db={"wood": 4.0, "stone": 12.0})
+    assert layer.loss_db(line(10.0, 20.0, 30.0)).tolist() == [4.0, 16.0, 17.0]
+
+
+def test_a_material_without_a_known_loss_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"'cardboard'.*known: concrete, brick"):
+        ItuWalls(Across("brick", "cardboard"))
+
+
+@pytest.mark.parametrize(
+    ("exponent", "ranges_m"),
+    [(2.0, (293.4, 141.7, 68.4)), (2.5, (108.2, 60.4, 33.7)), (3.0, (55.6, 34.2, 21.1)), (4.0, (24.2, 16.8, 11.7))],
+)
+def test_range_of_the_wireless_simulation_server_through_walls(exponent: float, ranges_m: tuple[float, ...]) -> None:
+    """d0 10^((Pd0 - cutoff - 6.325 walls) / (10 N)) for 0, 1 and 2 walls of a world."""
+    path = LogDistance(exponent=exponent, reference_distance_m=2.0, reference_loss_db=49.67)
+    for count, rounded in enumerate(ranges_m):
+        range_m = 2.0 * 10.0 ** ((-49.67 + 93.0 - 6.325 * count) / (10.0 * exponent))
+        assert range_m == pytest.approx(rounded, abs=0.051)
+        boxes = [Box(center=(2.0 + k, 0.0, 1.0), size=(0.2, 8.0, 2.0), yaw_rad=0.3 * k) for k in range(count)]
+        walls = FixedWalls(Sightline(boxes))
+        ends = [(range_m * (1.0 - 1e-9), 0.0, 0.5), (range_m * (1.0 + 1e-9), 0.0, 0.5)]
+        paths = Paths.between(np.array([0.0, 0.0, 0.5]), np.array(ends))
+        level = 0.0 - path.loss_db(paths) - walls.loss_db(paths)
+        assert (level >= -93.0).tolist() == [True, False]
+
+
+BOXES = [
+    Box(center=(x, y, 1.0), size=(20.0, 0.2, 300.0), yaw_rad=x * 0.01, material="brick")
+    for x in range(-250, 300, 50)
+    for y in range(-250, 300, 50)
+]
+
+
+@pytest.mark.parametrize("layer", [ItuWalls(Across("brick", "wood")), ItuWalls(Sightline(BOXES)), FixedWalls(Sightline([]))])
+def test_the_laws_of_every_path_loss(layer: PathLoss) -> None:
+    check_channel(layer)

@@ -1,0 +1,209 @@
+"""Laws of messages that are passed on: when they arrive, how many do, how often, and how far."""
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.netsim.routing.flooding import Flooding
+from vcmvsp.netsim.routing.router import HEADER_BYTES, Routing
+from vcmvsp.netsim.routing.static import Static
+from tests.support.netsim.routing_runs import AIR_NS, HOP_NS, MS, Run, line, names, run, says
+
+LOSS = 0.2
+LADDER = [(60.0 * i, y) for i in range(4) for y in (0.0, 30.0)]
+"""Two rows of four; from one pair to the next there are four ways (60 and 67 m of 86)."""
+
+
+def often(count: int, sender: str = "car1", to: str | None = None) -> list[Any]:
+    return [says(sender, k * 100 * MS, to=to) for k in range(count)]
+
+
+def share(outcome: Run, receiver: str, count: int) -> float:
+    return sum(each.receiver == receiver for each in outcome.heard) / count
+
+
+def spread(share: float, count: int) -> float:
+    """Within which a binomial share lies, 4.5 standard deviations."""
+    return 4.5 * math.sqrt(share * (1.0 - share) / count)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.02])
+def test_over_a_chain_of_perfect_links_a_message_takes_hops_times_air_and_delay(delay_s: float) -> None:
+    router = Static(chain=names(6))
+    said = [says("car1", 5 * MS, to="car6"), says("car3", 300 * MS, to="car1")]
+    hop_ns = max(HOP_NS, round(delay_s * 1e9))
+    outcome = run(router, line(6), *said, delay={"seconds": delay_s})
+    assert [(each.receiver, each.received_ns - each.sent_ns) for each in outcome.heard] == [
+        ("car6", 5 * hop_ns),
+        ("car1", 2 * hop_ns),
+    ]
+    assert [(each.hops[-1], each.receivers[-1], each.via[-1]) for each in outcome.messages] == [
+        (5, "car6", "car5"),
+        (2, "car1", "car2"),
+    ]
+    assert [frame.sender for frame in outcome.frames] == ["car1", "car2", "car3", "car4", "car5", "car3", "car2"]
+
+
+def test_a_flooded_message_takes_hops_times_air_and_what_its_relays_waited() -> None:
+    jitter_ns = 8 * MS
+    outcome = run(Flooding(jitter_s=jitter_ns / 1e9), line(5), *often(20), seconds=3.0)
+    assert len(outcome.heard) == 80
+    sent_ns = {frame.frame: frame.sent_ns for frame in outcome.frames}
+    waits = []
+    for message in outcome.messages:
+        assert message.receivers == ("car2", "car3", "car4", "car5")
+        assert message.hops == (1, 2, 3, 4)
+        begins = [sent_ns[frame] for frame in message.frames]
+        assert [at - begin for at, begin in zip(message.received_ns, begins, strict=False)] == [HOP_NS] * 4
+        waits += [begin - at for at, begin in zip(message.received_ns[:3], begins[1:4], strict=True)]
+    assert 0 <= min(waits) < max(waits) < jitter_ns
+    assert np.mean(waits) == pytest.approx(jitter_ns / 2, abs=4.5 * jitter_ns / math.sqrt(12 * len(waits)))
+
+
+@pytest.mark.parametrize("contends", ["ideal", "dcf"])
+def test_a_reception_is_of_the_original_message(contends: str) -> None:
+    said = [says("car1", 7 * MS), says("car1", 400 * MS, to="car4")]
+    outcome = run(Flooding(), line(4), *said, mac={"kind": contends})
+    assert Counter(each.message.to for each in outcome.receptions) == {None: 3, "car4": 1}
+    for each in outcome.receptions:
+        assert each.message == said[each.message.to is not None].value
+        assert each.sent_ns == said[each.message.to is not None].time_ns
+    levels = {
+        (frame.sender, name): rssi
+        for frame in outcome.frames
+        for name, rssi in zip(frame.receivers, frame.rssi_dbm.tolist(), strict=True)
+    }
+    assert [each.rssi_dbm for each in outcome.receptions[:3]] == [levels[f"car{i}", f"car{i + 1}"] for i in (1, 2, 3)]
+
+
+def test_frames_are_as_long_as_message_and_header() -> None:
+    outcome = run(Static(chain=names(3)), line(3), says("car1", 0, to="car3", size_bytes=250))
+    assert [frame.size_bytes for frame in outcome.frames] == [250 + HEADER_BYTES] * 2
+    assert [(each.size_bytes, each.frame_bytes) for each in outcome.messages] == [(250, 250 + HEADER_BYTES)]
+    assert run(None, line(3), says("car1", 0, to="car2", size_bytes=250)).frames[0].size_bytes == 250
+
+
+@pytest.mark.parametrize("router", [Static(chain=names(4)), Flooding(jitter_s=0.0)], ids=["static", "flooding"])
+def test_over_a_chain_with_losses_each_hop_takes_its_share(router: Routing) -> None:
+    count = 1500
+    outcome = run(router, line(4), *often(count, to="car4"), seconds=count / 10, loss={"probability": LOSS})
+    expected = (1.0 - LOSS) ** 3
+    assert share(outcome, "car4", count) == pytest.approx(expected, abs=spread(expected, count))
+
+
+def test_broadcasts_along_a_chain_lose_the_same_share_at_each_hop() -> None:
+    count = 1000
+    outcome = run(Flooding(), line(4), *often(count), seconds=count / 10, loss={"probability": LOSS})
+    for hops in (1, 2, 3):
+        expected = (1.0 - LOSS) ** hops
+        assert share(outcome, f"car{hops + 1}", count) == pytest.approx(expected, abs=spread(expected, count))
+
+
+def test_where_there_are_several_ways_flooding_is_better_than_the_best_of_them() -> None:
+    count = 500
+    outcome = run(Flooding(jitter_s=0.02), LADDER, *often(count), seconds=count / 10, loss={"probability": LOSS})
+    best = (1.0 - LOSS) ** 3
+    assert share(outcome, "car7", count) > best + spread(best, count)
+
+
+def test_nobody_is_told_twice_though_copies_come_and_all_pass_everything_on() -> None:
+    outcome = run(
+        Flooding(), LADDER, *often(30), *often(30, "car8"), seconds=4.0, delivery={"duplicate": 0.5, "duplicate_delay_s": 0.004}
+    )
+    assert len(outcome.heard) == len({(each.receiver, each.sender, each.sent_ns) for each in outcome.heard}) == 2 * 30 * 7
+    assert not [each for each in outcome.heard if each.receiver == each.sender]
+    assert all(len(message.frames) == len(LADDER) for message in outcome.messages)  # each vehicle sent each once
+
+
+@pytest.mark.parametrize("limit", [1, 2, 5])
+def test_a_message_goes_no_further_than_its_hop_limit(limit: int) -> None:
+    outcome = run(Flooding(hop_limit=limit), line(7), says("car1", 0))
+    assert [each.receiver for each in outcome.heard] == [f"car{i + 2}" for i in range(limit)]
+    assert len(outcome.frames) == limit
+
+
+def test_it_all_works_on_an_air_that_is_shared() -> None:
+    outcome = run(Flooding(jitter_s=0.02), LADDER, *often(50), seconds=6.0, mac={"kind": "dcf"})
+    assert len(outcome.heard) > 0.98 * 50 * 7
+    assert {word for frame in outcome.frames for word in frame.outcome} >= {"received", "below sensitivity"}
+    chain = run(Static(chain=names(5)), line(5), *often(50, to="car5"), seconds=6.0, mac={"kind": "dcf"})
+    assert len(chain.heard) == 50
+    assert all(each.received_ns - each.sent_ns >= 4 * HOP_NS for each in chain.heard)
+
+
+def test_the_same_seed_gives_the_same_and_another_one_something_else() -> None:
+    def once(seed: int) -> Run:
+        return run(Flooding(), LADDER, *often(20), seconds=3.0, seed=seed, loss={"probability": LOSS}, mac={"kind": "dcf"})
+
+    assert repr(once(3)) == repr(once(3))
+    assert once(3).heard != once(4).heard
+
+
+def test_without_routing_nothing_is_passed_on() -> None:
+    outcome = run(None, line(3), says("car1", 0))
+    assert [(each.receiver, each.received_ns) for each in outcome.heard] == [("car2", AIR_NS)]
+    assert not outcome.routed
+
+
+def test_what_is_under_way_at_the_end_is_told_as_far_as_it_came() -> None:
+    outcome = run(Static(chain=names(5)), line(5), says("car1", 0, to="car5"), seconds=(2.5 * HOP_NS) / 1e9)
+    (message,) = outcome.routed
+    assert (message.receivers, message.hops) == (("car2", "car3"), (1, 2))
+    assert message.under_way
+    assert not outcome.heard
+
+
+@pytest.mark.parametrize("mac", ["ideal", "dcf"])
+def test_what_ends_with_the_run_is_told_from_what_is_under_way(mac: str) -> None:
+    """A message that has come, one that was lost, and one on the air when the run ends, or between two frames of it."""
+    said = [says("car1", 0, to="car3"), says("car1", 500 * MS, to="car3"), says("car2", 999 * MS, to="car1")]
+    deaf = {"from_s": 0.4, "to_s": 0.9, "links": ["car1/car2"], "loss": 1.0}
+    outcome = run(Static(chain=names(3)), line(3), *said, mac={"kind": mac}, script={"kind": "script", "changes": [deaf]})
+    assert [each.under_way for each in outcome.messages] == [False, False, True]
+    waiting = run(Flooding(jitter_s=5.0), line(3), says("car1", 0), mac={"kind": mac})
+    assert [(each.receivers, each.under_way) for each in waiting.messages] == [(("car2",), True)]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.0, 200.0), st.floats(0.0, 200.0)), min_size=2, max_size=8),
+    st.integers(0, 100),
+    st.integers(1, 7),
+    st.sampled_from([0.0, 0.01, 0.1]),
+)
+def test_flooding_reaches_none_but_whom_a_graph_of_perfect_links_reaches_and_them_all_if_it_may(
+    position: list[tuple[float, float]], seed: int, limit: int, jitter_s: float
+) -> None:
+    """By brute force: nobody else than who is at most so many links of 86 m away hears it, and nobody twice.
+
+    All of them do where the limit ends nothing, or where no wait lets a copy come first that has gone further.
+    """
+    points = np.array(position)
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    assume(bool((np.abs(apart - 85.6) > 0.2).all()))
+    outcome = run(Flooding(hop_limit=limit, jitter_s=jitter_s), position, says("car1", 0), seed=seed, seconds=2.0)
+    reached = np.arange(len(position)) == 0
+    for _ in range(limit):
+        reached = reached | (np.maximum(apart, 1.0) <= 85.6)[reached].any(axis=0)
+    heard = [each.receiver for each in outcome.heard]
+    within = [f"car{i + 1}" for i in np.flatnonzero(reached).tolist() if i]
+    assert len(heard) == len(set(heard))
+    assert set(heard) <= set(within)
+    if limit >= len(position) - 1 or jitter_s == 0.0:
+        assert sorted(heard) == within
+
+
+def test_a_first_copy_that_came_the_longer_way_may_end_at_the_limit() -> None:
+    """Nine in a row, of which each reaches the next two: 4 hops are enough for the last, but not always the first to come."""
+    count, position = 40, [(30.0 * i, 0.0) for i in range(9)]
+    shares = [
+        share(run(Flooding(hop_limit=4, jitter_s=jitter_s), position, *often(count), seconds=5.0), "car9", count)
+        for jitter_s in (0.0, 0.01)
+    ]
+    assert shares[0] == 1.0
+    assert 0.0 < shares[1] < 1.0

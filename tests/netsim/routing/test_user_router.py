@@ -1,0 +1,93 @@
+"""Routers that somebody else has written: what they must have, and what becomes of an answer that makes no sense."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.netsim.routing.router import BROADCAST, Router, Update
+from tests.support.netsim.routing_runs import MS, line, run, says
+
+
+@dataclass(frozen=True)
+class Mine:
+    """Hands everything to the same vehicle."""
+
+    via: Any
+
+    def open(self, vehicles: Sequence[str], seed: int) -> Router:
+        return Handing(self.via)
+
+
+class Handing:
+    """The least that a router needs."""
+
+    hop_limit, jitter_ns = 8, 0
+
+    def __init__(self, via: Any) -> None:
+        self._via = via
+
+    def next_hop(self, row: int, to: int, now_ns: int) -> int | None:
+        found: int | None = self._via
+        return found
+
+    def relays(self, row: int, by: int) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("via", [2, np.int64(2), BROADCAST])
+def test_a_router_that_tells_nothing_needs_two_answers(via: Any) -> None:
+    outcome = run(Mine(via), line(3, 20.0), says("car1", 0, to="car3"))
+    assert [each.receiver for each in outcome.heard] == ["car3"]
+
+
+@pytest.mark.parametrize("via", [3, 99, -2, 0, "car2", 1.0])
+def test_an_answer_that_makes_no_sense_is_an_error_with_the_name_of_the_kind(via: Any) -> None:
+    with pytest.raises(FederateError) as caught:
+        run(Mine(via), line(3), says("car1", 0, to="car3"))
+    wanted = "which is not the row of another of 3 vehicles, -1 (a broadcast) or None"
+    assert str(caught.value) == f"routing Mine: has car1 hand a message to {via!r}, {wanted}"
+
+
+@dataclass(frozen=True)
+class Chatty:
+    """Its vehicles tell each other of routes, over and over."""
+
+    size_bytes: int
+    period_ns: int
+
+    def open(self, vehicles: Sequence[str], seed: int) -> Router:
+        return Chatting(self)
+
+
+class Chatting(Handing):
+    """Tells as much, as often as it should."""
+
+    def __init__(self, kind: Chatty) -> None:
+        super().__init__(BROADCAST)
+        self._kind = kind
+
+    def first_ns(self) -> Sequence[int]:
+        return 5 * MS, 10 * MS
+
+    def update(self, row: int, now_ns: int) -> Update:
+        return Update(None, self._kind.size_bytes, now_ns + self._kind.period_ns)
+
+    def take(self, row: int, by: int, content: Any, now_ns: int) -> None:
+        assert (row, by) in ((0, 1), (1, 0))
+
+
+def test_one_that_tells_is_asked_when_it_wants() -> None:
+    outcome = run(Chatty(100, 300 * MS), line(2))
+    assert [(each.origin, each.sent_ns // MS) for each in outcome.routed] == [
+        (name, at) for k in range(4) for name, at in (("car1", 5 + 300 * k), ("car2", 10 + 300 * k))
+    ]
+
+
+@pytest.mark.parametrize(("size_bytes", "period_ns"), [(-1, MS), (10, 0), (10, -MS)])
+def test_an_update_of_the_past_or_of_less_than_nothing_is_an_error(size_bytes: int, period_ns: int) -> None:
+    with pytest.raises(FederateError, match=rf"^routing Chatty: tells {size_bytes} bytes of routes at 5000000 ns, and next at"):
+        run(Chatty(size_bytes, period_ns), line(2))

@@ -1,0 +1,247 @@
+"""How programs come into a run: all of them, from this machine alone, whatever else knocks at the door."""
+
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import tomli_w
+
+from vcmvsp import cosim
+from vcmvsp.cosim.runs.api import check
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.scenario.schema import SocketsTable
+from vcmvsp.cosim.sockets import connect
+from vcmvsp.cosim.sockets.messages import VERSION, Hello, framed
+from vcmvsp.cosim.testing import check_federate
+from vcmvsp.cosim.types import Message, Reception
+from vcmvsp.netsim.sockets.federate import Programs
+from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, dialled, idle, played, scenario
+
+
+def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content, told = scenario(tmp_path, "a", "b", "c"), list[str]()
+    came = threading.Event()
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + came.is_set() * PATIENCE_S)
+    monkeypatch.setattr("vcmvsp.netsim.sockets.admission.time", clock)  # it has waited for long enough as soon as one is there
+
+    def come() -> None:
+        with pytest.raises(ConnectionError, match="the connection to the run is lost"):
+            connect("a", content["sockets"]["listen"])
+        told.append("let down")
+
+    def tell(text: str) -> None:
+        told.append(text)
+        if text.startswith("the program of a has come"):
+            came.set()
+
+    thread = threading.Thread(target=come)
+    thread.start()
+    with pytest.raises(FederateError, match=r"no program has come for b, c within 60 s \(sockets.join_timeout_s\).*connect\("):
+        cosim.run(content, mcap=False, tell=tell)
+    thread.join(PATIENCE_S)
+    assert told[1:] == ["the program of a has come; still waiting for: b, c", "let down"]
+    assert not (tmp_path / "s").exists()
+
+
+def test_who_is_not_wanted_is_told_why(tmp_path: Path) -> None:
+    content, told, words = scenario(tmp_path, "a", "b"), list[str](), list[str]()
+
+    def others() -> None:
+        with connect("a", content["sockets"]["listen"]):
+            pass
+
+    def strangers() -> None:
+        for vehicle in ("x" * 40, "a"):
+            with pytest.raises(ConnectionRefusedError) as caught:
+                connect(vehicle, content["sockets"]["listen"])
+            words.append(str(caught.value))
+        with dialled(tmp_path) as end:
+            end.sendall(framed(Hello(99, "b")))
+            words.append(str(end.recv(1000)))
+        connect("b", content["sockets"]["listen"]).close()
+
+    threads = [threading.Thread(target=others, daemon=True), threading.Thread(target=strangers, daemon=True)]
+
+    def tell(text: str) -> None:
+        told.append(text)
+        if text.startswith("the program of a has come"):
+            threads[1].start()
+
+    threads[0].start()
+    cosim.run(content, mcap=False, tell=tell)
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert "there is no vehicle 'xxx" in words[0] or "unknown vehicle 'xxx" in words[0]
+    assert "a has a program already" in words[1]
+    assert "install the same vcmvsp for both" in words[2]
+
+
+def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: Path) -> None:
+    content, told = scenario(tmp_path, "a", "b"), list[str]()
+
+    def early() -> None:
+        with dialled(tmp_path) as end:
+            end.sendall(framed(Hello(VERSION, "a")))
+            end.recv(1 << 16)
+
+    def come(vehicle: str) -> None:
+        with connect(vehicle, content["sockets"]["listen"]) as end:
+            idle(end)
+
+    def tell(text: str) -> None:
+        told.append(text)
+        if "has left" in text:
+            for vehicle in "ab":
+                threading.Thread(target=come, args=[vehicle], daemon=True).start()
+
+    threading.Thread(target=early, daemon=True).start()
+    result = cosim.run(content, mcap=False, tell=tell)
+    assert told[2] == "the program of a has left; waiting for another"
+    assert result.about["simulated_s"] == 1.0
+
+
+def test_three_hundred_strangers_disturb_nobody(tmp_path: Path) -> None:
+    content, draw, open_ = scenario(tmp_path, "a", "b"), random.Random(4), list[socket.socket]()
+    undisturbed = played(content, {"a": chat, "b": chat}, mcap=False).metrics
+
+    def tell(text: str) -> None:
+        if not text.startswith("waiting"):
+            return
+        for number in range(300):
+            end = socket.socket(socket.AF_UNIX)
+            end.settimeout(0.2)
+            open_.append(end)
+            try:
+                end.connect(f"{tmp_path}/s")
+                end.sendall([b"", draw.randbytes(300), b"POST / HTTP/1.1\r\n\r\n", b"\x00\x00\x10\x00half"][number % 4])
+            except OSError:
+                pass
+
+    floods = list[threading.Thread]()
+
+    def flooded(text: str) -> None:
+        floods.append(threading.Thread(target=tell, args=[text], daemon=True))
+        floods[-1].start()
+
+    result = played(content, {"a": chat, "b": chat}, mcap=False, tell=flooded)
+    for thread in floods:
+        thread.join(PATIENCE_S)
+    for end in open_:
+        end.close()
+    assert result.metrics == undisturbed
+
+
+@pytest.mark.parametrize(
+    ("listen", "says"),
+    [
+        ("tcp/0.0.0.0:7550", r"from other machines: .* ssh -L 7550:127.0.0.1:7550"),
+        ("tcp/[::]:7550", "ssh -L"),
+        ("tcp/192.168.1.5:7550", "ssh -L"),
+        ("tcp/127.0.0.1:99999", "must be tcp/HOST:PORT or unix/PATH"),
+        ("7550", "must be tcp/HOST:PORT or unix/PATH"),
+        ("unix/", "must be tcp/HOST:PORT or unix/PATH"),
+    ],
+)
+def test_only_this_machine_may_be_let_in(tmp_path: Path, listen: str, says: str) -> None:
+    with pytest.raises(ScenarioError, match=f"sockets.listen: .*{says}"):
+        check(scenario(tmp_path, "a", sockets={"listen": listen}))
+
+
+def test_a_scenario_is_checked_without_its_programs(tmp_path: Path) -> None:
+    assert check(scenario(tmp_path, "a"))["sockets"]["vehicles"] == ["a"]
+    assert not (tmp_path / "s").exists()
+    for bad, says in ((["a", "a"], "names a twice"), (["z"], "z")):
+        with pytest.raises(ScenarioError, match=f"sockets.vehicles: .*{says}"):
+            check(scenario(tmp_path, "a", sockets={"vehicles": bad}))
+        with pytest.raises(ScenarioError, match=f"^--set sockets.vehicles=.*: sockets.vehicles: .*{says}"):
+            check(scenario(tmp_path, "a"), set={"sockets.vehicles": bad})
+
+
+def test_where_nothing_is_opened_it_is_a_federate_like_others() -> None:
+    table = SocketsTable(vehicles=("b", "a"))
+    run = RunInfo(scenario="s", seed=1, duration_ns=10**9, vehicles=("a", "b"))
+    inbox = [
+        Event(
+            "a/heard", 5, Reception(message=Message(sender="b", body=b"", size_bytes=0), rssi_dbm=0.0, sent_ns=1, received_ns=5)
+        )
+    ]
+    check_federate(lambda: Programs(table, run.vehicles, tell=print, connect=False), run, inbox)
+
+
+def test_an_endpoint_that_is_taken_is_said_in_one_line_and_one_that_was_left_behind_is_used(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(
+            ScenarioError, match=f"sockets.listen: cannot listen on {listen}: .*another run may have it: give another endpoint"
+        ):
+            cosim.run(scenario(tmp_path, "a", sockets={"listen": listen}), mcap=False)
+    (tmp_path / "s").write_text("a file of mine")
+    with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on .*/none/s: No such file or directory; give"):
+        cosim.run(scenario(tmp_path / "none", "a"), mcap=False)
+    with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on"):
+        cosim.run(scenario(tmp_path, "a"), mcap=False)
+    assert (tmp_path / "s").read_text() == "a file of mine"
+    (tmp_path / "s").unlink()
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(f"{tmp_path}/s")
+    assert played(scenario(tmp_path, "a"), {"a": chat}, mcap=False).about["simulated_s"] == 1.0
+
+
+def test_over_tcp_on_any_port(tmp_path: Path) -> None:
+    ends, heard = list[threading.Thread](), list[Any]()
+
+    def tell(text: str) -> None:
+        if text.startswith("waiting"):
+            endpoint = text.partition(" at ")[2].partition(": ")[0]
+            for name, play in (("a", chat), ("b", heard.extend)):
+                ends.append(threading.Thread(target=enter, args=(name, endpoint, play), daemon=True))
+                ends[-1].start()
+
+    def enter(name: str, endpoint: str, play: Any) -> None:
+        with connect(name, endpoint) as end:
+            play(end)
+
+    cosim.run(scenario(tmp_path, "a", "b", sockets={"listen": "tcp/127.0.0.1:0"}), mcap=False, tell=tell)
+    for thread in ends:
+        thread.join(PATIENCE_S)
+    assert heard == 10 * [(b"here", "a")]
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_ctrl_c_ends_a_run_that_waits_for_a_program(tmp_path: Path, hangs: bool) -> None:
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(scenario(tmp_path, "a")))
+
+    def hang() -> None:
+        with by_hand(tmp_path, "a") as end:
+            (tmp_path / "hangs").touch()
+            end.recv(1 << 16)
+
+    run = subprocess.Popen(
+        [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", "s.toml", "--out", "out"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        while not (tmp_path / "s").exists():
+            assert run.poll() is None
+            time.sleep(0.02)
+        if hangs:
+            threading.Thread(target=hang, daemon=True).start()
+            while not (tmp_path / "hangs").exists():
+                assert run.poll() is None
+                time.sleep(0.02)
+        time.sleep(0.2)
+        run.send_signal(signal.SIGINT)
+        _, said = run.communicate(timeout=30.0)
+    finally:
+        run.kill()
+    assert run.returncode == 130, said
+    assert "Traceback" not in said
+    assert not (tmp_path / "s").exists()

@@ -1,0 +1,192 @@
+"""Vehicles that something else moves have bodies in Bullet: they stop and push others, and nothing moves them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.types import VehicleState, Velocity
+from vcmvsp.physics.dynamics.bullet import p
+from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
+from vcmvsp.physics.federate import BulletPhysics
+from vcmvsp.physics.dynamics.external_vehicles import Reflected
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.sensors.bumper import Bumper
+from vcmvsp.physics.world.solids import Box, Cylinder
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag
+from vcmvsp.physics.world.world import Movable, World
+from tests.support.physics.external_vehicles import TENTH, Course, Courses, run, spec, straight, values
+from tests.support.physics.physics_stepper import stepped
+
+BACK = 0.5 * P2DX().length_m + P2DX().axle_ahead_m  # m, from the reference point
+FRONT = 0.5 * P2DX().length_m - P2DX().axle_ahead_m
+DEEP_M = 0.002  # as far as a body gets into another one before Bullet has stopped it
+
+
+def track(events: list[Event], row: int) -> np.ndarray:
+    """Where the vehicle of a row was, (n, 3) m."""
+    return np.array([states.position[row] for states in values(events, "world/states")])
+
+
+def contacts(events: list[Event]) -> list[tuple[str, str | None]]:
+    return [(contact.vehicle, contact.other) for contact in values(events, "world/contact")]
+
+
+@pytest.mark.parametrize("v", [0.3, 1.0, 1.6])
+def test_a_robot_that_drives_into_one_stops_and_never_gets_in(v: float) -> None:
+    at = 6.0  # far enough to get that fast at 0.3 m/s2
+    physics = BulletPhysics(world=World(), vehicles=[spec("car"), spec("real", at)], outside=Courses(real=straight(at)))
+    events = run(physics, [(0.0, "car", v, 0.0)], round(2.0 + at / v + v / 0.6, 1))
+    assert max(states.velocity[0, 0] for states in values(events, "world/states")) == pytest.approx(v, rel=0.02)
+    assert track(events, 0)[:, 0].max() < at - BACK - FRONT + DEEP_M + v / 120.0  # it is noticed after a step
+    assert track(events, 0)[-1] == pytest.approx((at - BACK - FRONT, 0.0, 0.0), abs=DEEP_M)
+    assert set(map(tuple, track(events, 1).tolist())) == {(at, 0.0, 0.0)}
+    assert contacts(events) == [("car", "real")]
+
+
+@pytest.mark.parametrize("names", [("car", "real"), ("real", "car")])
+def test_one_that_moves_pushes_a_robot_ahead_of_it(names: tuple[str, str]) -> None:
+    places = {"car": 0.0, "real": -1.0}
+    vehicles = [spec(name, places[name]) for name in names]
+    events = run(BulletPhysics(world=World(), vehicles=vehicles, outside=Courses(real=straight(-1.0, 0.5))), seconds=6.0)
+    car, real = (track(events, names.index(name)) for name in ("car", "real"))
+    assert real[:, 0] == pytest.approx(-1.0 + 0.05 * np.arange(61), abs=1e-12)
+    apart = car[:, 0] - real[:, 0]
+    assert apart.min() > BACK + FRONT - DEEP_M - 0.5 / 120.0  # likewise
+    assert apart[-1] == pytest.approx(BACK + FRONT, abs=DEEP_M)  # pushed, its motors braking
+    assert contacts(events) == [names]  # once, the vehicle that the scenario names first
+
+
+def test_it_pushes_things_and_is_a_body_whatever_its_kind() -> None:
+    crate = Movable(name="crate", solid=Box(center=(0.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=3.0)
+    for model in (Lag(), AmigoBot(), P2DX()):
+        hull = model.hull
+        real = spec("real", -1.5, model=model)
+        physics = BulletPhysics(world=World(movables=(crate,)), vehicles=[real], outside=Courses(real=straight(-1.5, 0.5)))
+        info = RunInfo(scenario="test", seed=1, duration_ns=4 * SECOND_NS, vehicles=("real",), instants=TENTH)
+        physics.start(info)
+        assert {each.value.other for now in range(41) for each in told_contacts(physics, now)} == {"crate"}
+        crate_x = physics._engines[0][0].movables().position[0, 0]
+        assert crate_x > 0.5 + hull.offset[0] + 0.5 * hull.size[0] + 0.2 - DEEP_M - 0.5 / 120.0
+        physics.close()
+
+
+def told_contacts(physics: BulletPhysics, tick: int) -> list[Any]:
+    return [event for event in physics.step(tick * SECOND_NS // 10, ()).events if event.key == "world/contact"]
+
+
+def test_contacts_tell_of_virtual_walls_and_of_each_other() -> None:
+    """That nothing stops them is no reason to keep it back."""
+    world = World(solids=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
+    courses = Courses(a=straight(0.0, 0.5), b=straight(-2.0, 1.2))
+    events = run(BulletPhysics(world=world, vehicles=[spec("a"), spec("b", -2.0)], outside=courses), seconds=4.0)
+    told: list[Any] = [event for event in events if event.key == "world/contact"]
+    touched = {(event.value.vehicle, event.value.other): event.time_ns / 1e9 for event in told}
+    expected = {("a", "b"): (2.0 - BACK - FRONT) / 0.7, ("b", None): (3.9 - FRONT) / 1.2, ("a", None): (1.9 - FRONT) / 0.5}
+    assert touched == pytest.approx(expected, abs=0.11)
+
+
+def test_a_quadrotor_bumps_into_one_as_into_a_solid_of_its_shape() -> None:
+    tall = Quadrotor(height_m=1.0)  # not to be slipped over
+    solid = Cylinder(center=(3.0, 0.0, 1.5), radius=tall.radius_m, height=tall.height_m)
+    uav, real = spec("uav", z=1.5, model=Quadrotor()), spec("real", 3.0, z=1.5, model=tall)
+    physics = BulletPhysics(world=World(), vehicles=[uav, real], outside=Courses(real=straight(3.0, z=1.5)))
+    told = [(0.0, "uav", 1.5, 0.0)]
+    shown, stood = run(physics, told, 2.7), run(BulletPhysics(world=World(solids=(solid,)), vehicles=[uav]), told, 2.7)
+    assert contacts(shown) == [("uav", "real")]
+    assert contacts(stood) == [("uav", None)]
+    assert track(shown, 0)[:, 0].max() > 3.0 - 2.0 * tall.radius_m  # it is there, and tilts
+    assert track(shown, 0) == pytest.approx(track(stood, 0), abs=2e-3)
+
+
+def test_a_quadrotor_in_free_air_is_found_by_one_that_comes_to_it() -> None:
+    courses = Courses(real=straight(-4.0, 1.0, z=3.0))
+    vehicles = [spec("real", -4.0, z=3.0, model=Quadrotor()), spec("uav", z=3.0, model=Quadrotor())]
+    events = run(BulletPhysics(world=World(), vehicles=vehicles, outside=courses), (), 4.5)
+    assert contacts(events)[0] == ("real", "uav")
+    apart = np.linalg.norm(track(events, 0) - track(events, 1), axis=1)
+    assert apart.min() > 2 * Quadrotor().radius_m - 0.05
+
+
+def test_bumpers_of_both_feel_the_other() -> None:
+    vehicles = [spec("car", sensors={"bumper": Bumper()}), spec("real", 1.0, sensors={"bumper": Bumper()})]
+    events = run(
+        BulletPhysics(world=World(), vehicles=vehicles, outside=Courses(real=straight(1.0))), [(0.0, "car", 0.3, 0.0)], 4.0
+    )
+    for name in ("car", "real"):
+        felt = [sum(reading.values.values()) for reading in values(events, f"{name}/bumper")]
+        assert felt[0] == 0.0
+        assert max(felt[-10:]) > 0.0
+
+
+def test_the_body_is_where_it_is_said_to_be_before_every_step() -> None:
+    """Also between instants, where it goes on as fast as it went; after a step, Bullet has moved it on by that step."""
+    state = VehicleState(
+        position=(1.0, 2.0, 0.0), velocity=(0.4, -0.3, 0.0), attitude=quaternion_from_yaw(0.5), angular_velocity=(0.0, 0.0, 0.7)
+    )
+    vehicle = spec("real", 1.0, 2.0, heading=0.5)
+    reflected = Reflected(Courses(real=lambda _: state), [vehicle])
+    engine = BulletEngine(
+        world=World(),
+        models=[vehicle.model],
+        positions=[vehicle.start],
+        headings=[0.5],
+        names=["real"],
+        rate_hz=120.0,
+        iterations=50,
+        gravity=9.81,
+        reflected=reflected,
+    )
+    reflected.ask(0)
+    for step in range(1, 61):
+        engine.advance(step * SECOND_NS // 120)
+        (place, (x, y, z, w)) = p.getBasePositionAndOrientation(engine._shown.bodies[0], engine._client)  # type: ignore[union-attr]
+        expected, _ = reflected.at(step * SECOND_NS // 120)
+        assert place == pytest.approx(expected.position[0], abs=1e-6)
+        assert (w, x, y, z) == pytest.approx(expected.attitude[0], abs=1e-6)
+    engine.close()
+
+
+def jumping(x: float, jump: float) -> Course:
+    """Stands, and after 1 s is said to stand elsewhere."""
+    return lambda t: VehicleState(position=(x + (jump if t >= 1.0 else 0.0), 0.0, 0.0))
+
+
+@pytest.mark.parametrize("jump", [0.1, 0.3, 0.6, 0.95])
+def test_whoever_stands_where_an_estimate_jumps_to_is_pushed_aside_and_not_thrown(jump: float) -> None:
+    real = -BACK - FRONT - 0.02
+    physics = BulletPhysics(
+        world=World(), vehicles=[spec("car"), spec("real", real)], outside=Courses(real=jumping(real, jump))
+    )
+    events = run(physics, seconds=4.0)
+    speed = np.array([np.linalg.norm(states.velocity[0]) for states in values(events, "world/states")])
+    assert speed.max() < 0.55
+    assert track(events, 0)[-1] == pytest.approx((jump - 0.02, 0.0, 0.0), abs=DEEP_M)
+    said = track(events, 1)[:, 0] - real
+    assert said.tolist() == pytest.approx([0.0] * 10 + [jump] * 31)  # rows jump as they were told
+
+
+def test_a_run_with_one_costs_no_bit_of_those_that_it_does_not_touch() -> None:
+    def flown(*names: str) -> list[Any]:
+        vehicles = [spec("uav", z=2.0, model=Quadrotor()), spec("car", 0.0, 3.0)]
+        courses = Courses(**{name: straight(9.0, z=2.0) for name in names})
+        vehicles += [spec(name, 9.0, z=2.0, model=Quadrotor()) for name in names]
+        physics = BulletPhysics(world=World(), vehicles=vehicles, outside=courses)
+        told = [
+            Event("uav/command", 0, Velocity(linear=(0.5, 0.2, 0.1), yaw_rate=0.3)),
+            Event("car/command", 0, Velocity(linear=(0.5, 0.0, 0.0), yaw_rate=0.3)),
+        ]
+        info = RunInfo(
+            scenario="test",
+            seed=1,
+            duration_ns=seconds_to_ns(3.0),
+            vehicles=tuple(each.name for each in vehicles),
+            instants=TENTH,
+        )
+        events = [event for events in stepped(physics, info, told) for event in events]
+        return values(events, "uav/estimate") + values(events, "car/estimate")
+
+    assert flown("real") == flown()

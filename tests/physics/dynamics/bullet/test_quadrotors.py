@@ -1,0 +1,268 @@
+"""Quadrotors in a Bullet world: alone in the air, they fly as NumPy flies them; near things, bodies land, bounce and push."""
+
+import hashlib
+import math
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
+from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
+from vcmvsp.physics.engine.interface import Motion, Touch
+from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.solids import Box, Cylinder, Prism
+from vcmvsp.physics.vehicles.models import P2DX, Vehicle
+from vcmvsp.physics.world.world import Movable, Moving, World
+
+UAV = Quadrotor()
+WALL = World(solids=(Box(center=(9.0, 9.0, 0.5), size=(0.2, 0.2, 1.0)), Box(center=(5.0, 0.0, 1.5), size=(0.2, 6.0, 3.0))))
+HZ = 120
+
+
+def engine(*vehicles: tuple[Vehicle, Vec3], world: World | None = None, hz: float = HZ) -> BulletEngine:
+    return BulletEngine(
+        world=world or World(),
+        models=[model for model, _ in vehicles],
+        positions=[position for _, position in vehicles],
+        headings=[0.0] * len(vehicles),
+        rate_hz=hz,
+        iterations=50,
+        gravity=9.81,
+    )
+
+
+def steps(moved: BulletEngine, count: int) -> None:
+    moved.advance((moved._step + count) * SECOND_NS // round(1.0 / moved._step_s) + 1)
+
+
+def same(a: Motion, b: Motion, rows: Sequence[int] = (0,)) -> bool:
+    return all(x[list(rows)].tobytes() == y[list(rows)].tobytes() for x, y in zip(a, b, strict=True))
+
+
+def test_free_air_is_numpys_alone_to_the_last_bit() -> None:
+    moved, fleet = engine((UAV, (0.0, 0.0, 5.0))), Fleet([UAV], [(0.0, 0.0, 5.0)], [0.0], 9.81)
+    moved.command(0, (2.0, 1.0, 0.3), 0.5)
+    fleet.set_velocity(0, (2.0, 1.0, 0.3), 0.5)
+    for _ in range(3 * HZ):
+        force, torque = fleet.wrench(1.0 / HZ, np.zeros((1, 3)))
+        fleet.integrate(force, torque, 1.0 / HZ)
+    steps(moved, 3 * HZ)
+    assert not moved._flyers.near.any()
+    assert np.array_equal(moved.read().position, fleet.position)
+    assert np.array_equal(moved.read().attitude, fleet.attitude)
+    z = base_motion(moved._client, moved._flyers.bodies).position[0, 2]
+    assert z < -1000.0  # its body is parked
+    moved.close()
+
+
+def test_what_is_near_but_never_touches_changes_no_bit() -> None:
+    low = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.5, 6.0, 1.0)),))
+    over, alone = engine((UAV, (0.0, 0.0, 1.35)), world=low), engine((UAV, (0.0, 0.0, 1.35)))
+    beside = engine((UAV, (0.0, 0.0, 1.35)), (UAV, (0.0, 0.6, 1.35)), (P2DX(), (3.0, 0.0, 0.0)))
+    beside.command(1, (1.5, 0.0, 0.0), 0.0)
+    beside.command(2, (0.3, 0.0, 0.0), 0.2)
+    nearby = 0
+    for _ in range(40):
+        for moved in (over, alone, beside):
+            moved.command(0, (1.5, 0.0, 0.0), 0.3)
+            steps(moved, HZ // 10)
+        nearby += bool(over._flyers.near[0])
+        assert same(over.read(), alone.read())
+        assert same(beside.read(), alone.read())
+    assert nearby > 10
+    assert not alone._flyers.near.any()
+    assert over.touching(passing=True) == beside.touching(passing=True) == []
+    for moved in (over, alone, beside):
+        moved.close()
+
+
+def test_bodies_that_touch_nothing_move_in_bullet_as_in_numpy() -> None:
+    moved = engine((UAV, (0.0, 0.0, 0.3)))
+    moved.command(0, (1.0, 0.5, 0.0), 0.4)
+    steps(moved, 1)
+    worst = 0.0
+    for _ in range(2 * HZ):
+        steps(moved, 1)
+        bullet, fleet = base_motion(moved._client, moved._flyers.bodies), moved._flyers.fleet
+        off = (bullet.position - fleet.position, bullet.velocity - fleet.velocity, bullet.angular_velocity - fleet.rate)
+        worst = max(worst, *(float(np.abs(each).max()) for each in off))
+    assert moved._flyers.near.all()
+    assert worst < 1e-9  # what counts as a touch is 1e-7
+    moved.close()
+
+
+@pytest.mark.parametrize("hz", [120, 240])
+def test_it_takes_off_and_lands(hz: int) -> None:
+    moved = engine((UAV, (1.0, 2.0, 0.5 * UAV.height_m)), hz=hz)
+    steps(moved, hz)
+    assert moved.read().position[0] == pytest.approx((1.0, 2.0, 0.04), abs=2e-3)
+    moved.go_to(0, (1.0, 2.0, 1.5), None, None)
+    steps(moved, 6 * hz)
+    assert moved.read().position[0] == pytest.approx((1.0, 2.0, 1.5), abs=0.05)
+    assert not moved._flyers.near.any()
+    moved.command(0, (0.0, 0.0, -0.4), 0.0)
+    steps(moved, 6 * hz)
+    landed = moved.read()
+    assert landed.position[0] == pytest.approx((1.0, 2.0, 0.04), abs=2e-3)
+    assert landed.attitude[0] == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=2e-3)
+    assert np.abs(landed.velocity).max() < 0.01
+    assert moved.touching(passing=True) == []  # standing on the floor is no contact
+    moved.close()
+
+
+def test_a_wall_stops_it_and_is_named() -> None:
+    moved = engine((UAV, (0.0, 0.0, 2.0)), world=WALL)
+    moved.command(0, (4.0, 0.0, 0.0), 0.0)
+    seen = []
+    for _ in range(20):
+        steps(moved, HZ // 10)
+        seen += moved.touching(passing=True)
+        assert moved.read().position[0, 0] < 4.9 - 0.04 + 0.02  # not even on edge does it get in
+    assert {(touch.row, touch.other) for touch in seen} == {(0, None)}
+    assert seen[0].place == pytest.approx((4.9, 0.0, 2.0), abs=0.1)
+    moved.close()
+
+
+def test_a_bounce_between_two_looks_is_reported_once() -> None:
+    moved = engine((UAV, (4.0, 0.0, 2.0)), world=WALL)
+    moved._flyers.fleet.velocity[0] = 3.0, 0.0, 0.0
+    moved.command(0, (-2.0, 0.0, 0.0), 0.0)
+    steps(moved, HZ)
+    assert moved.read().position[0, 0] < 4.6  # touches nothing any more
+    assert moved.touching(passing=False) == []  # does not forget it either
+    assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
+    assert moved.touching(passing=True) == []
+    moved.close()
+
+
+@pytest.mark.parametrize("hz", [30, 40, 120])
+@pytest.mark.parametrize("speed", [12.0, 16.0, 20.0, 24.0, 28.0])
+def test_it_wakes_in_time_for_what_comes_fast_however_seldom_it_looks(hz: int, speed: float) -> None:
+    """At least a step before they touch: Bullet leaves a body out of the step in which it wakes."""
+    cube = Box(center=(0, 0, 0), size=(0.5, 0.5, 0.5))
+    ram = Moving(name="ram", solid=cube, times_s=(0.0, 40.0 / speed), way=((-20.0, 0.0, 2.0, 0.0), (20.0, 0.0, 2.0, 0.0)))
+    moved = engine((UAV, (0.0, 0.0, 2.0)), world=World(moving=(ram,)), hz=hz)
+    steps(moved, 1)
+    while not moved._flyers.near[0]:
+        steps(moved, 1)
+    woke, touch_s = moved._step - 1, (20.0 - 0.25 - UAV.radius_m) / speed
+    assert woke < math.floor(touch_s * hz)
+    moved.close()
+
+
+@pytest.mark.parametrize("speed", [2.0, 6.0, 12.0])
+def test_nobody_gets_through(speed: float) -> None:
+    """From all sides into a pillar, a roof and a wall: centres stay outside, however the looks fall."""
+    world = World(
+        solids=(
+            Cylinder(center=(0.0, 0.0, 5.0), radius=0.6, height=10.0),
+            Prism(outline=((20.0, -3.0), (23.0, 0.0), (20.0, 3.0)), height=10.0),
+        )
+    )
+    angles = np.arange(12) * math.tau / 12 + 0.1
+    around = [(x + 4.0 * math.cos(a), 4.0 * math.sin(a), 4.0 + 0.07 * k) for x in (0.0, 21.0) for k, a in enumerate(angles)]
+    fast = Quadrotor(max_speed=20.0)
+    moved = engine(*((fast, place) for place in around), world=world)
+    for row, ((x, y, _), middle) in enumerate(zip(around, [0.0] * 12 + [21.0] * 12, strict=True)):
+        moved._flyers.fleet.velocity[row] = -speed * (x - middle) / 4.0, -speed * y / 4.0, 0.0
+        moved.command(row, (-speed * (x - middle) / 4.0, -speed * y / 4.0, 0.0), 0.0)
+    hit = set()
+    for _ in range(24):
+        steps(moved, HZ // 12)
+        hit |= {touch.row for touch in moved.touching(passing=True)}
+        at = moved.read().position
+        assert np.hypot(at[:12, 0], at[:12, 1]).min() > 0.6
+        for row in range(12, 24):
+            inside = 20.0 < at[row, 0] < 23.0 - abs(at[row, 1])
+            assert not inside
+    assert len(hit) == 24
+    moved.close()
+
+
+def test_two_that_collide_are_both_named_and_keep_their_momentum() -> None:
+    moved = engine((UAV, (0.0, 0.0, 9.0)), (replace(UAV, mass_kg=1.6), (0.8, 0.0, 9.0)))
+    steps(moved, 1)
+    for row, speed in ((0, 1.5), (1, -0.5)):
+        moved._flyers.fleet.velocity[row] = speed, 0.0, 0.0
+        moved.command(row, (speed, 0.0, 0.0), 0.0)
+    seen: list[Touch] = []
+    while not seen:
+        before = moved.read().velocity[:, 0]
+        steps(moved, 1)
+        seen = moved.touching(passing=True)
+    after = moved.read().velocity[:, 0]
+    assert {(touch.row, touch.other) for touch in seen} == {(0, 1)}
+    assert after[0] - after[1] < 0.5 * (before[0] - before[1])
+    assert 0.8 * after[0] + 1.6 * after[1] == pytest.approx(0.8 * before[0] + 1.6 * before[1], abs=0.05)  # rotors act too
+    assert after[0] < 0.5 * before[0]
+    moved.close()
+
+
+def test_it_can_stand_on_a_robot_and_press_on_a_movable() -> None:
+    world = World(movables=(Movable(name="table", solid=Box(center=(3.0, 0.0, 0.3), size=(1.0, 1.0, 0.6)), mass_kg=10.0),))
+    moved = engine((UAV, (0.0, 0.0, 0.6)), (P2DX(), (0.0, 0.0, 0.0)), (UAV, (3.0, 0.0, 1.0)), world=world)
+    moved.command(0, (0.0, 0.0, -0.4), 0.0)
+    moved.command(2, (0.0, 0.0, -0.4), 0.0)
+    steps(moved, 4 * HZ)
+    at = moved.read().position
+    assert at[0, 2] == pytest.approx(0.22 + 0.04, abs=5e-3)
+    assert at[2, 2] == pytest.approx(0.6 + 0.04, abs=5e-3)
+    assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, 1), (2, 3)}
+    moved.close()
+
+
+# --- the same run, the same bytes --------------------------------------------------------------------------------------------
+
+
+def crowd() -> BulletEngine:
+    robots = [(P2DX(), (1.2 * k, 0.0, 0.0)) for k in range(4)]
+    quadrotors = [(UAV, (1.2 * k, 0.1 * k, 0.5 + 0.4 * k)) for k in range(6)]
+    return engine(*robots, *quadrotors, world=WALL)
+
+
+def course(moved: BulletEngine, tick: int) -> None:
+    for row in range(10):
+        moved.command(row, (0.5, 0.3 * math.sin(0.2 * tick + row), 0.4 * math.cos(0.1 * tick + row)), 0.3)
+    moved.advance((tick + 1) * SECOND_NS // 10)
+
+
+def digest() -> str:
+    moved, told = crowd(), hashlib.sha256()
+    for tick in range(60):
+        course(moved, tick)
+        for array in moved.read():
+            told.update(array.tobytes())
+        told.update(repr(moved.touching(passing=True)).encode())
+    moved.close()
+    return told.hexdigest()
+
+
+def test_another_process_gives_the_same_bytes() -> None:
+    code = f"import runpy, sys; sys.path[:0] = {sys.path!r}; print(runpy.run_path({__file__!r})['digest']())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    assert done.stdout.strip() == digest()
+
+
+def test_interleaved_engines_do_not_disturb_each_other() -> None:
+    a, b, alone = crowd(), crowd(), crowd()
+    touched = set()
+    for tick in range(40):
+        course(alone, tick)
+        touched |= {(touch.row, touch.other) for touch in alone.touching(passing=True)}
+        course(a, tick)
+        if tick >= 3:
+            course(b, tick - 3)
+    for tick in range(37, 40):
+        course(b, tick)
+    assert same(a.read(), alone.read(), range(10))
+    assert same(b.read(), alone.read(), range(10))
+    assert len(touched) > 2  # it is a crowd
+    for moved in (a, b, alone):
+        moved.close()

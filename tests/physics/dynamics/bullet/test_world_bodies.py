@@ -1,0 +1,182 @@
+"""Things in a Bullet world: movables are pushed and sleep, moving obstacles keep their time, zones change the grip."""
+
+import math
+
+import pytest
+
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.types import Vec3
+from vcmvsp.physics.dynamics.movables import on_time
+from vcmvsp.physics.dynamics.bullet import p
+from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Vehicle
+from vcmvsp.physics.world.world import Movable, Moving, World, Zone
+
+
+def engine(*vehicles: tuple[Vehicle, Vec3], world: World) -> BulletEngine:
+    return BulletEngine(
+        world=world,
+        models=[model for model, _ in vehicles],
+        positions=[position for _, position in vehicles],
+        headings=[0.0] * len(vehicles),
+        rate_hz=120.0,
+        iterations=50,
+        gravity=9.81,
+    )
+
+
+def crate(x: float, mass_kg: float, friction: float = 0.5) -> Movable:
+    return Movable(name="crate", solid=Box(center=(x, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=mass_kg, friction=friction)
+
+
+def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed() -> None:
+    moved = engine((P2DX(), (0.0, 0.0, 0.0)), world=World(movables=(crate(1.0, 1.0),)))
+    moved.advance(4 * SECOND_NS)
+    rests = moved.movables()
+    moved.advance(6 * SECOND_NS)
+    assert moved.movables().position.tobytes() == rests.position.tobytes()  # not even trembling: it is asleep
+    assert rests.position[0] == pytest.approx((1.0, 0.0, 0.2), abs=2e-3)
+    moved.command(0, (0.3, 0.0, 0.0), 0.0)
+    moved.advance(12 * SECOND_NS)
+    pushed, robot = moved.movables(), moved.read()
+    front = robot.position[0, 0] + 0.5 * 0.511 - 0.04
+    assert pushed.position[0, 0] - 0.2 == pytest.approx(front, abs=0.02)
+    assert pushed.velocity[0, 0] == pytest.approx(0.3, rel=0.1)
+    assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, 1)}
+    moved.close()
+
+
+def test_what_is_too_heavy_stays() -> None:
+    moved = engine((AmigoBot(), (0.0, 0.0, 0.0)), world=World(movables=(crate(0.6, 100.0),)))
+    moved.command(0, (0.3, 0.0, 0.0), 0.0)
+    moved.advance(5 * SECOND_NS)
+    assert moved.movables().position[0, 0] == pytest.approx(0.6, abs=0.01)
+    moved.close()
+
+
+def test_a_movable_slides_as_far_as_friction_lets_it() -> None:
+    moved = engine(world=World(movables=(crate(0.0, 3.0, friction=0.4),)))
+    moved.advance(SECOND_NS // 10)
+    p.resetBaseVelocity(moved._things.movables[0], (2.0, 0.0, 0.0), (0.0, 0.0, 0.0), moved._client)
+    moved.advance(3 * SECOND_NS)
+    slid = moved.movables().position[0, 0]
+    assert slid == pytest.approx(2.0**2 / (2.0 * 0.4 * 9.81), rel=0.05)  # v2 / (2 mu g)
+    moved.close()
+
+
+@pytest.mark.parametrize("floor", [0.0, 0.1])
+def test_zones_change_nothing_for_movables(floor: float) -> None:
+    def slid(*zones: Zone) -> float:
+        moved = engine(world=World(movables=(crate(0.0, 3.0),), floor_friction=floor, zones=zones))
+        p.resetBaseVelocity(moved._things.movables[0], (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), moved._client)
+        moved.advance(3 * SECOND_NS)
+        way = float(moved.movables().position[0, 0])
+        moved.close()
+        return way
+
+    expected = 3.0 if floor == 0.0 else 1.0 / (2.0 * 0.5 * floor * 9.81)  # v2 / (2 mu g)
+    there, far = (Zone(center=(x, 0.0), size=(20.0, 20.0), friction=0.9) for x in (0.0, 50.0))
+    assert [slid(), slid(there), slid(far)] == pytest.approx([expected] * 3, rel=0.02)
+
+
+def test_a_robot_has_the_friction_of_its_zone_on_any_floor() -> None:
+    def spun(floor: float, *zones: Zone) -> float:
+        """How far it gets in 2 s as it starts with spinning wheels."""
+        moved = engine((P2DX(accel=10.0), (0.0, 0.0, 0.0)), world=World(floor_friction=floor, zones=zones))
+        moved.command(0, (1.5, 0.0, 0.0), 0.0)
+        moved.advance(2 * SECOND_NS)
+        way = float(moved.read().position[0, 0])
+        moved.close()
+        return way
+
+    icy, far = (Zone(center=(x, 0.0), size=(20.0, 20.0), friction=0.05) for x in (0.0, 50.0))
+    assert [spun(1.0, icy), spun(0.3, icy), spun(0.0, icy), spun(0.05, far)] == pytest.approx([spun(0.05)] * 4, rel=1e-6)
+    assert spun(0.0, far) == pytest.approx(0.0, abs=1e-3)
+
+
+def gate(speed: float) -> Moving:
+    solid = Box(center=(0.0, 0.0, 0.0), size=(0.2, 2.0, 1.0))
+    return Moving(
+        name="gate",
+        solid=solid,
+        times_s=(0.0, 2.0, 12.0),
+        way=((-3.0, 0.0, 0.55, 0.0), (-3.0, 0.0, 0.55, 0.0), (-3.0 + 10.0 * speed, 0.0, 0.55, 0.0)),
+    )
+
+
+def test_a_moving_obstacle_keeps_its_time_and_pushes_what_it_meets() -> None:
+    world = World(moving=(gate(0.5),), movables=(crate(-1.0, 5.0),))
+    moved = engine((P2DX(), (0.5, 0.0, 0.0)), (Quadrotor(), (0.0, 0.9, 0.04)), world=world)
+    seen = set()
+    for tick in range(1, 121):
+        moved.advance(tick * SECOND_NS // 10)
+        place, _ = p.getBasePositionAndOrientation(moved._things.moving[0], moved._client)
+        assert place == pytest.approx(world.moving[0].pose(0.1 * tick)[:3], abs=2e-3)
+        seen |= {(touch.row, touch.other) for touch in moved.touching(passing=True)}
+    face = world.moving[0].pose(12.0)[0] + 0.1
+    assert moved.movables().position[0, 0] - 0.2 > face - 0.02  # in front of it, though it was asleep
+    assert moved.read().position[0, 0] - 0.04 - 0.5 * 0.511 > face - 0.05  # the robot too, its motors braking
+    assert (1, 3) in seen  # the quadrotor that stood in its way: row 2 is the crate
+
+
+def test_speeds_of_moving_obstacles_are_those_of_their_time_table() -> None:
+    turning = Moving(
+        name="door", solid=Box(center=(0, 0, 0), size=(1, 0.1, 2)), times_s=(0.0, 2.0), way=((0, 0, 1, 0.0), (1, 2, 1, 3.0))
+    )
+    motion = on_time((turning,), SECOND_NS)
+    assert motion.position[0] == pytest.approx((0.5, 1.0, 1.0))
+    assert motion.velocity[0] == pytest.approx((0.5, 1.0, 0.0))
+    assert motion.angular_velocity[0] == pytest.approx((0.0, 0.0, 1.5))
+    assert motion.attitude[0] == pytest.approx((math.cos(0.75), 0.0, 0.0, math.sin(0.75)))
+    assert on_time((turning,), 3 * SECOND_NS).velocity[0] == pytest.approx((0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("hz", [60.0, 120.0, 240.0])
+def test_an_obstacle_that_begins_again_keeps_its_speed(hz: float) -> None:
+    way = ((0.0, 0.0, 0.5, 0.0), (0.8, 0.0, 0.5, math.tau))
+    mill = Moving(name="mill", solid=Box(center=(0, 0, 0), size=(1, 1, 1)), times_s=(0.0, 0.4), way=way, loop=True)
+    for step in range(round(10.0 * hz)):
+        motion = on_time((mill,), Ticks.rate(hz).at(step))
+        assert (motion.velocity[0, 0], motion.angular_velocity[0, 2]) == pytest.approx((2.0, math.tau / 0.4))
+
+
+def test_grip_is_lost_on_ice_and_found_again_behind_it() -> None:
+    abrupt = P2DX(accel=1e6, decel=1e6)
+    ice = Zone(center=(2.0, 0.0), size=(2.0, 4.0), friction=0.03)
+
+    def stop_m(*zones: Zone, floor: float = 1.0) -> float:
+        """How far a robot slides from 1 m/s when it brakes as hard as it can at x = 1.5 m."""
+        moved = engine((abrupt, (0.0, 0.0, 0.0)), world=World(zones=zones, floor_friction=floor))
+        moved.command(0, (1.0, 0.0, 0.0), 0.0)
+        tick = 0
+        while moved.read().position[0, 0] < 1.5:
+            tick += 1
+            moved.advance(tick * SECOND_NS // 60)
+        x = moved.read().position[0, 0]
+        moved.command(0, (0.0, 0.0, 0.0), 0.0)
+        moved.advance(tick * SECOND_NS // 60 + 8 * SECOND_NS)
+        slid = float(moved.read().position[0, 0] - x)
+        moved.close()
+        return slid
+
+    dry = stop_m()
+    assert dry < 0.2
+    assert stop_m(Zone(center=(50.0, 0.0), size=(1.0, 1.0), friction=0.0)) == pytest.approx(dry, abs=0.01)
+    assert stop_m(ice) > 1.2  # over the ice, and no further than behind it
+    assert stop_m(ice) < 1.8
+    assert stop_m(ice, Zone(center=(2.0, 0.0), size=(9.0, 9.0), yaw_rad=0.3, friction=1.0)) == pytest.approx(dry, abs=0.01)
+
+
+def test_movables_and_obstacles_do_not_change_who_is_far_from_them() -> None:
+    def run(world: World) -> bytes:
+        moved = engine((P2DX(), (0.0, 5.0, 0.0)), (Quadrotor(), (0.0, 8.0, 2.0)), world=world)
+        moved.command(0, (0.4, 0.0, 0.0), 0.3)
+        moved.command(1, (1.0, 0.0, 0.0), 0.3)
+        moved.advance(3 * SECOND_NS)
+        told = b"".join(array.tobytes() for array in moved.read())
+        moved.close()
+        return told
+
+    assert run(World()) == run(World(movables=(crate(0.0, 3.0),), moving=(gate(0.3),)))

@@ -1,0 +1,239 @@
+"""Vehicles that something else moves: shown exactly where it says, asked for once, and never touched."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
+from vcmvsp.cosim.types import FrameReport, Later, Message, VehicleState, Velocity, Waypoint
+from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.dynamics.external_vehicles import Reflected
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.range_scanner import RangeScanner
+from vcmvsp.physics.world.scene import Hull, rotations
+from vcmvsp.physics.sensors.imu import InertialUnit
+from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
+from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.vehicles.models import P2DX, Lag
+from vcmvsp.physics.world.world import World
+from tests.support.netsim.channels import make_channel
+from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
+from tests.support.physics.physics_stepper import stepped
+
+BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+SETTLES = {KinematicPhysics: 2e-6, BulletPhysics: 3e-4}  # m, how far a simulated robot may roll as it settles on its wheels
+HALF = 0.5 * P2DX().length_m
+
+
+def circling(t: float) -> VehicleState:
+    """Round (4, 0) at 1 rad/s, 1 m off."""
+    at = (4.0 + math.cos(t), math.sin(t), 0.0)
+    speed = (-math.sin(t), math.cos(t), 0.0)
+    attitude = quaternion_from_yaw(wrap(t + math.pi / 2))
+    return VehicleState(position=at, velocity=speed, attitude=attitude, angular_velocity=(0.0, 0.0, 1.0))
+
+
+@BOTH
+def test_rows_are_what_was_said_and_each_instant_asks_once(kind: type[Physics]) -> None:
+    courses = Courses(real=circling, other=straight(-3.0, 0.2))
+    sensors = {"near": NeighbourRange(rate_hz=4.0)}
+    vehicles = [spec("car"), spec("real", 5.0), spec("late", 0.0, 3.0, sensors=sensors), spec("other", -3.0)]
+    events = run(kind(world=World(), vehicles=vehicles, outside=courses), [(0.25, "car", 0.3, 0.1), (0.55, "late", 0.1, 0.0)])
+    states = [event for event in events if event.key == "world/states"]
+    assert courses.asked == sorted({event.time_ns for event in events})
+    assert {event.time_ns for event in states} < set(courses.asked)  # a sensor's instants too
+    for event in states:
+        value: Any = event.value
+        assert value.names == ("car", "real", "late", "other")
+        said = [circling(event.time_ns / 1e9), straight(-3.0, 0.2)(event.time_ns / 1e9)]
+        for name in ("position", "velocity", "attitude", "angular_velocity"):
+            assert getattr(value, name)[[1, 3]].tolist() == [list(getattr(each, name)) for each in said]
+
+
+@BOTH
+def test_nothing_is_published_for_them_and_commands_do_not_count(kind: type[Physics]) -> None:
+    real = spec("real", 3.0, positioning=Positioning(), pose_source="positioning")
+    physics = kind(world=World(), vehicles=[spec("car"), real], outside=Courses(real=straight(3.0)))
+    told = [
+        Event("real/command", 0, Velocity(linear=(math.nan, 0.0, 0.0))),
+        Event("real/command", 10**8, Waypoint(position=(0.0, 0.0, 1.0))),
+        Event("real/command", 2 * 10**8, Velocity(linear=(1.0, 0.0, 0.0))),
+    ]
+    info = RunInfo(scenario="test", seed=1, duration_ns=SECOND_NS, vehicles=("car", "real"), instants=TENTH)
+    events = [event for events in stepped(physics, info, told) for event in events]
+    assert {event.key for event in events} == {"world/states", "car/estimate", "car/odometry"}
+    assert values(events, "world/states")[-1].position[1].tolist() == [3.0, 0.0, 0.0]
+
+
+@BOTH
+def test_the_others_move_as_they_would_alone(kind: type[Physics]) -> None:
+    commands = [(0.0, "car", 0.3, 0.2), (0.7, "car", 0.1, -0.3)]
+    cars = [spec("car"), spec("lag", 0.0, 2.0, model=Lag())]
+    alone = run(kind(world=World(), vehicles=cars), commands)
+    outside = Courses(real=straight(9.0, 0.1))
+    beside = run(kind(world=World(), vehicles=[*cars, spec("real", 9.0)], outside=outside), commands)
+    for key in ("car/estimate", "car/odometry", "lag/estimate"):
+        assert encode(values(beside, key)) == encode(values(alone, key))
+    empty = run(kind(world=World(), vehicles=cars, outside=Courses()), commands)
+    assert encode(empty) == encode(alone)
+
+
+@BOTH
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: type[Physics], yaw: float) -> None:
+    eye = RangeScanner(beams=1, field_of_view=0.1, range_max=9.0, position=(0.0, 0.0, 0.1))
+    world = World(solids=(Box(center=(9.0, 0.0, 1.0), size=(1.0, 9.0, 2.0)),))
+    vehicles = [spec("car", sensors={"scan": eye}), spec("real", 3.0, sensors={"scan": eye})]
+    physics = kind(world=world, vehicles=vehicles, outside=Courses(real=straight(3.0, 0.5, yaw=yaw)))
+    events = run(physics, seconds=3.0)
+    offset, length, width = -P2DX().axle_ahead_m, P2DX().length_m, P2DX().width_m
+    # The face of a box that is turned, where the x axis meets it: its back, HALF behind its middle.
+    assert abs((offset - HALF) * math.tan(yaw)) < 0.5 * width < length
+    for event in events:
+        if event.key.endswith("/scan"):
+            later: Any = event.value
+            reading: Any = later.get() if isinstance(later, Later) else later
+            x = 3.0 + 0.5 * event.time_ns / SECOND_NS
+            expected = x + (offset - HALF) / math.cos(yaw) if event.key == "car/scan" else (8.5 - x) / math.cos(yaw)
+            assert reading.ranges[0] == pytest.approx(expected, abs=SETTLES[kind])
+
+
+@BOTH
+def test_ranges_and_radio_distances_are_to_where_they_are(kind: type[Physics]) -> None:
+    vehicles = [spec("car", sensors={"near": NeighbourRange(sigma_m=0.0)}), spec("real", 5.0)]
+    radio = RadioFederate(make_channel("ideal"))
+    radio.start(RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("car", "real")))
+    reports = []
+    for event in run(kind(world=World(), vehicles=vehicles, outside=Courses(real=circling))):
+        apart = np.linalg.norm(circling(event.time_ns / 1e9).position)
+        if event.key == "car/near":
+            reading: Any = event.value
+            assert reading.values["real"] == pytest.approx(apart, abs=SETTLES[kind])
+        if event.key == "world/states":
+            message = Event("real/send", event.time_ns, Message(sender="real", body={}, size_bytes=10))
+            step = radio.step(event.time_ns, [event, message])
+            reports += [(each.value.distance_m[0], apart) for each in step.events if isinstance(each.value, FrameReport)]
+    assert len(reports) == 21
+    assert np.array(reports)[:, 0] == pytest.approx(np.array(reports)[:, 1], abs=SETTLES[kind])
+
+
+@BOTH
+def test_two_runs_are_equal_to_the_last_bit(kind: type[Physics]) -> None:
+    def once() -> bytes:
+        sensors = {"near": NeighbourRange(), "imu": InertialUnit(rate_hz=20.0)}
+        vehicles = [spec("car", sensors=sensors), spec("real", 5.0, sensors=sensors)]
+        physics = kind(world=World(), vehicles=vehicles, outside=Courses(real=circling))
+        return encode(run(physics, [(0.0, "car", 0.9, 0.0)], 6.0))  # into each other
+
+    assert once() == once()
+
+
+@BOTH
+def test_the_acceleration_that_its_imu_feels_is_what_its_speed_grew_by(kind: type[Physics]) -> None:
+    def faster(t: float) -> VehicleState:
+        return VehicleState(position=(5.0 + t * t, 0.0, 0.0), velocity=(2.0 * t, 0.0, 0.0))
+
+    imu = InertialUnit(rate_hz=10.0)
+    events = run(kind(world=World(), vehicles=[spec("real", 5.0, sensors={"imu": imu})], outside=Courses(real=faster)))
+    felt = np.array([reading.acceleration for reading in values(events, "real/imu")])[1:]
+    assert felt.mean(axis=0) == pytest.approx((2.0, 0.0, 9.81), abs=0.1)
+
+
+NUMBERS = st.floats(-3.0, 3.0)
+
+
+@given(NUMBERS, NUMBERS, NUMBERS, NUMBERS, st.floats(-0.5, 0.5), st.floats(0.0, 1.0))
+def test_in_between_they_go_straight_on_and_turn_about_the_vertical(
+    x: float, speed: float, yaw: float, turning: float, tilt: float, span_s: float
+) -> None:
+    c, s = math.cos(tilt / 2), math.sin(tilt / 2)
+    w, _, _, z = quaternion_from_yaw(yaw)
+    attitude = (w * c, w * s, z * s, z * c)  # turned by yaw, then rolled about its own x axis
+    spin = tuple((np.array(rotations(np.array([attitude]))[0]).T @ (0.0, 0.0, turning)).tolist())
+    state = VehicleState(position=(x, 1.0, 2.0), velocity=(speed, 0.5, -0.1), attitude=attitude, angular_velocity=spin)
+    reflected = Reflected(Courses(real=lambda _: state), [spec("real", x)])
+    reflected.ask(SECOND_NS)
+    after, yaw_rates = reflected.at(SECOND_NS + round(span_s * SECOND_NS))
+    assert after.position[0] == pytest.approx((x + span_s * speed, 1.0 + 0.5 * span_s, 2.0 - 0.1 * span_s), abs=1e-8)
+    assert yaw_rates[0] == pytest.approx(turning, abs=1e-9)
+    before, now = rotations(np.array([attitude]))[0], rotations(after.attitude)[0]
+    angle = span_s * turning
+    turn = np.array([[math.cos(angle), -math.sin(angle), 0.0], [math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    assert now == pytest.approx(turn @ before, abs=1e-8)
+    assert reflected.at(SECOND_NS)[0].attitude[0].tolist() == list(attitude)
+
+
+class Boat:
+    """A vehicle that derives from none of those that physics can move."""
+
+    radius_m, height_m, hull = 0.3, 0.3, Hull((0.6, 0.6, 0.3))
+
+
+@BOTH
+def test_what_physics_cannot_move_can_be_shown(kind: type[Physics]) -> None:
+    physics = kind(world=World(), vehicles=[spec("tug", 2.0, model=Boat())], outside=Courses(tug=straight(2.0)))
+    assert values(run(physics), "world/states")[-1].position.tolist() == [[2.0, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("course", "words"),
+    [
+        (lambda _: VehicleState(position=(math.nan, 0.0, 0.0)), r"real at 0 s is not finite"),
+        (
+            lambda _: VehicleState(position=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0, 0.0)),
+            r"attitude .* real at 0 s is no rotation",
+        ),
+    ],
+)
+def test_a_state_that_is_none_stops_the_run_and_names_the_vehicle(course: Any, words: str) -> None:
+    with pytest.raises(FederateError, match=words):
+        run(KinematicPhysics(world=World(), vehicles=[spec("real")], outside=Courses(real=course)))
+
+
+def test_states_of_too_few_vehicles_stop_the_run() -> None:
+    courses = Courses(a=straight(0.0), b=straight(2.0))
+    courses.states = lambda now_ns: [straight(0.0)(0.0)]  # type: ignore[method-assign]
+    with pytest.raises(FederateError, match="1 states were told of the 2 vehicles"):
+        run(KinematicPhysics(world=World(), vehicles=[spec("a"), spec("b", 2.0)], outside=courses))
+
+
+def test_vehicles_that_the_run_does_not_have_or_in_another_order_are_refused() -> None:
+    for courses in (Courses(ghost=straight(0.0)), Courses(b=straight(2.0), a=straight(0.0))):
+        with pytest.raises(ValueError, match="in this order"):
+            run(KinematicPhysics(world=World(), vehicles=[spec("a"), spec("b", 2.0)], outside=courses))
+
+
+@BOTH
+def test_a_sensor_that_counts_turns_of_wheels_is_refused_on_them(kind: type[Physics]) -> None:
+    real = spec("real", sensors={"odo": WheelOdometry(wheel_radius_m=0.1, track_m=0.4)})
+    with pytest.raises(ScenarioError, match="real is not moved by physics") as raised:
+        run(kind(world=World(), vehicles=[real], outside=Courses(real=straight(0.0))))
+    assert raised.value.key == "vehicle.real.sensors.odo"
+
+
+def test_where_the_scenario_puts_them_nobody_else_may_start() -> None:
+    with pytest.raises(ScenarioError, match="real and car overlap"):
+        run(BulletPhysics(world=World(), vehicles=[spec("car"), spec("real", 0.3)], outside=Courses(real=straight(3.0))))
+
+
+@BOTH
+def test_more_instants_ask_more_often_and_change_no_row(kind: type[Physics]) -> None:
+    def rows(*instants: Instants) -> dict[int, list[float]]:
+        physics = kind(world=World(), vehicles=[spec("car"), spec("real", 5.0)], outside=Courses(real=circling))
+        events = run(physics, instants=instants)
+        states: list[Any] = [event for event in events if event.key == "world/states"]
+        return {event.time_ns: event.value.position[1].tolist() for event in states}
+
+    few, many = rows(*TENTH), rows(*TENTH, Instants(Ticks.every(0.05)))
+    assert len(many) > len(few)
+    assert few == {now_ns: many[now_ns] for now_ns in few}

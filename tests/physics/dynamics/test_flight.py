@@ -1,0 +1,258 @@
+"""How quadrotors answer commands, wind and mishaps; at 120 and at 240 Hz."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+
+MODEL = Quadrotor()
+both_rates = pytest.mark.parametrize("hz", [120.0, 240.0])
+
+
+def fly(fleet: Fleet, seconds: float, hz: float, wind: Any = (0.0, 0.0, 0.0)) -> SimpleNamespace:
+    """Everything after every step: t (steps,), the rest (steps, n) or (steps, n, 3)."""
+    air = np.broadcast_to(np.asarray(wind, float), fleet.position.shape)
+    seen = []
+    for _ in range(round(seconds * hz)):
+        force, torque = fleet.wrench(1.0 / hz, air)
+        fleet.integrate(force, torque, 1.0 / hz)
+        seen.append((fleet.position.copy(), fleet.velocity.copy(), fleet.attitude.copy(), fleet.rate.copy()))
+    position, velocity, attitude, rate = map(np.array, zip(*seen, strict=True))
+    w, x, y, z = np.moveaxis(attitude, -1, 0)
+    return SimpleNamespace(
+        t=np.arange(1, len(position) + 1) / hz,
+        position=position,
+        velocity=velocity,
+        rate=rate,
+        tilt=np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)),
+        yaw=np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), axis=0),
+    )
+
+
+def fleet_of(n: int, model: Quadrotor = MODEL, height: float = 10.0) -> Fleet:
+    return Fleet([model] * n, [(3.0 * row, 0.0, height) for row in range(n)], np.zeros(n))
+
+
+@both_rates
+def test_it_hovers_in_its_place_and_carries_its_weight(hz: float) -> None:
+    fleet = fleet_of(1)
+    fly(fleet, 2.0, hz)
+    force, torque = fleet.wrench(1.0 / hz, np.zeros((1, 3)))
+    assert force[0] == pytest.approx((0.0, 0.0, MODEL.mass_kg * 9.81), abs=1e-9)
+    assert torque[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert fleet.position[0] == pytest.approx((0.0, 0.0, 10.0), abs=1e-9)
+
+
+@both_rates
+def test_steps_of_velocity(hz: float) -> None:
+    fleet = fleet_of(4)
+    for row, velocity in enumerate([(2.0, 0.0, 0.0), (5.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 1.5)]):
+        fleet.set_velocity(row, velocity, 0.0)
+    seen = fly(fleet, 6.0, hz)
+    slow, fast, right, up = seen.velocity[:, 0, 0], seen.velocity[:, 1, 0], -seen.velocity[:, 2, 1], seen.velocity[:, 3, 2]
+    assert seen.t[np.argmax(slow > 0.95 * 2.0)] <= 0.80
+    assert seen.t[np.argmax(fast > 0.90 * 5.0)] <= 1.42
+    assert slow.max() <= 1.04 * 2.0
+    assert fast.max() <= 1.04 * 5.0
+    assert up.max() <= 1.04 * 1.5
+    assert right == pytest.approx(slow, abs=1e-6)  # its inertia is the same both ways
+    after = seen.t > 3.0
+    assert np.abs(slow[after] - 2.0).max() <= 0.01 * 2.0
+    assert np.abs(fast[after] - 5.0).max() <= 0.022 * 5.0
+    assert np.abs(up[after] - 1.5).max() <= 0.02 * 1.5
+    assert math.degrees(seen.tilt.max()) <= 25.1
+    assert np.abs(seen.position[:, 0, 2] - 10.0).max() <= 0.02
+    assert np.abs(seen.position[:, 1, 2] - 10.0).max() <= 0.05
+
+
+@both_rates
+def test_tilt_in_steady_flight_balances_drag(hz: float) -> None:
+    fleet = fleet_of(1, Quadrotor(drag=(0.3, 0.3, 0.3)))
+    fleet.set_velocity(0, (4.0, 0.0, 0.0), 0.0)
+    seen = fly(fleet, 15.0, hz)
+    assert seen.velocity[-1, 0] == pytest.approx((4.0, 0.0, 0.0), abs=1e-3)
+    assert math.tan(seen.tilt[-1, 0]) == pytest.approx(0.3 * 4.0 / (MODEL.mass_kg * 9.81), rel=1e-3)
+
+
+@both_rates
+def test_a_gust_from_the_side_pushes_it_and_is_made_up_for(hz: float) -> None:
+    seen = fly(fleet_of(1), 6.0, hz, wind=(0.0, 6.0, 0.0))
+    sideways = seen.velocity[:, 0, 1]
+    assert 0.3 <= sideways.max() <= 0.71
+    assert sideways[-1] == pytest.approx(0.0, abs=0.02)
+    assert math.sin(seen.tilt[-1, 0]) * MODEL.mass_kg * 9.81 == pytest.approx(0.25 * 6.0, rel=0.1)  # leans against it
+
+
+def test_both_rates_give_the_same_flight() -> None:
+    ends = []
+    for hz in (120.0, 240.0):
+        fleet = fleet_of(1)
+        fleet.set_velocity(0, (2.0, 1.0, 0.5), 0.5)
+        ends.append(fly(fleet, 4.0, hz, wind=(1.0, -2.0, 0.0)))
+    assert ends[0].position[-1] == pytest.approx(ends[1].position[-1], abs=0.02)
+    assert ends[0].velocity[-1] == pytest.approx(ends[1].velocity[-1], abs=0.002)
+
+
+@both_rates
+def test_it_turns_as_fast_as_told(hz: float) -> None:
+    fleet = fleet_of(2)
+    fleet.set_velocity(0, (2.0, 0.0, 0.0), 1.0)
+    fleet.set_velocity(1, (0.0, 0.0, 0.0), -100.0)
+    seen = fly(fleet, 8.0, hz)
+    settled = seen.t > 3.5
+    rates = np.diff(seen.yaw[settled], axis=0) * hz
+    assert rates[:, 0] == pytest.approx(1.0, abs=0.05)  # leaning, it turns unevenly
+    assert rates[:, 0].mean() == pytest.approx(1.0, abs=0.01)
+    assert rates[:, 1] == pytest.approx(-MODEL.max_yaw_rate, abs=0.01)
+    assert np.abs(seen.rate[:, 1, 2]).max() <= 1.04 * MODEL.max_yaw_rate
+    assert seen.velocity[settled][:, 0] == pytest.approx(np.tile((2.0, 0.0, 0.0), (settled.sum(), 1)), abs=0.03)
+    assert seen.position[-1, 1] == pytest.approx((3.0, 0.0, 10.0), abs=0.01)
+
+
+def test_limits_of_speed() -> None:
+    fleet = fleet_of(2, Quadrotor(max_speed=4.0, max_climb=1.0))
+    fleet.set_velocity(0, (30.0, 40.0, 9.0), 0.0)
+    fleet.set_velocity(1, (0.0, 0.0, -9.0), 0.0)
+    seen = fly(fleet, 12.0, 120.0)
+    assert seen.velocity[-1, 0] == pytest.approx((2.4, 3.2, 1.0), abs=0.01)
+    assert seen.velocity[-1, 1] == pytest.approx((0.0, 0.0, -1.0), abs=0.01)
+
+
+@both_rates
+def test_way_points_are_reached_without_passing_them(hz: float) -> None:
+    places = [(1.0, 0.0, 0.0), (-8.0, 15.0, 5.0), (0.0, 0.0, -6.0), (40.0, 0.0, 0.0)]
+    fleet = fleet_of(len(places))
+    start = fleet.position.copy()
+    for row, way in enumerate(places):
+        fleet.set_waypoint(row, start[row] + way, yaw=2.5, speed=None)
+    seen = fly(fleet, 16.0, hz)
+    for row, way in enumerate(places):
+        distance = np.linalg.norm(way)
+        along = (seen.position[:, row] - start[row]) @ np.array(way) / distance
+        assert along.max() <= 1.05 * distance
+        assert along.max() <= distance + 0.08
+        assert seen.position[-1, row] == pytest.approx(start[row] + way, abs=0.02)
+    assert seen.yaw[-1] == pytest.approx(2.5, abs=1e-3)
+    assert seen.yaw.max() <= 1.05 * 2.5
+
+
+def test_way_points_are_approached_at_the_speed_asked_for() -> None:
+    fleet = fleet_of(1)
+    fleet.set_waypoint(0, (20.0, 0.0, 10.0), speed=1.5)
+    seen = fly(fleet, 20.0, 120.0)
+    speed = seen.velocity[:, 0, 0]
+    assert speed.max() <= 1.04 * 1.5
+    assert speed[(seen.t > 3.0) & (seen.t < 11.0)] == pytest.approx(1.5, rel=0.01)
+    assert seen.position[-1, 0] == pytest.approx((20.0, 0.0, 10.0), abs=0.02)
+    assert seen.yaw == pytest.approx(0.0, abs=0.01)  # none was asked for: the present one is kept
+
+
+def test_they_are_climbed_to_no_faster_than_it_may() -> None:
+    fleet = fleet_of(2, Quadrotor(max_climb=1.5))
+    fleet.set_waypoint(0, (0.0, 0.0, 20.0))
+    fleet.set_waypoint(1, (13.0, 0.0, 0.0))
+    seen = fly(fleet, 20.0, 120.0)
+    assert np.abs(seen.velocity[:, :, 2]).max() <= 1.04 * 1.5
+    assert seen.position[-1] == pytest.approx(np.array([(0.0, 0.0, 20.0), (13.0, 0.0, 0.0)]), abs=0.02)
+    halfway = seen.position[np.argmax(seen.position[:, 1, 2] < 5.0), 1]
+    assert halfway[0] == pytest.approx(8.0, abs=0.3)  # it goes straight there
+
+
+def test_a_heading_that_was_held_fast_is_not_made_up_for() -> None:
+    fleet = fleet_of(1)
+    fleet.set_velocity(0, (0.0, 0.0, 0.0), 1.0)
+    for _ in range(600):  # 5 s
+        fleet.integrate(*fleet.wrench(1 / 120, np.zeros((1, 3))), 1 / 120)
+        fleet.attitude[0], fleet.rate[0] = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    fleet.set_velocity(0, (0.0, 0.0, 0.0), 0.0)
+    seen = fly(fleet, 5.0, 120.0)
+    assert 0.0 < seen.yaw.max() < 1.0
+
+
+def test_the_shorter_way_round_is_turned() -> None:
+    fleet = Fleet([MODEL], [(0.0, 0.0, 5.0)], [3.0])
+    fleet.set_waypoint(0, (0.0, 0.0, 5.0), yaw=-3.0)
+    seen = fly(fleet, 5.0, 120.0)
+    assert seen.yaw[-1, 0] - 3.0 == pytest.approx(math.tau - 6.0, abs=1e-3)
+
+
+@both_rates
+def test_it_recovers_from_any_attitude_and_comes_home(hz: float) -> None:
+    rng = np.random.default_rng(5)
+    n = 100
+    fleet = Fleet([MODEL] * n, np.tile((0.0, 0.0, 100.0), (n, 1)), np.zeros(n))
+    attitude = rng.normal(size=(n, 4))
+    attitude[:3] = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.6, 0.8, 0.0)  # exactly upside down
+    fleet.attitude[:] = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
+    fleet.rate[3:] = rng.normal(0.0, 6.0, (n - 3, 3))
+    fleet.velocity[3:] = rng.normal(0.0, 3.0, (n - 3, 3))
+    for row in range(n):
+        fleet.set_waypoint(row, (0.0, 0.0, 100.0), yaw=1.0)
+    seen = fly(fleet, 25.0, hz)
+    late = np.max(np.where(seen.tilt > math.radians(45.0), seen.t[:, None], 0.0), axis=0)
+    assert late[:3].max() <= 1.0
+    assert late.max() <= 3.0
+    assert seen.position[:, :3, 2].min() >= 98.0
+    assert seen.position[-1] == pytest.approx(np.tile((0.0, 0.0, 100.0), (n, 1)), abs=0.05)
+    assert np.cos(seen.yaw[-1] - 1.0) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_it_catches_itself_from_a_fall_straight_down() -> None:
+    fleet = fleet_of(1, height=100.0)
+    fleet.velocity[0, 2] = -30.0  # all the lift there is, and nothing to the side
+    seen = fly(fleet, 5.0, 120.0)
+    weight, lift = MODEL.mass_kg * 9.81, MODEL.max_thrust * 4 * MODEL.max_rotor_thrust
+    shortest = 30.0**2 / (2 * (lift + 0.35 * 30.0 - weight) / MODEL.mass_kg)
+    assert 100.0 - shortest > seen.position[-1, 0, 2] > 100.0 - 1.5 * shortest
+    assert seen.velocity[-1, 0] == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
+
+
+@pytest.mark.parametrize("way", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)], ids=["on the floor", "at a wall"])
+def test_what_it_cannot_push_away_does_not_hold_it_for_long(way: tuple[float, float, float]) -> None:
+    fleet = fleet_of(1)
+    fleet.set_velocity(0, way, 0.0)
+    for _ in range(1200):  # 10 s
+        force, torque = fleet.wrench(1 / 120, np.zeros((1, 3)))
+        fleet.integrate(force, torque, 1 / 120)
+        fleet.position[0], fleet.velocity[0] = (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)
+    back = -np.array(way)
+    fleet.set_velocity(0, back.tolist(), 0.0)
+    seen = fly(fleet, 4.0, 120.0)
+    assert (seen.velocity[:, 0] @ back).max() <= 1.5
+    assert seen.position[seen.t <= 1.5, 0][-1] @ back - (0.0, 0.0, 10.0) @ back >= 0.0
+    assert seen.velocity[-1, 0] == pytest.approx(back, abs=0.2)
+
+
+def test_rotors_lag() -> None:
+    fleet = fleet_of(1)
+    fleet.rotor[0] = 0.0
+    fleet.wrench(0.05, np.zeros((1, 3)))
+    hover = math.sqrt(0.25 * MODEL.mass_kg * 9.81 / MODEL.thrust_factor)
+    assert fleet.rotor[0] == pytest.approx((1.0 - math.exp(-1.0)) * hover)
+    fleet.wrench(1e9, np.zeros((1, 3)))
+    assert fleet.rotor[0] == pytest.approx(hover)
+
+
+def test_vehicles_of_a_fleet_do_not_know_of_each_other() -> None:
+    kinds = [MODEL, Quadrotor(mass_kg=1.1, velocity_gain=2.0), Quadrotor(motor_lag_s=0.03)]
+    starts, wind = np.array([(0.0, 0.0, 1.0), (9.0, 1.0, 2.0), (-4.0, 0.5, 3.0)]), np.array([(1.0, 2.0, 0.0)] * 3)
+
+    def fleet(rows: list[int]) -> Any:
+        some = Fleet([kinds[row] for row in rows], starts[rows], np.array([0.3, -0.2, 1.5])[rows])
+        for place, row in enumerate(rows):
+            if row == 1:
+                some.set_waypoint(place, (5.0, 5.0, 5.0), yaw=1.0)
+            else:
+                some.set_velocity(place, (1.0, row, 0.0), 0.5)
+        for _ in range(240):
+            force, torque = some.wrench(1 / 240, wind[rows])
+            some.integrate(force, torque, 1 / 240)
+        return np.hstack([some.position, some.velocity, some.attitude, some.rate, some.rotor])
+
+    together, apart = fleet([0, 1, 2]), np.vstack([fleet([row]) for row in range(3)])
+    assert (together == apart).all()

@@ -1,0 +1,199 @@
+"""Vehicles without a body against closed forms and against a plain integration of their equations."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import arc, wrap
+from vcmvsp.physics.federate import KinematicPhysics
+from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
+from tests.support.step_responses import overshoot, servo_step
+
+speeds = st.floats(-2.0, 2.0)
+rates = st.floats(-3.0, 3.0)
+spans = st.integers(1, 3 * SECOND_NS)
+
+
+def engine(*models: GroundVehicle, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MotionEngine:
+    x, y, yaw = pose
+    return MotionEngine(models, [(x, y, 0.0)] * len(models), [yaw] * len(models))
+
+
+def row(moved: MotionEngine, number: int = 0) -> tuple[float, float, float, float, float]:
+    """x, y, yaw, v, w."""
+    x, y, yaw, v, w = moved.read().odometry[number].tolist()
+    return x, y, yaw, v, w
+
+
+@given(v=speeds, w=rates, yaw=rates, span_ns=spans)
+@pytest.mark.parametrize("model", [Kinematic(), P2DX(), AmigoBot()], ids=lambda model: type(model).__name__)
+def test_ideal_vehicles_move_on_exact_arcs(model: GroundVehicle, v: float, w: float, yaw: float, span_ns: int) -> None:
+    moved = engine(model, pose=(1.0, -2.0, yaw))
+    moved.command(0, (v, 0.0, 0.0), w)
+    moved.advance(span_ns)
+    x, y, turned = arc((1.0, -2.0, yaw), v, w, span_ns / SECOND_NS)
+    assert row(moved)[:2] == pytest.approx((x, y), abs=1e-12)
+    assert wrap(row(moved)[2] - turned) == pytest.approx(0.0, abs=1e-12)
+    assert row(moved)[3:] == (v, w)
+
+
+@given(v=speeds, w=rates, cuts=st.lists(spans, max_size=6), span_ns=spans)
+@pytest.mark.parametrize(
+    ("model", "exact_m"), [(Kinematic(), 1e-11), (Lag(), 2e-4), (Inertial(), 2e-4)], ids=["kinematic", "lag", "inertial"]
+)
+def test_looking_in_between_changes_nothing(
+    model: GroundVehicle, exact_m: float, v: float, w: float, cuts: list[int], span_ns: int
+) -> None:
+    once, often = engine(model), engine(model)
+    for moved in (once, often):
+        moved.command(0, (v, 0.0, 0.0), w)
+    for cut in sorted(cut for cut in cuts if cut < span_ns):
+        often.advance(cut)
+    once.advance(span_ns)
+    often.advance(span_ns)
+    assert row(often)[3:] == pytest.approx(row(once)[3:], abs=1e-12)
+    assert row(often)[:2] == pytest.approx(row(once)[:2], abs=exact_m)
+    assert wrap(row(often)[2] - row(once)[2]) == pytest.approx(0.0, abs=1e-11)
+
+
+def test_lag_is_exactly_exponential() -> None:
+    moved = engine(Lag(tau_v_s=0.5, tau_w_s=0.3))
+    moved.command(0, (0.8, 0.0, 0.0), 0.0)
+    for k in range(1, 30):
+        t = 0.137 * k
+        moved.advance(round(t * SECOND_NS))
+        x, _, _, v, _ = row(moved)
+        assert v == pytest.approx(0.8 * (1.0 - math.exp(-t / 0.5)), abs=1e-9)
+        assert x == pytest.approx(0.8 * (t - 0.5 * (1.0 - math.exp(-t / 0.5))), abs=1e-9)
+
+
+def test_inertial_starts_on_its_ramp_and_then_decays() -> None:
+    # e = 0.6, a tau = 0.15: a ramp of 0.3 m/s2 until t1 = 1.5 s, then 0.15 exp(-(t - t1) / 0.5) is missing.
+    moved = engine(Inertial())
+    moved.command(0, (0.6, 0.0, 0.0), 0.0)
+    moved.advance(SECOND_NS)
+    assert row(moved)[3] == pytest.approx(0.3)
+    moved.advance(5 * SECOND_NS // 2)
+    assert row(moved)[3] == pytest.approx(0.6 - 0.15 * math.exp(-2.0))
+    moved.command(0, (0.0, 0.0, 0.0), 0.0)  # decelerates at most at 0.75 m/s2: knee 0.375
+    before = row(moved)[3]
+    moved.advance(27 * SECOND_NS // 10)
+    assert row(moved)[3] == pytest.approx(before - 0.2 * 0.75)
+
+
+commands = st.lists(st.tuples(speeds, rates), min_size=1, max_size=8)
+
+
+@given(commands)
+def test_inertial_keeps_its_limits(sequence: list[tuple[float, float]]) -> None:
+    moved, model = engine(Inertial()), Inertial()
+    v = w = 0.0
+    for k, (wanted_v, wanted_w) in enumerate(sequence, 1):
+        moved.command(0, (wanted_v, 0.0, 0.0), wanted_w)
+        moved.advance(k * SECOND_NS // 5)
+        _, _, _, new_v, new_w = row(moved)
+        assert -model.decel * 0.2 - 1e-9 <= new_v - v <= model.accel * 0.2 + 1e-9
+        assert abs(new_w - w) <= model.yaw_accel * 0.2 + 1e-9
+        assert abs(new_v) <= model.max_speed
+        assert abs(new_w) <= model.max_yaw_rate
+        v, w = new_v, new_w
+
+
+@settings(max_examples=15, deadline=None)
+@given(commands)
+@pytest.mark.parametrize(
+    "model", [Lag(), Inertial(), Inertial(tau_v_s=0.0, tau_w_s=0.0)], ids=["lag", "inertial", "ramps only"]
+)
+def test_agrees_with_a_plain_integration(model: Lag, sequence: list[tuple[float, float]]) -> None:
+    h, steps = 2e-4, 500
+    servo, moved = model.servo, engine(model)
+    x = y = yaw = v = w = 0.0
+    for k, (wanted_v, wanted_w) in enumerate(sequence, 1):
+        moved.command(0, (wanted_v, 0.0, 0.0), wanted_w)
+        moved.advance(k * SECOND_NS // 10)
+        goal_v = min(max(wanted_v, -servo.max_speed), servo.max_speed)
+        goal_w = min(max(wanted_w, -servo.max_yaw_rate), servo.max_yaw_rate)
+        for _ in range(steps):
+            x, y, yaw = x + h * v * math.cos(yaw), y + h * v * math.sin(yaw), yaw + h * w
+            v += h * min(max((goal_v - v) / max(servo.tau_v_s, h), -servo.decel), servo.accel)
+            w += h * min(max((goal_w - w) / max(servo.tau_w_s, h), -servo.yaw_accel), servo.yaw_accel)
+    got = row(moved)
+    assert got[:2] == pytest.approx((x, y), abs=2e-3)
+    assert wrap(got[2] - yaw) == pytest.approx(0.0, abs=2e-3)
+    assert got[3:] == pytest.approx((v, w), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("model", "in_between"),
+    [
+        (Lag(), (0.6, -0.4)),
+        (Inertial(), (0.3, -0.75)),
+        (Inertial(tau_v_s=0.0, tau_w_s=0.0), (0.3, -0.75)),
+        (Kinematic(), (0.0, 0.0)),
+    ],
+    ids=["lag", "inertial", "ramps only", "kinematic"],
+)
+def test_accelerations_are_what_speeds_grow_by(model: GroundVehicle, in_between: tuple[float, float]) -> None:
+    moved = engine(model)
+    for wanted, at_ns, least_or_most in ((0.6, 0, in_between[0]), (0.1, SECOND_NS, in_between[1])):
+        moved.command(0, (wanted, 0.0, 0.0), 0.0)
+        moved.advance(at_ns + SECOND_NS // 2)
+        seen, before = float(moved.read().acceleration[0, 0]), row(moved)[3]
+        moved.advance(at_ns + SECOND_NS // 2 + 1000)
+        assert seen == pytest.approx((row(moved)[3] - before) / 1e-6, abs=1e-3)
+        assert abs(seen) <= abs(least_or_most) + 1e-9
+        moved.advance(at_ns + SECOND_NS)
+
+
+def test_a_fleet_moves_as_each_of_it_alone() -> None:
+    models = [Kinematic(), Lag(), Inertial(), P2DX(), Lag(tau_v_s=1.0, tau_w_s=0.0)]
+    fleet, alone = engine(*models), [engine(model) for model in models]
+    draws = np.random.default_rng(3).uniform(-1.0, 1.0, (20, len(models), 2))
+    for k, wanted in enumerate(draws, 1):
+        for number, (v, w) in enumerate(wanted.tolist()):
+            fleet.command(number, (v, 0.0, 0.0), w)
+            alone[number].command(0, (v, 0.0, 0.0), w)
+        for moved in (fleet, *alone):
+            moved.advance(k * SECOND_NS // 10)
+    for number, moved in enumerate(alone):
+        assert row(fleet, number) == pytest.approx(row(moved), abs=1e-12)
+
+
+def catching_up(model: GroundVehicle, k1: float, period_s: float = 0.1) -> list[float]:
+    """Errors z, m, of a vehicle that catches up by v = 0.3 + k1 z with a slot at 0.3 m/s, 0.5 m ahead at the start."""
+    moved, period_ns = engine(model), round(period_s * SECOND_NS)
+    moved.command(0, (0.3, 0.0, 0.0), 0.0)
+    moved.advance(60 * SECOND_NS)  # at speed when it begins
+    start_m, errors = row(moved)[0], []
+    for k in range(round(40.0 / period_s)):
+        z = start_m + 0.5 + 0.3 * k * period_s - row(moved)[0]
+        errors.append(z)
+        moved.command(0, (0.3 + k1 * z, 0.0, 0.0), 0.0)
+        moved.advance(60 * SECOND_NS + (k + 1) * period_ns)
+    return errors
+
+
+@pytest.mark.parametrize(("k1", "percent"), [(0.4, 0.0), (0.8, 2.6), (2.0, 20.6), (4.0, 39.6), (8.0, 62.2)])
+def test_sampled_servo_overshoots_by_its_transition_matrix(k1: float, percent: float) -> None:
+    exact = servo_step(k1, 0.1, 0.5, 400)
+    assert overshoot(exact) == pytest.approx(percent / 100.0, abs=5e-4)
+    assert catching_up(Lag(), k1) == pytest.approx(0.5 * exact, abs=1e-6)
+
+
+@pytest.mark.parametrize(("k1", "percent"), [(2.0, 0.0), (8.0, 0.0), (12.0, 20.0), (16.0, 60.0)])
+def test_sampled_unicycle_overshoots_by_k1_t_minus_one(k1: float, percent: float) -> None:
+    assert overshoot(catching_up(Kinematic(), k1)) == pytest.approx(percent / 100.0, abs=1e-9)
+
+
+def test_through_the_federate(drive: Callable[..., Any]) -> None:
+    moved = drive(KinematicPhysics, P2DX(), [(0.0, 0.3, 0.15)], 2.0 * math.pi / 0.15)
+    assert moved.position[-1] == pytest.approx((0.0, 0.0, 0.0), abs=1e-8)  # once round the circle of 2 m
+    assert np.hypot(moved.position[:, 0], moved.position[:, 1] - 2.0) == pytest.approx(2.0, abs=1e-12)
+    assert np.array_equal(moved.odometry[:, :2], moved.position[:, :2])

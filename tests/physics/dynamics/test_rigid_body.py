@@ -1,0 +1,179 @@
+"""The rigid bodies of a fleet: the same as Bullet's, and Newton's laws."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pybullet
+import pytest
+
+from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.dynamics.rigid_body import gyration, into_body, precession, rotations
+
+MODEL = Quadrotor(inertia=(0.0040, 0.0055, 0.0073))  # three different moments: it tumbles
+NOTHING = np.zeros((1, 3))
+
+
+def alone(model: Quadrotor = MODEL, **state: Any) -> Fleet:
+    fleet = Fleet([model], [(0.0, 0.0, 5.0)], [0.0])
+    for name, value in state.items():
+        getattr(fleet, name)[0] = value
+    return fleet
+
+
+def rotation(fleet: Fleet, row: int = 0) -> Any:
+    return rotations(fleet.attitude[row : row + 1].T)[:, :, 0]
+
+
+def momentum(fleet: Fleet) -> Any:
+    """World frame."""
+    return rotation(fleet) @ (np.array(MODEL.inertia) * fleet.rate[0])
+
+
+def spin_energy(fleet: Fleet) -> float:
+    return 0.5 * float(np.array(MODEL.inertia) @ fleet.rate[0] ** 2)
+
+
+@pytest.mark.parametrize("hz", [60, 120, 240])
+@pytest.mark.parametrize("rate", [(3.0, -5.0, 8.0), (0.0, 0.0, 0.0), (1e-4, 2e-4, -1e-4)], ids=["tumbling", "still", "slow"])
+@pytest.mark.parametrize("pushed", [True, False])
+def test_it_moves_as_in_bullet(hz: int, rate: tuple[float, float, float], *, pushed: bool) -> None:
+    fleet = alone(velocity=(1.0, -2.0, 3.0), attitude=(0.5, -0.5, 0.1, 0.7), rate=rate)
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        body = pybullet.createMultiBody(MODEL.mass_kg, physicsClientId=client)
+        still = {"localInertiaDiagonal": MODEL.inertia, "linearDamping": 0, "angularDamping": 0}
+        pybullet.changeDynamics(body, -1, **still, physicsClientId=client)
+        pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+        pybullet.setTimeStep(1.0 / hz, physicsClientId=client)
+        w, x, y, z = fleet.attitude[0].tolist()
+        pybullet.resetBasePositionAndOrientation(body, (0, 0, 5), (x, y, z, w), client)
+        spin = (rotation(fleet) @ fleet.rate[0]).tolist()
+        pybullet.resetBaseVelocity(body, (1, -2, 3), spin, client)
+        for step in range(hz):
+            time = step / hz
+            force = np.array([[math.sin(9 * time), 0.3, 7.0]]) * pushed
+            torque = np.array([[0.02 * math.cos(5 * time), 0.02, -0.01]]) * pushed
+            place, _ = pybullet.getBasePositionAndOrientation(body, client)
+            pybullet.applyExternalForce(body, -1, force[0].tolist(), place, pybullet.WORLD_FRAME, client)
+            pybullet.applyExternalTorque(body, -1, torque[0].tolist(), pybullet.WORLD_FRAME, client)
+            pybullet.stepSimulation(client)
+            fleet.integrate(force, torque, 1.0 / hz)
+        position, (x, y, z, w) = pybullet.getBasePositionAndOrientation(body, client)
+        velocity, spin = pybullet.getBaseVelocity(body, client)
+    finally:
+        pybullet.disconnect(client)
+    assert fleet.position[0] == pytest.approx(position, abs=1e-9)
+    assert fleet.velocity[0] == pytest.approx(velocity, abs=1e-9)
+    assert fleet.attitude[0] * np.sign(fleet.attitude[0, 0] * w) == pytest.approx((w, x, y, z), abs=1e-9)
+    assert rotation(fleet) @ fleet.rate[0] == pytest.approx(spin, abs=1e-9)
+
+
+def test_it_falls_freely() -> None:
+    fleet = alone()
+    for _ in range(240):
+        fleet.integrate(NOTHING, NOTHING, 1 / 240)
+    fallen = 9.81 / 2
+    assert 5.0 - fleet.position[0, 2] == pytest.approx(fallen, rel=1.01 / 240)  # the method's order: one step more
+    assert fleet.velocity[0] == pytest.approx((0.0, 0.0, -9.81))
+
+
+def test_without_gravity_or_force_it_goes_straight_on() -> None:
+    fleet = Fleet([MODEL], [(0.0, 0.0, 5.0)], [0.0], gravity=1e-300)
+    fleet.velocity[0] = 1.0, 2.0, 3.0
+    for _ in range(100):
+        fleet.integrate(NOTHING, NOTHING, 0.01)
+    assert fleet.position[0] == pytest.approx((1.0, 2.0, 8.0))
+
+
+def tumbled(hz: int) -> tuple[float, float]:
+    """Errors of angular momentum and of energy, as parts of them, after 1 s without torque."""
+    fleet = alone(rate=(3.0, -5.0, 8.0))
+    before, energy = momentum(fleet), spin_energy(fleet)
+    for _ in range(hz):
+        fleet.integrate(NOTHING, NOTHING, 1.0 / hz)
+    lost = np.linalg.norm(momentum(fleet) - before) / np.linalg.norm(before)
+    return float(lost), abs(spin_energy(fleet) / energy - 1.0)
+
+
+@pytest.mark.parametrize("hz", [60, 120, 240])
+@pytest.mark.parametrize("inertia", [(0.0040, 0.0055, 0.0073), (0.0040, 0.0040, 0.0073)], ids=["three", "two"])
+def test_with_the_torque_of_precession_tumbling_keeps_energy_and_momentum(hz: int, inertia: tuple[float, float, float]) -> None:
+    """What `Fleet.wrench` adds: energy and amount of momentum stay, and its direction within what a step turns."""
+    fleet, moments, dt = alone(Quadrotor(inertia=inertia), rate=(5.0, 0.3, 2.0)), np.array(inertia), 1.0 / hz
+    before, energy = rotation(fleet) @ (moments * fleet.rate[0]), float(moments @ fleet.rate[0] ** 2)
+    none, flexibility, gyrations = np.zeros((3, 1)), 1.0 / moments[:, None], gyration(moments[:, None])
+    for _ in range(5 * hz):
+        torque = precession(fleet.rate.T, none, flexibility, gyrations, dt)
+        fleet.integrate(NOTHING, (rotation(fleet) @ torque).T, dt)
+        after = rotation(fleet) @ (moments * fleet.rate[0])
+        assert np.linalg.norm(after - before) < 1.5 * dt * np.linalg.norm(before)
+    assert float(moments @ fleet.rate[0] ** 2) == pytest.approx(energy, rel=1e-9)
+    assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before), rel=1e-9)
+
+
+def test_who_hardly_tumbles_gets_none_whoever_else_does() -> None:
+    rates, moments = np.array([[5.0, 0.3, 2.0], [0.1, 0.2, 0.0]]).T, np.array(MODEL.inertia)[:, None] * np.ones(2)
+    torque = precession(rates, np.zeros((3, 2)), 1.0 / moments, gyration(moments), 0.01)
+    assert np.abs(torque[:, 0]).max() > 0.0
+    assert torque[:, 1].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_without_it_tumbling_keeps_momentum_and_energy_to_first_order() -> None:
+    errors = np.array([tumbled(hz) for hz in (240, 480, 960, 1920)])
+    assert errors[0] == pytest.approx(0.0, abs=0.025)
+    assert errors[:-1] / errors[1:] == pytest.approx(2.0, rel=0.1)
+
+
+def test_spinning_about_a_principal_axis_goes_on_for_ever() -> None:
+    fleet = alone(rate=(0.0, 0.0, 10.0))
+    for _ in range(1000):
+        fleet.integrate(NOTHING, NOTHING, 0.001)
+    assert fleet.rate[0] == pytest.approx((0.0, 0.0, 10.0), abs=1e-12)
+    assert fleet.attitude[0] == pytest.approx((math.cos(5.0), 0.0, 0.0, math.sin(5.0)), abs=1e-12)
+
+
+def test_torque_turns_about_the_world_axis_it_points_along() -> None:
+    fleet = alone(attitude=(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))  # x body is y world
+    fleet.integrate(NOTHING, np.array([[0.0, 0.01, 0.0]]), 0.01)
+    assert fleet.rate[0] == pytest.approx((0.01 * 0.01 / MODEL.inertia[0], 0.0, 0.0), abs=1e-15)
+
+
+def test_rates_are_those_of_the_turning_matrix() -> None:
+    fleet, dt = alone(rate=(0.4, -0.7, 1.1), attitude=(0.5, -0.5, 0.1, 0.7)), 1e-4
+    before = rotation(fleet)
+    fleet.integrate(NOTHING, NOTHING, dt)
+    after = rotation(fleet)
+    turned = before.T @ after
+    angle = math.acos((np.trace(turned) - 1.0) / 2.0)
+    axis = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+    assert axis * angle / (2.0 * math.sin(angle) * dt) == pytest.approx(fleet.rate[0], abs=1e-8)
+    assert after.T @ after == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_rotations_turn_as_quaternions_do() -> None:
+    rng = np.random.default_rng(1)
+    attitude = rng.normal(size=(4, 50))
+    attitude /= np.linalg.norm(attitude, axis=0)
+    vector = rng.normal(size=(3, 50))
+    w, xyz = attitude[0], attitude[1:]
+    twice = 2.0 * np.cross(xyz, vector, axis=0)
+    turned = vector + w * twice + np.cross(xyz, twice, axis=0)
+    matrices = rotations(attitude)
+    assert np.einsum("ijn,jn->in", matrices, vector) == pytest.approx(turned, abs=1e-14)
+    assert into_body(matrices, turned) == pytest.approx(vector, abs=1e-14)
+
+
+def test_the_autopilot_is_not_needed_to_move_on() -> None:
+    state: Any = {"attitude": (0.5, -0.5, 0.1, 0.7), "rate": (3.0, -5.0, 8.0)}
+    flown, thrown = alone(**state), alone(**state)
+    for _ in range(10):
+        force, torque = flown.wrench(0.01, NOTHING)
+        for _ in range(2):
+            flown.integrate(force, torque, 0.01)
+            thrown.integrate(force, torque, 0.01)
+        flown.attitude[0] = thrown.attitude[0] = thrown.attitude[0, [0, 2, 3, 1]]  # by whoever knows of contacts
+    assert (flown.attitude == thrown.attitude).all()
+    assert (flown.rate == thrown.rate).all()
+    assert (flown.position == thrown.position).all()

@@ -1,0 +1,99 @@
+"""Gusts: their statistics, and that they depend on nothing but seed, name and time."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.physics.dynamics.wind import GUST_HZ, Gusts
+from vcmvsp.physics.world.world import Wind
+
+WINDY = Wind(velocity=(3.0, -1.0, 0.5), gust=1.5, gust_time_s=0.8)
+
+
+def rows(count: int) -> list[str]:
+    """Names of so many vehicles."""
+    return [str(number) for number in range(count)]
+
+
+def series(gusts: Gusts, ticks: int) -> Any:
+    """At every tick, (ticks, n, 3)."""
+    return np.array([gusts.advance(-(-tick * SECOND_NS // GUST_HZ)) for tick in range(ticks)])
+
+
+def test_a_steady_wind_is_the_same_for_all_and_for_ever() -> None:
+    gusts = Gusts(Wind(velocity=(3.0, -1.0, 0.5)), rows(4), seed=1)
+    for to_ns in (0, 1, SECOND_NS, 10**15):
+        assert (gusts.advance(to_ns) == np.tile((3.0, -1.0, 0.5), (4, 1))).all()
+
+
+def test_spread_and_mean_are_those_asked_for_from_the_start() -> None:
+    many = 4000
+    gusts = Gusts(WINDY, rows(many), seed=1)
+    for to_ns in (0, SECOND_NS // 3, 2 * SECOND_NS):
+        wind = gusts.advance(to_ns)
+        assert wind.mean(axis=0) == pytest.approx((3.0, -1.0, 0.5), abs=4 * 1.5 / math.sqrt(many))
+        assert wind.std(axis=0) == pytest.approx((1.5, 1.5, 0.75), rel=4 / math.sqrt(2 * many))
+        across = np.corrcoef(wind.T) - np.eye(3)
+        assert across == pytest.approx(np.zeros((3, 3)), abs=4 / math.sqrt(many))
+
+
+@pytest.mark.parametrize("gust_time_s", [0.01, 0.8, 5.0])
+def test_correlation_in_time_is_exponential(gust_time_s: float) -> None:
+    many = 4000
+    wind = series(Gusts(Wind(gust=1.0, gust_time_s=gust_time_s), rows(many), seed=2), 61)
+    for lag in (1, 12, 60):
+        found = np.mean(wind[0] * wind[lag], axis=0) / (1.0, 1.0, 0.25)
+        assert found == pytest.approx(math.exp(-lag / (GUST_HZ * gust_time_s)), abs=4 * math.sqrt(2 / many))
+
+
+def test_however_time_is_cut_the_gusts_are_the_same() -> None:
+    instants = [0, 1, 16_666_667, 16_666_668, 400_000_000, 7 * SECOND_NS, 7 * SECOND_NS + 5]
+    often, seldom = Gusts(WINDY, rows(3), seed=3), Gusts(WINDY, rows(3), seed=3)
+    between = sorted({*instants, *range(0, 7 * SECOND_NS, 3_333_333)})
+    seen = {to_ns: often.advance(to_ns) for to_ns in between}
+    for to_ns in instants:
+        assert (seldom.advance(to_ns) == seen[to_ns]).all()
+
+
+def test_the_wind_is_steady_between_its_ticks() -> None:
+    gusts = Gusts(WINDY, rows(3), seed=3)
+    first = gusts.advance(0)
+    assert gusts.advance(16_666_665) is first
+    second = gusts.advance(16_666_666)  # 1/60 s, to the nanosecond below
+    assert (second != first).all()
+    assert gusts.advance(33_333_332) is second
+    assert (gusts.advance(33_333_333) != second).all()
+
+
+@pytest.mark.parametrize("hz", [60, 120, 240])
+def test_each_gust_lasts_a_tick_at_any_rate_of_steps(hz: int) -> None:
+    """Gust number k blows from step k hz / 60 on, though both times are rounded to whole nanoseconds."""
+    every, ticks = series(Gusts(WINDY, rows(1), seed=3), 1000), Ticks.rate(hz)
+    gusts = Gusts(WINDY, rows(1), seed=3)
+    stepped = np.array([gusts.advance(ticks.at(step)) for step in range(1000 * hz // GUST_HZ)])
+    assert (stepped == np.repeat(every, hz // GUST_HZ, axis=0)).all()
+
+
+def test_one_more_vehicle_changes_no_other_one_s_gusts() -> None:
+    few, more = series(Gusts(WINDY, rows(2), seed=4), 600), series(Gusts(WINDY, rows(3), seed=4), 600)
+    assert (few == more[:, :2]).all()
+    named = series(Gusts(WINDY, ["car", "uav"], seed=4), 10)
+    other = series(Gusts(WINDY, ["uav", "new", "car"], seed=4), 10)
+    assert (named == other[:, [2, 0]]).all()
+
+
+def test_seeds_and_vehicles_differ() -> None:
+    one, two = Gusts(WINDY, rows(2), seed=5).advance(0), Gusts(WINDY, rows(2), seed=6).advance(0)
+    assert len(np.unique(np.concatenate([one, two]))) == 12
+
+
+def test_what_was_returned_never_changes() -> None:
+    gusts = Gusts(WINDY, rows(2), seed=7)
+    first = gusts.advance(0)
+    kept = first.copy()
+    gusts.advance(SECOND_NS)
+    assert (first == kept).all()
+    assert not first.flags.writeable

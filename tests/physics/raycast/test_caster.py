@@ -1,0 +1,200 @@
+"""Single beams among solids: by hand, by symmetry, and whatever the index."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.physics.raycast.caster import FLOOR, Caster, caster_of
+from vcmvsp.physics.world.shapes import Shapes, shapes_of
+from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
+from vcmvsp.physics.world.world import World
+from tests.support.physics.random_worlds import L_SHAPE, Floats, solids
+
+WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0))
+INF = math.inf
+
+
+def reached(among: tuple[AnySolid, ...], start: tuple[float, ...], toward: tuple[float, ...], reach: float = INF) -> float:
+    direction = np.array(toward) / math.hypot(*toward)
+    (distance,) = Caster(shapes_of(among)).cast(np.array([start]), direction[None], reach)
+    return float(distance)
+
+
+@pytest.mark.parametrize(
+    ("start", "toward", "distance"),
+    [
+        ((0, 0, 1), (1, 0, 0), 4.9),
+        ((0, 0, 1), (-1, 0, 0), INF),
+        ((9, 0, 1), (-1, 0, 0), 3.9),
+        ((0, 0, 1), (4.9, 1.5, 0), math.hypot(4.9, 1.5)),
+        ((0, 0, 1), (4.9, 2.5, 0), INF),  # past its edge
+        ((4.0, 3.0, 1), (1, -1, 0), math.sqrt(2.0)),  # at the other face: (5, 2)
+        ((0, 0, 3), (1, 0, -0.2), math.hypot(5.0, 1.0)),  # on its top, at x = 5
+        ((0, 0, 3), (1, 0, -0.1), INF),  # above it, and to the floor only at x = 30
+        ((5, 0, 9), (0, 0, -1), 7.0),
+        ((5, 0, -1), (0, 0, 1), 1.0),  # from below; from there the floor is not seen
+        ((5, 0, 1), (0, 0, 1), 0.0),  # from inside
+        ((9, 0, -1), (0, 0, -1), INF),  # further down
+        ((4.9, -9, 1), (0, 1, 1e-9), 7.0),  # along a face
+    ],
+)
+def test_a_wall(start: tuple[float, ...], toward: tuple[float, ...], distance: float) -> None:
+    assert reached((WALL,), start, toward, 20.0) == pytest.approx(distance, rel=1e-9)
+
+
+def test_reach_is_inclusive() -> None:
+    assert reached((WALL,), (0, 0, 1), (1, 0, 0), 4.9) == pytest.approx(4.9)
+    assert reached((WALL,), (0, 0, 1), (1, 0, 0), 4.89) == INF
+
+
+def test_the_floor_can_be_left_out() -> None:
+    caster, start, down = Caster(shapes_of(())), np.array([[0.0, 0.0, 1.5]]), np.array([[0.6, 0.0, -0.8]])
+    assert caster.cast(start, down) == pytest.approx([1.875])
+    assert caster.cast(start, down, 1.8) == [INF]
+    assert caster.cast(start, down, floor=False) == [INF]
+    assert caster.cast(start, -down) == [INF]
+    assert caster.cast(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
+
+
+def test_a_pillar_is_a_polygon_just_inside_its_circle() -> None:
+    pillar = Cylinder(center=(5.0, 0.0, 1.0), radius=0.5, height=2.0)
+    for aside in np.linspace(-0.49, 0.49, 41).tolist():
+        exact = 5.0 - math.sqrt(0.25 - aside * aside)
+        slope = abs(aside) / math.sqrt(0.25 - aside * aside)
+        assert exact - 1e-12 <= reached((pillar,), (0, aside, 1), (1, 0, 0)) <= exact + 0.002 * math.hypot(1.0, slope) + 1e-9
+    assert reached((pillar,), (0, 0.51, 1), (1, 0, 0)) == INF
+
+
+def test_into_the_corner_of_an_outline_that_is_not_convex() -> None:
+    room = (Prism(outline=L_SHAPE, height=2.0),)
+    assert reached(room, (4, 4, 1), (-1, -1, 0)) == pytest.approx(3.0 * math.sqrt(2.0))  # its inner corner is (1, 1)
+    assert reached(room, (2, 2, 1), (0, -1, 0)) == pytest.approx(1.0)
+    assert reached(room, (2, 2, 1), (-1, 0, 0)) == pytest.approx(1.0)
+    assert reached(room, (2, 2, 1), (1, 0, 0)) == INF
+
+
+def test_a_triangle_is_seen_from_both_sides() -> None:
+    leaf = (Mesh(triangles=np.array([[(2.0, -1.0, 0.0), (2.0, 1.0, 0.0), (2.0, 0.0, 2.0)]])),)
+    assert reached(leaf, (0, 0, 1), (1, 0, 0)) == pytest.approx(2.0)
+    assert reached(leaf, (4, 0, 1), (-1, 0, 0)) == pytest.approx(2.0)
+    assert reached(leaf, (0, 0.6, 1), (1, 0, 0)) == INF  # at half its height it is half as wide
+    assert reached(leaf, (2, -3, 1), (0, 1, 0)) == INF  # in its plane it has no face
+
+
+def test_nothing_passes_between_solids_that_touch() -> None:
+    row = tuple(Box(center=(5.0, 0.3 * k, 1.0), size=(0.2, 0.3, 2.0)) for k in range(-5, 6))
+    angle = np.concatenate([np.linspace(-0.25, 0.25, 5001), [math.atan2(0.15 + 0.3 * k, 4.9) for k in range(-4, 4)]])
+    beams = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    found = Caster(shapes_of(row)).cast(np.broadcast_to((0.0, 0.0, 1.0), beams.shape), beams)
+    assert found == pytest.approx(4.9 / np.cos(angle), rel=1e-12)
+
+
+def test_which_solid_it_was() -> None:
+    among = (WALL, Prism(outline=L_SHAPE, height=1.0), Mesh(triangles=np.array([[(-2.0, -1, 0), (-2, 1, 0), (-2, 0, 2)]])))
+    start = np.array([(0.0, 0.0, 1.5), (1.5, 3.0, 0.5), (-1.0, 0.0, 1.0), (0.0, -1.0, 1.0), (0.0, -1.0, 1.0)])
+    toward = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)])
+    found = Caster(shapes_of(among)).meet(start, toward)
+    assert found.which.tolist() == [0, 1, 2, FLOOR, -1]
+    assert found.distance.tolist() == pytest.approx([4.9, 2.0, 1.0, 1.0, INF])
+
+
+def test_inside_is_behind_all_faces() -> None:
+    caster = Caster(shapes_of((*(Prism(outline=L_SHAPE, bottom=1.0, height=1.0),), WALL)))
+    assert [caster.inside(p) for p in ((0.5, 2, 1.5), (2.5, 0.5, 1.5), (5, 0, 1), (5.1, 2.0, 2.0))] == [True] * 4
+    assert [caster.inside(p) for p in ((2, 2, 1.5), (0.5, 2, 0.5), (0.5, 2, 2.1), (5.2, 0, 1), (99, 0, 1))] == [False] * 5
+
+
+def test_one_caster_for_each_world() -> None:
+    world = World(solids=(WALL,))
+    assert caster_of(world) is caster_of(world)
+    assert caster_of(World(solids=(WALL,))) is not caster_of(world)
+
+
+def random_beams(rng: np.random.Generator, count: int) -> tuple[Floats, Floats]:
+    directions = rng.normal(0.0, (1.0, 1.0, 0.3), (count, 3))
+    directions[::7, 2] = 0.0
+    directions[::31, :2] = 0.0
+    directions[::31, 2] = -1.0
+    directions /= np.sqrt((directions**2).sum(axis=1, keepdims=True))
+    return np.column_stack([rng.uniform(-15.0, 15.0, (count, 2)), rng.uniform(0.01, 6.0, count)]), directions
+
+
+@pytest.mark.parametrize("reach", [2.0, 12.0, INF])
+def test_the_index_changes_no_answer(reach: float) -> None:
+    rng = np.random.default_rng(3)
+    shapes = shapes_of(solids(rng))
+    origins, directions = random_beams(rng, 400)
+    expected = Caster(shapes, 1000.0).meet(origins, directions, reach)
+    assert np.isfinite(expected.distance).sum() > 30
+    for cell_m in (0.7, 3.0, None):
+        caster = Caster(shapes, cell_m)
+        found = caster.meet(origins, directions, reach)
+        assert np.array_equal(found.distance, expected.distance)
+        assert np.array_equal(found.which, expected.which)
+        one_by_one = [caster.cast(o[None], d[None], reach)[0] for o, d in zip(origins[:60], directions[:60], strict=True)]
+        assert one_by_one == expected.distance[:60].tolist()
+
+
+def test_beams_from_one_place_are_as_beams_from_many() -> None:
+    rng = np.random.default_rng(4)
+    among = solids(rng)
+    caster = Caster(shapes_of(among))
+    over_a_box = np.array([*next(each for each in among if isinstance(each, Box)).center[:2], 9.0])
+    for place in (over_a_box, np.array([0.3, -1.0, 1.0]), np.array([40.0, 0.0, 2.0])):
+        _, directions = random_beams(rng, 3000)
+        origins = np.tile(place, (3000, 1))
+        together = caster.meet(origins, directions)
+        elsewhere = np.array([[-300.0, 0.0, 1.0]])
+        mixed = caster.meet(np.concatenate([origins, elsewhere]), np.concatenate([directions, [[-1.0, 0.0, 0.0]]]))
+        assert np.array_equal(together.distance, mixed.distance[:-1])
+        assert np.array_equal(together.which, mixed.which[:-1])
+        assert (together.which >= 0).sum() > 50
+
+
+def each_alone(shapes: Shapes, origins: Floats, directions: Floats) -> Floats:
+    """All faces of prisms as triangles (`mesh_of` makes them), each with all beams: solved as three linear equations."""
+    from vcmvsp.physics.world.shapes import mesh_of
+
+    vertices, triangles = mesh_of(shapes)
+    best = np.full(len(origins), INF)
+    for a, b, c in vertices[triangles]:
+        system = np.stack(
+            [np.broadcast_to(b - a, directions.shape), np.broadcast_to(c - a, directions.shape), -directions], axis=-1
+        )
+        flat = np.abs(np.linalg.det(system)) < 1e-12
+        system[flat] = np.eye(3)
+        u, v, t = np.linalg.solve(system, (origins - a)[:, :, None])[:, :, 0].T
+        hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t >= 0.0) & ~flat
+        best[hit] = np.minimum(best[hit], t[hit])
+    return best
+
+
+def test_prisms_against_their_own_triangles() -> None:
+    rng = np.random.default_rng(8)
+    shapes = shapes_of(solids(rng, count=24))
+    origins, directions = random_beams(rng, 1500)
+    caster = Caster(shapes)
+    outside = np.array([not caster.inside((x, y, z)) for x, y, z in origins.tolist()])
+    origins, directions = origins[outside], directions[outside]
+    found, expected = caster.cast(origins, directions, floor=False), each_alone(shapes, origins, directions)
+    assert 300 < np.isfinite(expected).sum() < len(expected) - 300
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), yaw=st.floats(-4.0, 4.0), dx=st.floats(-300.0, 300.0), dy=st.floats(-300.0, 300.0))
+def test_turning_and_moving_the_world_moves_nothing_in_it(seed: int, yaw: float, dx: float, dy: float) -> None:
+    rng = np.random.default_rng(seed)
+    here = shapes_of(solids(rng, count=8, size=12.0))
+    turn = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    move = np.array([dx, dy, 0.0])
+    groups = tuple(each._replace(corners=each.corners @ turn[:2, :2].T + move[:2]) for each in here.groups)
+    there = here._replace(groups=groups, triangles=here.triangles @ turn.T + move)
+    origins, directions = random_beams(rng, 200)
+    first = Caster(here).cast(origins, directions, 15.0)
+    second = Caster(there).cast(origins @ turn.T + move, directions @ turn.T, 15.0)
+    same = np.isclose(first, second, rtol=0.0, atol=1e-6)
+    assert same.sum() >= len(same) - 1  # one may graze an edge

@@ -1,0 +1,178 @@
+"""Range scanners: where their beams point, how they tilt with the vehicle, what they see."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import Scan
+from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring
+from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.world import World
+from tests.support.physics.random_worlds import Floats, attitudes, hulls, scene, solids
+
+FULL = 6.2832
+# A room of 8 x 6 m around the origin, walls 3 m high.
+ROOM = World(
+    solids=(
+        Box(center=(4.5, 0.0, 1.5), size=(1.0, 8.0, 3.0)),
+        Box(center=(-4.5, 0.0, 1.5), size=(1.0, 8.0, 3.0)),
+        Box(center=(0.0, 3.5, 1.5), size=(8.0, 1.0, 3.0)),
+        Box(center=(0.0, -3.5, 1.5), size=(8.0, 1.0, 3.0)),
+    )
+)
+
+
+def scan(sensor: RangeScanner, among: Scene, row: int = 0) -> Scan:
+    return sensor.measure(among, row, stream(1, "car/scan"))
+
+
+def angles(found: Scan) -> Floats:
+    return np.float64(found.angle_min) + found.angle_step * np.arange(len(found.ranges), dtype=np.float64)
+
+
+def room(angle: Floats, x: float = 0.0, y: float = 0.0) -> Floats:
+    """Distance to the walls, by hand."""
+    c, s = np.cos(angle), np.sin(angle)
+    with np.errstate(divide="ignore"):
+        found: Floats = np.minimum((np.copysign(4.0, c) - x) / c, (np.copysign(3.0, s) - y) / s)
+    return found
+
+
+def quaternion(yaw: float, pitch: float = 0.0) -> Floats:
+    """Nose down by ``pitch``, then turned by ``yaw``."""
+    (cy, sy), (cp, sp) = ((math.cos(0.5 * angle), math.sin(0.5 * angle)) for angle in (yaw, pitch))
+    return np.array([[cy * cp, -sy * sp, cy * sp, sy * cp]])
+
+
+@pytest.mark.parametrize("field_of_view", [0.5, math.pi, 5.0, FULL])
+@pytest.mark.parametrize("beams", [2, 33, 512])
+def test_a_room_whichever_way_the_scanner_looks(field_of_view: float, beams: int) -> None:
+    for yaw, heading, x, y in ((0.0, 0.0, 0.0, 0.0), (1.3, -2.2, 1.5, -2.0), (-3.0, 3.1, -3.0, 1.0)):
+        sensor = RangeScanner(beams=beams, field_of_view=field_of_view, range_max=20.0, yaw=yaw)
+        found = scan(sensor, scene(ROOM, [(x, y, 0.5)], quaternion(heading)))
+        assert found.ranges == pytest.approx(room(angles(found) + heading, x, y), rel=1e-6)
+        assert found.ranges.dtype == np.float32
+        assert (found.range_max, found.time_ns) == (20.0, 5)
+        assert not found.ranges.flags.writeable
+
+
+def test_beams_are_spread_as_ros_spreads_them() -> None:
+    half_turn = scan(RangeScanner(beams=181, field_of_view=math.pi, range_max=9.0), scene(ROOM, [(0, 0, 1)]))
+    assert angles(half_turn)[[0, 90, 180]] == pytest.approx([-0.5 * math.pi, 0.0, 0.5 * math.pi])  # right, ahead, left
+    full = scan(RangeScanner(beams=4, field_of_view=FULL, range_max=9.0), scene(ROOM, [(1, 0, 1)]))
+    assert angles(full) == pytest.approx([0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])  # the last is not the first again
+    assert full.ranges.tolist() == pytest.approx([3.0, 3.0, 5.0, 3.0])
+    alone = scan(RangeScanner(beams=1, field_of_view=1.0, range_max=9.0, yaw=0.5 * math.pi), scene(ROOM, [(1, 1, 1)]))
+    assert (alone.angle_min, alone.ranges.tolist()) == (0.5 * math.pi, [2.0])
+
+
+def test_the_corner_of_a_room_is_where_it_is() -> None:
+    found = scan(RangeScanner(beams=20001, field_of_view=FULL, range_max=9.0), scene(ROOM, [(1.0, -0.5, 1.0)]))
+    assert angles(found)[np.argsort(found.ranges)[-1]] == pytest.approx(math.atan2(3.5, -5.0), abs=4e-4)
+    assert found.ranges.max() == pytest.approx(math.hypot(3.5, 5.0), abs=2e-3)
+
+
+def test_reach_and_too_near() -> None:
+    found = scan(RangeScanner(beams=4, field_of_view=FULL, range_max=3.5, range_min=2.5), scene(ROOM, [(2.0, 0.0, 1.0)]))
+    assert found.ranges.tolist() == [-math.inf, 3.0, math.inf, 3.0]
+    assert (found.ranges < 2.6).tolist() == [True, False, False, False]
+    exact = RangeScanner(beams=1, field_of_view=1.0, range_max=4.0, range_min=3.9)
+    assert scan(exact, scene(ROOM, [(0, 0, 1)])).ranges.tolist() == [4.0]
+
+
+def test_inside_a_solid_everything_is_in_the_way() -> None:
+    sensor = RangeScanner(beams=9, field_of_view=FULL, range_max=9.0)
+    assert scan(sensor, scene(ROOM, [(4.5, 0.0, 1.0)])).ranges.tolist() == [0.0] * 9
+    assert scan(sensor, scene(ROOM, [(4.5, 0.0, 3.1)])).ranges.tolist() == [math.inf] * 9
+    two = scene(World(), [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
+    assert scan(sensor, two).ranges.tolist() == [0.0] * 9
+
+
+def test_it_tilts_with_the_vehicle() -> None:
+    sensor = RangeScanner(beams=3, field_of_view=math.pi, range_max=20.0)
+    down, height = 0.2, 1.0
+    floor = scan(sensor, scene(World(), [(0, 0, height)], quaternion(0.7, down)))
+    assert floor.ranges.tolist() == pytest.approx([math.inf, height / math.sin(down), math.inf])
+    wall = scan(sensor, scene(ROOM, [(0, 0, height)], quaternion(0.0, down)))
+    assert wall.ranges.tolist() == pytest.approx([3.0, 4.0 / math.cos(down), 3.0])
+    over = scan(sensor, scene(ROOM, [(0, 0, 2.5)], quaternion(0.0, -0.2)))  # nose up: above the wall ahead, not beside
+    assert over.ranges.tolist() == pytest.approx([3.0, math.inf, 3.0])
+
+
+def test_a_scanner_that_looks_down_itself() -> None:
+    sensor = RangeScanner(beams=1, field_of_view=0.1, range_max=20.0, pitch=0.3, yaw=1.0, position=(0.5, 0.0, 0.2))
+    low = scan(sensor, scene(World(), [(0.0, 0.0, 1.0)]))
+    assert low.ranges.tolist() == pytest.approx([1.2 / math.sin(0.3)])
+    straight_down = RangeScanner(beams=5, field_of_view=math.pi, range_max=20.0, pitch=0.5 * math.pi)
+    assert scan(straight_down, scene(World(), [(0, 0, 2.0)])).ranges == pytest.approx(
+        [math.inf, 2.0 * math.sqrt(2.0), 2.0, 2.0 * math.sqrt(2.0), math.inf]
+    )
+
+
+def test_upside_down_left_is_right() -> None:
+    sensor = RangeScanner(beams=3, field_of_view=math.pi, range_max=20.0)
+    rolled = np.array([[0.0, 1.0, 0.0, 0.0]])
+    assert scan(sensor, scene(ROOM, [(0, 1.0, 1.0)], rolled)).ranges.tolist() == pytest.approx([2.0, 4.0, 4.0])
+
+
+def test_roofs_and_undersides() -> None:
+    table = World(solids=(Box(center=(3.0, 0.0, 0.7), size=(2.0, 2.0, 0.1)),))
+    ahead = RangeScanner(beams=1, field_of_view=1.0, range_max=20.0)
+    for slope in (0.2, 0.35):  # from 2 m down to 0.75 m: at x = 1.25 / tan(slope), on the table from 2 to 4
+        along = 1.25 / math.tan(slope)
+        expected = 1.25 / math.sin(slope) if 2.0 <= along <= 4.0 else 2.0 / math.sin(slope)
+        found = scan(ahead, scene(table, [(0, 0, 2.0)], quaternion(0.0, slope)))
+        assert found.ranges.tolist() == pytest.approx([expected])
+    below = scan(ahead, scene(table, [(0, 0, 0.05)], quaternion(0.0, -0.2)))
+    assert below.ranges.tolist() == pytest.approx([0.6 / math.sin(0.2)])
+
+
+def test_others_are_seen_and_the_own_vehicle_is_not() -> None:
+    car = Hull(size=(0.5, 0.4, 0.2), offset=(0.0, 0.0, 0.1))
+    drone = Hull(size=(0.5, 0.5, 0.1), kind="cylinder")
+    among = scene(World(), [(0, 0, 0), (3, 0, 0), (0, 2, 0.1), (0, -2, 0.4)], hulls=[car, car, drone, car])
+    found = scan(RangeScanner(beams=3, field_of_view=math.pi, range_max=9.0, position=(0.0, 0.0, 0.1)), among)
+    assert found.ranges.tolist() == pytest.approx([math.inf, 2.75, 1.75])  # the one on the right flies above the beam
+    back = scan(RangeScanner(beams=1, field_of_view=1.0, range_max=9.0, position=(0.0, 0.0, 0.1), yaw=math.pi), among, row=1)
+    assert back.ranges.tolist() == pytest.approx([2.75])
+
+
+def test_presets() -> None:
+    lms, ring = Lms(), Ring()
+    assert (lms.beams, lms.field_of_view, lms.range_max, lms.rate_hz) == (512, math.pi, 20.0, 10.0)
+    assert (ring.beams, ring.angle_step, ring.range_max, ring.rate_hz) == (32, math.tau / 32, 6.0, 10.0)
+    assert lms.on_demand
+    robot = Hull(size=(0.33, 0.28, 0.12), offset=(0.0, 0.0, 0.09))  # an AmigoBot on the floor
+    found = scan(Lms(), scene(World(), [(0, 0, 0), (5, 0, 0)], hulls=[robot] * 2))
+    assert np.isfinite(found.ranges).sum() >= 8
+
+
+def test_a_range_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"range_min = 2.0 must be less than range_max = 1.0"):
+        RangeScanner(beams=3, field_of_view=1.0, range_min=2.0, range_max=1.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), yaw=st.floats(-4.0, 4.0), dx=st.floats(-300.0, 300.0), dy=st.floats(-300.0, 300.0))
+def test_turning_and_moving_all_that_there_is_changes_no_scan(seed: int, yaw: float, dx: float, dy: float) -> None:
+    rng = np.random.default_rng(seed)
+    bodies = 4
+    place = np.column_stack([rng.uniform(-5.0, 5.0, (bodies, 2)), rng.uniform(0.1, 2.0, bodies)])
+    attitude = attitudes(rng, bodies, float(rng.choice([0.0, 0.2])))
+    here = scene(World(solids=solids(rng, count=8, size=12.0)), place, attitude, hulls(rng, bodies))
+    turn = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    move = np.array([dx, dy, 0.0])
+    (w, x, y, z), c, s = attitude.T, math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    turned = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
+    world, shapes = World(), here.world.shapes
+    groups = tuple(each._replace(corners=each.corners @ turn[:2, :2].T + move[:2]) for each in shapes.groups)
+    vars(world)["shapes"] = shapes._replace(groups=groups, triangles=shapes.triangles @ turn.T + move)
+    there = scene(world, place @ turn.T + move, turned, here.hulls)
+    sensor = RangeScanner(beams=100, field_of_view=FULL, range_max=9.0)
+    first, second = scan(sensor, here).ranges, scan(sensor, there).ranges
+    assert np.isclose(first, second, rtol=0.0, atol=1e-5).sum() >= 99  # one may graze an edge

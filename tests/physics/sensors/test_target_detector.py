@@ -1,0 +1,128 @@
+"""The simulated detector of targets: which cells it looks at, how often it is right, and where it serves."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp import cosim
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.types import Array, Looks
+from vcmvsp.physics.sensors.target_detector import TargetSensor
+from vcmvsp.physics.world.targets import Target
+from vcmvsp.physics.world.world import World
+from vcmvsp.physics.worlds import Empty
+from tests.support.physics.sensor_scenes import readings, scene_of
+
+
+def look(sensor: TargetSensor, world: World, *place: float, seed: int = 1, t: float = 0.0) -> Looks:
+    return sensor.measure(scene_of(place, t=t, world=world), 0, stream(seed, "sensor"))
+
+
+def world_of(*targets: Target, **keys: Any) -> World:
+    return Empty(targets=targets, **keys).build()
+
+
+def said(looks: Looks) -> set[tuple[int, int]]:
+    return {(i, j) for i, j in looks.cells[looks.hits].tolist()}
+
+
+def expected_cells(x: float, y: float, reach_m: float, cell_m: float) -> list[list[int]]:
+    """One after the other, from the definition."""
+    far = math.ceil(reach_m / cell_m) + 2
+    about = [(math.floor(x / cell_m) + i, math.floor(y / cell_m) + j) for j in range(-far, far) for i in range(-far, far)]
+    return [[i, j] for i, j in about if math.hypot((i + 0.5) * cell_m - x, (j + 0.5) * cell_m - y) <= reach_m]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_cells_are_those_with_their_middle_within_reach(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    (x, y), reach_m, cell_m = rng.uniform(-60, 60, 2).tolist(), float(rng.uniform(1, 12)), float(rng.uniform(0.4, 3))
+    looks = look(TargetSensor(reach_m=reach_m, cell_m=cell_m), World(), x, y, 20.0)
+    assert looks.cells.tolist() == expected_cells(x, y, reach_m, cell_m)
+    assert looks.cell_m == cell_m
+    assert [str(each.dtype) for each in (looks.cells, looks.hits)] == ["int32", "bool"]
+    assert looks.hits.shape == (len(looks.cells),)
+
+
+def test_no_cell_lies_beyond_the_bounds() -> None:
+    looks = look(TargetSensor(), world_of(bounds=(-50.0, -50.0, 50.0, 50.0)), 49.0, -48.0, 20.0)
+    columns, rows = looks.cells.T.tolist()
+    assert (max(columns), min(rows)) == (24, -25)  # the last cells of 2 m
+    assert [each for each in expected_cells(49.0, -48.0, 8.0, 2.0) if each[0] <= 24 and each[1] >= -25] == looks.cells.tolist()
+
+
+def test_more_cells_than_a_look_can_hold_are_refused_but_none_are_made_beyond_the_bounds() -> None:
+    sensor = TargetSensor(reach_m=1e5, cell_m=0.1)
+    with pytest.raises(ScenarioError, match="make them larger") as caught:
+        look(sensor, World(), 0.0, 0.0, 20.0)
+    assert caught.value.key == "target_sensor.cell_m"
+    assert len(look(sensor, world_of(bounds=(-5.0, -5.0, 5.0, 5.0)), 0.0, 0.0, 20.0).cells) == 100 * 100
+    assert len(look(sensor, world_of(bounds=(-5.0, -5.0, 5.0, 5.0)), -3e5, 0.0, 20.0).cells) == 0
+
+
+def test_without_errors_it_says_where_the_targets_are_now() -> None:
+    world = world_of(Target(place=(3.9, -0.1)), Target(way=((0.0, 5.0), (4.0, 5.0)), speed=1.0), Target(place=(30.0, 0.0)))
+    sensor = TargetSensor(p=1.0, q=0.0)
+    for t, column in ((0.0, 0), (1.9, 0), (2.1, 1), (9.0, 2)):
+        assert said(look(sensor, world, 1.0, 1.0, 30.0, t=t)) == {(1, -1), (column, 2)}
+    contrary = look(TargetSensor(p=0.0, q=1.0), world, 1.0, 1.0, 30.0)
+    assert {(i, j) for i, j in contrary.cells[~contrary.hits].tolist()} == {(1, -1), (0, 2)}
+
+
+def counts(sensor: TargetSensor, world: World, number: int) -> tuple[Array, Array]:
+    """Answers for the cell of the origin, and numbers of all other hits, one after the other."""
+    scenes = [scene_of((0.5, 0.5, 10.0), t=float(k), world=world) for k in range(number)]
+    own, others = [], []
+    for looks in readings(sensor, scenes):
+        (here,) = np.flatnonzero((looks.cells == 0).all(axis=1))
+        own.append(looks.hits[here])
+        others.append(int(looks.hits.sum()) - int(looks.hits[here]))
+    return np.array(own), np.array(others)
+
+
+def test_answers_are_independent_draws_with_p_and_q() -> None:
+    number, p, q = 3000, 0.8, 0.15
+    own, others = counts(TargetSensor(p=p, q=q), world_of(Target(place=(1.0, 1.0))), number)
+    cells = len(expected_cells(0.5, 0.5, 8.0, 2.0)) - 1
+    assert abs(own.mean() - p) < 4.0 * math.sqrt(p * (1 - p) / number)  # binomial, four standard deviations
+    assert abs(others.mean() - q * cells) < 4.0 * math.sqrt(q * (1 - q) * cells / number)
+    assert others.var() == pytest.approx(q * (1 - q) * cells, rel=4.0 * math.sqrt(2.0 / number))  # as of independent ones
+    after = np.corrcoef(own[1:], own[:-1])[0, 1], np.corrcoef(others[1:], others[:-1])[0, 1], np.corrcoef(own, others)[0, 1]
+    assert max(map(abs, after)) < 4.0 / math.sqrt(number)
+
+
+@pytest.mark.parametrize("kind", ["kinematic", "bullet"])
+def test_it_serves_in_runs_and_a_seed_says_all(kind: str) -> None:
+    def run(seed: int) -> list[Looks]:
+        seen: list[Looks] = []
+
+        class Hover(cosim.Agent):
+            period = 0.5
+
+            def act(self, obs: cosim.Observation, radio: cosim.Radio) -> cosim.Velocity:
+                looks = obs.readings["detector"]
+                assert isinstance(looks, Looks)
+                seen.extend([looks] if looks.time_ns == obs.time_ns else [])
+                return cosim.Velocity(linear=(1.0, 0.0, 0.0))
+
+        scenario = {
+            "name": "looks",
+            "duration_s": 3.2,
+            "seed": seed,
+            "physics": {"kind": kind},
+            "world": {"targets": [{"place": [1, 1]}]},
+            "vehicle": [
+                {"name": "uav", "kind": "point", "position": [0, 0, 9], "sensors": {"detector": {"kind": "target_sensor"}}}
+            ],
+        }
+        cosim.run(scenario, agents={"uav": Hover()})
+        return seen
+
+    once, again, other = run(1), run(1), run(2)
+    assert [each.time_ns for each in once] == [0, 10**9, 2 * 10**9, 3 * 10**9]
+    assert [each.hits.tolist() for each in once] == [each.hits.tolist() for each in again]
+    assert [each.hits.tolist() for each in once] != [each.hits.tolist() for each in other]
+    assert [each.cells[:, 0].mean() for each in once] == pytest.approx([-0.5, 0.0, 0.5, 1.0], abs=0.26)  # it flies east

@@ -1,0 +1,249 @@
+"""Pose source "fusion": the estimator of real robots on simulated ones, fed by physics."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from vcmvsp.cosim.clock import Ticks, seconds_to_ns
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.federate import Event, Instants
+from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
+from vcmvsp.cosim.estimation.fusion import Fusion, Pose
+from vcmvsp.cosim.estimation.kalman_filter import Noise
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.models import Lag, VehicleSpec
+from vcmvsp.physics.world.world import World
+from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
+
+BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+TURNS = [(0.0, "car", 0.4, 0.2), (4.0, "car", 0.4, -0.3), (9.0, "car", 0.3, 0.5)]
+SIGMA_M = 0.15
+NONE = Noise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
+
+
+class Watched(Fusion):
+    """Keeps its poses, and belongs to the test: it is not copied."""
+
+    def __init__(self, **parameters: Any) -> None:
+        super().__init__(**parameters)
+        self.poses: list[Pose | None] = []
+
+    def estimate(self, now_ns: int) -> Pose | None:
+        self.poses.append(super().estimate(now_ns))
+        return self.poses[-1]
+
+    def __deepcopy__(self, memo: Any) -> "Watched":
+        return self
+
+
+class Noted:
+    """An estimator that only notes what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[Any, ...]] = []
+
+    def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> None:
+        self.told.append(("odometry", time_ns, distance_m, turn_rad))
+
+    def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> None:
+        self.told.append(("fix", time_ns, x, y, sigma_m))
+
+    def estimate(self, now_ns: int) -> None:
+        return None
+
+    def __deepcopy__(self, memo: Any) -> "Noted":
+        return self
+
+
+def fused(fusion: Any, name: str = "car", *, rate_hz: float = 5.0, **rest: Any) -> VehicleSpec:
+    sensor = Positioning(rate_hz=rate_hz, sigma_m=SIGMA_M, heading=False)
+    return spec(name, fusion=fusion, pose_source="fusion", positioning=sensor, **rest)
+
+
+class Errors(NamedTuple):
+    """Of the estimates once the heading was known, (n, 3) x m, y m, yaw rad; and covariances (n, 3, 3)."""
+
+    of: np.ndarray
+    covariance: np.ndarray
+
+
+def errors(kind: type[Physics], fusion: Watched, seed: int, seconds: float = 14.0) -> Errors:
+    events = run(kind(world=World(), vehicles=[fused(fusion)]), TURNS, seconds, seed=seed)
+    found = []
+    for states, believed, pose in zip(
+        values(events, "world/states"), values(events, "car/estimate"), fusion.poses, strict=True
+    ):
+        if pose is not None and pose.heading_known:
+            x, y, _ = (np.array(believed.position) - states.position[0]).tolist()
+            found.append(((x, y, wrap(believed.yaw - yaw_of(tuple(states.attitude[0].tolist())))), pose.covariance))
+    return Errors(*(np.array(each) for each in zip(*found, strict=True)))
+
+
+@BOTH
+def test_it_knows_better_than_its_fixes(kind: type[Physics]) -> None:
+    seeds = [errors(kind, Watched(), seed) for seed in range(5)]
+    assert all(len(each.of) > 80 for each in seeds)  # of 141: the heading is known after some metres
+    rms = np.sqrt(np.mean([np.mean(each.of**2, axis=0) for each in seeds], axis=0))
+    assert rms.max() < 0.6 * SIGMA_M
+    settled = np.sqrt(np.mean([np.mean(each.of[-40:] ** 2, axis=0) for each in seeds], axis=0))
+    assert settled.max() < 0.35 * SIGMA_M
+
+
+def test_its_errors_are_as_large_as_it_says_where_odometry_is_as_good_as_it_thinks() -> None:
+    """Without bodies odometry is exact: NEES is chi-square with 3 degrees of freedom."""
+    seeds = [errors(KinematicPhysics, Watched(noise=NONE), seed, 10.0) for seed in range(30)]
+    nees = sum(each.of[-1] @ np.linalg.solve(each.covariance[-1], each.of[-1]) for each in seeds)
+    low, high = chi2.ppf((0.0005, 0.9995), 3 * len(seeds))
+    assert low < nees < high
+
+
+@BOTH
+def test_until_motion_tells_the_heading_it_is_that_of_odometry_and_the_place_that_of_the_fixes(kind: type[Physics]) -> None:
+    events = run(kind(world=World(), vehicles=[fused(Fusion(), heading=0.7)]), seconds=1.0)  # it stands
+    estimates = [event for event in events if event.key == "car/estimate"]
+    fixes = [event for event in events if event.key == "car/fix"]
+    for event in estimates:
+        newest: Any = next(fix.value for fix in reversed(fixes) if fix.time_ns <= event.time_ns)
+        believed: Any = event.value
+        assert believed.position == pytest.approx((*newest.position[:2], 0.0), abs=1e-3)
+        assert believed.yaw == pytest.approx(0.7, abs=1e-3)
+
+
+@BOTH
+def test_it_is_fed_at_instants_of_its_own_however_often_states_are_needed(kind: type[Physics]) -> None:
+    def told(*instants: Instants) -> list[tuple[Any, ...]]:
+        noted = Noted()
+        other = fused(Noted(), "other", rate_hz=8.0, y=3.0)
+        run(kind(world=World(), vehicles=[fused(noted, rate_hz=4.0), other]), TURNS, 6.0, instants)
+        return noted.told
+
+    seldom, often = told(), told(Instants(Ticks.every(0.025)), Instants(Ticks.every(0.1), seconds_to_ns(0.05)))
+    assert len(seldom) == len(often)
+    for a, b in zip(seldom, often, strict=True):
+        assert a[:2] == b[:2]
+        assert a[2:] == pytest.approx(b[2:], abs=1e-12)
+    if kind is BulletPhysics:
+        assert seldom == often
+    tenths, quarters = set(range(0, 61 * 10**8, 10**8)), set(range(0, 6 * 10**9 + 1, 25 * 10**7))
+    assert [each[1] for each in seldom if each[0] == "odometry"] == sorted(tenths | quarters)
+    assert [each[1] for each in seldom if each[0] == "fix"] == sorted(quarters)
+    after = {each[1]: seldom[number - 1][:2] for number, each in enumerate(seldom) if each[0] == "fix"}
+    assert after == {time_ns: ("odometry", time_ns) for time_ns in quarters}  # first how far it went, then where it was
+
+
+@BOTH
+def test_it_is_fed_the_same_where_physics_moves_on_ahead_of_the_wall_clock(kind: type[Physics]) -> None:
+    def told(*, paced: bool) -> list[tuple[Any, ...]]:
+        noted = Noted()
+        vehicles = [fused(noted, rate_hz=1.0), spec("lag", y=3.0, model=Lag())]
+        quarters = (Instants(Ticks.every(0.25)),)  # steps ahead of need pass instants at which it is fed
+        run(kind(world=World(), vehicles=vehicles), TURNS, 2.0, quarters, paced=paced)
+        return noted.told
+
+    assert told(paced=True) == told(paced=False)
+
+
+@BOTH
+def test_more_instants_change_no_estimate_at_the_old_ones(kind: type[Physics]) -> None:
+    def believed(*instants: Instants) -> dict[int, Any]:
+        vehicles = [fused(Fusion()), fused(Fusion(), "lag", y=3.0, model=Lag())]
+        events = run(kind(world=World(), vehicles=vehicles), TURNS, 8.0, instants)
+        return {event.time_ns: event.value for event in events if event.key == "car/estimate"}
+
+    few, many = believed(*TENTH), believed(*TENTH, Instants(Ticks.every(0.1), seconds_to_ns(0.025)))
+    assert len(many) > len(few)
+    for now_ns, state in few.items():
+        assert many[now_ns].position == pytest.approx(state.position, abs=1e-9)
+        assert many[now_ns].yaw == pytest.approx(state.yaw, abs=1e-9)
+        if kind is BulletPhysics:
+            assert many[now_ns] == state
+
+
+@BOTH
+def test_every_run_begins_with_a_fresh_estimator(kind: type[Physics]) -> None:
+    vehicles = [fused(Fusion(start=(0.0, 0.0, 0.0)))]
+    once, again = (encode(run(kind(world=World(), vehicles=vehicles), TURNS, 5.0)) for _ in range(2))
+    assert once == again
+
+
+@BOTH
+def test_what_it_is_told_adds_up_to_the_way(kind: type[Physics]) -> None:
+    noted = Noted()
+    events = run(kind(world=World(), vehicles=[fused(noted)]), TURNS, 12.0)
+    pose = (0.0, 0.0, 0.0)
+    for what, _, distance, turn, *_ in noted.told:
+        if what == "odometry":
+            pose = arc(pose, distance, turn, 1.0)
+    said = values(events, "car/odometry")[-1].pose
+    assert pose[:2] == pytest.approx(said[:2], abs=2e-3)
+    assert wrap(pose[2] - said[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+POSES = st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.floats(-3.0, 3.0))
+
+
+@given(POSES, st.floats(-2.0, 2.0), st.floats(-3.1, 3.1))
+def test_travelled_undoes_an_arc(pose: tuple[float, float, float], distance: float, turn: float) -> None:
+    assert travelled(pose, arc(pose, distance, turn, 1.0)) == pytest.approx((distance, turn), abs=1e-8)
+
+
+def test_fixes_without_a_heading_are_the_same_fixes() -> None:
+    def fixes(*, heading: bool) -> list[Any]:
+        car = spec("car", positioning=Positioning(heading=heading, outlier_probability=0.1), pose_source="positioning")
+        return values(run(KinematicPhysics(world=World(), vehicles=[car]), TURNS, 5.0), "car/fix")
+
+    with_it, without = fixes(heading=True), fixes(heading=False)
+    assert [each.position for each in with_it] == [each.position for each in without]
+    assert {(each.yaw, each.sigma_rad) for each in without} == {(None, 0.0)}
+    assert all(each.yaw is not None for each in with_it)
+
+
+def test_a_fix_that_is_exact_can_be_fused() -> None:
+    car = spec("car", fusion=Fusion(), pose_source="fusion", positioning=Positioning(sigma_m=0.0))
+    events = run(KinematicPhysics(world=World(), vehicles=[car]), TURNS, 8.0)
+    states, believed = values(events, "world/states")[-1], values(events, "car/estimate")[-1]
+    assert believed.position == pytest.approx(tuple(states.position[0]), abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: spec("car", fusion=Fusion(), pose_source="fusion"), '"positioning" to be fitted'),
+        (lambda: fused(Fusion(), model=Quadrotor()), "needs wheels"),
+    ],
+)
+def test_vehicles_that_cannot_fuse_are_refused(make: Callable[[], VehicleSpec], words: str) -> None:
+    with pytest.raises(ScenarioError, match=words) as raised:
+        make()
+    assert raised.value.key == "pose_source"
+
+
+def test_a_simulated_vehicle_needs_an_estimator_and_one_moved_from_outside_does_not() -> None:
+    vehicles = [fused(None)]
+    with pytest.raises(ScenarioError, match="needs an estimator") as raised:
+        run(KinematicPhysics(world=World(), vehicles=vehicles))
+    assert raised.value.key == "vehicle.car.pose_source"
+    outside = Courses(car=straight(0.0))
+    keys = {event.key for event in run(KinematicPhysics(world=World(), vehicles=vehicles, outside=outside))}
+    assert keys == {"world/states"}
+
+
+def test_outliers_do_not_carry_it_away() -> None:
+    sensor = Positioning(rate_hz=5.0, outlier_probability=0.1, outlier_m=3.0, heading=False)
+    far = []
+    for source in ("fusion", "positioning"):
+        car = spec("car", fusion=Fusion() if source == "fusion" else None, pose_source=source, positioning=sensor)
+        events: list[Event] = run(KinematicPhysics(world=World(), vehicles=[car]), TURNS, 14.0, seed=3)
+        pairs = zip(values(events, "world/states")[60:], values(events, "car/estimate")[60:], strict=True)
+        far.append(max(math.dist(states.position[0], believed.position) for states, believed in pairs))
+    assert far[0] < 0.3
+    assert far[1] > 2.0

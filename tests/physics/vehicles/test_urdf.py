@@ -1,0 +1,233 @@
+"""Vehicles of one's own from URDF: they drive as their parameters say, and what is missing in a file is named."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.physics.dynamics.bullet import p
+from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
+from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
+from vcmvsp.physics.vehicles.models import Vehicle, VehicleSpec
+from vcmvsp.physics.world.world import World
+
+# A robot of a user's own, in less than 30 lines.
+ROBOT = """\
+<robot name="cart">
+  <link name="base">
+    <inertial><origin xyz="-0.05 0 0.12"/><mass value="6"/><inertia ixx="0.06" iyy="0.08" izz="0.1"/></inertial>
+    <collision><origin xyz="-0.05 0 0.15"/><geometry><box size="0.4 0.3 0.16"/></geometry></collision>
+    <collision><origin xyz="-0.2 0 0.03"/><geometry><sphere radius="0.03"/></geometry></collision>
+  </link>
+  <link name="left"><inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="2e-3" izz="1e-3"/></inertial>
+    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <link name="right"><inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="2e-3" izz="1e-3"/></inertial>
+    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <joint name="left_wheel" type="continuous"><parent link="base"/><child link="left"/>
+    <origin xyz="0.05 0.2 0.1"/><axis xyz="0 1 0"/></joint>
+  <joint name="right_wheel" type="continuous"><parent link="base"/><child link="right"/>
+    <origin xyz="0.05 -0.2 0.1"/><axis xyz="0 -1 0"/></joint>
+</robot>
+"""
+SCENARIO = """
+kind = "urdf"
+file = "cart.urdf"
+left_wheel = "left_wheel"
+right_wheel = "right_wheel"
+max_speed = 1.2
+accel = 0.8
+"""
+
+LINK = '<link name="{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
+JOINT = '<joint name="{1}" type="fixed"><parent link="{0}"/><child link="{1}"/></joint>'
+STRAYS = LINK.format("x") + LINK.format("y") + JOINT.format("x", "y") + JOINT.format("y", "x")
+SECOND = JOINT.format("right", "left")
+
+FRAME = """\
+<robot name="frame">
+  <link name="body"><inertial><mass value="0.4"/><inertia ixx="1e-3" iyy="1e-3" izz="2e-3"/></inertial></link>
+  <link name="front"><inertial><mass value="0.2"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4"/></inertial></link>
+  <link name="back"><inertial><origin xyz="0 0.2 0"/><mass value="0.2"/>
+    <inertia ixx="1e-4" iyy="1e-4" izz="1e-4"/></inertial></link>
+  <joint name="a" type="fixed"><parent link="body"/><child link="front"/><origin xyz="0.2 0 0"/></joint>
+  <joint name="b" type="fixed"><parent link="body"/><child link="back"/><origin rpy="0 0 1.57079632679"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def cart(tmp_path: Path) -> UrdfDrive:
+    (tmp_path / "cart.urdf").write_text(ROBOT)
+    keys = tomllib.loads(SCENARIO)
+    keys = {**keys, "file": str(tmp_path / keys["file"])}
+    del keys["kind"]
+    return binding.call(UrdfDrive, keys)
+
+
+def engine(model: Vehicle, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> BulletEngine:
+    return BulletEngine(
+        world=World(), models=[model], positions=[(x, y, 0.0)], headings=[heading], rate_hz=120.0, iterations=50, gravity=9.81
+    )
+
+
+def test_the_example_is_short() -> None:
+    assert len((ROBOT + SCENARIO).strip().splitlines()) <= 30
+
+
+def test_the_file_says_where_the_wheels_are(cart: UrdfDrive) -> None:
+    assert cart.wheel_radius_m == pytest.approx(0.1)
+    assert cart.track_m == pytest.approx(0.4)
+    assert cart.plan.axle == pytest.approx((0.05, 0.0, 0.0))
+    assert cart.plan.signs == (1.0, -1.0)
+
+
+def test_it_stands_where_it_was_put_with_the_inertia_of_the_file(cart: UrdfDrive) -> None:
+    moved = engine(cart, 1.0, 2.0, 0.7)
+    assert moved.read().position[0] == pytest.approx((1.0, 2.0, 0.0), abs=1e-9)
+    assert moved.read().attitude[0] == pytest.approx((math.cos(0.35), 0.0, 0.0, math.sin(0.35)))
+    body = moved._robots.bodies[0]
+    base, left = (p.getDynamicsInfo(body, link, moved._client) for link in (-1, 0))
+    assert (base[0], left[0]) == (6.0, 0.5)
+    assert base[2] == pytest.approx((0.06, 0.08, 0.1))
+    moved.advance(2 * SECOND_NS)
+    assert moved.read().position[0] == pytest.approx((1.0, 2.0, 0.0), abs=3e-3)
+    assert sum(contact[9] for contact in p.getContactPoints(bodyA=body, physicsClientId=moved._client)) == pytest.approx(
+        7.0 * 9.81, rel=0.01
+    )
+    moved.close()
+
+
+def test_it_drives_as_commanded(cart: UrdfDrive) -> None:
+    moved = engine(cart)
+    moved.command(0, (0.5, 0.0, 0.0), 0.4)
+    moved.advance(4 * SECOND_NS)
+    steady = moved.read()
+    assert np.hypot(*steady.velocity[0, :2]) == pytest.approx(0.5, rel=0.01)
+    assert steady.angular_velocity[0, 2] == pytest.approx(0.4, rel=0.01)
+    assert steady.odometry[0, 3:] == pytest.approx((0.5, 0.4), rel=0.01)
+    assert steady.odometry[0, :2] == pytest.approx(steady.position[0, :2], abs=0.02)
+    assert (np.diff(steady.wheels[0]) > 0.0).all()  # the right wheel has turned further, and both forward
+    assert (steady.wheels > 0.0).all()
+    moved.close()
+
+
+def test_firmware_limits_are_kept(cart: UrdfDrive) -> None:
+    moved = engine(cart)
+    moved.command(0, (9.0, 0.0, 0.0), 0.0)
+    moved.advance(SECOND_NS)
+    assert moved.read().velocity[0, 0] == pytest.approx(0.8, rel=0.05)  # accel
+    moved.advance(4 * SECOND_NS)
+    assert moved.read().velocity[0, 0] == pytest.approx(1.2, rel=0.01)
+    moved.close()
+
+
+@pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
+def test_it_is_a_vehicle_of_both_kinds_of_physics(kind: Any, cart: UrdfDrive) -> None:
+    physics = kind(world=World(), vehicles=[VehicleSpec(name="cart", model=cart)])
+    physics.start(
+        RunInfo(scenario="t", seed=0, duration_ns=3 * SECOND_NS, vehicles=("cart",), instants=(Instants(Ticks.every(0.1)),))
+    )
+    step = physics.step(3 * SECOND_NS, [Event("cart/command", 0, Velocity(linear=(0.5, 0.0, 0.0)))])
+    at: dict[str, Any] = {event.key: event.value for event in step.events}
+    assert 1.2 < at["cart/odometry"].pose[0] < 1.51
+    physics.close()
+
+
+def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> None:
+    file = tmp_path / "frame.urdf"
+    file.write_text(FRAME)
+    model = UrdfQuadrotor(file=str(file), max_rotor_speed=900.0)
+    assert model.mass_kg == pytest.approx(0.8)
+    # Two of 0.2 kg at (+-0.2, 0): front by its joint, back by its inertial origin, turned by a right angle.
+    assert model.inertia == pytest.approx((1.2e-3, 1.2e-3 + 0.016, 2.2e-3 + 0.016))
+    moved = engine(model)
+    assert isinstance(moved.read().position, np.ndarray)
+    moved.close()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words", "key"),
+    [
+        ('<inertia ixx="1e-3" iyy="2e-3" izz="1e-3"/>', "", "link 'left' .* no <inertia>", "file"),
+        ('<mass value="0.5"/>', "", "link 'left' .* no <mass>", "file"),
+        ('<mass value="0.5"/>', '<mass value="0"/>', "mass and inertia of the link 'left'", "file"),
+        ('izz="0.1"', "", "link 'base' needs finite ixx", "file"),
+        ('izz="0.1"', 'izz="much"', "a number cannot be read", "file"),
+        ('izz="0.1"', 'izz="0.1" ixy="0.01"', "root link 'base'", "file"),
+        ('name="left_wheel"', 'name="wheel"', "no joint 'left_wheel'; there are: wheel, right_wheel", "left_wheel"),
+        ('type="continuous"', 'type="fixed"', "'left_wheel' .* is fixed", "left_wheel"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>', "axis of 'left_wheel'", "left_wheel"),
+        ("0.05 0.2 0.1", "0.05 -0.3 0.1", "not to the left", "left_wheel"),
+        ('<child link="left"/>', '<child link="lost"/>', "'lost', which is no link", "file"),
+        ("</robot>", "", "is no XML", "file"),
+        ("robot", "model", "is no URDF", "file"),
+        ('<sphere radius="0.1"/>', '<box size="1 1 1"/>', "needs a sphere or cylinder", "left_wheel"),
+        ('<sphere radius="0.1"/>', "<sphere/>", "sphere of the link 'left' .* needs a positive radius", "left_wheel"),
+        ('radius="0.1"', 'radius="big"', "sphere of the link 'left' .* radius, not 'big'", "left_wheel"),
+        ('radius="0.1"', 'radius="0.08"', r"same radius, not 0\.08 m and 0\.1 m", "right_wheel"),
+        ('0.05 0.2 0.1"', '0.05 0.2 0.1" rpy="0 0"', "a number cannot be read: '0 0' should be three", "file"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 one 0"/>', "a number cannot be read", "file"),
+        ("</robot>", STRAYS + "</robot>", "joints of cart.urdf run in a circle: 'x'", "file"),
+        ("</robot>", SECOND + "</robot>", "'left' of cart.urdf is the child of two joints", "file"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_named(old: str, new: str, words: str, key: str, tmp_path: Path) -> None:
+    file = tmp_path / "cart.urdf"
+    assert old in ROBOT
+    file.write_text(ROBOT.replace(old, new, 2 if old == "robot" else 1))
+    with pytest.raises(ScenarioError, match=words) as raised:
+        UrdfDrive(file=str(file), left_wheel="left_wheel", right_wheel="right_wheel")
+    assert raised.value.key == key
+
+
+@pytest.mark.parametrize("limits", ['lower="-1.5" ', 'upper="1.5" ', ""])
+def test_a_wheel_may_be_revolute_but_for_its_limits(limits: str, tmp_path: Path) -> None:
+    file = tmp_path / "cart.urdf"
+    limit = f'<limit {limits}effort="10" velocity="10"/></joint>'
+    file.write_text(ROBOT.replace("continuous", "revolute").replace("</joint>", limit))
+    keys: Any = {"file": str(file), "left_wheel": "left_wheel", "right_wheel": "right_wheel"}
+    if limits:
+        with pytest.raises(ScenarioError, match=r"'left_wheel' .* has limits.*: make it continuous") as raised:
+            UrdfDrive(**keys)
+        assert raised.value.key == "left_wheel"
+        return
+    moved = engine(UrdfDrive(**keys))
+    moved.command(0, (0.5, 0.0, 0.0), 0.0)
+    moved.advance(6 * SECOND_NS)
+    assert moved.read().wheels[0] == pytest.approx(2.75 / 0.1, rel=0.02)  # on and on
+    moved.close()
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"none\.urdf cannot be read") as raised:
+        UrdfQuadrotor(file=str(tmp_path / "none.urdf"))
+    assert raised.value.key == "file"
+
+
+def test_contacts_of_any_of_its_links_but_wheels_with_the_floor_are_named(cart: UrdfDrive) -> None:
+    moved = BulletEngine(
+        world=World(solids=(Box(center=(1.0, 0.0, 0.5), size=(0.2, 2.0, 1.0)),)),
+        models=[cart],
+        positions=[(0.0, 0.0, 0.0)],
+        headings=[0.0],
+        rate_hz=120.0,
+        iterations=50,
+        gravity=9.81,
+    )
+    moved.advance(SECOND_NS)
+    assert moved.touching(passing=True) == []
+    moved.command(0, (0.4, 0.0, 0.0), 0.0)
+    moved.advance(5 * SECOND_NS)
+    assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
+    assert moved.read().position[0, 0] - 0.05 - 0.05 + 0.2 == pytest.approx(0.9, abs=0.02)  # the box of the base at the wall
+    moved.close()

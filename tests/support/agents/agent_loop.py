@@ -1,0 +1,149 @@
+"""Vehicles and a radio without the platform: as little as it takes to close the loop around an algorithm."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vcmvsp.agents.formation import LeaderFollower
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.frames import arc, quaternion_from_yaw
+from vcmvsp.cosim.types import Follows, Message, Reception, VehicleState, Velocity
+
+Floats = NDArray[np.float64]
+Pose = tuple[float, float, float]
+Lost = Callable[[int, int], bool]  # (tick, follower) -> whether the report of that tick is lost on the way to that follower
+
+
+@dataclass
+class Vehicle:
+    """A unicycle; its speeds follow the command at once (``tau`` 0) or as a first-order servo."""
+
+    pose: Pose
+    v: float = 0.0
+    w: float = 0.0
+    tau_v: float = 0.0
+    tau_w: float = 0.0
+
+    def move(self, command: Velocity, dt: float) -> None:
+        v, w = command.linear[0], command.yaw_rate
+        if self.tau_v == 0.0:
+            self.v, self.w = v, w
+            self.pose = arc(self.pose, v, w, dt)
+            return
+        steps = 20
+        h = dt / steps
+        decay_v, decay_w = math.exp(-h / self.tau_v), math.exp(-h / self.tau_w)
+        for _ in range(steps):  # speeds exactly; the pose by the arc of the mean speeds of each step
+            mean_v = v + (self.v - v) * self.tau_v / h * (1.0 - decay_v)
+            mean_w = w + (self.w - w) * self.tau_w / h * (1.0 - decay_w)
+            self.pose = arc(self.pose, mean_v, mean_w, h)
+            self.v, self.w = v + (self.v - v) * decay_v, w + (self.w - w) * decay_w
+
+
+def observe(pose: Pose, time_ns: int, heard: Sequence[Reception] = (), *, v: float = 0.0, w: float = 0.0) -> Observation:
+    """What a vehicle knows that sees itself as it is."""
+    x, y, yaw = pose
+    state = VehicleState(
+        position=(x, y, 0.0),
+        velocity=(v * math.cos(yaw), v * math.sin(yaw), 0.0),
+        attitude=quaternion_from_yaw(yaw),
+        angular_velocity=(0.0, 0.0, w),
+    )
+    return Observation(vehicle="me", time_ns=time_ns, state=state, readings={}, heard=tuple(heard))
+
+
+def received(message: Message) -> Reception:
+    """The message as heard; algorithms here look at nothing but its content."""
+    return Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=1)
+
+
+def formation_error(leader: Floats, follower: Floats, follows: Follows) -> Floats:
+    """z (..., 2) in m: the follower's handle short of its point, in the follower's frame; poses (..., 3) are true ones."""
+    (slot_x, slot_y), ell = follows.slot, follows.handle_m
+    lead, own = np.exp(1j * leader[..., 2]), np.exp(1j * follower[..., 2])
+    point = leader[..., 0] + 1j * leader[..., 1] + lead * (slot_x + ell + 1j * slot_y)
+    handle = follower[..., 0] + 1j * follower[..., 1] + own * ell
+    z = (point - handle) / own
+    return np.stack([z.real, z.imag], axis=-1)
+
+
+@dataclass
+class Drive:
+    """What happened, at every tick before its command."""
+
+    leader: Floats  # (ticks, 3)
+    followers: Floats  # (ticks, n, 3)
+    commands: Floats  # (ticks, n, 2), v and w
+    z: Floats  # (ticks, n, 2)
+    reports: list[int]  # how many the leader sent, by tick
+
+    @property
+    def error(self) -> Floats:
+        """|z| (ticks, n) in m."""
+        return np.hypot(self.z[..., 0], self.z[..., 1])
+
+
+def drive(
+    leader: Agent,
+    followers: Sequence[LeaderFollower],
+    *,
+    poses: Sequence[Pose] | None = None,
+    duration_s: float,
+    period_s: float = 0.1,
+    delay_ticks: int = 0,
+    lost: Lost = lambda tick, follower: False,
+    lost_back: Lost = lambda tick, follower: False,
+    tau: tuple[float, float] = (0.0, 0.0),
+    rolling: float = 0.0,
+) -> Drive:
+    """Close the loop: the leader starts at the origin, each follower in its slot behind it unless ``poses`` say otherwise.
+
+    The leader is called ``leader``, the followers ``f0``, ``f1``, ...; one that follows another comes after it.
+    Reports arrive ``delay_ticks`` after they were sent; with 0, in the very tick. What followers send to the leader arrives a
+    tick later than that, unless it is ``lost_back``. ``rolling`` is the followers' first speed.
+    """
+    starts = [(*each.follows.slot, 0.0) for each in followers if each.follows] if poses is None else poses
+    names = [f"f{i}" for i in range(len(followers))]
+    everybody = ("leader", *names)
+    for name, agent in zip(everybody, (leader, *followers), strict=True):
+        agent.start(VehicleInfo(name=name, vehicles=everybody, period_s=period_s, latency_s=0.0, seed=1))
+    front = Vehicle((0.0, 0.0, 0.0))
+    cars = [Vehicle(pose, rolling, 0.0, *tau) for pose in starts]
+    lead_radio, radios = Radio("leader", everybody), [Radio(name, everybody) for name in names]
+    on_air: list[list[Reception]] = []  # by the tick of sending
+    back: list[list[Reception]] = []  # to the leader alone
+    reports: list[int] = []
+    log: list[tuple[Pose, list[Pose], list[tuple[float, float]]]] = []
+    for tick in range(round(duration_s / period_s) + 1):
+        now_ns = round(tick * period_s * 1e9)
+        answers = back[tick - 1 - delay_ticks] if tick > delay_ticks else ()
+        lead_command = leader.act(observe(front.pose, now_ns, answers), lead_radio)
+        assert isinstance(lead_command, Velocity)
+        on_air.append([received(message) for message in lead_radio.drain()])
+        back.append([])
+        reports.append(len(on_air[tick]))
+        sent = tick - delay_ticks
+        orders = []
+        for i, (agent, car, radio) in enumerate(zip(followers, cars, radios, strict=True)):
+            heard = () if sent < 0 or lost(sent, i) else on_air[sent]
+            orders.append(agent.act(observe(car.pose, now_ns, heard, v=car.v, w=car.w), radio))
+            for message in radio.drain():
+                if message.to is None:
+                    on_air[tick].append(received(message))
+                elif message.to == "leader" and not lost_back(tick, i):
+                    back[tick].append(received(message))
+        log.append((front.pose, [car.pose for car in cars], [(each.linear[0], each.yaw_rate) for each in orders]))
+        front.move(lead_command, period_s)
+        for car, order in zip(cars, orders, strict=True):
+            car.move(order, period_s)
+    lead, own, commands = (np.array(column) for column in zip(*log, strict=True))
+    paths = {"leader": lead, **{name: own[:, i] for i, name in enumerate(names)}}
+    z = [
+        formation_error(paths[str(each.leader)], paths[name], each.follows)
+        for name, each in zip(names, followers, strict=True)
+        if each.follows
+    ]
+    return Drive(lead, own, commands, np.stack(z, axis=1), reports)

@@ -1,0 +1,77 @@
+"""Stand-ins for cameras: one that recognises all it shows, exactly; and a loop around an agent that looks through it."""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from vcmvsp.agents.reconnaissance.roster import Roster
+from vcmvsp.agents.reconnaissance.ground_point import nadir_of
+from vcmvsp.agents.reconnaissance.track import Track
+from vcmvsp.agents.reconnaissance.watch import Around, Frame, Watching
+from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
+from vcmvsp.cosim.types import Image, Sighting, Waypoint
+from tests.support.agents.aerial_loop import BODY, T, Uav
+
+T_NS = round(T * 1e9)
+
+Point = tuple[float, float]
+Targets = Callable[[float], Mapping[str, Point]]
+BLACK = Image(pixels=np.zeros((480, 640, 3), np.uint8), focal_px=400.0)
+
+
+def at_rest(**places: tuple[float, float]) -> Targets:
+    """Targets that do not move."""
+    return lambda time_s: places
+
+
+class Eye:
+    """In place of a `Watch`: a picture every so many ticks; all targets that are in it are recognised."""
+
+    region: Around | None = None
+
+    def __init__(self, targets: Targets, names: tuple[str, ...] = ("alpha", "bravo"), every: int = 1) -> None:
+        self.targets, self.names, self._every_ns = targets, names, every * T_NS
+        self.settings = Watching(targets=(), camera="eye")
+        self.regions: list[Around | None] = []
+        self._last: tuple[int, Frame | None] = -1, None
+
+    def look(self, obs: Observation) -> Frame | None:
+        if obs.time_ns != self._last[0]:
+            self._last = obs.time_ns, self._frame(obs) if obs.time_ns % self._every_ns == 0 else None
+        return self._last[1]
+
+    def _frame(self, obs: Observation) -> Frame:
+        self.regions.append(self.region)
+        image = Image(pixels=BLACK.pixels, time_ns=obs.time_ns, focal_px=BLACK.focal_px)
+        nadir = nadir_of(image, obs.state)
+        found = []
+        for name, place in self.targets(obs.time_s).items():
+            pixel = nadir.pixel(place)
+            if pixel is None or not (0 <= pixel[0] < 640 and 0 <= pixel[1] < 480):
+                continue
+            if self.region is not None and math.dist(place, self.region.place) > self.region.reach_m:
+                continue
+            seen = nadir.ground_point(pixel)
+            assert seen is not None
+            found.append(Sighting(target=name, place=seen, centre_px=pixel, angle=0.0, side_px=20.0, score=0.9))
+        return Frame(obs.time_ns, nadir, tuple(found), image, (0, 0, 640, 480), self.region is None)
+
+
+def started(track: Track, eye: Eye, members: tuple[str, ...] = ("me", "other"), *, alone: bool = True) -> Track:
+    """The agent with that eye, told that it is ``me``."""
+    track.watch = eye  # type: ignore[assignment]
+    track.roster = None if alone else Roster("me", members)
+    track.start(VehicleInfo(name="me", vehicles=members, period_s=T, latency_s=0.0, seed=1, body=BODY))
+    return track
+
+
+def keep_over(track: Track, uav: Uav, ticks: int, *, from_tick: int = 0) -> list[Uav]:
+    """Where the vehicle was at every tick; one that is to hover stands still."""
+    radio, was = Radio("me", ("me", "other")), []
+    for tick in range(from_tick, from_tick + ticks):
+        was.append(Uav(uav.position, uav.yaw))
+        command = track.act(uav.see(tick * T_NS), radio)
+        if not isinstance(command, Waypoint):
+            uav.move(command)
+    return was

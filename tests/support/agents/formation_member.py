@@ -1,0 +1,37 @@
+"""A member of a team without the platform: what it hears is said by the test, what it does and sends is looked at."""
+
+from typing import Any
+
+from vcmvsp.agents.formation import LeaderFollower
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.cosim.agent import Radio, VehicleInfo
+from vcmvsp.cosim.types import Message, Reception, Velocity
+from tests.support.agents.agent_loop import observe, received
+
+CARS = ("car1", "car2", "car3", "car4")
+TICK_NS = 100_000_000
+COLUMN = {"shape": "column", "topology": "chain", "spacing": 0.8}
+
+
+def member(name: str, formation: dict[str, Any] | None = None, **params: Any) -> LeaderFollower:
+    follower = LeaderFollower(formation=Formation(**(formation or COLUMN)), **params)
+    follower.start(VehicleInfo(name=name, vehicles=CARS, period_s=0.1, latency_s=0.0, seed=1))
+    return follower
+
+
+class Seat:
+    """A member, its radio, and its ticks."""
+
+    def __init__(self, name: str, formation: dict[str, Any] | None = None, **params: Any) -> None:
+        self.follower, self.radio, self.tick = member(name, formation, **params), Radio(name, CARS), -1
+
+    def act(self, *heard: Reception, v: float = 0.0, x: float = -1.0) -> tuple[Velocity, dict[str, Any], list[Message]]:
+        """The next tick: command, notes, and what is sent."""
+        self.tick += 1
+        command = self.follower.act(observe((x, 0.0, 0.0), self.tick * TICK_NS, heard, v=v), self.radio)
+        return command, self.follower.drain_notes(), self.radio.drain()
+
+
+def says(sender: str, tick: int, v: float = 0.3, **more: Any) -> Reception:
+    body = {"seq": tick, "t_ns": tick * TICK_NS, "x": 0.03 * tick, "y": 0.0, "th": 0.0, "v": v, "w": 0.0, **more}
+    return received(Message(sender=sender, body=body, size_bytes=76))

@@ -1,0 +1,208 @@
+"""Vehicles among boxes, without the platform: exact ranges, and as little motion as a method of avoidance needs."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.agents.avoidance import view_of
+from vcmvsp.agents.avoidance.method import Decision, Method, Task
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.agents.avoidance.view import View
+from vcmvsp.cosim.agent import Body, Observation, VehicleInfo
+from vcmvsp.cosim.frames import arc, quaternion_from_yaw, rotate2, wrap
+from vcmvsp.cosim.types import Array, Scan, VehicleState
+
+Point = tuple[float, float]
+Pose = tuple[float, float, float]
+Box = tuple[Point, Point]  # lower and upper corner, m
+
+PILLAR: Box = ((-0.25, -0.25), (0.25, 0.25))
+PERIOD_S = 0.1
+
+
+def look(pose: Pose, boxes: Sequence[Box], *, beams: int = 32, fov: float = math.tau, range_m: float = 6.0) -> View:
+    """What a scanner without noise sees there; with a full turn beam 0 points ahead, else they go from right to left."""
+    whole = fov >= math.tau
+    first, step = (0.0, math.tau / beams) if whole else (-fov / 2, fov / (beams - 1))
+    angles = pose[2] + first + step * np.arange(beams)
+    view = view_of(Scan(ranges=cast(pose[:2], angles, boxes, range_m), angle_min=first, angle_step=step, range_max=range_m))
+    assert view is not None
+    return view
+
+
+def cast(origin: Point, angles: Array, boxes: Sequence[Box], range_m: float) -> Array:
+    """Exact ranges from outside the boxes (a ray is in a box while it is between both pairs of its sides); inf beyond."""
+    rays = np.column_stack([np.cos(angles), np.sin(angles)])
+    found = np.full(len(angles), math.inf)
+    for box in boxes:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sides = (np.array(box)[:, None, :] - origin) / rays
+        enters, leaves = np.fmin(*sides).max(axis=1), np.fmax(*sides).min(axis=1)
+        found = np.where((enters <= leaves) & (enters >= 0.0), np.minimum(found, enters), found)
+    return np.where(found <= range_m, found, math.inf)
+
+
+def clearance(place: Point, boxes: Sequence[Box]) -> float:
+    """Distance to the nearest box, m; 0 inside."""
+    x, y = place
+    return min(math.hypot(max(lo[0] - x, 0, x - hi[0]), max(lo[1] - y, 0, y - hi[1])) for lo, hi in boxes)
+
+
+@dataclass(frozen=True)
+class Way:
+    """What became of a vehicle."""
+
+    poses: list[Pose]
+    decisions: list[Decision]
+    clearance: float  # m, the least at any tick
+
+    @property
+    def end(self) -> Pose:
+        return self.poses[-1]
+
+    @property
+    def seconds(self) -> float:
+        return PERIOD_S * len(self.decisions)
+
+
+def fly(
+    method: Method,
+    start: Point,
+    task: Callable[[Point], Task],
+    until: Callable[[Point], bool],
+    *,
+    boxes: Sequence[Box] = (PILLAR,),
+    beams: int = 32,
+    yaw: float = 0.0,
+    lag_s: float = 0.0,
+    fine: bool = True,
+    seconds: float = 60.0,
+) -> Way:
+    """A vehicle of constant yaw, whose task is told in the world frame.
+
+    Its velocity is the commanded one, or goes there as exp(-t/lag): exactly (``fine``), or in steps of a period at whose
+    beginning the velocity already is what it should be at their end. With a lag it starts at the speed of its task.
+    """
+    place, velocity = start, task(start).velocity
+    poses: list[Pose] = [(*start, yaw)]
+    decisions: list[Decision] = []
+    nearest = clearance(start, boxes)
+    steps = 20 if fine and lag_s else 1
+    h = PERIOD_S / steps
+    decay = math.exp(-h / lag_s) if lag_s else 0.0
+    mean = (1.0 - decay) * lag_s / h if steps > 1 else decay
+    while len(decisions) < seconds / PERIOD_S and not until(place):
+        wish = task(place)
+        now = (decisions[-1].velocity[0], decisions[-1].yaw_rate) if decisions else (0.0, 0.0)
+        asked = wish._replace(velocity=rotate2(*wish.velocity, -yaw), now=now)
+        decision = method.decide(look((*place, yaw), boxes, beams=beams), asked)
+        ux, uy = rotate2(*decision.velocity, yaw)
+        for _ in range(steps):
+            vx, vy = velocity[0] - ux, velocity[1] - uy  # what is left of the velocity before
+            velocity = ux + vx * decay, uy + vy * decay
+            place = place[0] + (ux + vx * mean) * h, place[1] + (uy + vy * mean) * h
+            nearest = min(nearest, clearance(place, boxes))
+        poses.append((*place, yaw))
+        decisions.append(decision)
+    return Way(poses, decisions, nearest)
+
+
+def drive(
+    method: Method,
+    start: Pose,
+    task: Callable[[Pose], Task],
+    until: Callable[[Pose], bool],
+    *,
+    boxes: Sequence[Box] = (PILLAR,),
+    beams: int = 32,
+    fov: float = math.tau,
+    seconds: float = 60.0,
+) -> Way:
+    """A robot on wheels whose speeds are the commanded ones; its task is told in its own frame."""
+    pose = start
+    poses = [start]
+    decisions: list[Decision] = []
+    nearest = clearance(start[:2], boxes)
+    while len(decisions) < seconds / PERIOD_S and not until(pose):
+        now = (decisions[-1].velocity[0], decisions[-1].yaw_rate) if decisions else (0.0, 0.0)
+        decision = method.decide(look(pose, boxes, beams=beams, fov=fov), task(pose)._replace(now=now))
+        assert decision.velocity[1] == 0.0
+        pose = arc(pose, decision.velocity[0], decision.yaw_rate, PERIOD_S)
+        nearest = min(nearest, clearance(pose[:2], boxes))
+        poses.append(pose)
+        decisions.append(decision)
+    return Way(poses, decisions, nearest)
+
+
+# Through the whole of the avoidance
+
+WHEELS, WINGS = Body(width_m=0.33, radius_m=0.18), Body(width_m=0.5, radius_m=0.25, flies=True)
+
+
+def steering(settings: Settings, body: Body = WHEELS) -> Steering:
+    """Of one vehicle, before its first tick."""
+    made = Steering(settings)
+    made.start(VehicleInfo(name="a", vehicles=("a",), period_s=PERIOD_S, latency_s=0.0, seed=1, body=body, sensors=("scan",)))
+    return made
+
+
+def seen_from(pose: Pose, scan: Scan | None, tick: int, speed: float = 0.0) -> Observation:
+    """What a vehicle is told there that moves along its heading."""
+    x, y, yaw = pose
+    state = VehicleState(
+        position=(x, y, 0.0), attitude=quaternion_from_yaw(wrap(yaw)), velocity=(*rotate2(speed, 0.0, yaw), 0.0)
+    )
+    return Observation(
+        vehicle="a", time_ns=tick * 10**8, state=state, readings={} if scan is None else {"scan": scan}, heard=()
+    )
+
+
+def sweep(
+    pose: Pose, boxes: Sequence[Box], tick: int = 0, *, beams: int = 181, fov: float = math.pi, first: float | None = None
+) -> Scan:
+    """A scan from there, whose first beam points to ``first``, rad; default: straight behind, or as far right as it looks."""
+    step = fov / (beams if fov == math.tau else beams - 1)
+    first = -0.5 * fov if first is None else first
+    ranges = cast(pose[:2], pose[2] + first + step * np.arange(beams), boxes, 20.0)
+    return Scan(ranges=ranges, angle_min=first, angle_step=step, range_max=20.0, time_ns=tick * 10**8)
+
+
+def steered(
+    settings: Settings,
+    boxes: Sequence[Box],
+    goal: Point,
+    *,
+    start: Pose = (0.0, 0.0, 0.0),
+    every: int = 1,
+    speed: float = 0.3,
+    seconds: float = 60.0,
+    **scanner: Any,
+) -> tuple[Way, bool]:
+    """A robot on its way to a goal, whose scanner looks at every so many ticks; and whether it gets there.
+
+    Its task heads for the goal, on the spot where that lies aside by more than 0.8 rad.
+    """
+    made, pose, way, nearest = steering(settings), start, [start], clearance(start[:2], boxes)
+    decisions: list[Decision] = []
+    while len(decisions) < seconds / PERIOD_S and math.dist(pose[:2], goal) > 0.15:
+        tick = len(decisions)
+        if tick % every == 0:
+            scan = sweep(pose, boxes, tick, **scanner)
+        aside = wrap(math.atan2(goal[1] - pose[1], goal[0] - pose[0]) - pose[2])
+        wish = (0.0 if abs(aside) > 0.8 else speed, max(-0.8, min(1.5 * aside, 0.8)))
+        now = decisions[-1].velocity[0] if decisions else 0.0
+        decisions.append(made.drive(seen_from(pose, scan, tick, now), wish, goal))
+        pose = arc(pose, decisions[-1].velocity[0], decisions[-1].yaw_rate, PERIOD_S)
+        way.append(pose)
+        nearest = min(nearest, clearance(pose[:2], boxes))
+    return Way(way, decisions, nearest), math.dist(pose[:2], goal) <= 0.15
+
+
+def scattered(rng: np.random.Generator) -> list[Box]:
+    """Four boxes of half a metre between the origin and (6, 0)."""
+    places = [(rng.uniform(1.2, 4.5), rng.uniform(-1.5, 1.5)) for _ in range(4)]
+    return [((x - 0.25, y - 0.25), (x + 0.25, y + 0.25)) for x, y in places]

@@ -1,0 +1,91 @@
+"""A team of three before a passage, without the platform: the test says what each of them sees and hears."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from vcmvsp.agents.formation import Trajectory
+from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.team.passage import Lookout
+from vcmvsp.agents.formation.reports.prediction import DeadReckoning
+from vcmvsp.agents.formation.team.team import Team
+from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.types import Readings, Reception, Scan, Velocity
+from tests.support.agents.agent_loop import observe
+from tests.support.agents.formation_member import TICK_NS, says
+
+CARS = ("car1", "car2", "car3")
+AMIGO = Body(width_m=0.28, radius_m=0.22)
+BEAMS = 181  # a degree apart, from right to left
+SIDE = 0.5 + 0.14 + 0.1  # of the wedge of three, spacing 1 m: slots, half a body, margin
+
+
+def info(name: str = "car1", **more: Any) -> VehicleInfo:
+    known: dict[str, Any] = {"vehicles": CARS, "body": AMIGO, **more}
+    return VehicleInfo(name=name, period_s=0.1, latency_s=0.0, seed=1, **known)
+
+
+def formation(**passage: Any) -> Formation:
+    return Formation(spacing=1.0, passage=Passage(**{"spacing": 0.8, **passage}))
+
+
+def lookout(name: str = "car1", given: Formation | None = None) -> Lookout:
+    of = given or formation()
+    assert of.passage is not None
+    return Lookout(of.passage, Team(of, CARS, name), info(name))
+
+
+def scan(*points: tuple[float, float], time_ns: int = 0) -> Scan:
+    """A return on the beams that are nearest to these points, x and y, m; nothing else."""
+    ranges = np.full(BEAMS, np.inf, np.float32)
+    for x, y in points:
+        ranges[90 + round(math.degrees(math.atan2(y, x)))] = math.hypot(x, y)
+    return Scan(ranges=ranges, angle_min=-0.5 * math.pi, angle_step=math.pi / (BEAMS - 1), range_max=20.0, time_ns=time_ns)
+
+
+def sees(reading: Any, tick: int = 0, *heard: Reception) -> Observation:
+    seen = observe((0.03 * tick, 0.0, 0.0), tick * TICK_NS, heard, v=0.3)
+    return msgspec.structs.replace(seen, readings=Readings({} if reading is None else {"scan": reading}))
+
+
+def free(
+    reading: Any, *, ahead_m: float = 2.0, heard: Listening | None = None, tick: int = 0, of: Lookout | None = None
+) -> bool:
+    return (of or lookout()).is_free(sees(reading, tick), heard or Listening((), 0.0), DeadReckoning(), ahead_m)
+
+
+def heard_of(*receptions: Reception) -> Listening:
+    """What the leader, at the origin, has heard."""
+    listening = Listening(CARS, 0.0)
+    listening.take(sees(None, 1000, *receptions))
+    return listening
+
+
+def at(sender: str, x: float, y: float, tick: int = 0, **more: Any) -> Reception:
+    return says(sender, tick, v=0.0, **{"x": x, "y": y, **more})
+
+
+def clear(car: str, tick: int, cl: Any = 1) -> Reception:
+    return says(car, tick, cl=cl)
+
+
+class Front:
+    """A leader of which the test says what it sees and hears."""
+
+    def __init__(self, of: Formation, clock_bound_s: float = 0.0, **sees_and_is: Any) -> None:
+        self.agent = Trajectory("straight", formation=of, clock_bound_s=clock_bound_s)
+        self.radio, self.tick = Radio("car1", CARS), -1
+        self.agent.start(info(**sees_and_is))
+
+    def act(self, reading: Any, *heard: Reception) -> tuple[dict[str, Any], Mapping[str, Any]]:
+        """The next tick: notes, and the report that is sent."""
+        self.tick += 1
+        reading = msgspec.structs.replace(reading, time_ns=self.tick * TICK_NS) if isinstance(reading, Scan) else reading
+        assert isinstance(self.agent.act(sees(reading, self.tick, *heard), self.radio), Velocity)
+        (message,) = self.radio.drain()
+        assert isinstance(message.body, dict)
+        return self.agent.drain_notes(), message.body

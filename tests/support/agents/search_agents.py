@@ -1,0 +1,104 @@
+"""Vehicles that search, without the platform: points in the air, looks that are made up, and a radio that loses messages."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle
+from vcmvsp.agents.reconnaissance.search import Search
+from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.types import Looks, Message, Reception, Vec3, VehicleState, Velocity
+from tests.support.agents.agent_loop import received
+
+T = 0.1
+S = 1_000_000_000
+SIDE = 40.0  # m
+GRID = Grid(Rectangle(0.0, 0.0, SIDE, SIDE), 2.0)
+REACH = 6.0  # m
+TARGETS = ((9.0, 31.0), (27.0, 13.0))
+BODY = Body(width_m=0.5, radius_m=0.25, flies=True)
+
+
+def info(name: str, names: tuple[str, ...], sensors: tuple[str, ...] | None = ("looks",)) -> VehicleInfo:
+    return VehicleInfo(name=name, vehicles=names, period_s=T, latency_s=0.0, seed=1, body=BODY, sensors=sensors)
+
+
+def searcher(**params: Any) -> Search:
+    return Search((0.0, 0.0, SIDE, SIDE), **{"sensor": "looks", "swath_m": REACH, **params})
+
+
+def looks(x: float, y: float, time_ns: int, rng: np.random.Generator | None = None) -> Looks:
+    """Of the cells around a place; right with 0.9, or, without a generator, always."""
+    cells = GRID.within(x, y, REACH)
+    truth = np.isin(cells, [cell for target in TARGETS if (cell := GRID.at(*target)) is not None])
+    hits = truth if rng is None else np.where(rng.random(len(cells)) < 0.9, truth, ~truth)
+    rows, columns = np.divmod(cells, GRID.columns)
+    return Looks(time_ns=time_ns, cell_m=2.0, cells=np.column_stack([columns, rows]).astype(np.int32), hits=hits)
+
+
+def see(position: Vec3, time_ns: int, *heard: Reception, yaw: float = 0.0, **readings: Any) -> Observation:
+    state = VehicleState(position=position, attitude=quaternion_from_yaw(yaw))
+    return Observation(vehicle="me", time_ns=time_ns, state=state, readings=readings, heard=heard)
+
+
+@dataclass
+class Team:
+    """Searchers that move exactly as they are told and look once a second; what is sent is heard at the next tick."""
+
+    agents: dict[str, Search]
+    starts: dict[str, Vec3] = field(default_factory=dict)
+    lost: Callable[[int, str, str], bool] = lambda tick, sender, hearer: False
+    errs: bool = True
+
+    def __post_init__(self) -> None:
+        names = tuple(self.agents)
+        self.tick, self.commands = -1, dict.fromkeys(names, Velocity())
+        self.places = {name: self.starts.get(name, (1.0 + SIDE * i / len(names), 1.0, 20.0)) for i, name in enumerate(names)}
+        self.radios = {name: Radio(name, names) for name in names}
+        self.rngs = {name: np.random.default_rng(i) for i, name in enumerate(names)}
+        self.air: list[Message] = []
+        self.notes: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+        self.sent: dict[str, list[Message]] = {name: [] for name in names}
+        self.readings: dict[str, Any] = {}
+        for name, agent in self.agents.items():
+            agent.start(info(name, names))
+
+    def step(self, *, standing_by: tuple[str, ...] = (), dead: tuple[str, ...] = ()) -> None:
+        """A tick."""
+        self.tick += 1
+        now_ns, air = round(self.tick * T * S), self.air
+        self.air = []
+        for name, agent in self.agents.items():
+            if name in dead:
+                continue
+            x, y, z = self.places[name]
+            if self.tick % 10 == 0:
+                self.readings[name] = looks(x, y, now_ns, self.rngs[name] if self.errs else None)
+            heard = [each for each in air if each.sender != name and not self.lost(self.tick, each.sender, name)]
+            obs = see((x, y, z), now_ns, *map(received, heard), looks=self.readings[name])
+            if name in standing_by:
+                agent.stand_by(obs, self.radios[name])
+                self.commands[name] = Velocity()
+            else:
+                self.commands[name] = agent.act(obs, self.radios[name])
+            self.notes[name].append(agent.drain_notes())
+            messages = self.radios[name].drain()
+            self.sent[name] += messages
+            self.air += messages
+        for name, command in self.commands.items():
+            if name not in dead:
+                x, y, z = (p + T * v for p, v in zip(self.places[name], command.linear, strict=True))
+                self.places[name] = x, y, z
+
+    def run(self, seconds: float, **how: Any) -> None:
+        for _ in range(math.ceil(seconds / T)):
+            self.step(**how)
+
+
+def of_map(messages: list[Message]) -> list[Message]:
+    """Without what the roster says."""
+    return [each for each in messages if isinstance(each.body, dict) and "do" not in each.body]

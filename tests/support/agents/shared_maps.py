@@ -1,0 +1,42 @@
+"""Members of a team that share small maps."""
+
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, exchange
+from vcmvsp.agents.reconnaissance.exchange import Exchange, Kind
+from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.cosim.types import Array
+from tests.support.agents.area_search import over_the_air
+
+SMALL = Grid(Rectangle(0.0, 0.0, 19.0, 7.0), 1.0)  # more than a tile, and no multiple of one
+SENSOR = Sensor(0.9, 0.2)
+TEAM = ("a", "b", "c")
+KINDS: tuple[Kind, ...] = ("none", "delta", "consensus", "ledger")
+
+
+def ledger(me: str, grid: Grid = SMALL, **more: Any) -> Ledger:
+    mind = exchange("ledger", grid, SENSOR, me, TEAM, **more)
+    assert isinstance(mind, Ledger)
+    return mind
+
+
+def look(mind: Exchange, rng: np.random.Generator, now_ns: int, grid: Grid = SMALL) -> tuple[Array, Array]:
+    """A random look at a part of the grid."""
+    (width, height), spot = (grid.columns, grid.rows), rng.random(2)
+    cells = grid.within(spot[0] * width, spot[1] * height, 3.0)
+    hits = rng.random(len(cells)) < 0.5
+    mind.look(cells, hits, now_ns)
+    return cells, hits
+
+
+def tell(teller: Exchange, hearers: dict[str, Exchange], me: str, now_ns: int, most: int = 100) -> None:
+    for body in teller.messages(now_ns, most):
+        for mind in hearers.values():
+            assert mind.take(me, over_the_air(body), now_ns)
+
+
+def everything(mind: Ledger) -> tuple[bytes, ...]:
+    """All that can make a difference later, but how often what was sent."""
+    return tuple(each.tobytes() for each in (mind._own, mind._changed, mind._said, mind._others, mind._others_changed))

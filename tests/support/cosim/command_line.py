@@ -1,0 +1,83 @@
+"""The command line, called in this process: what it returned and what it wrote where."""
+
+import contextlib
+import io
+from pathlib import Path
+from typing import NamedTuple
+
+from vcmvsp.cosim.cli.app import main
+
+
+class Outcome(NamedTuple):
+    """What a command gave."""
+
+    code: int | str | None
+    out: str
+    err: str
+
+
+def vcmvsp(*arguments: str) -> Outcome:
+    """Run one command. What is no `SystemExit` would be a traceback on a terminal, and is raised."""
+    out, err, code = io.StringIO(), io.StringIO(), None
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main(list(arguments))
+        except SystemExit as end:
+            code = end.code
+    return Outcome(code or 0, out.getvalue(), err.getvalue())
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """What must not differ between two equal runs: all files but ``about.json``, and what the page says of the machine."""
+    paths = [path for path in sorted(folder.iterdir()) if path.name not in ("about.json", "__pycache__")]
+    files = {path.name: path.read_bytes() for path in paths}
+    if "report.html" in files:
+        files["report.html"], _, machine = files["report.html"].partition(b"<h2>Machine</h2>")
+        assert machine.count(b"<h2>") == 0  # it is the last section, and nothing hides behind it
+    return files
+
+
+def two_cars(
+    *,
+    top: str = "",
+    physics: str = "",
+    agents: str = "",
+    car1: str = "",
+    car2: str = "",
+    agent: str | None = None,
+    tail: str = "",
+) -> str:
+    """A short kinematic scenario of a leader and a follower, with lines added where a test wants them.
+
+    Args:
+        top: lines before the tables.
+        physics: lines in ``[physics]``.
+        agents: lines in ``[agents]``.
+        car1: lines in the leader's table.
+        car2: lines in the follower's table.
+        agent: what the follower's ``agent`` holds, instead of following.
+        tail: lines after everything.
+    """
+    agent = 'kind = "leader_follower", leader = "car1"' if agent is None else agent
+    return f"""
+name = "two-cars"
+duration_s = 0.5
+{top}
+[physics]
+kind = "kinematic"
+{physics}
+[agents]
+{agents}
+[[vehicle]]
+name = "car1"
+kind = "p2dx"
+agent = {{ kind = "trajectory", path = "circle" }}
+{car1}
+[[vehicle]]
+name = "car2"
+kind = "p2dx"
+pose = [-1.0, -0.5, 0.0]
+agent = {{ {agent} }}
+{car2}
+{tail}
+"""

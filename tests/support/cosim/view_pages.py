@@ -1,0 +1,248 @@
+"""A page that can be looked at without a run: a scenery, how things stand in it, and a browser."""
+
+import math
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+import viser
+
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.types import Array, Follows, Image, Scan, States
+from vcmvsp.cosim.view.messages import Craft, Line, Link, Obstacle, Order, Pace, Scenery, Shown
+from vcmvsp.cosim.view.page.control_station import Station
+from vcmvsp.cosim.view.page.state import Known
+
+T = TypeVar("T")
+CHROMIUM = Path("/usr/bin/chromium")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+LIVE = ("sensors", "pace", "halt", "outage", "move", "set", "end")
+RECORDED = ("sensors", "pace", "seek")
+
+
+def scenery(count: int = 3, flying: int = 0, may: tuple[str, ...] = LIVE, **more: Any) -> Scenery:
+    """``count`` vehicles, of which the last ``flying`` fly, before a wall, with a crate that may be moved."""
+    crafts = [
+        Craft(
+            name=f"v{index + 1}",
+            kind="quadrotor" if index >= count - flying else "p2dx",
+            size=(0.5, 0.5, 0.2) if index >= count - flying else (0.5, 0.4, 0.22),
+            flies=index >= count - flying,
+            agent="circle" if index == 0 else "follow",
+            period_s=0.1,
+            sensors={"ring": "ring", "down": "nadir_camera"},
+        )
+        for index in range(count)
+    ]
+    vertices = np.array([(x, 6.0 + y, z) for z in (0.0, 1.0) for x, y in ((-3, 0), (3, 0), (3, 0.2), (-3, 0.2))], np.float32)
+    triangles = np.array([(0, 1, 5), (0, 5, 4), (1, 2, 6), (1, 6, 5), (4, 5, 6), (4, 6, 7)], np.uint32)
+    content: dict[str, Any] = {
+        "scenario": "synthetic",
+        "seed": 7,
+        "duration_ns": 60 * SECOND_NS,
+        "vehicles": tuple(crafts),
+        "vertices": vertices,
+        "triangles": triangles,
+        "colors": np.tile(np.array((180, 120, 90), np.uint8), (len(triangles), 1)),
+        "obstacles": (
+            Obstacle(
+                name="crate",
+                shape="box",
+                size=(0.6, 0.6, 0.6),
+                pose=(4.0, 0.0, 0.3, 0.2),
+                color=(120, 90, 60),
+                may_be_moved=True,
+            ),
+        ),
+        "targets": (("red", -3.0, 2.0),),
+        "live": "seek" not in may,
+        "may": may,
+        "keys": {"radio.loss.probability": 0.2} if "set" in may else {},
+    }
+    return Scenery(**{**content, **more})
+
+
+def states(positions: list[tuple[float, float, float]], yaws: list[float], names: tuple[str, ...]) -> States:
+    """Of vehicles that stand there, m, and are turned so, rad."""
+    zero = np.zeros((len(names), 3))
+    attitude = np.array([quaternion_from_yaw(yaw) for yaw in yaws])
+    return States(names=names, position=np.array(positions), velocity=zero, attitude=attitude, angular_velocity=zero)
+
+
+def shown(scene: Scenery, time_s: float, **more: Any) -> Shown:
+    """All go around a circle, the first one leads; every frame is received but those of the last vehicle."""
+    names = tuple(each.name for each in scene.vehicles)
+    count = len(names)
+    angle = 0.3 * time_s + math.tau * np.arange(count) / max(count, 1)
+    radius = max(2.0, 0.25 * count)
+    height = np.array([3.0 if each.flies else 0.11 for each in scene.vehicles])
+    yaw = angle + 0.5 * math.pi
+    zero = np.zeros(count)
+    position = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+    velocity = 0.3 * radius * np.column_stack([np.cos(yaw), np.sin(yaw), zero])
+    attitude = np.column_stack([np.cos(0.5 * yaw), zero, zero, np.sin(0.5 * yaw)])
+    sent = np.full((count, count), 1 + int(10 * time_s))
+    received = sent.copy()
+    received[-1:] //= 2
+    content: dict[str, Any] = {
+        "states": States(
+            names=names, position=position, velocity=velocity, attitude=attitude, angular_velocity=np.zeros((count, 3))
+        ),
+        "places": {name: Follows(leader=names[0], slot=(-1.5, (-1.0) ** index)) for index, name in enumerate(names[1:3])},
+        "notes": {name: {"mode": "formation", "error": 0.1} for name in names[1:2]},
+        "links": tuple(link(names, index, time_s) for index in range(min(count, 10))),
+        "sent": sent,
+        "received": received,
+        "heard_ns": {name: int(time_s * SECOND_NS) for name in names},
+        "pace": Pace(speed=1.0, achieved=0.98) if scene.live else Pace(speed=1.0),
+        "lines": (Line(time_ns=0, level="info", text="it begins"),) if time_s == 0.0 else (),
+    }
+    return Shown(time_ns=int(time_s * SECOND_NS), **{**content, **more})
+
+
+def link(names: tuple[str, ...], sender: int, time_s: float) -> Link:
+    """A frame to all others."""
+    others = tuple(name for name in names if name != names[sender])
+    lost = sender == len(names) - 1
+    return Link(
+        sender=names[sender],
+        sent_ns=int(time_s * SECOND_NS),
+        receivers=others,
+        rssi_dbm=np.linspace(-90.0, -45.0, len(others)),
+        received=np.full(len(others), not lost),
+        outcome=("random loss" if lost else "received",) * len(others),
+    )
+
+
+def picture(color: tuple[int, int, int], time_s: float = 0.0) -> Image:
+    """A picture of one colour."""
+    return Image(pixels=np.tile(np.array(color, np.uint8), (60, 80, 1)), time_ns=int(time_s * SECOND_NS), focal_px=70.0)
+
+
+def scan(range_m: float = 1.0) -> Scan:
+    """Four beams, of which one sees nothing."""
+    return Scan(
+        ranges=np.array([range_m, range_m, np.inf, range_m], np.float32), angle_min=0.0, angle_step=math.pi / 2, range_max=8.0
+    )
+
+
+def known_of(scene: Scenery, *messages: Shown) -> Known:
+    """What a station knows that was told these."""
+    known = Known(scene)
+    for message in messages:
+        known.take(message)
+    return known
+
+
+class Looking:
+    """A station on a server of its own, and what was ordered."""
+
+    def __init__(self, server: viser.ViserServer, scene: Scenery) -> None:
+        self.server, self.scene = server, scene
+        self.orders: list[Order] = []
+        self.now_s = 0.0
+        self.station = Station(server, scene, self.orders.append, clock=lambda: self.now_s)
+
+    @property
+    def url(self) -> str:
+        """Of the page."""
+        return f"http://127.0.0.1:{self.server.get_port()}"
+
+    def show(self, time_s: float, **more: Any) -> None:
+        """Show how things stand, and draw it though nobody looks; on the wall, too, a second has gone by."""
+        self.now_s += 1.0
+        self.station.show(shown(self.scene, time_s, **more))
+        self.station.draw()
+
+    def node(self, name: str) -> Any:
+        """A node of the scene."""
+        handle = self.server.scene.get_handle_by_name(name)
+        assert handle is not None, name
+        return handle
+
+    def part(self, label: str) -> Any:
+        """The element of the page with this label."""
+        handles = self.server.gui._gui_input_handle_from_uuid.values()
+        found = [each for each in handles if getattr(each, "label", None) == label]
+        assert len(found) == 1, (label, [getattr(each, "label", None) for each in handles])
+        return found[0]
+
+    def has(self, label: str) -> bool:
+        """Whether there is such an element."""
+        return any(getattr(each, "label", None) == label for each in self.server.gui._gui_input_handle_from_uuid.values())
+
+    def use(self, label: str, value: Any = True) -> None:
+        """What happens when somebody presses a button, ticks a box, or chooses or writes a value."""
+        part = self.part(label)
+        part._impl.value = value
+        for callback in part._impl.update_cb:
+            callback(viser.GuiEvent(client=None, client_id=1, target=part))
+
+    def parts(self, kind: type[T]) -> list[T]:
+        """The elements of the page of this kind, from the top."""
+        folders = list(self.server.gui._container_handle_from_uuid.values())
+        return [part for folder in folders for part in folder._children.values() if isinstance(part, kind)]
+
+    def looked_at(self, patch: pytest.MonkeyPatch) -> None:
+        """Let the station believe that somebody has its page open."""
+        patch.setattr(self.server, "get_clients", lambda: {1: None})
+
+    def told(self, act: Callable[[], None]) -> list[Any]:
+        """The messages for the pages that come of it."""
+        messages: list[Any] = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(self.server._websock_server, "queue_message", messages.append)
+            act()
+        return messages
+
+
+@contextmanager
+def looking(scene: Scenery) -> Iterator[Looking]:
+    """A station whose server ends with it."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    try:
+        yield Looking(server, scene)
+    finally:
+        server.stop()
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """A browser; where there is none, the test is skipped."""
+    if not CHROMIUM.exists():
+        pytest.skip("there is no /usr/bin/chromium")
+    api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    with api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+        try:
+            yield started
+        finally:
+            started.close()
+
+
+def positions(page: Any, node: str) -> Array:
+    """Where the page has the instances of a node, (n, 3) m."""
+    numbers = page.evaluate(
+        "name => { const b = window.__viserSceneTree.getState()[name].message.props.batched_positions;"
+        " return Array.from(b instanceof Float32Array ? b : new Float32Array(b.buffer, b.byteOffset, b.byteLength / 4)) }",
+        node,
+    )
+    return np.array(numbers).reshape(-1, 3)

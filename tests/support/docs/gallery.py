@@ -1,0 +1,32 @@
+"""The gallery of built-in scenarios, and what they print."""
+
+import re
+from functools import cache
+from pathlib import Path
+
+from vcmvsp import cosim
+from vcmvsp.cosim.terminal import progress
+from vcmvsp.cosim.scenario import loader
+
+FOLDER = Path(__file__).parent.parent / "scenarios"
+TEXT = (FOLDER / "README.md").read_text("utf-8")
+
+
+def section(name: str) -> str:
+    return TEXT.partition(f"### {name}\n")[2].partition("\n## ")[0].partition("\n### ")[0]
+
+
+@cache
+def made(name: str) -> cosim.Result:
+    """A built-in scenario as its command has it, but for what would make it unlike itself each time."""
+    (changed,) = re.findall(rf"^    vcmvsp run {name}((?: --set \S+)*)$", section(name), re.MULTILINE) or [""]
+    settings = loader.settings_of(changed.split()[1::2])
+    return cosim.run(name, set={**loader.load(name)[0].twins, **settings}, mcap=False)
+
+
+def assert_printed(name: str) -> None:
+    """A scenario prints what its gallery says."""
+    shown = section(name).partition("```\n")[2].partition("```")[0].splitlines()
+    result = made(name)
+    assert shown == progress.summary(result).splitlines()[1 : 1 + len(shown)]
+    assert not result.metrics["radio"]["frames"] or shown[0].startswith("radio: ")  # a vehicle alone has nobody to talk to

@@ -1,0 +1,147 @@
+"""Commands and blocks of the READMEs that another test runs, or that cannot be run here, and why."""
+
+import re
+
+from vcmvsp.cosim.scenario import loader
+from tests.support.docs.readme_pages import COMMANDS
+
+GALLERY = "tests/docs/test_gallery.py::test_a_built_in_scenario_prints_what_its_gallery_says"
+SEARCHES = "tests/agents/reconnaissance/test_gallery.py::test_a_scenario_of_reconnaissance_prints_what_its_gallery_says"
+CORNERS = (
+    "tests/validation/test_built_in_studies.py"
+    "::test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middle_of_it"
+)
+WORLDS = "tests/docs/test_readme.py::test_worlds_and_vehicles_are_shown_as_the_readme_says"
+MACHINES = "tests/docs/test_machines.py::test_a_run_its_host_and_its_observer_each_with_a_certificate"
+STARTED = "tests/docs/test_machines.py::test_hosts_that_are_started_with_the_run"
+WATCHED = "tests/docs/test_machines.py::test_a_run_that_is_watched"
+DEPLOYED = "tests/cosim/hosts/test_containers.py::test_the_same_words_run_as_processes_of_this_machine"
+SECRETS = "tests/cosim/hosts/test_containers.py::test_a_container_sees_no_keys_but_its_own"
+HOSTS = "tests/cosim/hosts/test_containers.py::test_files_of_hosts_are_as_they_are_read"
+NETWORK = "tests/cosim/cli/test_net.py::test_ping_fares_as_the_radio_recorded"
+LEFT_OVER = "tests/cosim/cli/test_net.py::test_status_tells_addresses_and_that_the_run_is_alive"
+PORTS = "tests/netsim/bridge/test_readme.py::test_the_worked_example"
+TEN_LINES = "tests/netsim/bridge/test_readme.py::test_the_ten_lines_of_the_first_page"
+OWN_DOOR = "tests/netsim/bridge/test_readme.py::test_the_door_of_ones_own"
+DIALOGUE = "tests/docs/test_doors.py::test_programs_at_the_doors"
+TURNS = "tests/netsim/sockets/test_readme.py::test_the_worked_example"
+OBSERVER = "tests/cosim/hosts/test_watch.py::test_the_readme_watches_a_run"
+
+
+def _in_the_gallery() -> dict[str, str]:
+    """Runs of the built-in scenarios, which the tests of the gallery make as the page has them; studies of them."""
+    found = {"vcmvsp run recon-urban": SEARCHES}  # shorter there
+    for each in COMMANDS:
+        words = re.fullmatch(r"vcmvsp (run|study) (\S+)( --(set|out) \S+)*", each.text)
+        if words and each.page == "scenarios/README.md" and (name := words[2]) in loader.names():
+            run = SEARCHES if name.startswith("recon-") else GALLERY
+            found[each.text] = CORNERS if words[1] == "study" else run
+    return found
+
+
+ELSEWHERE = _in_the_gallery() | {
+    "make demo": "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
+    "vcmvsp view runs/formation-circle-1": (
+        "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly"
+    ),
+    "vcmvsp figure 24": "tests/cosim/reproduction/test_figures.py::test_figure",
+    "vcmvsp figure estimators": "tests/cosim/reproduction/test_slow_figures.py::test_estimators",
+    "vcmvsp figure loss --json": "tests/cosim/reproduction/test_slow_figures.py::test_loss",
+    "vcmvsp run gap.toml --out gap": "tests/docs/test_readme.py::test_the_twenty_lines_keep_the_gap",
+    "vcmvsp --install-completion": "tests/cosim/cli/test_completion.py::test_bash_itself_completes",
+    "vcmvsp stop": "tests/cosim/cli/test_stop.py::test_all_are_stopped_and_stay_so",  # here it would stop other tests' robots
+    "vcmvsp list worlds": WORLDS,
+    "vcmvsp show vehicle quadrotor": WORLDS,
+    "vcmvsp world urban --set seed=3 --png city.png": WORLDS,
+    'vcmvsp drive swarm-100 --vehicle uav1 --command "vx=2" --seconds 4': WORLDS,
+    "vcmvsp keys init keys --name 192.168.1.10": MACHINES,
+    "vcmvsp keys vehicle car2 --keys keys": MACHINES,
+    "vcmvsp keys observer anna --keys keys --out anna.keys": MACHINES,
+    "vcmvsp run gap.toml --set vehicle.car2.agent.runs=zenoh --listen tls/0.0.0.0:7447 --keys keys": MACHINES,
+    "vcmvsp agent keep_gap.py:KeepGap --vehicle car2 --connect tls/192.168.1.10:7447 --keys car2.keys": MACHINES,
+    "vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'": MACHINES,
+    "vcmvsp doctor --connect tls/192.168.1.10:7447 --keys anna.keys": MACHINES,
+    "vcmvsp run formation-circle --realtime --listen tls/0.0.0.0:7447 --keys keys": WATCHED,
+    "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
+        "tests/docs/test_doors.py::test_ports_are_where_the_first_page_has_them"
+    ),
+    "vcmvsp launch gap.toml --hosts hosts.toml --keys keys": STARTED,
+    "vcmvsp launch my_scenario.toml --hosts hosts.toml --keys keys": STARTED,
+    "vcmvsp keys init keys --name run": DEPLOYED,
+    "vcmvsp keys init keys --name vcmvsp-run": DEPLOYED,
+    "vcmvsp keys vehicle car1 car2 --as one --keys keys": DEPLOYED,
+    "vcmvsp keys vehicle car3 --as two --keys keys": DEPLOYED,
+    "kubectl create secret generic vcmvsp-one --from-file=keys/one.keys": SECRETS,
+    "kubectl create secret generic vcmvsp-two --from-file=keys/two.keys": SECRETS,
+    "sudo .venv/bin/vcmvsp net up formation-circle": NETWORK,
+    "sudo .venv/bin/vcmvsp net exec car2 -- ping car1": NETWORK,
+    "sudo vcmvsp net up formation-circle --duration 600 --set radio.delay.seconds=0.02": NETWORK,
+    "sudo vcmvsp net exec car2 -- ping car1": NETWORK,
+    "sudo vcmvsp net status": LEFT_OVER,
+    "vcmvsp run two-programs.toml --out two-programs": PORTS,
+    "python echo.py": PORTS,
+    "python ask.py": PORTS,
+    "vcmvsp run sockets.toml --out runs/sockets": TURNS,
+    "python pong.py": TURNS,
+    "python ping.py": TURNS,
+}
+"""The test that runs a command or, where that needs root, another machine or minutes, does the same on a smaller scale."""
+
+NO_CONTAINERS = "there are no containers on machines that run these tests"
+UNRUN = {
+    ".uv/bin/uv build --wheel": "it fetches what builds wheels",
+    "docker build -t vcmvsp -f cosim/deploy/Containerfile .": NO_CONTAINERS,
+    "mkdir -p results": "no program of ours; the command after it needs containers",
+    "VCMVSP_USER=$(id -u):$(id -g) docker compose up --abort-on-container-failure": NO_CONTAINERS,
+    "kubectl create secret generic vcmvsp-run --from-file=keys/ca.pem --from-file=keys/hub.pem --from-file=keys/hub.key"
+    " --from-file=keys/index.json": NO_CONTAINERS,
+    "kubectl apply -f job.yaml": NO_CONTAINERS,
+    "kubectl wait --for=condition=complete --timeout=600s job/vcmvsp-run": NO_CONTAINERS,
+    "kubectl logs job/vcmvsp-run": NO_CONTAINERS,
+    "unshare --user --map-root-user --mount --net sh -c 'mount -t tmpfs tmpfs /run; ip link set lo up; exec bash'": (
+        "few kernels let tests make user namespaces"
+    ),
+}
+"""Why a command cannot be run here, nor anything like it."""
+
+SHOWN = {
+    ("README.md", "formation-circle: 3 agents"): "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
+    ("README.md", "class KeepGap"): "tests/docs/test_readme.py::test_the_twenty_lines_keep_the_gap",
+    ("README.md", "where are you?"): TEN_LINES,
+    ("README.md", "r = cosim.run("): "tests/docs/test_readme.py::test_the_lines_for_python_run",
+    ("agents/README.md", "class Waltz"): "tests/agents/formation/leaders/test_trajectory.py::test_the_leader_of_the_readme_works",
+    ("agents/README.md", "class Advance"): "tests/agents/test_readme.py::test_it_flies_east_until_something_is_near",
+    ("agents/README.md", "class Cautious"): "tests/agents/formation/reports/test_prediction.py::test_the_estimator_of_the_readme_works",
+    ("agents/README.md", "class Stop"): "tests/agents/test_readme.py::test_its_own_way_around_things_stops_before_them",
+    ("cosim/README.md", "check_federate("): "tests/docs/test_blocks.py::test_the_federate_of_ones_own",
+    ("cosim/README.md", "SLURMCluster("): "tests/docs/test_blocks.py::test_the_call_of_a_study_on_slurm_is_one_of_ours",
+    ("cosim/deploy/README.md", "robot7"): HOSTS,
+    ("cosim/deploy/README.md", "ExitOnForwardFailure"): HOSTS,
+    ("cosim/hosts/README.md", "verify_name_on_connect"): OBSERVER,
+    ("cosim/hosts/README.md", "import zenoh"): OBSERVER,
+    ("cosim/hosts/README.md", "#include <zenoh.h>"): "not compiled: no package that tests could install has zenoh-c",
+    ("hardware/README.md", "ArcosDriver("): "tests/hardware/test_readme.py::test_the_example_drives_a_robot",
+    ("netsim/README.md", "class Rain"): "tests/netsim/test_readme.py::test_the_layers_of_ones_own",
+    ("netsim/bridge/README.md", "hears.recvfrom"): PORTS,
+    ("netsim/bridge/README.md", "asks.sendto"): PORTS,
+    ("netsim/bridge/README.md", "GETSS {Robot car2}"): DIALOGUE,
+    ("netsim/bridge/README.md", "declare_subscriber"): DIALOGUE,
+    ("netsim/bridge/README.md", "class RollCall"): OWN_DOOR,
+    ("netsim/sockets/README.md", "socket.time()"): TURNS,
+    ("netsim/sockets/README.md", 'b"pong"'): TURNS,
+    ("netsim/sockets/README.md", "44 of 100"): TURNS,
+    ("physics/README.md", "federate.py "): "tests/physics/test_readme.py::test_every_file_and_kind_that_is_named_is_there",
+    ("physics/README.md", "<robot name="): "tests/physics/test_readme.py::test_the_vehicle_of_ones_own",
+    ("physics/README.md", "class Sonar"): "tests/physics/test_readme.py::test_the_sensor_of_ones_own",
+    ("physics/README.md", "class Orchard"): "tests/physics/test_readme.py::test_the_world_of_ones_own",
+    ("scenarios/README.md", "radio:     "): GALLERY,
+    ("agents/README.md", "v . u_i <= approach"): "an equation",
+    ("agents/README.md", "F(x) = (R - x)/(x - r)"): "equations",
+    ("agents/README.md", "width = sqrt(a^2"): "equations",
+    ("agents/README.md", "u_i = kappa sum_j"): "an equation",
+    ("agents/README.md", "th_f) (p_l + Rot(th_l) c"): "equations",
+    ("netsim/README.md", "queue of the sender -> access"): "a drawing",
+    ("netsim/bridge/README.md", "program -> door -> store"): "a drawing",
+    ("netsim/sockets/README.md", "program --sendto--> turn"): "a drawing",
+}
+"""By page, and words in a block that is neither a scenario nor for a shell: the test that uses it, or what it is."""

@@ -1,0 +1,245 @@
+"""Rehearsals of the supervisors: a robot on the ground or in the air is driven through commands and faults, and watched.
+
+Each fault lasts for a stretch of periods. What is watched is written anew here, and shorter than in the product: how fast and
+how suddenly it is told to move; whether it is told to stop exactly when somebody was not heard, and then brakes at once; where
+it truly is, beside fence, floor, ceiling and standing others. While the pose that is told is false nobody can promise the
+latter: it counts again from when the robot stands and its pose is true.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vcmvsp.cosim.types import Velocity
+from vcmvsp.hardware.safety import (
+    AerialParameters,
+    AerialSupervisor,
+    Heard,
+    Limits,
+    Others,
+    Parameters,
+    Supervisor,
+    TimeOuts,
+)
+from vcmvsp.hardware.safety.geofence import RETURN_MPS
+from tests.support.hardware.supervised_flight import flown
+from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
+
+SECOND = 10**9
+PERIOD_NS = SECOND // 10
+SEPARATION, OTHER, FLOOR, CEILING, CLIMB = 0.3, 0.2, 0.5, 2.5, 0.8
+SOURCES = ("operator", "command", "positioning", "federation")
+TIME_OUTS = TimeOuts(operator_s=0.25, command_s=0.3, positioning_s=0.4, federation_s=0.2, clock_s=0.35)
+LIMITS_NS = {name: round(getattr(TIME_OUTS, f"{name}_s") * SECOND) for name in (*SOURCES, "clock")}
+FAULTS = (
+    "none",
+    *(f"{name} silent" for name in SOURCES),
+    *(f"{name} never" for name in SOURCES),
+    "future",
+    "no command",
+    "no pose",
+    "pose nan",
+    "pose false",
+    "moved",
+    "others nan",
+    "clock back",
+    "clock ahead",
+    "clock late",
+)
+ROUNDING = 1e-6  # m
+
+
+class Stretch(NamedTuple):
+    """Some periods with one command and one fault; ``where`` is a displacement, for the faults that need one.
+
+    ``anew``: another run begins before it, if the robot stands.
+    """
+
+    command: tuple[float, float, float, float]
+    periods: int
+    fault: str = "none"
+    where: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    anew: bool = False
+
+
+class Rehearsal:
+    """One sequence; `run` asserts the laws at every period.
+
+    Args:
+        flies: in the air, else on the ground.
+        fence: name of it.
+        keep: limits.
+        exact: the robot has the speed that it is told at once; else it ramps.
+        others: places (x, y, z) of standing others, from the start.
+    """
+
+    def __init__(
+        self, flies: bool, fence: str, keep: Limits, exact: bool, others: Iterable[tuple[float, float, float]]
+    ) -> None:
+        self.flies, self.fence, self.keep, self.exact = flies, FENCES[fence], keep, exact
+        common: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "reaction_s": 0.1, "fence": self.fence}
+        common |= {"separation_m": SEPARATION, "time_outs": TIME_OUTS}
+        self.common = common
+        start = STARTS[fence]
+        self.truth = [float(start[0]), float(start[1]), 1.5, 0.3]  # x, y, z, yaw
+        self.speeds: Any = (0.0, 0.0, 0.0, 0.0) if flies else (0.0, 0.0)
+        rows = np.array(list(others), float).reshape(-1, 3) + np.array((*start, 1.5))
+        gaps = self.gaps(rows)
+        self.rows = rows[gaps > 0.0]
+        self.now = self.real = 10 * SECOND  # by the clock of the steps, and truly
+        self.heard: dict[str, int | None] = dict.fromkeys(SOURCES, self.now)
+        self._begin()
+        self.before = np.zeros(3)
+        self.trusted, self.apart, self.worst = True, True, 0.0  # worst: how far beyond the fence it was put
+        self.stops = self.periods = 0
+
+    def _begin(self) -> None:
+        """The first run, or another one: nothing is latched, and no step has been."""
+        self.supervisor: Any
+        if self.flies:
+            parameters = AerialParameters(**self.common, climb_mps=CLIMB, floor_m=FLOOR, ceiling_m=CEILING)
+            self.supervisor = AerialSupervisor(parameters)
+        else:
+            self.supervisor = Supervisor(Parameters(**self.common))
+        self.elapsed: int | None = None
+        self.latched: set[str] = set()
+
+    def run(self, stretches: Iterable[Stretch]) -> None:
+        for stretch in stretches:
+            if stretch.anew and not any(self.speeds) and not self.before.any():
+                self._begin()
+            for number in range(stretch.periods):
+                self._period(stretch, number)
+
+    def _period(self, stretch: Stretch, number: int) -> None:
+        fault, first = stretch.fault, number == 0
+        if fault == "moved" and first:
+            self.truth[:3] = [a + b for a, b in zip(self.truth[:3], stretch.where, strict=True)]
+            self.trusted = False
+        if first:
+            jump = {"clock back": -0.15, "clock ahead": 0.7, "clock late": 0.15}.get(fault, 0.0)
+            self.now += round(jump * SECOND)
+            self.elapsed = None if self.elapsed is None else self.elapsed + round(jump * SECOND)
+        pose = self._told_pose(stretch)
+        command = None if fault == "no command" else self._command(stretch.command)
+        ears = self._ears(fault)
+        others = self._others(fault)
+        problems = self._problems(command, pose, others, ears)
+        decision = self.supervisor.step(self.now, command, pose, others, Heard(**{f"{k}_ns": v for k, v in ears.items()}))
+        self.periods += 1
+        self.stops += decision.stop
+        assert decision.stop == bool(problems), (problems, decision.causes)
+        if decision.stop:
+            assert problems <= {str(each) for each in decision.causes}
+        self._check_command(decision)
+        if not self.trusted and fault != "pose false" and not any(self.speeds) and not self.before.any():
+            self.trusted, self.worst = True, min(0.0, self.inside())
+            self.apart = self.apart and self.gap() >= 0.0  # who was put into another may leave it on any axis
+        self._move(decision.command)
+        self.before = self._sizes(decision.command)
+        self.now += PERIOD_NS
+        self.elapsed = PERIOD_NS
+
+    def _told_pose(self, stretch: Stretch) -> Any:
+        told = list(self.truth)
+        if stretch.fault == "no pose":
+            return None
+        if stretch.fault == "pose nan":
+            told[round(abs(stretch.where[0])) % 2] = math.nan
+        if stretch.fault == "pose false":
+            told[:3] = [a + b for a, b in zip(told[:3], stretch.where, strict=True)]
+            self.trusted = False
+        return tuple(told) if self.flies else (told[0], told[1], told[3])
+
+    def _command(self, numbers: tuple[float, float, float, float]) -> Velocity:
+        x, y, z, w = numbers
+        return Velocity(linear=(x, y, z) if self.flies else (x, 0.0, 0.0), yaw_rate=w)
+
+    def _ears(self, fault: str) -> dict[str, int | None]:
+        for name in SOURCES:
+            if fault == f"{name} never":
+                self.heard[name] = None
+            elif fault != f"{name} silent":
+                self.heard[name] = self.now + (1 if fault == "future" and name == "federation" else 0)
+        return dict(self.heard)
+
+    def _others(self, fault: str) -> Others | None:
+        if not len(self.rows) and fault != "others nan":
+            return None
+        rows = self.rows if self.flies else self.rows[:, :2]
+        if fault == "others nan":
+            rows = np.full((1, rows.shape[1]), math.nan)
+        return Others(rows, np.zeros_like(rows), np.full(len(rows), OTHER))
+
+    def _problems(self, command: Velocity | None, pose: Any, others: Others | None, ears: dict[str, int | None]) -> set[str]:
+        """Why it must stop, by a plain reading of the rules."""
+        late = {name for name in SOURCES if (at := ears[name]) is not None and self.now - at > LIMITS_NS[name]}
+        if self.elapsed is not None and not 0 <= self.elapsed <= LIMITS_NS["clock"]:
+            late.add("clock")
+        if any(at is not None and at > self.now for at in ears.values()):
+            late.add("clock")
+        self.latched |= late & {"operator", "federation", "clock"}
+        never = {name for name in SOURCES if ears[name] is None}
+        missing = ({"command"} if command is None else set()) | ({"positioning"} if pose is None else set())
+        numbers = [*(pose or ()), *((*command.linear, command.yaw_rate) if command else ())]
+        if others is not None:
+            numbers += others.position.ravel().tolist()
+        ill = {"not_finite"} if not all(map(math.isfinite, numbers)) else set()
+        return late | self.latched | never | missing | ill
+
+    def _sizes(self, command: Velocity) -> Any:
+        """Speeds that have limits: along the ground, upwards, and of turning."""
+        x, y, z = command.linear
+        return np.array([math.hypot(x, y), abs(z), abs(command.yaw_rate)])
+
+    def _check_command(self, decision: Any) -> None:
+        keep, sizes = self.keep, self._sizes(decision.command)
+        assert np.isfinite(sizes).all()
+        assert (sizes <= np.array([keep.speed_mps, CLIMB if self.flies else 0.0, keep.yaw_rate_radps]) + 1e-9).all()
+        dt = 0.0 if self.elapsed is None else 0.1 if self.elapsed < 0 else min(self.elapsed / SECOND, 0.1)
+        gain = np.array([keep.accel_mps2, keep.accel_mps2, keep.yaw_accel_radps2]) * dt
+        loss = np.array([keep.stop_mps2, keep.stop_mps2, keep.yaw_stop_radps2]) * dt
+        # a turn that slows down to zero within the period may be gained the other way in what is left of it
+        assert (sizes <= self.before + gain + 1e-9).all()
+        assert (sizes >= self.before - loss - 1e-9).all()
+        if decision.stop:
+            assert (sizes <= np.maximum(0.0, self.before - loss) + 1e-9).all()
+
+    def _move(self, command: Velocity) -> None:
+        x, y, z, yaw = self.truth
+        pieces: Any
+        if self.flies:
+            told = (*command.linear, command.yaw_rate)
+            pieces = flown((x, y, z, yaw), self.speeds, told, 0.1, self.keep, ideal=self.exact)
+        else:
+            robot = ideal if self.exact else ramping
+            pieces = robot((x, y, yaw), self.speeds, (command.linear[0], command.yaw_rate), 0.1, self.keep)
+        for place, speeds in pieces:
+            self.speeds = speeds
+            self.truth = [*place] if self.flies else [place[0], place[1], z, place[2]]
+            if self.trusted:
+                inside = self.inside()
+                assert inside >= self.worst - self._allowed(), (inside, self.worst)
+                self.worst = 0.0 if inside >= 0.0 else self.worst
+                assert not self.apart or self.gap() >= -ROUNDING
+
+    def _allowed(self) -> float:
+        """Who is outside a polygon finds back at a low speed, and at a corner one of two sides is the nearest."""
+        return ROUNDING + (0.1 * RETURN_MPS if self.worst < 0.0 else 0.0)
+
+    def inside(self) -> float:
+        """What is left to fence, floor and ceiling, m; below zero: it is beyond one."""
+        across = room(self.fence, *self.truth[:2]) - RADIUS
+        return min(across, self.truth[2] - FLOOR, CEILING - self.truth[2]) if self.flies else across
+
+    def gap(self) -> float:
+        """What is left to the nearest other, m."""
+        return float(self.gaps(self.rows).min(initial=math.inf))
+
+    def gaps(self, rows: Any) -> Any:
+        """How far it is from the cylinder, on the ground the circle, of each."""
+        apart = RADIUS + OTHER + SEPARATION
+        beside = np.hypot(rows[:, 0] - self.truth[0], rows[:, 1] - self.truth[1]) - apart
+        return np.maximum(beside, np.abs(rows[:, 2] - self.truth[2]) - apart) if self.flies else beside

@@ -1,0 +1,98 @@
+"""Stations of tests: missions, and a run that gives orders."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from vcmvsp.cosim.types import Array, Velocity
+from vcmvsp.hardware.station.process_client import Station
+from vcmvsp.hardware.station.messages import Mission, Order, Part, Report, Safety
+
+BENCH = Part(
+    group="driver",
+    kind="bench",
+    params={"latency_s": 0.01, "rate_hz": 50.0, "accel": 2.0, "decel": 2.0, "command_timeout_s": 2.0},
+)
+HELD_UP = ("stopped", "the station was held up, or its clock jumped")
+
+
+def safety(**changed: Any) -> Safety:
+    """Limits of a small robot, with time-outs that a loaded machine keeps."""
+    usual: dict[str, Any] = {
+        "max_speed": 0.5,
+        "max_yaw_rate": 1.0,
+        "accel": 2.0,
+        "decel": 2.0,
+        "yaw_accel": 2.0,
+        "yaw_decel": 2.0,
+        "radius_m": 0.2,
+        "command_s": 5.0,
+        "positioning_s": 5.0,
+        "federation_s": 5.0,
+    }
+    return Safety(**{**usual, **changed})
+
+
+def mission(driver: Part = BENCH, vehicle: str = "car1", *, rate_hz: float = 50.0, **changed: Any) -> Mission:
+    """A robot on the ground; ``changed``: of its safety."""
+    return Mission(
+        run="test",
+        vehicle=vehicle,
+        folder=".",
+        driver=driver,
+        localisation=None,
+        fusion={},
+        start=(0.0, 0.0, 0.0),
+        height_m=0.0,
+        flies=False,
+        safety=safety(**changed),
+        rate_hz=rate_hz,
+    )
+
+
+class Run:
+    """Gives orders to a station and keeps its reports."""
+
+    def __init__(self, station: Station) -> None:
+        self.station, self.said, self._number = station, list[Report](), 0
+
+    def order(self, v: float = 0.0, *, stop: str = "", others: Array | None = None) -> None:
+        self._number += 1
+        now_ns = time.monotonic_ns()
+        command = Velocity(linear=(v, 0.0, 0.0))
+        self.station.order(
+            Order(number=self._number, sent_ns=now_ns, command=command, command_ns=now_ns, stop=stop, others=others)
+        )
+
+    def until(self, what: Callable[[Report], object], v: float | None = None, seconds: float = 30.0) -> Report:
+        """Drive like this (None: say nothing) until a report shows it."""
+        end = time.monotonic() + seconds
+        while True:
+            if v is not None:
+                self.order(v)
+            fresh = self.station.reports()
+            self.said += fresh
+            for each in fresh:
+                if what(each):
+                    return each
+            assert time.monotonic() < end, f"it did not happen; last: {self.said[-1:]}"
+            time.sleep(0.02)
+
+    @property
+    def notices(self) -> list[tuple[str, str]]:
+        """But for the one that a station gives which this machine held up."""
+        told = [(each.what, each.cause) for report in self.said for each in report.notices]
+        late = max(each.late_s for each in self.said) > 0.4
+        return [each for each in told if each != HELD_UP or not late]
+
+
+@contextmanager
+def driven(told: Mission) -> Iterator[Run]:
+    """A station that is ready; it has left at the end."""
+    station = Station.start(told)
+    try:
+        station.wait_ready()
+        yield Run(station)
+    finally:
+        station.close()

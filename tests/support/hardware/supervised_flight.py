@@ -1,0 +1,35 @@
+"""A vehicle in the air that is integrated exactly, behind the aerial supervisor, for the tests of its laws."""
+
+import itertools
+import math
+from collections.abc import Iterator
+
+from vcmvsp.hardware.safety import Limits
+
+Flight = tuple[float, float, float, float]  # x, y, z m, yaw rad; or the speeds
+
+
+def flown(
+    place: Flight, speeds: Flight, told: Flight, dt: float, limits: Limits, *, ideal: bool
+) -> Iterator[tuple[Flight, Flight]]:
+    """Places and speeds after pieces of a period.
+
+    An ideal one has the velocity that it is told at once; the other goes straight there at the deceleration that it is sure
+    to have, horizontally and vertically each.
+    """
+    if ideal:
+        for part in range(1, 5):
+            yield tuple(each + speed * dt * part / 4 for each, speed in zip(place, told, strict=True)), told  # type: ignore[misc]
+        return
+    change = [b - a for a, b in zip(speeds, told, strict=True)]
+    across = math.hypot(change[0], change[1])
+    ready = [across / limits.stop_mps2] * 2 + [abs(change[2]) / limits.stop_mps2, abs(change[3]) / limits.yaw_stop_radps2]
+
+    def at(t: float) -> list[float]:
+        return [a + d * (1.0 if t >= end else t / end) for a, d, end in zip(speeds, change, ready, strict=True)]
+
+    now = list(place)
+    for t0, t1 in itertools.pairwise(sorted({0.0, 0.5 * dt, dt, *(min(dt, each) for each in ready)})):
+        before, after = at(t0), at(t1)  # linear in between
+        now = [x + 0.5 * (a + b) * (t1 - t0) for x, a, b in zip(now, before, after, strict=True)]
+        yield (now[0], now[1], now[2], now[3]), (after[0], after[1], after[2], after[3])

@@ -1,0 +1,198 @@
+"""Runs with a bridge and no more than it needs: vehicles that stand, their radios, and whatever agents a test brings."""
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.clock import SECOND_NS, Clock, WallClock
+from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.types import Array, Datagrams, FrameReport, States, Traffic
+from vcmvsp.netsim.bridge.federate import Bridge
+from vcmvsp.netsim.bridge.process.messages import DoorSpec
+from vcmvsp.netsim.federate import RadioFederate
+from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
+from tests.support.netsim.channels import make_channel
+
+BROADCAST, RECEIVE = 0, 99  # of a vehicle's block of ports
+
+
+class Standing:
+    """Says at time 0 where everybody is, 10 m apart, and steps ten times a second."""
+
+    name, slot, wake_slot = "world", Slot.WORLD, Slot.APPLY
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def start(self, run: RunInfo) -> int | None:
+        self._names, self._end_ns = run.vehicles, run.duration_ns
+        return 0
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        n = len(self._names)
+        zero, x = np.zeros((n, 3)), np.zeros((n, 3))
+        x[:, 0] = 10.0 * np.arange(n)
+        attitude = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+        states = States(names=self._names, position=x, velocity=zero, attitude=attitude, angular_velocity=zero)
+        events = [Event("world/states", 0, states)] if now_ns == 0 else []
+        return Step(events, now_ns + SECOND_NS // 10 if now_ns < self._end_ns else None)
+
+    def close(self) -> None:
+        pass
+
+
+class Air(RadioFederate):
+    """A radio whose levels are told by rows."""
+
+    def levels_dbm(self, states: States) -> Array:
+        n = len(self._vehicles)
+        return -10.0 * np.arange(n)[:, None] - np.arange(n)[None, :]
+
+
+class BridgeRun:
+    """A run; its own thread goes through it (`go`, `stop`), and what it published is in `sent` and `reports` then.
+
+    While it goes on, `left` counts its deliveries: what the bridge itself tells of them is for when the run is over.
+    """
+
+    def __init__(
+        self,
+        *vehicles: str,
+        doors: Sequence[DoorSpec] | None = None,
+        seconds: float = 60.0,
+        agents: Sequence[Federate] = (),
+        hear: bool = False,
+        clock: Clock | None = None,
+        connect: bool = True,
+        folder: str = ".",
+        udp: dict[str, Any] | None = None,
+        preset: str = "ideal",
+        **channel: Any,
+    ) -> None:
+        self.first_port = free_ports(100 * len(vehicles)) if doors is None else 0
+        params = {"first_port": self.first_port, **(udp or {})}
+        doors = [DoorSpec(name="udp", kind="udp", params=params)] if doors is None else doors
+        self.told: list[str] = []
+        self.logged: list[tuple[str, int, Any]] = []
+        self.sent: list[tuple[int, Datagrams]] = []
+        self.reports: list[FrameReport] = []
+        self.carries: list[int] = []
+        self.events: list[Event] = []
+        self.left = 0  # deliveries that are known to have left
+        self.error: BaseException | None = None
+        air = Air(make_channel(preset, vehicles=vehicles, **channel))
+        self.bridge = Bridge(
+            doors, run="test", folder=folder, vehicles=vehicles, agents=hear, air=air, tell=self.told.append, connect=connect
+        )
+        clock = clock or WallClock()
+        self.bridge.clock = clock  # type: ignore[assignment]  # one that has these times
+        self._went = self.bridge._late.went
+        self.bridge._late.went = self._on_went  # type: ignore[method-assign]
+        self.bridge.log = lambda key, time_ns, value: self.logged.append((key, time_ns, value))
+        info = RunInfo(scenario="test", seed=1, duration_ns=round(seconds * SECOND_NS), vehicles=vehicles, paced=True)
+        self.kernel = Kernel(info, [Standing(), air, self.bridge, *agents], clock=clock)
+
+    def go(self, before: Callable[[], object] = lambda: None) -> None:
+        """Open all doors, do what is to be done ``before`` time 0, and begin."""
+        try:
+            self.kernel.start()
+            before()
+        except BaseException:
+            self.kernel.close()
+            raise
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End it, as by Ctrl-C."""
+        self.kernel.stop = True
+        self._thread.join()
+
+    def join(self) -> None:
+        """Wait for its end."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self.kernel.run(self._observe)
+        except KeyboardInterrupt:
+            pass
+        except BaseException as error:
+            self.error = error
+        finally:
+            self.kernel.close()
+
+    def _observe(self, event: Event) -> None:
+        if isinstance(event.value, Datagrams):
+            self.sent.append((event.time_ns, event.value))
+        elif isinstance(event.value, Traffic):
+            self.reports += event.value.reports
+            self.carries += event.value.carries.tolist()
+        else:
+            self.events.append(event)
+
+    def _on_went(self, row: Array, at_ns: Array) -> None:
+        self._went(row, at_ns)
+        self.left += len(row)
+
+    def port(self, vehicle: int, offset: int) -> tuple[str, int]:
+        """Of a vehicle's block: 0 broadcast, 1 + j to vehicle j, 99 where it hears."""
+        return "127.0.0.1", self.first_port + 100 * vehicle + offset
+
+    def program(self, vehicle: int) -> socket.socket:
+        """A socket that hears what this vehicle's radio receives."""
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 * 2**20)
+        opened.bind(self.port(vehicle, RECEIVE))
+        opened.settimeout(PATIENCE_S)
+        return opened
+
+
+@contextlib.contextmanager
+def running(run: BridgeRun) -> Iterator[BridgeRun]:
+    """The run, going on; stopped at the end, if it has not failed."""
+    run.go()
+    try:
+        yield run
+    finally:
+        run.stop()
+    if run.error is not None:
+        raise run.error
+
+
+def all_of(heard: socket.socket, count: int) -> list[bytes]:
+    """So many datagrams."""
+    return [heard.recv(65536) for _ in range(count)]
+
+
+def until_each_of(heard: socket.socket, wanted: Iterable[bytes]) -> list[bytes]:
+    """Datagrams, until each that is wanted is among them."""
+    missing, found = set(wanted), list[bytes]()
+    while missing:
+        found.append(heard.recv(65536))
+        missing.discard(found[-1])
+    return found
+
+
+def what_is_there(heard: socket.socket) -> list[bytes]:
+    """All that has come."""
+    heard.setblocking(False)
+    found = []
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            found.append(heard.recv(65536))
+    return found
+
+
+def wait_for(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
+    """Until something holds; fails if it does not in time."""
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, "not in time"
+        time.sleep(0.005)

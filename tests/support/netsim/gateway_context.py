@@ -1,0 +1,125 @@
+"""Doors without a run: a hall that carries what it is offered after a set delay, and what tests of doors need beside it."""
+
+import asyncio
+import dataclasses
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Door
+
+PATIENCE_S = 60.0  # for what must happen, on a machine that may be held up
+
+
+@dataclasses.dataclass(frozen=True)
+class Offered:
+    """What a door handed over."""
+
+    sender: int
+    to: int
+    payload: bytes
+    came_ns: int
+
+
+class TestHall:
+    """A `netsim.bridge.gateways.base.Hall` without a run; to be made on the running loop.
+
+    Args:
+        vehicles: names of the run's vehicles.
+        delay_s: from the offer to the delivery.
+        hears: whether ``receiver`` gets what ``sender`` sent, by rows and by the place of the datagram in `offered`.
+
+    Attributes:
+        offered: everything taken, in order.
+        room: set it to False to have `offer` refuse.
+        counts: vehicle -> words -> how many.
+        levels: (sender, receiver) -> dBm.
+    """
+
+    __test__ = False
+
+    def __init__(
+        self,
+        vehicles: Sequence[str],
+        *,
+        run: str = "test",
+        delay_s: float = 0.0,
+        hears: Callable[[int, int, int], bool] = lambda sender, receiver, place: True,
+    ) -> None:
+        self.vehicles, self.run, self.loop = tuple(vehicles), run, asyncio.get_running_loop()
+        self.offered: list[Offered] = []
+        self.room = True
+        self.counts: dict[str, dict[str, int]] = {}
+        self.levels: dict[tuple[int, int], float] = {}
+        self._delay_s, self._hears = delay_s, hears
+        self._thread = threading.get_ident()
+
+    def offer(self, door: Door, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+        self._on_the_loop()
+        rows = range(len(self.vehicles))
+        assert type(payload) is bytes
+        assert len(payload) <= LARGEST
+        assert sender in rows
+        assert to == BROADCAST or (to in rows and to != sender)
+        if not self.room:
+            return False
+        place = len(self.offered)
+        self.offered.append(Offered(sender, to, payload, time.monotonic_ns() if came_ns is None else came_ns))
+        for receiver in [row for row in rows if row != sender] if to == BROADCAST else [to]:
+            if self._hears(sender, receiver, place):
+                self.loop.call_later(self._delay_s, door.deliver, sender, receiver, payload)
+            elif to != BROADCAST and (lost := getattr(door, "lost", None)):
+                self.loop.call_later(self._delay_s, lost, sender, receiver, payload)
+        return True
+
+    def count(self, vehicle: int, what: str, by: int = 1) -> None:
+        self._on_the_loop()
+        counts = self.counts.setdefault(self.vehicles[vehicle], {})
+        counts[what] = counts.get(what, 0) + by
+
+    def level_dbm(self, sender: int, receiver: int) -> float:
+        return self.levels.get((sender, receiver), float("nan"))
+
+    def _on_the_loop(self) -> None:
+        assert threading.get_ident() == self._thread, "for the loop's own thread"
+
+
+async def until(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
+    """Let the loop turn until something holds; fails if it does not in time."""
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, "not in time"
+        await asyncio.sleep(0.005)
+
+
+def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> int:
+    """The first of so many ports in a row of 127.0.0.1 that nobody holds, where no other worker of the tests looks.
+
+    Each call looks behind the one before, so ports that are asked for but not yet taken are not given twice.
+    """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    stretch = 12_000 // workers  # below those that the kernel gives to who asks for any
+    begin = 20_000 + stretch * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    assert count <= stretch, f"{workers} workers leave {stretch} ports to each"
+    for _ in range(stretch // count):
+        if _next_port[0] + count > stretch:
+            _next_port[0] = 0
+        first = begin + _next_port[0]
+        _next_port[0] += count
+        if all(_is_free(port, kind) for port in range(first, first + count)):
+            return first
+    raise AssertionError("no free ports")
+
+
+_next_port = [os.getpid() * 100 % 4_000]  # of this process's stretch; other runs of the tests begin elsewhere
+
+
+def _is_free(port: int, kind: int) -> bool:
+    with socket.socket(socket.AF_INET, kind) as tried:
+        try:
+            tried.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True

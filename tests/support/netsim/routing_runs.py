@@ -1,0 +1,112 @@
+"""Runs of a radio with routing among vehicles that stand still."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed, States, Traffic
+from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.netsim.routing.router import Routing
+from tests.support.netsim.channels import make_channel
+
+MS = 1_000_000
+AIR_NS = 1_280_000  # of 100 B by wifi-b-1
+HOP_NS = AIR_NS + 64_000  # with the header
+
+
+class Heard(NamedTuple):
+    """Who heard whom, when."""
+
+    receiver: str
+    sender: str
+    sent_ns: int
+    received_ns: int
+
+
+class Run(NamedTuple):
+    """What came out."""
+
+    frames: list[FrameReport]
+    heard: list[Heard]
+    routed: list[Routed]
+    traffic: list[Traffic]
+    traffic_ns: list[int]  # when that was told
+    receptions: list[Reception]
+
+    @property
+    def messages(self) -> list[Routed]:
+        return [each for each in self.routed if not each.update]
+
+
+class World:
+    """Publishes where everybody stands."""
+
+    name, slot, wake_slot = "world", Slot.WORLD, Slot.APPLY
+    reads: tuple[str, ...] = ()
+    latest: tuple[str, ...] = ()
+    wakes: tuple[str, ...] = ()
+
+    def __init__(self, position: Sequence[Sequence[float]], said: Sequence[Event]) -> None:
+        self._position, self._said = np.array(position, np.float64), said
+
+    def start(self, run: RunInfo) -> int | None:
+        self._names = run.vehicles
+        return 0
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        zero, attitude = np.zeros((len(self._names), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(self._names), 1))
+        position = np.zeros((len(self._names), 3))
+        position[:, : self._position.shape[1]] = self._position
+        states = States(names=self._names, position=position, velocity=zero, attitude=attitude, angular_velocity=zero)
+        return Step([Event("world/states", 0, states), *self._said])
+
+    def close(self) -> None:
+        pass
+
+
+def says(sender: str, at_ns: int, *, to: str | None = None, size_bytes: int = 100) -> Event:
+    """A message, which is its own time."""
+    return Event(f"{sender}/send", at_ns, Message(sender=sender, body={"t": at_ns}, size_bytes=size_bytes, to=to))
+
+
+def line(count: int, step_m: float = 60.0) -> list[tuple[float, float]]:
+    """Vehicles in a row; by wifi-b-1 (86 m) each reaches the next."""
+    return [(step_m * i, 0.0) for i in range(count)]
+
+
+def names(count: int) -> tuple[str, ...]:
+    """Of so many vehicles."""
+    return tuple(f"car{i + 1}" for i in range(count))
+
+
+def run(
+    router: Routing | None,
+    position: Sequence[Sequence[float]],
+    *said: Event,
+    seconds: float = 1.0,
+    seed: int = 1,
+    preset: str = "wifi-b-1",
+    **layers: Any,
+) -> Run:
+    """A run in which these messages are sent."""
+    events: list[Event] = []
+    info = RunInfo(scenario="test", seed=seed, duration_ns=round(seconds * 1e9), vehicles=names(len(position)))
+    channel = make_channel(preset, vehicles=info.vehicles, **layers)
+    kernel = Kernel(info, [World(position, said), RadioFederate(channel, router=router)])
+    kernel.start()
+    kernel.run(events.append)
+    kernel.close()
+    receptions = [(event.key.partition("/")[0], event.value) for event in events if isinstance(event.value, Reception)]
+    values: list[Any] = [event.value for event in events]
+    assert all(event.time_ns == event.value.received_ns for event in events if isinstance(event.value, Reception))
+    return Run(
+        [each for each in values if isinstance(each, FrameReport)],
+        [Heard(name, each.message.sender, each.sent_ns, each.received_ns) for name, each in receptions],
+        [each for each in values if isinstance(each, Routed)],
+        [each for each in values if isinstance(each, Traffic)],
+        [event.time_ns for event in events if isinstance(event.value, Traffic)],
+        [each for _, each in receptions],
+    )

@@ -1,0 +1,69 @@
+"""Namespaces of vehicles in tests: an open door on the loop, and sockets and commands inside."""
+
+import asyncio
+import contextlib
+import os
+import shutil
+import socket
+from collections.abc import AsyncIterator, Sequence
+
+import pytest
+
+from vcmvsp.netsim.bridge.gateways.ip import run_networks, namespaces
+from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall
+
+RUN = f"test{os.getpid()}"
+
+LACKS = namespaces.missing() or ("" if shutil.which("ip") else "the command ip")
+
+needs_spaces = pytest.mark.skipif(bool(LACKS), reason=f"namespaces need {LACKS}")
+
+
+def needs(command: str) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(shutil.which(command) is None, reason=f"there is no {command} here")
+
+
+@contextlib.asynccontextmanager
+async def opened(door: Ip, hall: TestHall) -> AsyncIterator[list[str]]:
+    """What the door says to the user; it is closed, whatever happens."""
+    door.check(hall.vehicles)
+    try:
+        yield list(await door.open(hall))
+    finally:
+        await door.close()
+
+
+def space(vehicle: str, run: str = RUN) -> str:
+    return f"vcmvsp-{run}-{vehicle}"
+
+
+def udp(vehicle: str, address: str, port: int = 0, run: str = RUN) -> socket.socket:
+    """A socket on a vehicle's machine."""
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    made = namespaces.inside(space(vehicle, run), lambda: socket.socket(family, socket.SOCK_DGRAM))
+    made.setblocking(False)
+    made.bind((address, port))
+    return made
+
+
+async def heard(listener: socket.socket, seconds: float = PATIENCE_S) -> tuple[bytes, str]:
+    """The next datagram, and the address that it came from."""
+    loop = asyncio.get_running_loop()
+    data, sender = await asyncio.wait_for(loop.sock_recvfrom(listener, 65536), seconds)
+    return data, sender[0]
+
+
+async def called(vehicle: str, *command: str, run: str = RUN) -> tuple[int, str]:
+    """Exit code and output of a command on a vehicle's machine."""
+    inside = ("ip", "netns", "exec", space(vehicle, run), *command)
+    process = await asyncio.create_subprocess_exec(*inside, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT)
+    out, _ = await asyncio.wait_for(process.communicate(), PATIENCE_S)
+    assert process.returncode is not None
+    return process.returncode, out.decode()
+
+
+def left_over(vehicles: Sequence[str], run: str = RUN) -> list[str]:
+    """What is still there of a run's network."""
+    names = [space(each, run) for each in vehicles if (namespaces.NAMES / space(each, run)).exists()]
+    return names + [str(each) for each in (run_networks.FOLDER / run,) if each.exists()]

@@ -1,0 +1,110 @@
+"""A slow second opinion on what a camera sees: one ray after another against planes, as a textbook has it."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from vcmvsp.cosim.types import Array
+from vcmvsp.physics.render.renderer import NEAREST_M
+from vcmvsp.physics.render.floor_and_sky import SKY
+from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.world.solids import Cylinder, Mesh, color_of
+from vcmvsp.physics.render.view import View
+from vcmvsp.physics.world.world import World
+
+
+class Convex(NamedTuple):
+    """All x with normals @ x <= offsets."""
+
+    normals: Array
+    offsets: Array
+    color: tuple[int, int, int]
+
+
+class Triangle(NamedTuple):
+    corners: Array
+    color: tuple[int, int, int]
+
+
+class Seen(NamedTuple):
+    color: Array  # levels
+    depth: float  # m, along the optical axis
+
+
+def things(world: World, scene: Scene | None = None, without: int = -1) -> list[Convex | Triangle]:
+    found: list[Convex | Triangle] = []
+    for solid in world.solids:
+        if isinstance(solid, Mesh):
+            found += [Triangle(corners, color_of(solid)) for corners in solid.triangles]
+        for corners, bottom, top in solid.uprights():
+            edges = np.roll(corners, -1, axis=0) - corners
+            sides = np.column_stack([edges[:, 1], -edges[:, 0], np.zeros(len(edges))])
+            sides /= np.linalg.norm(sides, axis=1)[:, None]
+            normals = np.concatenate([sides, [[0, 0, 1], [0, 0, -1]]])
+            offsets = np.append((sides[:, :2] * corners).sum(axis=1), [top, -bottom])
+            found.append(Convex(normals, offsets, color_of(solid)))
+    if scene is not None:
+        for row, hull in enumerate(scene.hulls):
+            if row != without:
+                found.append(_hull(hull, scene.position[row], scene.rotation(row)))
+    return found
+
+
+def _hull(hull: Hull, position: Array, rotation: Array) -> Convex:
+    if hull.kind == "box":
+        local = np.concatenate([np.eye(3), -np.eye(3)])
+        offsets = np.tile(0.5 * np.array(hull.size), 2)
+    else:  # a camera sees a regular polygon with its corners on the circle
+        sides = Cylinder(center=(0, 0, 0), radius=0.4, height=1).uprights()[0].corners.shape[0]
+        angles = math.tau * (np.arange(sides) + 0.5) / sides
+        local = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
+        local = np.concatenate([local, [[0, 0, 1], [0, 0, -1]]])
+        offsets = np.append(np.full(sides, 0.5 * hull.size[0] * math.cos(math.pi / sides)), 2 * [0.5 * hull.size[2]])
+    normals = local @ rotation.T
+    return Convex(normals, offsets + normals @ (position + rotation @ np.array(hull.offset)), hull.color)
+
+
+def look(world: World, found: Sequence[Convex | Triangle], view: View, row: int, column: int) -> Seen:
+    """What is seen through the middle of a pixel."""
+    ray = view.rotation @ np.array(
+        [(column + 0.5 - view.width / 2) / view.focal_px, (row + 0.5 - view.height / 2) / view.focal_px, 1.0]
+    )  # of length 1 along the optical axis: distances along it are depths
+    best, color, normal = math.inf, np.array(SKY, float), None
+    if ray[2] < 0.0:
+        best = -view.eye[2] / ray[2]
+        color = np.array(world.ground.color, float)
+    for thing in found:
+        met = _enter(thing, view.eye, ray) if isinstance(thing, Convex) else _through(thing, view.eye, ray)
+        if met is not None and NEAREST_M < met[0] < best:
+            best, normal, color = met[0], met[1], np.array(thing.color, float)
+    if normal is not None:
+        sun = np.array(world.light.direction) / np.linalg.norm(world.light.direction)
+        color = color * (world.light.ambient + (1 - world.light.ambient) * max(0.0, float(normal @ sun)))
+    return Seen(color, best)
+
+
+def _enter(thing: Convex, eye: Array, ray: Array) -> tuple[float, Array] | None:
+    speed, gap = thing.normals @ ray, thing.offsets - thing.normals @ eye
+    if ((speed == 0.0) & (gap < 0.0)).any():
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        when = gap / speed
+    entering = np.where(speed < 0.0, when, -math.inf)
+    last = int(entering.argmax())
+    leave = np.where(speed > 0.0, when, math.inf).min()
+    return (float(entering[last]), thing.normals[last]) if 0.0 < entering[last] <= leave else None
+
+
+def _through(thing: Triangle, eye: Array, ray: Array) -> tuple[float, Array] | None:
+    a, b, c = thing.corners
+    matrix = np.column_stack([b - a, c - a, -ray])
+    if abs(np.linalg.det(matrix)) < 1e-12:
+        return None
+    u, v, when = np.linalg.solve(matrix, eye - a)
+    if u < 0.0 or v < 0.0 or u + v > 1.0 or when <= 0.0:
+        return None
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal)
+    return float(when), -normal if normal @ ray > 0.0 else normal
