@@ -9,14 +9,14 @@ from typing import Any
 import msgspec
 
 from vcmvsp.agents.factory import Kinds, build
-from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.hosts.lost_agent import Absence
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.hosts.lost_agent import Absence
 from vcmvsp.cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.util.text import plain
 
 NEVER_NS = 2**63
 COMMANDS = (Velocity, Waypoint)

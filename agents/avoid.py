@@ -3,8 +3,8 @@
 from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
-from vcmvsp.agents.avoidance_filter import GetAround
 from vcmvsp.agents.avoidance.method import Point
+from vcmvsp.agents.avoidance_filter import GetAround
 from vcmvsp.agents.nested_agents import built
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Velocity, Waypoint

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from vcmvsp.cosim.config import registry, binding
 from vcmvsp.cosim.agent import Agent, AgentSpec
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import AgentTable
 

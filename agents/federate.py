@@ -7,8 +7,8 @@ into events that take effect at tick + latency (`agents.agent_runner`).
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from vcmvsp.agents.factory import Kinds
 from vcmvsp.agents.agent_runner import NEVER_NS, Seat
+from vcmvsp.agents.factory import Kinds
 from vcmvsp.cosim.agent import Agent, AgentSpec
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 

@@ -17,11 +17,11 @@ from threadpoolctl import threadpool_limits
 from vcmvsp.agents.federate import AgentHost
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.scenario.schema import AgentTable
-from vcmvsp.cosim.hosts.server import Desk
 from vcmvsp.cosim.hosts.host_client import serve
-from vcmvsp.cosim.transport.endpoints import endpoint_rules
 from vcmvsp.cosim.hosts.protocol import PROTOCOL, Hello
+from vcmvsp.cosim.hosts.server import Desk
+from vcmvsp.cosim.scenario.schema import AgentTable
+from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
 GRACE_S = 0.2
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from vcmvsp.agents.factory import check_acts
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
 from vcmvsp.cosim.agent import Agent
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.errors import ScenarioError
 
 

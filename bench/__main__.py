@@ -38,13 +38,13 @@ from bench import (
 )
 from bench.measure import Row, in_turn, measured, table
 from bench.workloads import run_cpu_s, star
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.util.files import finite
-from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
+from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.util.files import finite
 
 ROUNDS = 5
 Question = tuple[int, Sequence[Event]]

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from bench.measure import Row, cpu, in_turn, table
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
 from vcmvsp.agents.avoidance.settings import Settings
-from bench.measure import Row, cpu, in_turn, table
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array, Scan
 

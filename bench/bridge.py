@@ -184,7 +184,7 @@ def _wait_for_port(port: int) -> None:
 
 def run(given: str) -> None:
     """Two vehicles that stand, at wall pace."""
-    from vcmvsp import cosim
+    import vcmvsp
 
     wanted = json.loads(given)
     vehicle = {"kind": "kinematic"}
@@ -196,7 +196,7 @@ def run(given: str) -> None:
         "vehicle": [{"name": "a", **vehicle}, {"name": "b", "position": [5.0, 0.0, 0.0], **vehicle}],
         "bridge": {"udp": {"first_port": wanted["first_port"]}},
     }
-    cosim.run(scenario, out=wanted["out"])
+    vcmvsp.run(scenario, out=wanted["out"])
 
 
 def hear(port: str) -> None:

@@ -19,10 +19,10 @@ import numpy as np
 
 from bench.measure import Row, peak_mib, table
 from bench.workloads import recorder_of
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.scenario import loader as scenarios
 
 COUNTS = (10, 20, 40, 80)
 DURATION_S = 4.0
@@ -113,7 +113,7 @@ def case_costs(count: int, case: Case) -> dict[str, float]:
 
 def _timed(federate: Any, spent: dict[str, float]) -> Any:
     """The federate, whose steps are clocked; those of the core itself count as the kernel's."""
-    part, step = PARTS.get(type(federate).__module__.partition(".")[0]), federate.step
+    part, step = PARTS.get(type(federate).__module__.removeprefix("vcmvsp.").partition(".")[0]), federate.step
     if part is None:
         return federate
 

@@ -119,7 +119,7 @@ def _runs(what: str, ours: Mapping[str, Any], other: Mapping[str, Any]) -> Way:
 
 
 def _run_s(scenario: Mapping[str, Any], *, mcap: bool = True) -> float:
-    """CPU seconds of ``cosim.run``, start and metrics included; files stay in memory."""
+    """CPU seconds of ``vcmvsp.run``, start and metrics included; files stay in memory."""
     return cpu(lambda: api.run(scenario, agents="inprocess", mcap=mcap))
 
 

@@ -17,9 +17,9 @@ from bench.asked import SilentError, installed, program
 from bench.measure import Row, cpu, in_turn, missing, table
 from bench.peers.pace import MESSAGE
 from bench.workloads import Kept, run_cpu_s
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.agent import Agent, Observation, Radio
 from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Message, Velocity
 from vcmvsp.netsim.federate import RadioFederate
 

@@ -12,11 +12,11 @@ from functools import cache, partial
 import cv2
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.recognition import Detector, Target
 from bench.measure import Row, cpu, in_turn, measured, table
 from bench.workloads import run_cpu_s
-from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.agents.reconnaissance.recognition import Detector, Target
 from vcmvsp.cosim.analysis.snapshots import Snapshot, Snapshots
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array
 
 SCENARIO, SIZE_M = "recon-urban", 2.0

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 from bench.growth import crowd
 from bench.measure import Row, cpu, in_turn, measured, table
 from bench.workloads import recorder_of
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
+from vcmvsp.cosim.util.codec import encode
 
 ROUNDS = 7
 VEHICLES, RUN_S = 10, 20.0

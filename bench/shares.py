@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.measure import Row, table
-from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.kernel.event_bus import Observer
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.runs import api
 
 FOLDER = Path("runs") / "shares"
 PARTS = ("Bullet", "physics", "radio", "agents", "kernel", "recording", "start", "end")
@@ -108,7 +108,7 @@ def spent(name: str) -> dict[str, float]:
 
     def clocked(kernel: Kernel, observe: Observer, **more: Any) -> None:
         for federate in kernel._federates:
-            part = PACKAGES.get(type(federate).__module__.partition(".")[0])
+            part = PACKAGES.get(type(federate).__module__.removeprefix("vcmvsp.").partition(".")[0])
             if part is not None:
                 federate.step = watch.clocked(part, federate.step)  # type: ignore[method-assign]
         bullet: Any = sys.modules.get("pybullet")
@@ -167,8 +167,8 @@ def draw(found: Mapping[str, Mapping[str, float]]) -> Any:
     """A bar for each run, as long as all others, of its parts."""
     from matplotlib.figure import Figure
 
-    from vcmvsp.cosim.util.palette import OKABE_ITO
     from vcmvsp.cosim.plots.style import ABOVE, GREY, styled
+    from vcmvsp.cosim.util.palette import OKABE_ITO
 
     colors = (*OKABE_ITO[1:], "0.8", GREY)  # black would hide what is written in it
 

@@ -38,7 +38,9 @@ def process(arguments: Sequence[str]) -> Cost:
 
 def help_cpu() -> Row:
     """The command line says what it can do."""
-    ours, other, ratio = in_turn(lambda: process(["-m", "vcmvsp.cosim.cli.app", "--help"]).cpu_s, lambda: process(["-c", "pass"]).cpu_s, 9)
+    ours, other, ratio = in_turn(
+        lambda: process(["-m", "vcmvsp.cosim.cli.app", "--help"]).cpu_s, lambda: process(["-c", "pass"]).cpu_s, 9
+    )
     name = "vcmvsp --help; beside it python -c pass"
     return Row(name, f"{ours:.2f} CPU s", f"{other:.2f}", ratio, "<= 0.3 CPU s", ours <= 0.3)
 
@@ -47,7 +49,16 @@ def run() -> list[Row]:
     """A run from the command line."""
     print("measuring: start, run ...", file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        words = ["-m", "vcmvsp.cosim.cli.app", "run", SCENARIO, "--set", f"duration_s={DURATION_S}", "--set", "metrics.from_s=0.0"]
+        words = [
+            "-m",
+            "vcmvsp.cosim.cli.app",
+            "run",
+            SCENARIO,
+            "--set",
+            f"duration_s={DURATION_S}",
+            "--set",
+            "metrics.from_s=0.0",
+        ]
         words += ["--quiet", "--force", "--out", str(Path(folder) / "run")]
         pairs = [(process(words), process(["-c", IMPORTS])) for _ in range(ROUNDS + 1)][1:]  # the first compiles
     name = f"vcmvsp run of {DURATION_S:g} s of {SCENARIO}, with its files and figures; beside it python -c '{IMPORTS}'"

@@ -68,7 +68,7 @@ def _speed(radio: str, scenario: dict[str, Any]) -> Row:
     ours, other, ratio = in_turn(
         lambda: cpu(lambda: succeeded(work, 1)), lambda: cpu(lambda: api.run(scenario, seed=1)), ROUNDS
     )
-    name = f"study: a run of 3 kinematic robots, 10 Hz, 120 s, {radio}; beside it cosim.run with its MCAP file in memory"
+    name = f"study: a run of 3 kinematic robots, 10 Hz, 120 s, {radio}; beside it vcmvsp.run with its MCAP file in memory"
     times = DURATION_S / ours
     return Row(name, f"{times:.0f}x real time", f"{DURATION_S / other:.0f}x", ratio, ">= 200x a core", times >= 200.0)
 

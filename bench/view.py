@@ -15,12 +15,12 @@ from typing import Any
 
 from bench.measure import Row, in_turn, measured, table
 from bench.workloads import recorder_of, star
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
-from vcmvsp.cosim.view.scenery import scenery_of
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.view.live.server_process import Viewer
+from vcmvsp.cosim.view.scenery import scenery_of
 
 VEHICLES, RUN_S, ROUNDS = 10, 60.0, 5
 MOST = 1.10

@@ -7,13 +7,13 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from vcmvsp.agents.patrol import Patrol
 from bench import bare
 from bench.measure import Row, in_turn, measured, table
 from bench.vehicles import Fleet, bare_cpu_s
 from bench.workloads import run_cpu_s, star
-from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.agents.patrol import Patrol
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Velocity, Waypoint
 
 ROUNDS = 5

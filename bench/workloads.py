@@ -4,10 +4,10 @@ import io
 from typing import Any, Literal
 
 from bench.measure import cpu
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.scenario import loader as scenarios
 
 Kept = Literal["mcap", "tables", "nothing"]
 """What a run keeps in memory: all, with the file that Foxglove opens; tables and metrics, as in a study; or nothing."""

@@ -27,7 +27,7 @@ def place_of(error: BaseException) -> str:
 class VcmvspError(Exception):
     """Base of all errors that are reported as one message, without a traceback.
 
-    ``result`` is what was recorded until then, where the run had begun (a `cosim.Result`).
+    ``result`` is what was recorded until then, where the run had begun (a `vcmvsp.Result`).
     """
 
     exit_code = 1

@@ -23,13 +23,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Needed, RunInfo, Slot, Step
-from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
 from vcmvsp.cosim.types import AnyValue, Array, Halted, States, VehicleState
-from vcmvsp.hardware.stations import Connections
 from vcmvsp.hardware.real_vehicle import Seat
+from vcmvsp.hardware.stations import Connections
 
 HEARTBEAT = Ticks.every(0.05)
 """Orders are said again so often: stations stop their robots when they hear none."""

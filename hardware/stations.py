@@ -9,9 +9,9 @@ import msgspec
 from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
 from vcmvsp.hardware.emulators.programs.in_run import EMULATED, Emulated
 from vcmvsp.hardware.safety import Polygon
-from vcmvsp.hardware.station.safety_factory import guard
-from vcmvsp.hardware.station.process_client import CLOSE_S, READY_S, Station, StationError
 from vcmvsp.hardware.station.messages import Mission, Part, Safety
+from vcmvsp.hardware.station.process_client import CLOSE_S, READY_S, Station, StationError
+from vcmvsp.hardware.station.safety_factory import guard
 
 COMMAND_S = 0.5  # without a command for so long a robot is stopped
 

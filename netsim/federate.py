@@ -20,10 +20,10 @@ from vcmvsp.cosim.types import (
     States,
 )
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.datagrams import Carried, received
 from vcmvsp.netsim.channel.replayed import RecordedChannel
 from vcmvsp.netsim.routing.network import Network
 from vcmvsp.netsim.routing.router import Routing
-from vcmvsp.netsim.channel.datagrams import Carried, received
 
 MANY = 1_000_000  # frames
 TELLING = 20  # the same: how many are to come goes by how soon the first ones came

@@ -18,8 +18,8 @@ Published at every instant that somebody asked for (`RunInfo.instants`, the star
 
 and what sensors say, at their own ticks: ``<vehicle>/fix`` of a positioning sensor, ``<vehicle>/<sensor>`` of all others.
 
-Vehicles that something else moves (`cosim.kernel.external_vehicles`) are in all of this, but for ``estimate``, ``odometry`` and ``fix``: these
-are published by whoever moves them.
+Vehicles that something else moves (`cosim.kernel.external_vehicles`) are in all of this, but for ``estimate``, ``odometry``
+and ``fix``: these are published by whoever moves them.
 """
 
 from collections.abc import Sequence
@@ -33,8 +33,11 @@ from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, Instants, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.external_vehicles import Outside
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
-from vcmvsp.physics.move_checks import check_free, placed
-from vcmvsp.physics.scene_builder import Stage
+from vcmvsp.physics.bodiless_engines import riders
+from vcmvsp.physics.dynamics.external_vehicles import Reflected, check_shown
+from vcmvsp.physics.engine.commands import Commands
+from vcmvsp.physics.engine.contacts import Contacts
+from vcmvsp.physics.engine.interface import Engine, Motion, gathered
 from vcmvsp.physics.initial_checks import (
     check_instants,
     check_lift,
@@ -43,16 +46,13 @@ from vcmvsp.physics.initial_checks import (
     check_places,
     check_sensors,
 )
-from vcmvsp.physics.engine.commands import Commands
-from vcmvsp.physics.engine.contacts import Contacts
-from vcmvsp.physics.engine.interface import Engine, Motion, gathered
-from vcmvsp.physics.sensor_scheduler import Instruments
-from vcmvsp.physics.dynamics.external_vehicles import Reflected, check_shown
+from vcmvsp.physics.move_checks import check_free, placed
 from vcmvsp.physics.pose_sources import PoseSources
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.bodiless_engines import riders
-from vcmvsp.physics.vehicles.urdf import UrdfDrive
+from vcmvsp.physics.scene_builder import Stage
+from vcmvsp.physics.sensor_scheduler import Instruments
 from vcmvsp.physics.vehicles.models import DifferentialDrive, VehicleSpec, flies
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
 PACE = Ticks.every(1 / 64)
@@ -273,7 +273,9 @@ class BulletPhysics(Physics):
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """Bullet for those with a body, the others as without it."""
-        from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet: 0.4 s that a kinematic run need not wait
+        from vcmvsp.physics.dynamics.bullet.engine import (
+            BulletEngine,  # loads PyBullet: 0.4 s that a kinematic run need not wait
+        )
 
         check_instants(self._run, self.rate_hz, self._sources.instants)
         self._instruments.check(Ticks.rate(self.rate_hz))

@@ -4,8 +4,8 @@ from math import isfinite
 
 import numpy as np
 
-from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, hull_of, outline
 from vcmvsp.physics.world.scene import Hull, Scene

@@ -20,8 +20,8 @@ from vcmvsp.cosim.errors import FederateError, ScenarioError, VcmvspError, place
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Later, Reading
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 Train = tuple[Ticks, int]  # ticks, shifted by ns
 

@@ -22,8 +22,8 @@ import msgspec
 from vcmvsp.agents.avoidance.method import Method
 from vcmvsp.agents.avoidance.settings import Settings
 from vcmvsp.cosim.agent import Body
-from vcmvsp.cosim.config.registry import find
 from vcmvsp.cosim.config.binding import call, parameters
+from vcmvsp.cosim.config.registry import find
 from vcmvsp.cosim.types import Positive
 
 

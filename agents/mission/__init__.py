@@ -4,8 +4,8 @@
 while one of them commands; `guard`: limits of the speed near obstacles, whoever commands.
 """
 
-from vcmvsp.agents.mission.speed_limit import Guard
 from vcmvsp.agents.mission.runner import Around, Runner, Standby
+from vcmvsp.agents.mission.speed_limit import Guard
 from vcmvsp.agents.reconnaissance.state_table import Facts, State, step
 
 __all__ = ["Around", "Facts", "Guard", "Runner", "Standby", "State", "step"]

@@ -2,8 +2,8 @@
 
 An algorithm is any agent. What it may have besides ``act``:
 
-``facts(obs)``           what it knows that the table asks for (`agents.reconnaissance.state_table.Facts`), before anybody decides
-``stand_by(obs, radio)`` in place of ``act`` while it neither commands nor is the task
+``facts(obs)``           what it knows that the table asks for (`agents.reconnaissance.state_table.Facts`), before anybody
+decides ``stand_by(obs, radio)`` in place of ``act`` while it neither commands nor is the task
 ``begin(obs, place)``    it becomes the task; ``place``: of the target, m, world, or None
 ``end(obs)``             it is the task no more
 ``claim``                the target that it tracks (`agents.reconnaissance.roster.Claim`), or None
@@ -18,20 +18,20 @@ from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance_filter import GetAround
 from vcmvsp.agents.formation.aerial.flight import along, told
 from vcmvsp.agents.formation.reports.report import send_report
-from vcmvsp.agents.mission.speed_limit import Guard
-from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.mission.runner import Runner
-from vcmvsp.agents.reconnaissance.state_table import TASKS, Facts, State, step
+from vcmvsp.agents.mission.speed_limit import Guard
 from vcmvsp.agents.nested_agents import built
+from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
+from vcmvsp.agents.reconnaissance.state_table import TASKS, Facts, State, step
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative, Positive, Velocity, Waypoint
 
 
 class Mission(Agent):
-    """Search, formation and track by the table of `agents.reconnaissance.state_table`, avoidance and a limit of the speed near obstacles.
+    """Search, formation and track by the table of `agents.reconnaissance.state_table`, avoidance, a speed limit near obstacles.
 
     Noted besides what the algorithms note: ``commander``, ``since_s`` and ``why`` at every switch, ``task`` and ``task_why``
     whenever the task changes.

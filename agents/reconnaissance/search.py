@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 
 from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, check_flies
-from vcmvsp.agents.reconnaissance.roster import Roster, members_of
 from vcmvsp.agents.reconnaissance.exchange import Kind, exchange
-from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
-from vcmvsp.agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
 from vcmvsp.agents.reconnaissance.lane_following import Way
+from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
+from vcmvsp.agents.reconnaissance.roster import Roster, members_of
+from vcmvsp.agents.reconnaissance.search_map import SearchMap, of_picture, of_reading, swaths_m
 from vcmvsp.agents.reconnaissance.sectors import Comb, Point
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo

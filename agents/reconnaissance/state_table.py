@@ -22,9 +22,9 @@ where a target is said to be (on a roof, in a narrow street), and so never leave
 
 There is no switch within 0.5 s of another, whatever happens. So avoid2 may begin half a second late, if something else began
 just before. That costs no safety, because no safety rests on it: the limit of the speed near obstacles holds for the command of
-whoever commands (`agents.mission.speed_limit`, `agents.avoidance.levels`), from the first tick at which something is nearer than d2.
-What is late is only the way around, and that of a vehicle which comes no nearer than it may. At the end of the half second the
-facts of then decide, and avoid2 goes before all: nothing stands in line before it.
+whoever commands (`agents.mission.speed_limit`, `agents.avoidance.levels`), from the first tick at which something is nearer
+than d2. What is late is only the way around, and that of a vehicle which comes no nearer than it may. At the end of the half
+second the facts of then decide, and avoid2 goes before all: nothing stands in line before it.
 """
 
 import math

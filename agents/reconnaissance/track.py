@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import msgspec
 
 from vcmvsp.agents.formation.aerial.flight import check_flies
-from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
 from vcmvsp.agents.reconnaissance.picture_recording import Showing
+from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.tracking import (
     GAIN,
     LOST_S,

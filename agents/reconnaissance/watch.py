@@ -10,8 +10,8 @@ from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Point, Regio
 from vcmvsp.agents.reconnaissance.poses import Poses
 from vcmvsp.agents.reconnaissance.recognition import Detector, Target
 from vcmvsp.agents.reconnaissance.recognition.detector import SMALLEST_PX
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Image, Positive, Sighting, Vec3
 

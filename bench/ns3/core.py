@@ -14,11 +14,11 @@ from bench.ns3.program import Floats, Frames
 from bench.ns3.sample import Sample, tally
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.rng import key64
-from vcmvsp.netsim.mac.dcf.parameters import Dcf
-from vcmvsp.netsim.mac.dcf.medium import DcfMedium
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Medium, Offered
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.mac.dcf.medium import DcfMedium
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.phy.standards import Dsss
 
 ErrorModel = Literal["table", "yans", "nist"]
 

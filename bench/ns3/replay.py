@@ -21,8 +21,8 @@ from bench.ns3.cases import SIZE, Case
 from bench.ns3.core import Air
 from bench.ns3.program import Floats, Frames, Ints
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
 
 LIGHT = "--ns3::ConstantSpeedPropagationDelayModel::Speed=3e10"
 NEAR_NS = 8_000  # less than a slot

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from bench.peers.pace import BEAMS, COMMAND, STATE, Options, Pace, busy, options
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.agent import Agent, Observation, Radio
 from vcmvsp.cosim.assembly.federates import Assembly
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import NonNegative, Scan, VehicleState, Velocity, frozen
+from vcmvsp.cosim.util.codec import encode
 
 PERIOD_NS = 100_000_000
 STATE_SEEN = VehicleState(**STATE)  # type: ignore[arg-type]

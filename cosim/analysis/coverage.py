@@ -8,15 +8,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.config import factory, registry, binding
 from vcmvsp.cosim.assembly import radio
-from vcmvsp.cosim.scenario import loader as scenario
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.config import binding, factory, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.tables.schema import load_tables
+from vcmvsp.cosim.scenario import loader as scenario
 from vcmvsp.cosim.scenario.schema import Scenario
-from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.tables.schema import load_tables
 from vcmvsp.cosim.types import Array, Vec3
 
 SCHEMA = "vcmvsp.coverage/1"

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.scenario import loader
-from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.analysis.coverage import site_of
-from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.analysis.links import NUMBERS, UNDER_WAY, Frames, Log, Pair
 from vcmvsp.cosim.analysis.loss_cause import why
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.scenario import loader
 
 _NEGLIGIBLE_DB = 1e-6
 Budget = dict[str, Any]

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.config import factory, registry, binding
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import product, quaternion_from_yaw, wrap
 from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import VehicleTable
 from vcmvsp.cosim.types import Array, Positive, Sighting, VehicleState
 

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from vcmvsp.cosim.config import registry, binding
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.assembly.vehicles import Fleet
-from vcmvsp.cosim.scenario.schema import AgentsTable, AgentTable, Scenario, VehicleTable
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.scenario.schema import AgentsTable, AgentTable, Scenario, VehicleTable
 
 
 class Placement:

@@ -5,12 +5,12 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
+from vcmvsp.cosim.assembly.resolved import Resolution
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Federate
-from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.scenario.schema import Scenario
-from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.util.text import Tell
 
 

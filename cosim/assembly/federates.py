@@ -7,26 +7,26 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from vcmvsp.cosim.assembly import bridge, radio, real_vehicles
-from vcmvsp.cosim.config import factory, registry
 from vcmvsp.cosim.agent import Agent
+from vcmvsp.cosim.assembly import bridge, radio, real_vehicles
+from vcmvsp.cosim.assembly.agents import Placement
+from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks, nothing_moves
+from vcmvsp.cosim.assembly.resolved import Resolution
+from vcmvsp.cosim.assembly.vehicles import Fleet
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.config import factory, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Federate, Instants, RunInfo
-from vcmvsp.cosim.assembly.vehicles import Fleet
 from vcmvsp.cosim.hosts.manager import Hosts
-from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks, nothing_moves
 from vcmvsp.cosim.kernel.kernel import Kernel
-from vcmvsp.cosim.assembly.agents import Placement
 from vcmvsp.cosim.recording.external_inputs import Input
-from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.scenario.schema import Scenario
-from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.kernel.external_vehicles import Vehicles
     from vcmvsp.cosim.hosts.event_publisher import Topics
+    from vcmvsp.cosim.kernel.external_vehicles import Vehicles
 
 
 class Assembly:
@@ -67,7 +67,6 @@ class Assembly:
         tell: Tell = lambda _: None,
         watch: Callable[[], str | None] | None = None,
     ) -> None:
-        registry.guard()
         self._scenario, self._source, self._objects = scenario, source, dict(objects or {})
         self.clock = scenario.clock
         agents = scenario.agents if listen is None else msgspec.structs.replace(scenario.agents, listen=listen)

@@ -11,11 +11,11 @@ from operator import attrgetter
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.config.binding import non_finite, unknown
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
-from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.config.binding import non_finite, unknown
 from vcmvsp.cosim.types import Changed, Halted, Moved, Outage
 
 Check = Callable[[InterventionTable, Sequence[InterventionTable]], None]

@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.config import factory, builtin_kinds, registry, binding
+from vcmvsp.cosim.config import binding, builtin_kinds, factory, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario
-from vcmvsp.cosim.config.provenance import Source
 
 
 class Built(msgspec.Struct, frozen=True):
@@ -52,9 +52,7 @@ def of_scenario(
     air = channel if recorded is None else registry.piece("recorded radio")(channel, recorded, tell)
     router, routing = None, dict[str, Any]()
     if scenario.routing:
-        router, routing = factory.build(
-            "routing", scenario.routing, key="routing", source=source, portable=portable, keep=keep
-        )
+        router, routing = factory.build("routing", scenario.routing, key="routing", source=source, portable=portable, keep=keep)
     built = binding.call(federate, own, key="radio", origin=source, given={"channel": air, "router": router})
     full = {**binding.complete(federate, own, without=("channel", "router")), **resolved}
     return Built(built, channel, radios, {"radio": full, **({"routing": routing} if router is not None else {})})
@@ -117,7 +115,9 @@ def build(
 
 def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
     """The preset's table with what is changed of it; another kind has a table of its own."""
-    if own and base["kind"] == "none" and len(builtin_kinds.KINDS[layer]) == 2:  # it can be left out, or be the one that there is
+    if (
+        own and base["kind"] == "none" and len(builtin_kinds.KINDS[layer]) == 2
+    ):  # it can be left out, or be the one that there is
         return {"kind": next(iter(builtin_kinds.KINDS[layer])), **own}
     return {**base, **own} if own.get("kind", base["kind"]) == base["kind"] else own
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.config import registry, binding
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.scenario.schema import SIMULATED, SafetyTable, Scenario, VehicleTable
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.scenario.schema import SIMULATED, SafetyTable, Scenario, VehicleTable
 from vcmvsp.cosim.types import Value, Vec3
 
 MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, of a robot among people unless somebody says otherwise; assumed

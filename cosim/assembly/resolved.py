@@ -8,11 +8,12 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from vcmvsp.cosim.config import factory as component, registry, binding
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.scenario.schema import ClockTable, Scenario, VehicleTable
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import factory as component
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.scenario.schema import ClockTable, Scenario, VehicleTable
 
 
 class Resolution:
@@ -44,7 +45,7 @@ class Resolution:
         given: Mapping[str, Any] | None = None,
         offered: Mapping[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Build what a table describes, and keep its files; the object, and the table complete (`cosim.config.factory.build`)."""
+        """Build what a table describes, keep its files; the object and the complete table (`cosim.config.factory.build`)."""
         return component.build(
             group, content, key=key, source=self._source, portable=self.portable, given=given, offered=offered, keep=self.keep
         )

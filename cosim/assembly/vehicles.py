@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from vcmvsp.cosim.config import factory, registry, binding
 from vcmvsp.cosim.agent import SHOWN
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
+from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 
 TOPICS = (
     *("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host", "real", "incident"),

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import factory, builtin_kinds, registry, binding
-from vcmvsp.cosim.scenario import loader as scenarios
-from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.config import binding, builtin_kinds, factory, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array
 
 FILES = {".toml": "file", ".yaml": "map", ".yml": "map", ".geojson": "geojson", ".json": "geojson"}

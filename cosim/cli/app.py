@@ -12,8 +12,8 @@ from vcmvsp.cosim.cli import robot, stop
 from vcmvsp.cosim.cli.bench import bench_command
 from vcmvsp.cosim.cli.calibrate import calibrate_command
 from vcmvsp.cosim.cli.calibrate_recognition import calibrate_recognition_command
+from vcmvsp.cosim.cli.channel import register
 from vcmvsp.cosim.cli.emulate import emulate_app
-from vcmvsp.cosim.cli.radio import radio_command
 from vcmvsp.cosim.cli.export import export_command
 from vcmvsp.cosim.cli.figure import figure_command
 from vcmvsp.cosim.cli.keys import keys_app
@@ -22,7 +22,7 @@ from vcmvsp.cosim.cli.launch import launch_command
 from vcmvsp.cosim.cli.net import net_app
 from vcmvsp.cosim.cli.new import new_command
 from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle
-from vcmvsp.cosim.cli.channel import register
+from vcmvsp.cosim.cli.radio import radio_command
 from vcmvsp.cosim.cli.reference import reference_command
 from vcmvsp.cosim.cli.replay import replay_command
 from vcmvsp.cosim.cli.report import report_command
@@ -70,7 +70,6 @@ def agent_command(
     from vcmvsp.cosim.config import registry
     from vcmvsp.cosim.scenario import loader as scenarios
 
-    registry.guard()
     host = registry.piece("host process")
     why = host(
         connect,

@@ -10,7 +10,7 @@ import typer
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, UsageError
 
-HOME = Path(__file__).resolve().parent.parent
+HOME = Path(__file__).resolve().parents[2]
 
 
 def bench_command(

@@ -35,7 +35,6 @@ def calibrate_command(
     from vcmvsp.cosim.config import registry
     from vcmvsp.cosim.util.files import to_json
 
-    registry.guard()
     for option, value in (
         ("--tx-power", tx_power),
         ("--sensitivity", sensitivity),

@@ -8,8 +8,8 @@ import typer
 
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, UsageError
-from vcmvsp.cosim.util.files import to_json
 from vcmvsp.cosim.terminal.progress import Shown
+from vcmvsp.cosim.util.files import to_json
 from vcmvsp.cosim.util.stdout import stdout_to_stderr
 
 if TYPE_CHECKING:
@@ -39,12 +39,10 @@ def calibrate_recognition_command(
 
     Example: vcmvsp calibrate-recognition recon-urban --frames 400
     """
-    from vcmvsp.cosim.config import registry
-    from vcmvsp.cosim.scenario import loader as scenarios
     from vcmvsp.cosim.analysis.recognition import Rates
     from vcmvsp.cosim.analysis.snapshots import Snapshots
+    from vcmvsp.cosim.scenario import loader as scenarios
 
-    registry.guard()
     for option, value in (("--height", height), ("--cell", cell)):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise UsageError(f"{option} {value}: must be a number greater than 0")

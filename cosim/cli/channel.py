@@ -50,9 +50,9 @@ def channel_command(
 
     Example: vcmvsp channel --preset wifi-b-1 --positions cars.csv --rate 10 --size 100 --duration 30 --set path_loss.exponent=2
     """
-    from vcmvsp.cosim.config import registry, binding
-    from vcmvsp.cosim.terminal.progress import Progress
+    from vcmvsp.cosim.config import binding, registry
     from vcmvsp.cosim.scenario.schema import Duration
+    from vcmvsp.cosim.terminal.progress import Progress
     from vcmvsp.cosim.types import Rate, Seed
 
     trial = registry.piece("channel trial")
@@ -131,11 +131,10 @@ def _channel(
 ) -> "tuple[Any, dict[str, Any], Source]":
     """A channel of a preset with some keys changed, its tables with everything filled in, and where keys came from."""
     from vcmvsp.cosim.assembly import radio
-    from vcmvsp.cosim.config import registry, binding
-    from vcmvsp.cosim.scenario.loader import value_of
+    from vcmvsp.cosim.config import binding, registry
     from vcmvsp.cosim.config.provenance import Source
+    from vcmvsp.cosim.scenario.loader import value_of
 
-    registry.guard()
     source = Source("the radio", Path())
     source.note_set("preset", f"--preset {preset}")
     tables: dict[str, Any] = {"preset": preset}

@@ -18,12 +18,12 @@ from typing import Any
 import typer
 from typer.models import ParameterInfo
 
-from vcmvsp.cosim.config import builtin_kinds, registry
 from vcmvsp.cosim.cli.kinds import GROUPS
 from vcmvsp.cosim.cli.new import PARTS
+from vcmvsp.cosim.config import builtin_kinds, registry
 
 VARIABLE = "_VCMVSP_COMPLETE"
-INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")  # of `cosim.reference.index`
+INDEX = Path(__file__).resolve().parents[1] / "reference" / "reference_keys.tsv"  # of `cosim.reference.index`
 BREAKS = {"=", ":"}  # characters at which bash divides words
 PREFIXES = {"world": "world.", "channel": "radio.", "pathloss": "radio.", "agent": "agents.", "robot": "vehicle.x.driver."}
 """Of the keys that ``--set`` means, by command; elsewhere it means keys of a scenario."""

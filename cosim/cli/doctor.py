@@ -32,7 +32,7 @@ def installation() -> "Iterator[Check]":
     """Whether everything is here, and two short runs."""
     checks: list[tuple[str, Callable[[], str]]] = [
         ("python", _python),
-        ("parts", _parts),
+        ("vcmvsp", _vcmvsp),
         ("pybullet", lambda: _version("vcmvsp.physics.dynamics.bullet", "pybullet")),
         ("zenoh", lambda: _version("vcmvsp.cosim.transport.zenoh_session", "eclipse-zenoh")),
         ("run in one process", lambda: _run("inprocess")),
@@ -51,8 +51,8 @@ def connection(endpoint: str, keys: Path | None = None, *, insecure: bool = Fals
     Raises:
         UsageError: the endpoint is none, or may not be dialled so, or the file is none of a machine.
     """
-    from vcmvsp.cosim.transport.endpoints import endpoint_rules
     from vcmvsp.cosim.hosts.observers.reachability import examine
+    from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
     bundle = None
     if keys is not None:
@@ -67,11 +67,10 @@ def _python() -> str:
     return f"{platform.python_version()} at {sys.executable}"
 
 
-def _parts() -> str:
-    from vcmvsp.cosim.config import registry
+def _vcmvsp() -> str:
+    import vcmvsp
 
-    registry.guard()
-    return "all beside the core"
+    return f"{_version('vcmvsp', 'vcmvsp')} at {Path(vcmvsp.__file__).resolve().parent}"
 
 
 def _version(module: str, distribution: str) -> str:

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.cli.options import AsJson, pose_of
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.stdout import stdout_to_stderr
 

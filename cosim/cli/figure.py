@@ -39,9 +39,9 @@ def figure_command(
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
+    from vcmvsp.cosim.processes.worker_pool import cores
     from vcmvsp.cosim.reproduction.figures import files
     from vcmvsp.cosim.reproduction.figures.figure import Runner
-    from vcmvsp.cosim.processes.worker_pool import cores
     from vcmvsp.cosim.terminal.study_progress import StudyProgress
 
     try:

@@ -28,7 +28,7 @@ def list_command(
 
     Example: vcmvsp list vehicles
     """
-    from vcmvsp.cosim.config import param_docs, builtin_kinds, registry, binding
+    from vcmvsp.cosim.config import binding, builtin_kinds, param_docs, registry
     from vcmvsp.cosim.scenario import loader as scenarios
 
     if what == "scenarios":
@@ -90,8 +90,8 @@ def world_command(
 
     Examples: vcmvsp world urban --set seed=3 --png city.png; vcmvsp world plant.geojson
     """
-    from vcmvsp.cosim.scenario import loader as scenarios
     from vcmvsp.cosim.assembly import worlds
+    from vcmvsp.cosim.scenario import loader as scenarios
 
     built, name = worlds.world_of(world, scenarios.settings_of(set_ or []))
     about = worlds.describe(built, name)
@@ -105,7 +105,7 @@ def world_command(
 
 def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
     """A kind: what it is, and each parameter with unit, default and meaning (which names its source)."""
-    from vcmvsp.cosim.config import param_docs, builtin_kinds, registry, binding
+    from vcmvsp.cosim.config import binding, builtin_kinds, param_docs, registry
     from vcmvsp.cosim.reference import describe
 
     if group not in GROUPS.values():

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.cli.run import Force, Out, Quiet, ScenarioName, Seed, Sets, View, ViewHost, ViewPort, conduct
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view import HOST, PORT
 
@@ -50,8 +50,8 @@ def up_command(
 
     Example: vcmvsp net up formation-circle --duration 600 --set radio.loss.probability=0.1
     """
-    from vcmvsp.cosim.runs import api
     from vcmvsp.cosim.assembly import bridge
+    from vcmvsp.cosim.runs import api
     from vcmvsp.cosim.scenario import loader as scenarios
 
     networks = _able()

@@ -79,7 +79,7 @@ def _plain(value: Any) -> Any:
 
 
 def _explained(folder: Path, link: str | None, frame: str | None) -> tuple[dict[str, Any], str]:
-    from vcmvsp.cosim.analysis import links, link_text
+    from vcmvsp.cosim.analysis import link_text, links
 
     log = links.Log(folder)
     head = {"schema": links.SCHEMA, "scenario": log.facts.scenario, "seed": log.facts.seed}

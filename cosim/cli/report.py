@@ -23,9 +23,9 @@ def report_command(
 
     Example: vcmvsp report runs/formation-circle-1
     """
-    from vcmvsp.cosim.util.files import writing
     from vcmvsp.cosim.studies import outputs
     from vcmvsp.cosim.studies.store import PLAN
+    from vcmvsp.cosim.util.files import writing
 
     if not folder.is_dir():
         raise UsageError(

@@ -41,10 +41,8 @@ def robot_command(
 
     Example: vcmvsp robot --vehicle car3 --driver arcos:/dev/ttyUSB0 --connect tls/192.168.1.10:7448 --keys car3.keys
     """
-    from vcmvsp.cosim.config import registry
     from vcmvsp.cosim.scenario import loader as scenarios
 
-    registry.guard()
     importlib.import_module(SERVE).robot(
         vehicle,
         driver,

@@ -94,10 +94,10 @@ def conduct(
     page: tuple[str, int] | None = None,
     **options: Any,
 ) -> None:
-    """Call `cosim.run`, or what takes its place, and show how far it is and what came out; where there is a page, there too."""
+    """Call `vcmvsp.run`, or what takes its place; show progress and what came out, on a page too where there is one."""
     from vcmvsp.cosim.scenario import loader as scenarios
-    from vcmvsp.cosim.util.files import to_json
     from vcmvsp.cosim.terminal.progress import Progress, lateness, summary
+    from vcmvsp.cosim.util.files import to_json
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")

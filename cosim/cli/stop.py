@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.config import registry
 
 NOBODY = "no robot is driven on this machine by you"
 

@@ -49,11 +49,11 @@ def study_command(
     Example: vcmvsp study formation-slalom --vary radio.loss.probability=0:0.8:0.2 --vary agents.estimator=hold,dr --seeds 5
     """
     from vcmvsp.cosim.scenario import loader as scenarios
+    from vcmvsp.cosim.studies import engine, grid
+    from vcmvsp.cosim.studies.summary import rows, summarise
+    from vcmvsp.cosim.terminal.study_progress import StudyProgress
     from vcmvsp.cosim.util.files import to_json
     from vcmvsp.cosim.util.stdout import stdout_to_stderr
-    from vcmvsp.cosim.studies import engine, grid
-    from vcmvsp.cosim.terminal.study_progress import StudyProgress
-    from vcmvsp.cosim.studies.summary import rows, summarise
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")

@@ -30,7 +30,6 @@ def validate_command(
 
     Example: vcmvsp validate --only path-loss --only figure-24
     """
-    from vcmvsp.cosim.config import registry
     from vcmvsp.cosim.reproduction import validation
 
     checks = validation.chosen(only or [])
@@ -38,10 +37,9 @@ def validate_command(
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
-    registry.guard()
     from vcmvsp.cosim.processes.worker_pool import cores
+    from vcmvsp.cosim.reproduction.validation import check, document
     from vcmvsp.cosim.terminal.study_progress import StudyProgress
-    from vcmvsp.cosim.reproduction.validation import document, check
 
     try:
         with stdout_to_stderr(), StudyProgress(quiet=quiet, what="checks") as progress:

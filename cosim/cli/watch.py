@@ -40,8 +40,8 @@ def watch_command(
 
     Example: vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'
     """
-    from vcmvsp.cosim.transport.endpoints import endpoint_rules
     from vcmvsp.cosim.hosts.observers.watcher import watch
+    from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
     bundle = None
     if keys is not None:

@@ -176,7 +176,11 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "ofdm": "vcmvsp.netsim.phy.ofdm:Ofdm",
         "ieee802154": "vcmvsp.netsim.phy.standards:Ieee802154",
     },
-    "mac": {"ideal": "vcmvsp.netsim.mac.ideal:Ideal", "dcf": "vcmvsp.netsim.mac.dcf.parameters:Dcf", "csma154": "vcmvsp.netsim.mac.csma154.parameters:Csma154"},
+    "mac": {
+        "ideal": "vcmvsp.netsim.mac.ideal:Ideal",
+        "dcf": "vcmvsp.netsim.mac.dcf.parameters:Dcf",
+        "csma154": "vcmvsp.netsim.mac.csma154.parameters:Csma154",
+    },
     "loss": {
         "bernoulli": "vcmvsp.netsim.impairments.loss:Bernoulli",
         "gilbert_elliott": "vcmvsp.netsim.impairments.gilbert_elliott:GilbertElliott",

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
-from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError, place_of
 
 Portable = Callable[[str], str]
 """From a kind to how the resolved scenario names it."""

@@ -1,7 +1,7 @@
-"""From the ``kind`` of a scenario to a class: short names (`cosim.config.builtin_kinds`), ``module:Class``, or ``file.py:Class``.
+"""From the ``kind`` of a scenario to a class: a short name (`cosim.config.builtin_kinds`), ``module:Class``, ``file.py:Class``.
 
-Parts are reached only through here, as strings, so that ``import cosim`` stays light. Other distributions add short names
-through the entry-point groups ``cosim.<group>``, e.g. ``cosim.agent``.
+Parts are reached only through here, as strings, so that ``import vcmvsp`` stays light. Other distributions add short names
+through the entry-point groups ``vcmvsp.<group>``, e.g. ``vcmvsp.agent``.
 """
 
 import contextlib
@@ -17,16 +17,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from vcmvsp.cosim.errors import ScenarioError, UsageError, place_of
-from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, PIECES, VERBS
 from vcmvsp.cosim.config.binding import Named, Origin, unknown
-
-PARTS = ("physics", "netsim", "agents", "hardware", "scenarios")
+from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, PIECES, VERBS
+from vcmvsp.cosim.errors import ScenarioError, place_of
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
 
 
-SHIPPED = Path(__file__).resolve().parent.parent / "scenarios"
+SHIPPED = Path(__file__).resolve().parents[2] / "scenarios"
 """The built-in scenarios, and the files that come with them."""
 
 
@@ -139,23 +137,5 @@ def _lies_in(module: ModuleType, folder: Path) -> bool:
     return file is not None and Path(file).resolve().is_relative_to(folder)
 
 
-def guard() -> None:
-    """Refuse to go on if a part would come from elsewhere than beside this package.
-
-    Other distributions install top-level packages called ``agents`` or ``hardware`` too, and a folder of that name in the
-    current directory comes first on the path of a notebook.
-    """
-    home = Path(__file__).resolve().parent.parent
-    for part in PARTS:
-        spec = importlib.util.find_spec(part)
-        places = [Path(place).resolve() for place in (spec.submodule_search_locations or ())] if spec else []
-        if places != [home / part]:
-            found = str(places[0]) if places else "nowhere"
-            raise UsageError(
-                f"the package '{part}' of vcmvsp is expected at {home / part} but Python finds it at {found}; "
-                "start elsewhere, remove that package, or install vcmvsp in an environment of its own"
-            )
-
-
 def _entry_points(group: str) -> dict[str, str]:
-    return {entry.name: entry.value for entry in importlib.metadata.entry_points(group=f"cosim.{group}")}
+    return {entry.name: entry.value for entry in importlib.metadata.entry_points(group=f"vcmvsp.{group}")}

@@ -26,9 +26,9 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.types import Array, Count, NonNegative, Positive, Probability, Vec3, frozen
 from vcmvsp.cosim.estimation import heading_alignment
 from vcmvsp.cosim.estimation.kalman_filter import Motion, Noise, Seen, corrected, grown, innovation, moved
+from vcmvsp.cosim.types import Array, Count, NonNegative, Positive, Probability, Vec3, frozen
 
 Outcome = Literal["accepted", "gated", "collected", "restarted", "late"]
 

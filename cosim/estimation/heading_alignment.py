@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 from scipy.special import gammaincinv
 
-from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.estimation.kalman_filter import (
     HEADING,
     SIZE,
@@ -24,6 +23,7 @@ from vcmvsp.cosim.estimation.kalman_filter import (
     innovation,
     moved,
 )
+from vcmvsp.cosim.types import Array
 
 UNKNOWN = math.pi**2 / 3.0  # rad^2, variance of a direction of which nothing is known
 LEAST = 4  # positions; three are needed, one more lets them contradict each other

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.util.files import to_json
-from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
-from vcmvsp.cosim.util.palette import color_of
+from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.types import VehicleState
+from vcmvsp.cosim.util.files import to_json
+from vcmvsp.cosim.util.palette import color_of
 
 ERRORS = ("error_m", "z1", "z2")  # what followers note of how far they are from their places, m
 WORDS = ("commander", "mode", "status")  # what agents note of what they are doing; the first that there is counts

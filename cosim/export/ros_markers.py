@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.recording.foxglove import messages
 from vcmvsp.cosim.export.ros_messages import WORLD, header, make, point, pose, vector
+from vcmvsp.cosim.recording.foxglove import messages
 
 ARROW, CUBE, CYLINDER, LINE_STRIP, LINE_LIST, TEXT, TRIANGLES = 0, 1, 3, 4, 5, 9, 11  # visualization_msgs/Marker
 DELETE_ALL = 3  # an action

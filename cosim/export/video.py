@@ -15,16 +15,16 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.frames import yaw_of
-from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.recording.foxglove.messages import (
     FrameTransforms,
     SceneEntity,
     SceneUpdate,
     TriangleListPrimitive,
 )
-from vcmvsp.cosim.util.palette import rgb_of
+from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.tables.schema import NOT_LOST
 from vcmvsp.cosim.types import Array, FrameReport, VehicleState
+from vcmvsp.cosim.util.palette import rgb_of
 
 FPS = 20
 MOST_FRAMES = 1800

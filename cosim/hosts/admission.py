@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.config import registry, binding
 from vcmvsp.cosim.agent import AgentSpec
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.hosts.protocol import Hello
 

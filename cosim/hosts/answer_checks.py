@@ -16,8 +16,8 @@ from vcmvsp.cosim.agent import LARGEST_MESSAGE_BYTES, SHOWN, AgentInfo, AgentSpe
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.scenario.schema import AgentTable
-from vcmvsp.cosim.util.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 from vcmvsp.cosim.types import Follows, Message, Note, Presence, Velocity, Waypoint
+from vcmvsp.cosim.util.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.protocol import Built, Failed, Hello

@@ -16,8 +16,8 @@ from typing import Annotated, Any, Generic, TypeVar
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util import codec
 
 T = TypeVar("T")
 _MARK = b"\xc1"

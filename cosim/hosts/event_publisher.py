@@ -18,8 +18,8 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.hosts import protocol as wire
+from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.types import Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
 
 if TYPE_CHECKING:

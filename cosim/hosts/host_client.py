@@ -9,9 +9,9 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.errors import FederateError, UsageError
-from vcmvsp.cosim.transport import tls_diagnosis, key_names, access_control
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.server import Desk
+from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
 from vcmvsp.cosim.transport.zenoh_session import common_names, opened, threads
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import zenoh
 from zenoh.handlers import Callback
 
-from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.session import LateError, LinkError
+from vcmvsp.cosim.transport import key_names
 
 _RETRY_S = 0.02
 _SPARE = 10  # answers that may wait beyond those that were asked for: some are given twice

@@ -135,7 +135,7 @@ def _scalar(value: Any) -> str:
 
 
 class _Lines:
-    """Where keys of a file of hosts stand: a `cosim.config.binding.Origin` that knows hosts by number, as in ``host[1].vehicles``."""
+    """Places of keys of a hosts file: a `cosim.config.binding.Origin` that knows hosts by number (``host[1].vehicles``)."""
 
     def __init__(self, name: str, text: str) -> None:
         self._name, self._lines = name, dict[str, int]()

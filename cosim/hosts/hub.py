@@ -14,9 +14,9 @@ from zenoh.handlers import Callback
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import answer_checks, protocol
-from vcmvsp.cosim.transport import key_names, access_control
 from vcmvsp.cosim.hosts.host_link import ZenohLink
 from vcmvsp.cosim.hosts.protocol import Machine
+from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.zenoh_session import opened, threads
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.security.certificates import Keys
     from vcmvsp.cosim.hosts.host_link import ZenohLink
     from vcmvsp.cosim.hosts.hub import Hub, Knock
+    from vcmvsp.cosim.security.certificates import Keys
 
 POLL_S = 0.05
 MOST_TOLD = 100  # different reasons for which hosts were refused
@@ -52,8 +52,8 @@ class Entrance:
         insecure: bool,
         about: Mapping[str, Any],
     ) -> None:
-        from vcmvsp.cosim.hosts.hub import Hub
         from vcmvsp.cosim.hosts.event_publisher import Topics
+        from vcmvsp.cosim.hosts.hub import Hub
 
         self._tell, self._keys, self._insecure = tell, keys, insecure
         self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # of Zenoh's threads, for the user

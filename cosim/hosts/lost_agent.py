@@ -3,8 +3,8 @@
 from vcmvsp.cosim.agent import AgentSpec
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.types import Follows, Presence, Velocity
+from vcmvsp.cosim.util.text import plain
 
 
 class Absence:

@@ -7,18 +7,18 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vcmvsp.cosim.hosts import admission
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
-from vcmvsp.cosim.hosts.listener import Entrance, indispensable, knocking, patience_s
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import AgentError, ScenarioError
 from vcmvsp.cosim.federate import Federate
+from vcmvsp.cosim.hosts import admission
+from vcmvsp.cosim.hosts.listener import Entrance, indispensable, knocking, patience_s
+from vcmvsp.cosim.hosts.protocol import Built, Machine
+from vcmvsp.cosim.hosts.remote_host import RemoteHost
+from vcmvsp.cosim.hosts.server import Desk, HostFederate
+from vcmvsp.cosim.hosts.session import Crew, Link, MemoryLink
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
-from vcmvsp.cosim.hosts.session import Crew, Link, MemoryLink
-from vcmvsp.cosim.hosts.server import Desk, HostFederate
-from vcmvsp.cosim.hosts.remote_host import RemoteHost
-from vcmvsp.cosim.hosts.protocol import Built, Machine
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.host_link import ZenohLink

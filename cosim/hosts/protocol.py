@@ -16,11 +16,11 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.agent import AgentInfo, AgentSpec
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.hosts.array_codec import Unpacker, pack
+from vcmvsp.cosim.util import codec
 
 PROTOCOL = 8
 """Version of this table; a host of another version is refused."""

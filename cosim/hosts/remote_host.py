@@ -1,8 +1,8 @@
 """Agents elsewhere as the kernel sees them: one federate for those of one host, or of several that have come in its place.
 
-A host that is lost, while the scenario wants the run to go on, leaves its vehicles without an agent (`cosim.hosts.lost_agent`). They get
-it back when the host answers again, or when another one comes in its place. When that is depends on the wall clock; the
-recording is told.
+A host that is lost, while the scenario wants the run to go on, leaves its vehicles without an agent
+(`cosim.hosts.lost_agent`). They get it back when the host answers again, or when another one comes in its place. When that is
+depends on the wall clock; the recording is told.
 """
 
 from collections import deque
@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from vcmvsp.cosim.hosts.lost_agent import Absence
 from vcmvsp.cosim.agent import AgentSpec
 from vcmvsp.cosim.errors import AgentError, FederateError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.lost_agent import Absence
 from vcmvsp.cosim.hosts.session import Crew
 from vcmvsp.cosim.types import Follows, Presence
 

@@ -7,8 +7,8 @@ Each instant at which something is due holds up to five slots; a slot is one Sim
 3. all remote federates that are due are asked, the local ones are stepped, the answers awaited,
 4. what they gave is published; of one key what came from elsewhere first.
 
-Events are published in an order of their own (`cosim.kernel.event_bus`). Nothing in either order depends on where a federate runs or
-on how long it takes, which is why a run gives the same bytes in one process and in many.
+Events are published in an order of their own (`cosim.kernel.event_bus`). Nothing in either order depends on where a federate
+runs or on how long it takes, which is why a run gives the same bytes in one process and in many.
 """
 
 import contextlib
@@ -22,7 +22,6 @@ from threadpoolctl import threadpool_limits
 
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from vcmvsp.cosim.errors import FederateError, VcmvspError
-from vcmvsp.cosim.kernel.event_bus import Exchange, Observer
 from vcmvsp.cosim.federate import (
     Event,
     Federate,
@@ -34,6 +33,7 @@ from vcmvsp.cosim.federate import (
     Slot,
     Waiting,
 )
+from vcmvsp.cosim.kernel.event_bus import Exchange, Observer
 from vcmvsp.cosim.util.polling import readable
 
 T = TypeVar("T")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics.noted_changes import Noted, change_metrics, leaders, led_by, reformed_s
 from vcmvsp.cosim.metrics.motion import Motion
+from vcmvsp.cosim.metrics.noted_changes import Noted, change_metrics, leaders, led_by, reformed_s
 from vcmvsp.cosim.metrics.step_responses import response
 from vcmvsp.cosim.metrics.team_shape import shape_metrics
 from vcmvsp.cosim.metrics.window import Window, between, followers, stretches, window_ns

@@ -16,8 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.tables.columns import column, name_column, names_of, nulls, numbers
 from vcmvsp.cosim.metrics.radio import quantiles
+from vcmvsp.cosim.tables.columns import column, name_column, names_of, nulls, numbers
 from vcmvsp.cosim.types import Array, Routed
 
 COLUMNS = ("origin", "destination", "origin_sent_ns", "origin_number", "message")

@@ -5,9 +5,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from vcmvsp.cosim.util.palette import OKABE_ITO
 from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, styled
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.palette import OKABE_ITO
 
 _BLUE, _RED = OKABE_ITO[1], OKABE_ITO[2]
 

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vcmvsp.cosim.util.palette import OKABE_ITO
 from vcmvsp.cosim.plots.style import ABOVE, MAP, style
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.palette import OKABE_ITO
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.coverage import Map

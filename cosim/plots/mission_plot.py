@@ -15,13 +15,13 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import withStroke
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
 from vcmvsp.cosim.metrics import Motion, Target, target_at
-from vcmvsp.cosim.recording.mission_log import MissionLog, surest_map
-from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, color_of
 from vcmvsp.cosim.plots.run_plots import draw_vehicle
 from vcmvsp.cosim.plots.style import ABOVE, GREY, MAP, style
+from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
+from vcmvsp.cosim.recording.mission_log import MissionLog, surest_map
 from vcmvsp.cosim.types import Array, Sighting, Sightings
+from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, color_of
 
 INSTANTS = 4  # at which the map is shown, evenly to the end of the run
 SHEET = 12  # pictures with detections, at most

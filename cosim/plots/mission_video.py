@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
 from vcmvsp.cosim.metrics import Motion, Target
+from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
 from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, surest_map
-from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, rgb, rgb_of
 from vcmvsp.cosim.types import Array, ProbabilityMap, Sightings
+from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, rgb, rgb_of
 
 FPS = 10.0
 QUICKER = 4  # simulated seconds in one of the film, or more: it has no more than `FRAMES` frames

@@ -20,7 +20,6 @@ from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.lines import Line2D
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.metrics import (
     ROUNDING_M,
     SETTLED_M,
@@ -31,10 +30,11 @@ from vcmvsp.cosim.metrics import (
     motion,
     unreached_s,
 )
-from vcmvsp.cosim.util.palette import color_of
 from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, SVG, line_of, style, styled
+from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import NOT_LOST, Placement
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.palette import color_of
 
 SNAPSHOTS = 5  # instants at which the formation is drawn, start and end among them
 NAMED = 8  # rows of lost messages, each a line of text high: more of them have no names

@@ -19,10 +19,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from vcmvsp.cosim.tables.labels import label_of
-from vcmvsp.cosim.util.palette import color_of
 from vcmvsp.cosim.plots.style import MAP, marker_of, style
+from vcmvsp.cosim.tables.labels import label_of
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.palette import color_of
 
 MAP_COLORS = "cividis"  # keeps its order in grey and under every common form of colour blindness
 ANNOTATED_CELLS = 60  # a map of more cells has no numbers in them

@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from vcmvsp.cosim import metrics
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
-from vcmvsp.cosim import metrics
 from vcmvsp.cosim.recording.digest import digest
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import Placement, RunFacts, radio_table, states_table, write_table
@@ -55,6 +54,7 @@ from vcmvsp.cosim.types import (
     Velocity,
     Waypoint,
 )
+from vcmvsp.cosim.util.codec import encode
 
 Take = Callable[[str, int, Any], None]
 """What is done with a value, given its key and its time (ns)."""

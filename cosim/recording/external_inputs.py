@@ -6,8 +6,9 @@ everything that they told is kept here, at its time and to the last bit, as Mess
 
 =======================  ==========================================================================================
 ``<vehicle>/<topic>``    an event that the vehicle gave: its estimate, odometry, fixes, readings, how it stands
-``<vehicle>/reflected``  how physics was told that it moves, at each instant that physics asked (`cosim.kernel.external_vehicles`)
-``bridge/sent``          what programs handed to radios: numbers, sizes and times (`Datagrams`)
+``<vehicle>/reflected``  how physics was told that it moves, at each instant that physics asked
+(`cosim.kernel.external_vehicles`) ``bridge/sent``          what programs handed to radios: numbers, sizes and times
+(`Datagrams`)
 =======================  ==========================================================================================
 """
 
@@ -19,11 +20,11 @@ from typing import Any, BinaryIO, get_args, get_origin, get_type_hints
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.encoding import Form, Schema
 from vcmvsp.cosim.recording.mcap_file import McapLog, messages
 from vcmvsp.cosim.types import AnyValue, Later
+from vcmvsp.cosim.util.codec import Decoder, encode
 
 FILE = "hardware.mcap"
 REFLECTED = "reflected"  # the topic of what physics was told

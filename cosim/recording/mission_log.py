@@ -12,10 +12,10 @@ from typing import BinaryIO
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.recording.recorded_run import Noted
+from vcmvsp.cosim.metrics import Mission
 from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid, ImageAnnotations
 from vcmvsp.cosim.recording.mcap_file import messages
-from vcmvsp.cosim.metrics import Mission
+from vcmvsp.cosim.recording.recorded_run import Noted
 from vcmvsp.cosim.types import Array, Mosaic, Presence, ProbabilityMap, Sightings
 
 FRAMES = 450

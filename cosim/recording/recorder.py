@@ -1,8 +1,8 @@
 """The recorder: sees every event of a run once, in order of time, and keeps what the run leaves.
 
-An event is handled by the type of its value. It is taken for tables, numbers and digest (`cosim.recording.accumulators`), and it becomes
-a message of ``run.mcap`` under its key (`cosim.recording.run_mcap`), with these differences, which make the file small and a viewer
-useful:
+An event is handled by the type of its value. It is taken for tables, numbers and digest (`cosim.recording.accumulators`), and
+it becomes a message of ``run.mcap`` under its key (`cosim.recording.run_mcap`), with these differences, which make the file
+small and a viewer useful:
 
 - ``world/states`` is kept at the recorder's ticks and at the run's end, as ``/tf`` and as ``<vehicle>/state``;
 - ``<vehicle>/estimate`` is left out where it equals the true state of the same instant;
@@ -20,15 +20,15 @@ from typing import Any, BinaryIO, NamedTuple
 import msgspec
 import pyarrow as pa
 
+from vcmvsp.cosim import metrics
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim import metrics
 from vcmvsp.cosim.recording import event_text
-from vcmvsp.cosim.recording.foxglove.messages import to_json
 from vcmvsp.cosim.recording.accumulators import PACKED, Kept, Take, vehicle_of
-from vcmvsp.cosim.tables.schema import Placement, RunFacts
+from vcmvsp.cosim.recording.foxglove.messages import to_json
 from vcmvsp.cosim.recording.run_mcap import Viewer
+from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.types import Changed, Contact, Halted, Incident, Later, Moved, Outage, Presence, States
 
 

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.metrics import Target
 from vcmvsp.cosim.recording.foxglove.messages import (
     ArrowPrimitive,
     Color,
@@ -32,9 +33,8 @@ from vcmvsp.cosim.recording.foxglove.messages import (
     TriangleListPrimitive,
     Vector3,
 )
-from vcmvsp.cosim.metrics import Target
-from vcmvsp.cosim.util.palette import TARGET, rgb, rgb_of
 from vcmvsp.cosim.types import Array, Follows, Pushed
+from vcmvsp.cosim.util.palette import TARGET, rgb, rgb_of
 
 TARGET_HEIGHT_M = 0.05
 DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known

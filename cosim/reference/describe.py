@@ -19,7 +19,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.param_docs import meanings, summary
 
 OFFERED = ("sightline", "noise_dbm", "world", "outside")
-"""Parameters that come from the rest of the scenario (`cosim.assembly.radio.build`, `cosim.assembly.federates`), not from a key."""
+"""Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.federates`), not from a key."""
 
 OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder")}
 """The same, of what is physics' or what a station builds (`cosim.assembly.real_vehicles`)."""
@@ -43,7 +43,7 @@ _UNITS = {
 def keys(target: Any, common: Any = None) -> dict[str, binding.Parameter]:
     """The parameters that a scenario can give, but for those that are as in a common base class."""
     known = keys(common) if common in getattr(target, "__mro__", ()) and common is not None else {}
-    offered = {*OFFERED, *OFFERED_TO.get(target.__module__.partition(".")[0], ())}
+    offered = {*OFFERED, *OFFERED_TO.get(target.__module__.removeprefix("vcmvsp.").partition(".")[0], ())}
     own = {name: each for name, each in binding.parameters(target).items() if name not in offered}
     return {name: each for name, each in own.items() if each != known.get(name)}
 

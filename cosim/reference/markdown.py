@@ -1,4 +1,4 @@
-"""The reference of worlds, vehicles, sensors and the radio, written from the code: ``python -m vcmvsp.cosim.reference.markdown --write``.
+"""Reference of worlds, vehicles, sensors and radio, from the code: ``python -m vcmvsp.cosim.reference.markdown --write``.
 
 Between two comments of ``scenarios/README.md`` stand the tables that this module makes of what the code says of keys
 (`cosim.reference.describe`): what a key means is said where its type and default are, and nowhere else.
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.param_docs import summary
 from vcmvsp.cosim.reference.describe import (
     about,
@@ -60,7 +60,9 @@ def updated(page: str) -> str:
 
 def main(arguments: Sequence[str] | None = None, page: Path = PAGE) -> None:
     """Bring the page up to date, or say that it is not."""
-    parser = argparse.ArgumentParser(prog="python -m vcmvsp.cosim.reference.markdown", description="The reference of keys, from the code.")
+    parser = argparse.ArgumentParser(
+        prog="python -m vcmvsp.cosim.reference.markdown", description="The reference of keys, from the code."
+    )
     parser.add_argument("--write", action="store_true", help="update the page instead of checking it")
     write: bool = parser.parse_args(arguments).write
     old = page.read_text("utf-8")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.config import binding, registry
 
 RANGE_BYTES = 100
 

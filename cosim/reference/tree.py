@@ -12,10 +12,10 @@ from typing import Any
 
 import msgspec
 
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
-from vcmvsp.cosim.scenario import schema as scenario_tables
 from vcmvsp.cosim.reference.extra_docs import UNSAID
+from vcmvsp.cosim.scenario import schema as scenario_tables
 from vcmvsp.cosim.scenario.expand import Repeat
 from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, VehicleTable
 

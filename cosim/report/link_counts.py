@@ -1,7 +1,7 @@
 """Every link of a run by itself: what was sent, what arrived and how strong it was. Counted at once, not link by link.
 
-The counts are those of `cosim.analysis.links`: ``sent = received + lost + under way``, ratios are of what was decided, and levels
-those of frames that were on the air.
+The counts are those of `cosim.analysis.links`: ``sent = received + lost + under way``, ratios are of what was decided, and
+levels those of frames that were on the air.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

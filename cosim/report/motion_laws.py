@@ -10,8 +10,8 @@ from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics import SETTLED_M
 from vcmvsp.cosim.metrics.window import window_ns
-from vcmvsp.cosim.tables.schema import Placement
 from vcmvsp.cosim.report.theory_table import NORMAL_95, Expected, Seen
+from vcmvsp.cosim.tables.schema import Placement
 
 _SETTLED = 5.0  # time constants of the follower after which its start counts no more
 _ROOM = 1.5  # times the leader's speed: what followers must be able to go, so that no limit matters

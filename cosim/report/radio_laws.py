@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.analysis.links import RECEIVED
-from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.report.theory_table import NORMAL_95, Expected, Seen
+from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Array
 
 CAUSES = {"bernoulli": "random loss", "gilbert_elliott": "burst"}

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.errors import VcmvspError
-from vcmvsp.cosim.analysis.links import Log
 from vcmvsp.cosim.analysis.link_budget import frame_report
+from vcmvsp.cosim.analysis.links import Log
+from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.report.link_counts import Links
 from vcmvsp.cosim.report.page import Part, Rows, Words
 

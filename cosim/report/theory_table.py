@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from vcmvsp.cosim.metrics import Motion, Window, motion
-from vcmvsp.cosim.tables.schema import Placement, Recording
-from vcmvsp.cosim.report.run_folder import Left
 from vcmvsp.cosim.report.link_counts import Links
 from vcmvsp.cosim.report.page import Part, Rows, Words, cell
+from vcmvsp.cosim.report.run_folder import Left
+from vcmvsp.cosim.tables.schema import Placement, Recording
 
 NORMAL_95 = 1.96
 

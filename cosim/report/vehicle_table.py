@@ -7,8 +7,8 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.report.run_folder import Left
 from vcmvsp.cosim.report.page import Part, Rows, Words
+from vcmvsp.cosim.report.run_folder import Left
 
 LISTED = 200
 

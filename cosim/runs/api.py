@@ -1,4 +1,4 @@
-"""``cosim.run``: a scenario in, a `Result` out. What the command line does, notebooks and studies do through here."""
+"""``vcmvsp.run``: a scenario in, a `Result` out. What the command line does, notebooks and studies do through here."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -6,19 +6,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from vcmvsp.cosim.config import registry, binding
-from vcmvsp.cosim.scenario import schema
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.agent import Agent
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.clock import Clock, SimClock, WallClock
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.kernel.event_bus import Observer
-from vcmvsp.cosim.util.files import Folder, writing
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording import external_inputs
 from vcmvsp.cosim.runs.result import Result, figures_again
 from vcmvsp.cosim.runs.simulation import Progress, Simulation
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.scenario import schema
+from vcmvsp.cosim.util.files import Folder, writing
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
@@ -71,7 +71,8 @@ def run(
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
         observe: called with every event at its own time, behind the recording. What it does changes nothing of the run.
-        view: where the run is shown while it goes on, and interfered with (`cosim.view.live.session.Viewing`); it then keeps to the
+        view: where the run is shown while it goes on, and interfered with (`cosim.view.live.session.Viewing`); it then keeps
+        to the
             wall clock, at speed 1 unless ``realtime`` says otherwise, until somebody there wants another.
         watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
 

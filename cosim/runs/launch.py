@@ -12,18 +12,17 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.hosts import hosts_file
 from vcmvsp.cosim.config import binding as table
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.util.files import writing
+from vcmvsp.cosim.hosts import hosts_file, ssh
 from vcmvsp.cosim.hosts.hosts_file import HostsTable, HostTable
-from vcmvsp.cosim.scenario.schema import AgentsTable, Scenario
-from vcmvsp.cosim.util.text import Tell
-from vcmvsp.cosim.hosts import ssh
-from vcmvsp.cosim.transport.endpoints import endpoint_rules, is_loopback
 from vcmvsp.cosim.processes.child_process import ending
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.scenario.schema import AgentsTable, Scenario
+from vcmvsp.cosim.transport.endpoints import endpoint_rules, is_loopback
+from vcmvsp.cosim.util.files import writing
+from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -50,17 +49,17 @@ def launch(
     no host names. What hosts say is kept in ``hosts/NAME.log`` beside the results.
 
     Args:
-        scenario: as of `cosim.run`.
+        scenario: as of `vcmvsp.run`.
         hosts: file that says which hosts there are (`cosim.hosts.hosts_file`).
-        seed, set, keys, insecure: as of `cosim.run`.
+        seed, set, keys, insecure: as of `vcmvsp.run`.
         listen: where the run listens; default: the scenario's ``agents.listen`` or, without one, where the hosts dial.
         tell: takes lines for the user, also what hosts say.
-        options: others of `cosim.run`.
+        options: others of `vcmvsp.run`.
 
     Raises:
         ScenarioError: the scenario or the file cannot be used as it is.
         UsageError: something is missing, such as ssh or a certificate.
-        FederateError: a host ended too early, or whatever else `cosim.run` raises.
+        FederateError: a host ended too early, or whatever else `vcmvsp.run` raises.
     """
     path, folder = Path(hosts), None if keys is None else Path(keys)
     listed = hosts_file.read(path)

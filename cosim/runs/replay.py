@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.external_inputs import FILE
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.scenario import loader as scenarios
 
 RADIO_FILE = "radio.parquet"
 
@@ -35,14 +35,14 @@ def replay(
     Args:
         run_dir: its folder.
         seed: instead of the run's.
-        set: keys of its scenario that are changed, as for `cosim.run`.
+        set: keys of its scenario that are changed, as for `vcmvsp.run`.
         agents: agents as objects, or where all run.
         twin: simulated vehicles of the same kinds take the place of the real ones.
         radio: ``"drawn"``: chance and the models say anew what becomes of each frame, with the same seed the same as long as
             nothing that counts was changed; ``"recorded"``: frames fare as they did, see `netsim.channel.replayed`.
         out: folder to write into.
         force: write into a folder that is not empty.
-        options: further arguments of `cosim.run`.
+        options: further arguments of `vcmvsp.run`.
 
     Raises:
         UsageError: the folder lacks what a replay needs.

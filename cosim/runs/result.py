@@ -12,13 +12,13 @@ import tomli_w
 
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.util.files import Folder, to_json, writing
-from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.metrics import Window, motion
+from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.schema import Placement, RunFacts, load
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.files import Folder, to_json, writing
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -20,16 +20,16 @@ import tomli_w
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.clock import SECOND_NS, Clock, seconds_to_ns
 from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
-from vcmvsp.cosim.kernel.event_bus import Observer
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.util.files import Folder, finite
+from vcmvsp.cosim.kernel.event_bus import Observer
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.external_inputs import FILE, InputLog
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.tables.schema import write_table
 from vcmvsp.cosim.runs.result import Result
-from vcmvsp.cosim.util.text import Tell, plain
+from vcmvsp.cosim.tables.schema import write_table
 from vcmvsp.cosim.types import Presence
+from vcmvsp.cosim.util.files import Folder, finite
+from vcmvsp.cosim.util.text import Tell, plain
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.control import Live

@@ -7,15 +7,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.config import registry, binding
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.agent import Agent, Observation, Radio
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.types import Array, States, Velocity, Waypoint
 

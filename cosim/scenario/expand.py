@@ -16,8 +16,8 @@ from typing import Annotated, Any
 import msgspec
 
 from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Vec3
 
 _PLACES = {"pose": Vec3, "position": Vec3}

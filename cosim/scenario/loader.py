@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.scenario.expand import names_copy, repeated
 from vcmvsp.cosim.scenario.schema import (
@@ -25,7 +26,6 @@ from vcmvsp.cosim.scenario.schema import (
     StudyTable,
     VehicleTable,
 )
-from vcmvsp.cosim.config.provenance import Source
 
 RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = registry.SHIPPED

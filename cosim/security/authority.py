@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import x509
 from vcmvsp.cosim.security.certificates import (
     HUB,
@@ -25,7 +26,6 @@ from vcmvsp.cosim.security.certificates import (
     load,
     load_bundle,
 )
-from vcmvsp.cosim.errors import UsageError
 
 CA_DAYS, HUB_DAYS, HOST_DAYS = 3650, 365, 90
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")  # 64: the longest common name (RFC 5280, ub-common-name)

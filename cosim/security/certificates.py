@@ -21,8 +21,8 @@ from typing import Literal
 
 import msgspec
 
-from vcmvsp.cosim.security import x509
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.security import x509
 
 Role = Literal["host", "observer"]
 HUB = "hub"

@@ -1,4 +1,4 @@
-"""Keys and certificates (X.509, RFC 5280) of ECDSA P-256: made, signed, read. What they mean is in `cosim.security.certificates`."""
+"""Keys and certificates (X.509, RFC 5280) of ECDSA P-256: made, signed, read; their meaning: `cosim.security.certificates`."""
 
 import contextlib
 import datetime as dt

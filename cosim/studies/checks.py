@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import msgspec
 
-from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.studies.plan import Base, Plan
 from vcmvsp.cosim.studies.rows import flat

@@ -13,8 +13,8 @@ from itertools import islice
 from typing import Any
 
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.studies.plan import Run
 from vcmvsp.cosim.processes.worker_pool import Answered, Asked
+from vcmvsp.cosim.studies.plan import Run
 from vcmvsp.cosim.studies.worker import DIED, Work, failed, run_one, version
 
 TIMEOUT_S = 10  # for the scheduler, and then for what its workers say of their version

@@ -1,4 +1,4 @@
-"""``cosim.study``: what ``vcmvsp study`` does. From the arguments to the table, in the order in which things happen."""
+"""``vcmvsp.study``: what ``vcmvsp study`` does. From the arguments to the table, in the order in which things happen."""
 
 import contextlib
 import functools
@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vcmvsp.cosim.errors import Interrupted, UsageError
-from vcmvsp.cosim.util.files import Folder, to_json, writing
+from vcmvsp.cosim.processes.worker_pool import Answered, Pool, cores
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies import rows
 from vcmvsp.cosim.studies.checks import examined, where
 from vcmvsp.cosim.studies.plan import Plan
-from vcmvsp.cosim.processes.worker_pool import Answered, Pool, cores
 from vcmvsp.cosim.studies.store import Answers, Store, begun
 from vcmvsp.cosim.studies.worker import DIED, Job, Work, run_one, version
+from vcmvsp.cosim.util.files import Folder, to_json, writing
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
 
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.scenario import loader as scenarios
 
 EXAMPLE = "--vary radio.loss.probability=0,0.2,0.5 or --vary radio.loss.probability=0:0.9:0.1"
 MOST = 1_000_000  # runs of a study

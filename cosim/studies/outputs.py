@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import tomli_w
 
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
 from vcmvsp.cosim.report.run_page import FILE
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import PLAN, so_far
 from vcmvsp.cosim.studies.summary import summarise, to_csv

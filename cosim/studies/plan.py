@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import msgspec
 import tomli_w
 
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.studies.grid import EXAMPLE, MOST, label, values_of
 from vcmvsp.cosim.types import Seed
 
@@ -232,4 +232,5 @@ def _difference(now: Any, then: Any, key: str = "") -> str | None:
         return next((each for i, (a, b) in pairs if (each := _difference(a, b, f"{key}[{i}]")) is not None), None)
     if now == then:
         return None
-    return f"{key}: {'nothing' if now is None else binding.show(now)} now, {'nothing' if then is None else binding.show(then)} then"
+    now_shown, then_shown = ("nothing" if value is None else binding.show(value) for value in (now, then))
+    return f"{key}: {now_shown} now, {then_shown} then"

@@ -23,10 +23,10 @@ import msgspec
 import pyarrow as pa
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.util.files import Folder, writing
-from vcmvsp.cosim.tables.schema import read_table, write_table
 from vcmvsp.cosim.studies import rows
 from vcmvsp.cosim.studies.plan import Plan, check_same
+from vcmvsp.cosim.tables.schema import read_table, write_table
+from vcmvsp.cosim.util.files import Folder, writing
 
 PLAN, TABLE, JOURNAL, LOCK = "study.toml", "study.parquet", "study.journal", "study.lock"
 UNFINISHED = {LOCK, f"{PLAN}.tmp"}  # what a study leaves that was killed before it began

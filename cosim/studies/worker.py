@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.studies.plan import content
 from vcmvsp.cosim.studies.rows import Row, encode, flat
 

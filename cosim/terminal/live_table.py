@@ -15,8 +15,8 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics import Motion, formation_errors
 from vcmvsp.cosim.tables.schema import Placement
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.types import Array, Follows, FrameReport, Halted, Note, Presence, Reception, States
+from vcmvsp.cosim.util.text import plain
 
 MOST = 20  # vehicles that are shown
 CELL = 24  # characters

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 from vcmvsp.cosim.clock import SECOND_NS
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.runs.api import Result
     from vcmvsp.cosim.federate import Event
+    from vcmvsp.cosim.runs.api import Result
     from vcmvsp.cosim.terminal.live_table import Line, LiveTable
 
 LOG_EVERY_S = 5.0

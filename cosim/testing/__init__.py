@@ -15,13 +15,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation
-from vcmvsp.cosim.util.codec import Decoder, encode
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Step
-from vcmvsp.cosim.util.key_expressions import matches
 from vcmvsp.cosim.types import Message, Reception, VehicleState
+from vcmvsp.cosim.util.codec import Decoder, encode
+from vcmvsp.cosim.util.key_expressions import matches
 
 SECOND = 1_000_000_000
 _observations: Decoder[Observation] = Decoder(Observation)
@@ -31,7 +31,7 @@ _events: Decoder[list[Event]] = Decoder(list[Event])
 def check_agent(
     make: Callable[[], Agent], *, vehicle: str = "car2", others: Sequence[str] = ("car1", "car3"), ticks: int = 40
 ) -> None:
-    """Check that agents made by ``make`` keep the contract of `cosim.Agent`.
+    """Check that agents made by ``make`` keep the contract of `vcmvsp.Agent`.
 
     The laws: it acts before it has heard anything; it survives messages that it does not understand (other keys, other types,
     NaN, bytes); what it commands and sends is finite and can be encoded; two of them that see the same say the same; it leaves

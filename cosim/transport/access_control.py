@@ -123,7 +123,9 @@ def check_hub(identifiers: Iterable[str | None]) -> None:
     Beside the authority that it is given, Zenoh's client trusts all public ones, and anybody may ask those for a certificate of
     a host name of his own; but none of them gives one with the bare common name ``hub``.
     """
-    from vcmvsp.cosim.security.certificates import HUB  # here, because loading the library of certificates takes a quarter of a second
+    from vcmvsp.cosim.security.certificates import (
+        HUB,  # here, because loading the library of certificates takes a quarter of a second
+    )
 
     for name in identifiers:
         if name != HUB:

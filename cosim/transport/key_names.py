@@ -17,8 +17,8 @@ Where a driver of the run waits for the robot of its vehicle, which has a progra
     vcmvsp/robot/NAME/VEHICLE/ZID/up     the robot publishes what it knows of itself
     vcmvsp/robot/NAME/VEHICLE/ZID/alive  liveliness token of a robot
 
-The hub lets a machine use no key but its own (`cosim.transport.access_control`). So the key says for certain who speaks, and what a
-payload says of it is worth nothing.
+The hub lets a machine use no key but its own (`cosim.transport.access_control`). So the key says for certain who speaks, and
+what a payload says of it is worth nothing.
 """
 
 import re

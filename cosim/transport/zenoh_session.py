@@ -1,8 +1,8 @@
 """How a session of Eclipse Zenoh is opened, at whichever end.
 
 The run's end is `cosim.hosts.hub`, the host's `cosim.hosts.host_client`; the keys are in `cosim.transport.key_names`, and
-who may use which in `cosim.transport.access_control`. Callbacks are always direct (no thread per callback), and only hand over to a
-queue.
+who may use which in `cosim.transport.access_control`. Callbacks are always direct (no thread per callback), and only hand over
+to a queue.
 """
 
 import contextlib

@@ -3,6 +3,7 @@
 Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays.
 """
 
+from vcmvsp.cosim.types.agent_reports import Follows, Mosaic, Note, ProbabilityMap, Sighting, Sightings
 from vcmvsp.cosim.types.operator_actions import Changed, Halted, Moved, Outage
 from vcmvsp.cosim.types.quantities import (
     Array,
@@ -35,7 +36,6 @@ from vcmvsp.cosim.types.readings import (
     Readings,
     Scan,
 )
-from vcmvsp.cosim.types.agent_reports import Follows, Mosaic, Note, ProbabilityMap, Sighting, Sightings
 from vcmvsp.cosim.types.vehicles import (
     Contact,
     Incident,

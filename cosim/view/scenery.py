@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import factory, registry, binding
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
+from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.view.messages import Craft, Obstacle, Scenery
 

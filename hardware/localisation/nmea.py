@@ -10,8 +10,8 @@ from typing import Any
 
 import pynmea2  # type: ignore[import-untyped]
 
-from vcmvsp.hardware.localisation import Located
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
+from vcmvsp.hardware.localisation import Located
 
 LONGEST_BYTES = 256  # of a line; the standard allows 82
 KNOT = 1852.0 / 3600.0  # m/s

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import LinkLost, PortError
 from vcmvsp.hardware.drivers.byte_link import Line
-from vcmvsp.hardware.localisation.world_transform import Placing
 from vcmvsp.hardware.localisation.source import Reads, Source, Words, as_failure
+from vcmvsp.hardware.localisation.world_transform import Placing
 
 RETRY_S = 0.5
 TICK_S = 0.1  # between looks at what to say

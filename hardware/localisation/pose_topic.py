@@ -19,8 +19,8 @@ from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.localisation import Located
-from vcmvsp.hardware.localisation.world_transform import AT_REST, Placing, Posed
 from vcmvsp.hardware.localisation.source import Source, Words
+from vcmvsp.hardware.localisation.world_transform import AT_REST, Placing, Posed
 
 LARGEST_BYTES = 4096
 _CONNECT_MS = 2000

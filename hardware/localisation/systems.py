@@ -1,9 +1,9 @@
 """Where a real vehicle is, from outside: the kinds of ``localisation`` that a scenario can give it.
 
 All of them tell positions in the world on this machine's monotonic clock. Times of measuring come from the system's own clock
-where it tells one (`cosim.estimation.clock_offset`), else from the arrival; ``latency_s`` is what lies between measuring and arriving at
-least, which no clock can tell. Frames of systems are turned by ``turn_rad`` and then moved by ``offset`` into the world. What
-is not finite, or more than 10 km from the world's origin, is refused. Poses over Zenoh are in
+where it tells one (`cosim.estimation.clock_offset`), else from the arrival; ``latency_s`` is what lies between measuring and
+arriving at least, which no clock can tell. Frames of systems are turned by ``turn_rad`` and then moved by ``offset`` into the
+world. What is not finite, or more than 10 km from the world's origin, is refused. Poses over Zenoh are in
 `hardware.localisation.pose_topic`.
 """
 
@@ -11,15 +11,15 @@ from typing import Annotated, Protocol, runtime_checkable
 
 import msgspec
 
+from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import Fix, NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.drivers.byte_link import Line, open_line
 from vcmvsp.hardware.localisation import dwm1001, nmea, ubisense
-from vcmvsp.hardware.localisation.world_transform import AT_REST, Placing
+from vcmvsp.hardware.localisation.datagrams import Datagrams, address
 from vcmvsp.hardware.localisation.port_source import PortSource
 from vcmvsp.hardware.localisation.source import Words
-from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
-from vcmvsp.hardware.localisation.datagrams import Datagrams, address
+from vcmvsp.hardware.localisation.world_transform import AT_REST, Placing
 
 Baud = Annotated[int, msgspec.Meta(ge=50, le=4_000_000)]
 Latitude = Annotated[float, msgspec.Meta(ge=-90, le=90)]  # deg

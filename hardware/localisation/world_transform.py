@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable
 
 from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.estimation.clock_offset import ForeignClock
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Fix, NonNegative, Positive, Vec3
 from vcmvsp.hardware.localisation import Located
-from vcmvsp.cosim.estimation.clock_offset import ForeignClock
 
 FARTHEST_M = 10_000.0  # from the world's origin: what is farther off was measured in another frame
 OLDEST_S = 10.0  # what is older says nothing of now; a clock that stands still gives such times

@@ -7,8 +7,8 @@ offset of the robot's clock, and the robot how old a velocity can be at most, wh
 
 from typing import Literal
 
-from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.cosim.types import Value, Vec3, Velocity
+from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, Notice, Sample
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 

@@ -14,12 +14,12 @@
 """
 
 from vcmvsp.hardware.safety.aerial_supervisor import AerialParameters, AerialSupervisor
+from vcmvsp.hardware.safety.control_step import Decision
 from vcmvsp.hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
 from vcmvsp.hardware.safety.geofence import Polygon
-from vcmvsp.hardware.safety.limits import Limits, clamp
-from vcmvsp.hardware.safety.control_step import Decision
-from vcmvsp.hardware.safety.separation import Others
 from vcmvsp.hardware.safety.ground_supervisor import Parameters, Supervisor
+from vcmvsp.hardware.safety.limits import Limits, clamp
+from vcmvsp.hardware.safety.separation import Others
 
 __all__ = [
     "AerialParameters",

@@ -7,9 +7,9 @@ then to zero, all headings lie between those of u and v, and since the norm is c
 
     |v| hold + |v|**2 / (2 decel) + |v - u| max(0, |u| - |v|) / (2 decel)
 
-So it stays in the sector of that radius between the two headings (`hardware.safety.obstacle_distance`), which is kept clear; on a line
-this is `hardware.safety.braking.swept`. A command for which that does not fit is made smaller, never turned aside; one that
-brakes straight always fits where poses are true, by the same reasoning as on the ground.
+So it stays in the sector of that radius between the two headings (`hardware.safety.obstacle_distance`), which is kept clear;
+on a line this is `hardware.safety.braking.swept`. A command for which that does not fit is made smaller, never turned aside;
+one that brakes straight always fits where poses are true, by the same reasoning as on the ground.
 
 **Others** are upright cylinders: bodies are taken to be as far apart above as beside, ``radius + radius + separation``. It is
 enough to be clear of one in one way. Who is clear of it vertically, and could stop before it is not, need not mind it
@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import NonNegative, Positive, Velocity
 from vcmvsp.hardware.safety.braking import TOLERANCE_M, fastest, stops_within
+from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
 from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
 from vcmvsp.hardware.safety.geofence import Polygon
 from vcmvsp.hardware.safety.limits import Limits, clamp
-from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
 from vcmvsp.hardware.safety.obstacle_distance import Around, Floats
 from vcmvsp.hardware.safety.separation import Others
 

@@ -7,10 +7,10 @@ import msgspec
 
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
 from vcmvsp.hardware.safety.braking import fastest, stops_within, swept
+from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
 from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
 from vcmvsp.hardware.safety.geofence import Polygon
 from vcmvsp.hardware.safety.limits import Limits, clamp, slowest
-from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
 from vcmvsp.hardware.safety.obstacle_distance import Around
 from vcmvsp.hardware.safety.separation import Others
 
@@ -98,7 +98,8 @@ def slow_down(
     The command keeps the limits already. The speed is what fits with the yaw rate that was asked for. A yaw rate with which
     the robot could not even stop any more, because it opens directions in which there is no room for its present speed,
     waits until the robot is slower: it is reduced towards that of a robot that stops turning. What room there was at the last
-    step for stopping, there is still now (`hardware.safety.obstacle_distance`), so that stopping always fits where poses are true.
+    step for stopping, there is still now (`hardware.safety.obstacle_distance`), so that stopping always fits where poses are
+    true.
     """
     (v, w), (last_v, last_w) = command, last
     speed, u, decel = abs(v), abs(last_v), limits.stop_mps2

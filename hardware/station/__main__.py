@@ -16,17 +16,17 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal
 
-from vcmvsp.cosim.config import registry, binding
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, place_of
 from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import Driver, DriverError
-from vcmvsp.hardware.station import messages as wire
-from vcmvsp.hardware.station.emergency_stop import Answer, Ear
 from vcmvsp.hardware.drivers.call_timeout import within
+from vcmvsp.hardware.station import messages as wire
 from vcmvsp.hardware.station.controller import Onboard
+from vcmvsp.hardware.station.emergency_stop import Answer, Ear
 from vcmvsp.hardware.station.messages import Mission, Order, Part, Report
 
 if TYPE_CHECKING:

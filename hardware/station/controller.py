@@ -11,9 +11,9 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import ORIGIN, Driver, Notice, Sample
 from vcmvsp.hardware.safety import Cause, Decision, Heard
-from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
 from vcmvsp.hardware.station.estimator import Estimate, whereabouts
 from vcmvsp.hardware.station.messages import Mission, Order, Report
+from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
 
 if TYPE_CHECKING:  # it brings all kinds of readers with it
     from vcmvsp.hardware.localisation.systems import Localisation

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import msgspec
 
+from vcmvsp.cosim.estimation.dead_reckoning import ahead, planar
 from vcmvsp.cosim.types import Array, Fix, VehicleState
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.cosim.estimation.dead_reckoning import ahead, planar
 from vcmvsp.hardware.station.messages import Mission
 
 

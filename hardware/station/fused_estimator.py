@@ -3,13 +3,13 @@
 import math
 from typing import Any
 
-from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, planar
+from vcmvsp.cosim.estimation.fusion import Fusion
 from vcmvsp.cosim.frames import travelled, wrap
 from vcmvsp.cosim.types import Fix, Vec3
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.cosim.estimation.fusion import Fusion
-from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, planar
 from vcmvsp.hardware.station.estimator import Estimate
 
 

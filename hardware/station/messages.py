@@ -6,8 +6,8 @@ machine, or else the link between them translates the station's times.
 
 from typing import Any, Literal
 
-from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.cosim.types import Array, Fix, Odometry, Value, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.hardware.drivers.base import Notice
 
 OPERATOR_STOP = "operator's stop"

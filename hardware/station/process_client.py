@@ -17,10 +17,10 @@ import time
 
 import msgspec
 
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.processes.child_process import ending, linked
+from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import messages
 from vcmvsp.hardware.station.messages import Mission, Order, Report

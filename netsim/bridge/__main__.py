@@ -1,4 +1,4 @@
-"""``python -P -m vcmvsp.netsim.bridge FD``, where FD is the inherited end of the link to the run. Ctrl-C is the run's affair."""
+"""``python -P -m vcmvsp.netsim.bridge FD``, FD: the inherited end of the link to the run, which handles Ctrl-C."""
 
 import contextlib
 import gc
@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 from vcmvsp.cosim.processes.local_link import Link
-from vcmvsp.netsim.bridge.process.event_loop import new_loop
 from vcmvsp.netsim.bridge.process.bridge_process import Process
+from vcmvsp.netsim.bridge.process.event_loop import new_loop
 
 NICE = -5  # where the system allows it: datagrams leave at their time while the run computes
 

@@ -2,8 +2,8 @@
 
 from collections import Counter
 
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.types import Reception, Traffic
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.process import messages
 
 

@@ -8,8 +8,8 @@ key                    direction  value
 ``<vehicle>/heard``    in         `Reception` of what an agent said, for programs of that vehicle (where they hear agents)
 =====================  =========  =====================================================================================
 
-Sockets are the affair of a process beside the run (`netsim.bridge.process.bridge_process`): here are numbers, sizes and times. The run must
-keep the pace of the wall clock.
+Sockets are the affair of a process beside the run (`netsim.bridge.process.bridge_process`): here are numbers, sizes and times.
+The run must keep the pace of the wall clock.
 """
 
 import time
@@ -21,11 +21,12 @@ import numpy as np
 
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.types import AnyValue, Array, Datagrams, Reception, States, Traffic, frozen
-from vcmvsp.netsim.bridge.process import message_chunks, messages as wire
-from vcmvsp.netsim.bridge.process_client import Beside
-from vcmvsp.netsim.bridge.gateways.base import LARGEST
 from vcmvsp.netsim.bridge.echoes import Echoes
+from vcmvsp.netsim.bridge.gateways.base import LARGEST
 from vcmvsp.netsim.bridge.lateness import Lateness
+from vcmvsp.netsim.bridge.process import message_chunks
+from vcmvsp.netsim.bridge.process import messages as wire
+from vcmvsp.netsim.bridge.process_client import Beside
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -13,10 +13,10 @@ import subprocess
 import time
 from collections import deque
 
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.processes.child_process import ending, linked
+from vcmvsp.cosim.processes.local_link import Link
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.process import messages
 
 READY_S = 60.0  # for all doors to open

@@ -6,7 +6,8 @@ The level of row i, between a and b at distance r, is::
 
     R_ij = (exp(-(|a a'| + |b b'|) / d) + exp(-(|a b'| + |b a'|) / d)) / sqrt((1 + exp(-2 r / d)) (1 + exp(-2 r' / d)))
 
-R is the correlation of `netsim.propagation.shadowing.Shadowing`, the same in both directions; e is fading and the error of measurement.
+R is the correlation of `netsim.propagation.shadowing.Shadowing`, the same in both directions; e is fading and the error of
+measurement.
 """
 
 import math

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from vcmvsp.netsim.calibration.covariance import moved_m
+from vcmvsp.netsim.calibration.design_matrix import design_of, sample
 from vcmvsp.netsim.calibration.measurement_log import Links
 from vcmvsp.netsim.calibration.result import Calibration
-from vcmvsp.netsim.calibration.design_matrix import design_of, sample
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
 

@@ -15,10 +15,10 @@ from threadpoolctl import threadpool_limits
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.calibration.covariance import CORRELATED, INDEPENDENT, WITH_FADING, Survey, spreads
+from vcmvsp.netsim.calibration.design_matrix import design_of, require_told, sample
 from vcmvsp.netsim.calibration.likelihood import Fitted, aic_of, climb, log_likelihood, maximise, restricted
 from vcmvsp.netsim.calibration.measurement_log import Links, read_links
 from vcmvsp.netsim.calibration.result import Calibration, Estimate
-from vcmvsp.netsim.calibration.design_matrix import design_of, require_told, sample
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
 

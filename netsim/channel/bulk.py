@@ -11,10 +11,10 @@ import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.channel.mean_budget import Mean
-from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
-from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, Links
-from vcmvsp.netsim.interfaces.medium import Codes, Fate
 from vcmvsp.netsim.channel.reception import TOO_WEAK, WORDS
+from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, Links
+from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
+from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 _OWN = np.uint8(255)  # code of a sender at itself
 

@@ -15,21 +15,21 @@ import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import FrameReport, Message
-from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, Hearing
 from vcmvsp.netsim.channel.bulk import Bulk, BulkMedium
 from vcmvsp.netsim.channel.contention import Contention
+from vcmvsp.netsim.channel.frames import Chorus, Sender, Sent
+from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, Hearing
+from vcmvsp.netsim.channel.reception import OnAir, Outcomes
+from vcmvsp.netsim.channel.runtime_changes import Operated
+from vcmvsp.netsim.channel.rx_power import Levels, all_endured, endured
 from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.jammer import Jammer
-from vcmvsp.netsim.interfaces.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
-from vcmvsp.netsim.channel.rx_power import Levels, all_endured, endured
-from vcmvsp.netsim.mac.ideal import Ideal, Mac, needs
-from vcmvsp.netsim.interfaces.medium import Hastened
-from vcmvsp.netsim.channel.runtime_changes import Operated
-from vcmvsp.netsim.channel.reception import OnAir, Outcomes
-from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.impairments.script import Script
-from vcmvsp.netsim.channel.frames import Chorus, Sender, Sent
 from vcmvsp.netsim.impairments.trace import Trace
+from vcmvsp.netsim.interfaces.layers import Delay, Fading, Floats, Links, Loss, PathLoss, Phy, unless_nothing
+from vcmvsp.netsim.interfaces.medium import Hastened
+from vcmvsp.netsim.interfaces.radio import Radio
+from vcmvsp.netsim.mac.ideal import Ideal, Mac, needs
 
 
 class Channel:

@@ -4,14 +4,14 @@ from heapq import heappop, heappush
 
 import numpy as np
 
+from vcmvsp.netsim.channel.frames import Sender, Sent
 from vcmvsp.netsim.channel.link_budget import Budgets, Hearing
 from vcmvsp.netsim.channel.mean_budget import at_all
-from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
-from vcmvsp.netsim.interfaces.layers import Floats, sealed
-from vcmvsp.netsim.channel.rx_power import Levels
-from vcmvsp.netsim.interfaces.medium import Decided, Levelled, Medium, Offered, Powered
 from vcmvsp.netsim.channel.reception import OnAir
-from vcmvsp.netsim.channel.frames import Sender, Sent
+from vcmvsp.netsim.channel.rx_power import Levels
+from vcmvsp.netsim.interfaces.layers import Floats, sealed
+from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT
+from vcmvsp.netsim.interfaces.medium import Decided, Levelled, Medium, Offered, Powered
 
 
 class Contention:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Message
 from vcmvsp.netsim.channel.mean_budget import Heard, Mean, Together
-from vcmvsp.netsim.interfaces.link_draws import LinkDraws, Make
 from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Links
+from vcmvsp.netsim.interfaces.link_draws import LinkDraws, Make
 
 
 class Sender:

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
 from vcmvsp.netsim.channel.mean_budget import Heard, Mean, Together
-from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints, Links, PathLoss, Paths, Phy, distances, sealed
 from vcmvsp.netsim.interfaces.medium import Codes
-from vcmvsp.netsim.phy.noise import ThermalNoise
 from vcmvsp.netsim.interfaces.radio import AT_POSITION, Radio
+from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.phy.noise import ThermalNoise
+from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
 
 BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 """What made a signal too weak: distance alone, or that and what else was needed."""

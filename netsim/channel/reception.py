@@ -6,8 +6,12 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import FrameReport, frozen
+from vcmvsp.netsim.channel.frames import Chorus, Sent
 from vcmvsp.netsim.channel.link_budget import Hearing
 from vcmvsp.netsim.impairments.delivery import Delivery
+from vcmvsp.netsim.impairments.script import Script
+from vcmvsp.netsim.impairments.trace import Trace
+from vcmvsp.netsim.interfaces.layers import Bools, Delay, Floats, Frame, Ints, Loss, sealed
 from vcmvsp.netsim.interfaces.link_draws import (
     DELAY_SLOT,
     DELIVERY_SLOT,
@@ -17,11 +21,7 @@ from vcmvsp.netsim.interfaces.link_draws import (
     TRACE_SLOT,
     Make,
 )
-from vcmvsp.netsim.interfaces.layers import Bools, Delay, Floats, Frame, Ints, Loss, sealed
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
-from vcmvsp.netsim.impairments.script import Script
-from vcmvsp.netsim.channel.frames import Chorus, Sent
-from vcmvsp.netsim.impairments.trace import Trace
 
 RECEIVED = "received"
 UNDER_WAY = "under way"  # when the run ended

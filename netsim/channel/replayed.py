@@ -13,8 +13,8 @@ from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
 from vcmvsp.cosim.types import Array, FrameReport, Message, frozen
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.channel.runtime_changes import Operated
+from vcmvsp.netsim.interfaces.layers import Floats
 
 _LAYERS = ("walls", "wall_loss_db", "shadowing_db", "fading_db", "snr_db", "path_loss_db")
 

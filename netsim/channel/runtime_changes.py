@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import frozen
 from vcmvsp.netsim.impairments.script import Change, Effects, Script

@@ -3,13 +3,13 @@
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
-from vcmvsp.netsim.channel.mean_budget import Heard
-from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
-from vcmvsp.netsim.interfaces.layers import Fading
-from vcmvsp.netsim.interfaces.medium import Codes, Fate
-from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.channel.frames import Chorus, Sent
+from vcmvsp.netsim.channel.mean_budget import Heard
+from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
+from vcmvsp.netsim.interfaces.layers import Fading
+from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
+from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 
 class Levels:

@@ -18,8 +18,8 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.netsim.channel.bulk import Bulk
-from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.evaluation.tally import Tally
+from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 Sink = Callable[[FrameReport], None]
 Progress = Callable[[int, int], None]

@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Vec3
-from vcmvsp.netsim.channel.mean_budget import Mean
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.mean_budget import Mean
 from vcmvsp.netsim.interfaces.layers import Floats, Frame, Links
 
 _BLOCK = 2048  # places at a time: shadowing wants a few hundred numbers for each

@@ -7,8 +7,8 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import FrameReport
-from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.channel.reception import RECEIVED
+from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 KEPT = 20_000_000  # delays, equal ones in part together
 _HELD = 1 << 20  # delays that wait to be sorted

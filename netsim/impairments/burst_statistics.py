@@ -1,4 +1,4 @@
-"""Losses in bursts, given by their share and their mean length: the same channel as `netsim.impairments.gilbert_elliott`, in other words."""
+"""Losses in bursts, given by their share and mean length: the channel of `netsim.impairments.gilbert_elliott` by statistics."""
 
 from dataclasses import dataclass
 from functools import cached_property

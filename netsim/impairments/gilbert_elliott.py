@@ -10,8 +10,8 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.cosim.types import Probability
-from vcmvsp.netsim.interfaces.link_draws import BURST_SLOT
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Keys
+from vcmvsp.netsim.interfaces.link_draws import BURST_SLOT
 
 PerSecond = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]
 

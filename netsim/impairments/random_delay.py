@@ -1,7 +1,7 @@
 """Delays with a distribution.
 
-As with `netsim.impairments.delay.FixedDelay`, they count from the sending, and no frame arrives before its end. Every frame and receiver
-has a delay of its own, so frames may overtake each other.
+As with `netsim.impairments.delay.FixedDelay`, they count from the sending, and no frame arrives before its end. Every frame
+and receiver has a delay of its own, so frames may overtake each other.
 """
 
 import math

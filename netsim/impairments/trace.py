@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Ints
 from vcmvsp.netsim.impairments.trace_file import LEVELS, TraceRows, read_rows
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Ints
 
 
 class Moment(NamedTuple):

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 KEYS = ("time_s", "sender", "receiver")

@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from vcmvsp.cosim.types import frozen
-from vcmvsp.netsim.phy.error_table import between, look_up, places, steps
 from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.phy.error_table import between, look_up, places, steps
 from vcmvsp.netsim.phy.standards import US, BitRate, Dsss
 
 ERROR_FLOOR = 1e-300  # every bit may fail, if only in theory: logarithms stay finite
@@ -41,7 +41,7 @@ class ErrorRate(ABC):
 
     @property
     def table(self) -> Floats:
-        """The hazard per bit at all steps of `netsim.phy.error_table`, (2^16 + 1,), read-only; never increasing within rounding."""
+        """The hazard per bit at all steps of `netsim.phy.error_table`, (2^16 + 1,), read-only; not increasing."""
         return _table(self)
 
     def bit_hazard(self, sinr: Floats) -> Floats:

@@ -17,10 +17,10 @@ from typing import Literal
 
 import numpy as np
 
-from vcmvsp.netsim.phy.error_rate import ErrorRate, erfc, hazard_of
 from vcmvsp.netsim.interfaces.layers import Floats
-from vcmvsp.netsim.phy.standards import BitRate
+from vcmvsp.netsim.phy.error_rate import ErrorRate, erfc, hazard_of
 from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.phy.standards import BitRate
 
 # Modulation points M and code rate of each bit rate (IEEE 802.11-2016, table 17-4).
 MODES = {

@@ -23,9 +23,9 @@ class Ofdm:
     PSDU and 6 bits of tail, the last one filled up; at 2.4 GHz 6 us of silence end it (signal extension). The PSDU is the
     payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8.
 
-    Power, sensitivity and noise are those of ns-3.44, as for `netsim.phy.standards.Dsss`: 16.0206 dBm, and -82 dBm for every rate. The
-    standard asks for -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here the packet errors of ``error_model`` see to that
-    (`netsim.phy.error_rate_ofdm`, whose three models differ by up to 5 dB).
+    Power, sensitivity and noise are those of ns-3.44, as for `netsim.phy.standards.Dsss`: 16.0206 dBm, and -82 dBm for every
+    rate. The standard asks for -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here the packet errors of ``error_model``
+    see to that (`netsim.phy.error_rate_ofdm`, whose three models differ by up to 5 dB).
     """
 
     rate_bps: BitRate = 6e6  # 6e6, 9e6, 12e6, 18e6, 24e6, 36e6, 48e6 or 54e6

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.cosim.types import NonNegative
-from vcmvsp.netsim.interfaces.link_draws import WAVE_SLOT
 from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Keys
+from vcmvsp.netsim.interfaces.link_draws import WAVE_SLOT
 from vcmvsp.netsim.propagation.gamma_quantiles import gamma_quantile
 
 Complex = NDArray[np.complex128]

@@ -19,9 +19,9 @@ from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed
+from vcmvsp.netsim.channel.datagrams import Carried, received
 from vcmvsp.netsim.channel.reception import UNDER_WAY
 from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, Router, Telling
-from vcmvsp.netsim.channel.datagrams import Carried, received
 
 Put = Callable[[int, Message, int], tuple[int, list[FrameReport]]]
 """Hands a frame to the channel, at a time (ns), reaching the queue so much later (ns): its number, and what is decided."""

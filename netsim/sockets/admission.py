@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.sockets.messages import (
     MOST_UP,
@@ -23,9 +24,8 @@ from vcmvsp.cosim.sockets.messages import (
     parsed,
     up,
 )
-from vcmvsp.cosim.config.binding import unknown
-from vcmvsp.cosim.util.text import LONGEST_NAME, plain
 from vcmvsp.cosim.transport.endpoints import is_loopback
+from vcmvsp.cosim.util.text import LONGEST_NAME, plain
 
 MOST_STRANGERS = 64  # who have connected and not said who they are
 GREETING_S = 5.0  # within which they must

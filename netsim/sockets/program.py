@@ -6,8 +6,8 @@ from collections import deque
 
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.sockets.messages import EACH, ROOM, Go, Over, Send, Stream, Up, Wait, WireError, up
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.types import Message, Vec3
+from vcmvsp.cosim.util.text import plain
 
 MOST_CALLS = 100_000  # datagrams that it may send without letting time go on
 MOST_BYTES = 1 << 26  # of them

@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.dynamics.rigid_body import Floats, column, columns, coupled, gyration, into_body
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 LOOP_HZ = 60.0  # of way-points and velocities; slower where steps are longer
 

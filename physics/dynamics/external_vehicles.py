@@ -13,9 +13,9 @@ from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.kernel.external_vehicles import Outside
 from vcmvsp.cosim.types import Array, Vec3, VehicleState
 from vcmvsp.physics.engine.interface import Bodiless, Motion, side_by_side, still
-from vcmvsp.physics.world.scene import rotations
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
 from vcmvsp.physics.vehicles.models import VehicleSpec
+from vcmvsp.physics.world.scene import rotations
 
 _UNIT = 1e-3  # by which the length of a quaternion may differ from 1
 

@@ -21,7 +21,6 @@ import numpy as np
 
 from vcmvsp.physics.dynamics import rotorwash
 from vcmvsp.physics.dynamics.autopilot import Autopilot
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.dynamics.rigid_body import (
     Floats,
     column,
@@ -33,6 +32,7 @@ from vcmvsp.physics.dynamics.rigid_body import (
     rotations,
     turned,
 )
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 
 class Fleet:

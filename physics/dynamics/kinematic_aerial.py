@@ -17,11 +17,11 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Vec3
-from vcmvsp.physics.engine.interface import Bodiless, Motion, still
 from vcmvsp.physics.dynamics.kinematic_ground import AT_ONCE_S
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.dynamics.rigid_body import Floats
+from vcmvsp.physics.engine.interface import Bodiless, Motion, still
 from vcmvsp.physics.vehicles.models import Point
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 _YAW = 3
 

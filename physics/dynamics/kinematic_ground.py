@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Vec3
-from vcmvsp.physics.engine.interface import Bodiless, Motion, side_by_side
 from vcmvsp.physics.dynamics.rigid_body import Floats
+from vcmvsp.physics.engine.interface import Bodiless, Motion, side_by_side
 from vcmvsp.physics.vehicles.models import GroundVehicle
 
 _ARC_NS = 20_000_000  # longest arc while speeds change

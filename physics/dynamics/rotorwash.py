@@ -16,8 +16,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.dynamics.rigid_body import Floats, column
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 AIR_KG_M3 = 1.225  # at sea level, 15 degrees (ISO 2533)
 

@@ -1,12 +1,14 @@
 """What the physics federate asks of an engine. Bullet and plain kinematics are two; another would fit behind the same verbs.
 
 Vehicles are rows, in the order in which the engine was given them; an engine takes and gives numbers and arrays of all rows,
-and no object per vehicle. It is built with what it moves: the world, the models (`physics.vehicles.models`), start positions and
-headings, and a rate of its own if it has one. A third engine (MuJoCo, say) would need
+and no object per vehicle. It is built with what it moves: the world, the models (`physics.vehicles.models`), start positions
+and headings, and a rate of its own if it has one. A third engine (MuJoCo, say) would need
 
 * to build its bodies from the models' parameters and from ``World.mesh()``, movables and the time-tables of moving obstacles;
-* firmware and motors of ground robots: `physics.dynamics.firmware` gives the speeds to hold, and is an engine's to call once a step;
-* the force and torque on every quadrotor: `physics.dynamics.flight.Fleet` gives them from its arrays, which the engine keeps up to date;
+* firmware and motors of ground robots: `physics.dynamics.firmware` gives the speeds to hold, and is an engine's to call once a
+step;
+* the force and torque on every quadrotor: `physics.dynamics.flight.Fleet` gives them from its arrays, which the engine keeps
+up to date;
 * the same bits from the same calls: nothing may depend on the order of a set, on other engines, or on how often it is read.
 """
 

@@ -10,8 +10,8 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Array, Positive
-from vcmvsp.physics.world.floor import read_picture
 from vcmvsp.physics.importers.file_access import library, require_file, text_of
+from vcmvsp.physics.world.floor import read_picture
 from vcmvsp.physics.world.solids import Box, Color
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds.surroundings import Bounds, Surroundings

@@ -7,9 +7,9 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.config import registry, binding
-from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative
 from vcmvsp.physics.importers.file_access import require_file, text_of
 from vcmvsp.physics.world.world import Light, Wind, World

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.raycast.broad_phase import by_bearing
-from vcmvsp.physics.line_of_sight.prisms import Outlines
 from vcmvsp.physics.line_of_sight.meshes import Triangles
+from vcmvsp.physics.line_of_sight.prisms import Outlines
+from vcmvsp.physics.raycast.broad_phase import by_bearing
 from vcmvsp.physics.world.solids import AnySolid, Box, Mesh
 
 Floats = NDArray[np.float64]

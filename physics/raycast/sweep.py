@@ -13,8 +13,8 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.raycast.caster import Caster
-from vcmvsp.physics.raycast.plane_section import Fan, Segments, cut
 from vcmvsp.physics.raycast.moving_hulls import Hulls, in_frames, meet
+from vcmvsp.physics.raycast.plane_section import Fan, Segments, cut
 
 _STEEP = 0.02  # of the normal's z component: planes nearly upright are not cut; their beams are cast one by one
 _SEAM = 1e-9  # beams: segments reach this far beyond their ends, so that nothing passes between two that touch

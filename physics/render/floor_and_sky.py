@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.triangles import packed
 from vcmvsp.physics.render.target_textures import lay_seen, textures_of
+from vcmvsp.physics.render.triangles import packed
 from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.world import World, made_once
 

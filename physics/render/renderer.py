@@ -8,12 +8,12 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.raycast.moving_hulls import hulls_of
-from vcmvsp.physics.render.triangles import Pieces, Triangles, bodies, clipped, pieces_of
 from vcmvsp.physics.render.floor_and_sky import ground, inverse_depth, levels_of
-from vcmvsp.physics.render.occlusion import shown
 from vcmvsp.physics.render.large_faces import LARGE_PX, Buffers, draw_large
-from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.render.occlusion import shown
+from vcmvsp.physics.render.triangles import Pieces, Triangles, bodies, clipped, pieces_of
 from vcmvsp.physics.render.view import View
+from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.world import World, made_once
 
 NEAREST_M = 0.005  # along the optical axis: what is nearer is cut off

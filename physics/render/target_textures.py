@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.floor import read_picture
 from vcmvsp.physics.render.triangles import clipped
-from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.render.view import View
+from vcmvsp.physics.world.floor import read_picture
+from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import World
 
 _NEAREST_M = 0.005  # along the optical axis

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.polygons import outward
 from vcmvsp.physics.raycast.moving_hulls import hulls_of
+from vcmvsp.physics.world.polygons import outward
 from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.shapes import Shapes
 from vcmvsp.physics.world.solids import color_of

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from vcmvsp.cosim.types import Array
+from vcmvsp.physics.render.renderer import render
+from vcmvsp.physics.render.view import View
 from vcmvsp.physics.render.world_map import draw_map, round_step, text
 from vcmvsp.physics.world.floor import Ground, Mark
-from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.world.solids import AnySolid, Box, Color, Mesh
-from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.world import Moving, World
 
 _FOV = 0.7  # rad

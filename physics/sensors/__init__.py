@@ -1,4 +1,4 @@
-"""What vehicles carry: one sensor a file. For range scanners and cameras see `physics.sensors.range_scanner` and `physics.sensors.camera`.
+"""Simulated sensors and their errors, one sensor a file.
 
 =================================  ========  ===================================================================
 class                              reading   what it measures
@@ -15,6 +15,6 @@ class                              reading   what it measures
 `targets.TargetSensor`             Looks     whether there is a target, of each cell of the ground within reach
 =================================  ========  ===================================================================
 
-All take the rate, phase, latency and drop-out of `physics.sensors.sensor.Sensor`. Fixes tell the standard deviation of their noise;
-biases near walls and outliers are not in it.
+All take the rate, phase, latency and drop-out of `physics.sensors.sensor.Sensor`. Fixes tell the standard deviation of their
+noise; biases near walls and outliers are not in it.
 """

@@ -6,8 +6,8 @@ import numpy as np
 
 from vcmvsp.cosim.types import Measured, Rate
 from vcmvsp.physics.sensors.noise import Errors, Noise
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 _BAROMETER = Noise(sigma=0.1, drift_sd=0.5, drift_time_s=600.0)  # assumed
 

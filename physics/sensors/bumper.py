@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Measured, Vec3
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 _FLOOR_M = 0.01  # what touches the world below this height touches the floor
 

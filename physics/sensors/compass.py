@@ -7,8 +7,8 @@ import numpy as np
 from vcmvsp.cosim.frames import wrap, yaw_of
 from vcmvsp.cosim.types import Measured
 from vcmvsp.physics.sensors.noise import Errors, Noise
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 _MAGNETIC = Noise(sigma=0.02, bias_sd=0.05)  # assumed
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vcmvsp.cosim.types import Fix, NonNegative, Positive, Probability, Rate, Seconds, Vec3
-from vcmvsp.physics.sensors.noise import Errors, Noise, jump
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.mounting import mounted
+from vcmvsp.physics.sensors.noise import Errors, Noise, jump
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 
 @dataclass(kw_only=True)
@@ -17,9 +17,9 @@ class Gps(Sensor):
     """Position of an antenna, without heading.
 
     Each coordinate errs by a Gauss-Markov process (satellite geometry, ionosphere, slow multipath) and by white noise (see
-    `physics.sensors.noise`). The defaults are those of a low-cost receiver without correction: 2.5 m within which half of the fixes
-    lie (u-blox NEO-M8 data sheet) is 2.1 m in each horizontal coordinate, nearly all of it slow; heights err about 1.5 times
-    as much. A fix tells the standard deviation of both errors together.
+    `physics.sensors.noise`). The defaults are those of a low-cost receiver without correction: 2.5 m within which half of the
+    fixes lie (u-blox NEO-M8 data sheet) is 2.1 m in each horizontal coordinate, nearly all of it slow; heights err about 1.5
+    times as much. A fix tells the standard deviation of both errors together.
     """
 
     rate_hz: Rate = 5.0  # readings a second; receivers give 1 to 10

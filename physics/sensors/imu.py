@@ -8,8 +8,8 @@ import numpy as np
 
 from vcmvsp.cosim.types import Imu, NonNegative, Positive, Rate
 from vcmvsp.physics.sensors.noise import Errors, Noise
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 _FORCE = Noise(bias_sd=0.05, drift_sd=0.01, drift_time_s=300.0, quantum=9.81 / 4096)  # m/s2; quantum: MPU-6000 at 8 g
 _TURN = Noise(bias_sd=0.005, drift_sd=0.001, drift_time_s=300.0, quantum=math.radians(1 / 32.8))  # rad/s; ... at 1000 deg/s

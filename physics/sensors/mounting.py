@@ -3,8 +3,8 @@
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.line_of_sight.sightline import Sightline
+from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.world import World, made_once
 
 

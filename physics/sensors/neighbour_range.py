@@ -6,9 +6,9 @@ import numpy as np
 
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Measured, NonNegative, Positive
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.mounting import sightline
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 _AHEAD = 64  # draws for as many readings are made at once
 

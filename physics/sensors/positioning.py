@@ -6,8 +6,8 @@ import numpy as np
 
 from vcmvsp.cosim.types import Fix, NonNegative, Probability, VehicleState
 from vcmvsp.physics.sensors.positioning_system import Positioning
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 
 @dataclass(kw_only=True)

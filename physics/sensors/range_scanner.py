@@ -11,11 +11,11 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Reading, Scan, Vec3, frozen
 from vcmvsp.physics.raycast.caster import caster_of
-from vcmvsp.physics.raycast.plane_section import Fan, spread_of
 from vcmvsp.physics.raycast.moving_hulls import hulls_of
+from vcmvsp.physics.raycast.plane_section import Fan, spread_of
 from vcmvsp.physics.raycast.sweep import sweep
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 Beams = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Opening = Annotated[float, msgspec.Meta(gt=0, le=6.2832)]

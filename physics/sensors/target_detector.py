@@ -7,8 +7,8 @@ import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, Looks, Positive, Probability, Rate, frozen
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.world import World
 
 MOST_ACROSS = 2_000  # cells of one look: it takes half a second

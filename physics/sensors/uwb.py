@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Fix, NonNegative, Positive, Probability, Vec3
-from vcmvsp.physics.world.clearance import Clearance, Near
-from vcmvsp.physics.sensors.noise import jump
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.mounting import mounted, sightline
+from vcmvsp.physics.sensors.noise import jump
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.clearance import Clearance, Near
+from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.world import World, made_once
 
 _TINY_M = 1e-6  # stands for no error at all where errors are compared

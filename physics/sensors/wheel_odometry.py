@@ -10,8 +10,8 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc, yaw_of
 from vcmvsp.cosim.types import Count, NonNegative, Odometry, Positive
-from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.world.scene import Scene
 
 Relative = Annotated[float, msgspec.Meta(gt=-1, le=1)]
 

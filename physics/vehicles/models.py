@@ -1,7 +1,8 @@
 """The vehicles that a scenario can name, as sets of parameters; the engines know how each set moves.
 
 Where a vehicle is means its reference point: the middle of the wheel axle, projected onto the floor; the centre of mass of one
-that flies. Vehicles that fly with rotors are in `physics.vehicles.quadrotor`, those from a user's own files in `physics.vehicles.urdf`. Sources:
+that flies. Vehicles that fly with rotors are in `physics.vehicles.quadrotor`, those from a user's own files in
+`physics.vehicles.urdf`. Sources:
 
 * p2dx.p, amigo.p: robot parameter files of ARIA (ActivMedia/MobileRobots), where the effective track is 2 / DiffConvFactor.
 * Stage: the vehicle definitions of the Player/Stage simulator. Gazebo: those of the Gazebo simulator.
@@ -21,9 +22,9 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative, Positive, Value, Vec3
 from vcmvsp.physics.sensors.pose_estimate import Fuser
 from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.scene import Hull
-from vcmvsp.physics.sensors.sensor import Sensor
 
 POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
 
@@ -45,7 +46,7 @@ class Vehicle(Protocol):
 
 
 class Servo(NamedTuple):
-    """How speeds follow a command where there is no body to move: a first-order lag within limits (see `physics.dynamics.kinematic_ground`)."""
+    """How speeds follow a command without a body: a first-order lag within limits (see `physics.dynamics.kinematic_ground`)."""
 
     tau_v_s: float = 0.0  # 0: the speed is the commanded one at once
     tau_w_s: float = 0.0

@@ -17,8 +17,8 @@ import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Vec3
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.vehicles.models import GroundVehicle
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 _TURNS = ("continuous", "revolute")
 _OFF_DIAGONAL = ("ixy", "ixz", "iyz")

@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Vec3
-from vcmvsp.physics.world.overlap import Blocking, outside_m
 from vcmvsp.physics.world.floor import Ground
+from vcmvsp.physics.world.overlap import Blocking, outside_m
 from vcmvsp.physics.world.shapes import Shapes, mesh_of, shapes_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder
 from vcmvsp.physics.world.targets import PlacedTarget

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.agents.avoidance import PotentialField
+import vcmvsp
 from vcmvsp.agents.avoid import Avoid
+from vcmvsp.agents.avoidance import PotentialField
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import quaternion_from_yaw
@@ -176,14 +176,14 @@ FIELD = {"kind": "potential_field"}
 )
 def test_errors_name_the_key(agent: dict[str, Any], key: str, words: str) -> None:
     with pytest.raises(ScenarioError) as error:
-        cosim.run(scenario({"avoidance": FIELD, **agent}), mcap=False)
+        vcmvsp.run(scenario({"avoidance": FIELD, **agent}), mcap=False)
     assert error.value.key == key
     assert words in error.value.problem
 
 
 def test_a_task_may_be_in_a_file_beside_the_scenario(tmp_path: Any) -> None:
     (tmp_path / "mine.py").write_text(
-        "from vcmvsp.cosim import Agent, Velocity\n\n\nclass Mine(Agent):\n"
+        "from vcmvsp import Agent, Velocity\n\n\nclass Mine(Agent):\n"
         "    def act(self, obs, radio):\n        return Velocity(linear=(0.25, 0.0, 0.0))\n"
     )
     path = tmp_path / "mine.toml"
@@ -192,7 +192,7 @@ def test_a_task_may_be_in_a_file_beside_the_scenario(tmp_path: Any) -> None:
         '[[vehicle]]\nname = "a"\nkind = "kinematic"\nsensors = { scan = { kind = "lms" } }\n'
         f'agent = {{ kind = "{KIND}", task = {{ kind = "mine.py:Mine" }}, avoidance = {{ kind = "potential_field" }} }}\n'
     )
-    assert cosim.run(path, mcap=False).states["x"].to_pylist()[-1] == pytest.approx(0.5)
+    assert vcmvsp.run(path, mcap=False).states["x"].to_pylist()[-1] == pytest.approx(0.5)
 
 
 # --- through the platform ---
@@ -206,7 +206,7 @@ def test_a_robot_driven_at_a_wall_does_not_touch_it(engine: str, turn: float) ->
     straight = {"task": {"kind": f"{HERE}:Forward"}, "avoidance": {**FIELD, **PUSHLESS, "keep_m": 0.27}}
     given = scenario(straight, "amigobot", physics={"kind": engine}, world=wall)
     given["vehicle"][0]["pose"] = [0.0, 0.0, turn]
-    result = cosim.run(given, mcap=False)
+    result = vcmvsp.run(given, mcap=False)
     assert result.metrics["safety"]["collisions"] == 0
     x = result.states["x"].to_numpy()
     assert 1.4 < x.max() < 2.0 - 0.224
@@ -220,7 +220,7 @@ def test_a_patrol_that_looks_at_nothing_is_led_past_a_pillar(kind: str, method: 
     given = scenario({"task": task, "avoidance": {"kind": method}, "goal": [5.0, 0.0]}, kind, world=pillar, duration_s=25.0)
     given["vehicle"][0]["sensors"]["scan"] = {"kind": "ring" if kind == "quadrotor" else "lms"}
     given["vehicle"][0]["position"] = [0.0, 0.0, 1.0]
-    states = cosim.run(given, mcap=False).states
+    states = vcmvsp.run(given, mcap=False).states
     x, y = (states[name].to_numpy() for name in ("x", "y"))
     clearance = np.hypot(np.maximum(np.abs(x - 2.5) - 0.25, 0.0), np.maximum(np.abs(y - 0.05) - 0.25, 0.0))
     assert clearance.min() > keeps
@@ -258,8 +258,8 @@ def test_a_way_point_on_wheels_is_refused_whatever_stands_around(ranges: tuple[f
 
 def test_another_method_can_be_set_in_a_scenario_that_has_keys_of_one() -> None:
     """Keys that the other one does not have are left out, those that were set with it are not."""
-    result = cosim.run("corridor", set={"agents.avoidance.kind": "vfh", "duration_s": 0.2}, mcap=False)
+    result = vcmvsp.run("corridor", set={"agents.avoidance.kind": "vfh", "duration_s": 0.2}, mcap=False)
     avoidance = tomllib.loads(result.scenario)["agents"]["avoidance"]
     assert (avoidance["kind"], avoidance["max_speed"], "lookahead_m" in avoidance) == ("vfh", 0.3, False)
     with pytest.raises(ScenarioError, match="unknown key 'top'"):
-        cosim.run("corridor", set={"agents.avoidance.kind": "vfh", "agents.avoidance.top": 2, "duration_s": 0.2}, mcap=False)
+        vcmvsp.run("corridor", set={"agents.avoidance.kind": "vfh", "agents.avoidance.top": 2, "duration_s": 0.2}, mcap=False)

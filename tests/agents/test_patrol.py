@@ -4,12 +4,12 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 
 LOOP = [[4.0, 0.0, 0.0], [4.0, 4.0, 0.0]]
 
 
-def run(agent: dict[str, Any], *, duration_s: float = 40.0, kind: str = "p2dx", **tables: Any) -> cosim.Result:
+def run(agent: dict[str, Any], *, duration_s: float = 40.0, kind: str = "p2dx", **tables: Any) -> vcmvsp.Result:
     vehicle: dict[str, Any] = {
         "name": "a",
         "kind": kind,
@@ -17,10 +17,10 @@ def run(agent: dict[str, Any], *, duration_s: float = 40.0, kind: str = "p2dx", 
         "agent": {"kind": "patrol", "way": LOOP, "speed": 0.5, "loop": False, **agent},
         **({"position": [0.0, 0.0, 2.0]} if kind == "quadrotor" else {}),
     }
-    return cosim.run({"name": "patrol", "duration_s": duration_s, "seed": 1, "vehicle": [vehicle], **tables}, mcap=False)
+    return vcmvsp.run({"name": "patrol", "duration_s": duration_s, "seed": 1, "vehicle": [vehicle], **tables}, mcap=False)
 
 
-def passed(result: cosim.Result, x: float, y: float, near_m: float = 0.35) -> bool:
+def passed(result: vcmvsp.Result, x: float, y: float, near_m: float = 0.35) -> bool:
     columns = [result.states[name].to_numpy() for name in ("x", "y")]
     return bool((((columns[0] - x) ** 2 + (columns[1] - y) ** 2) < near_m**2).any())
 
@@ -48,7 +48,7 @@ def test_what_stands_in_the_way_is_not_run_into() -> None:
 def test_reports_come_once_a_period_and_not_all_at_once() -> None:
     def first_s(seed: int) -> float:
         cars = [{"name": f"c{i}", "pose": [0.0, float(i), 0.0], "agent": {"kind": "patrol", "way": LOOP}} for i in range(2)]
-        result = cosim.run(
+        result = vcmvsp.run(
             {"name": "two", "duration_s": 5.0, "seed": seed, "vehicles": {"kind": "kinematic"}, "vehicle": cars}, mcap=False
         )
         assert result.metrics["radio"]["frames"] in (9, 10)

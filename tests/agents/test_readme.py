@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+import vcmvsp
 from vcmvsp import agents
-from vcmvsp import cosim
 
 README = (Path(agents.__path__[0]) / "README.md").read_text(encoding="utf-8")
 
@@ -25,7 +25,7 @@ def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
         sensors = { ring = { kind = "ring" } }
         agent = { kind = "advance.py:Advance" }
     """)
-    result = cosim.run(tmp_path / "wall.toml")
+    result = vcmvsp.run(tmp_path / "wall.toml")
     last = result.states.to_pandas().iloc[-1]
     assert 7.5 < last.x < 9.5
     assert abs(last.vx) < 0.1
@@ -49,7 +49,7 @@ def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
         sensors = {{ scan = {{ kind = "lms", sigma_m = 0.0 }} }}
         agent = {{ kind = "avoid", avoidance = {own}, task = {{ kind = "trajectory", path = "straight" }} }}
     """)
-    result = cosim.run(tmp_path / "wall.toml")
+    result = vcmvsp.run(tmp_path / "wall.toml")
     radius, distance = 0.216, 0.3  # of the body; as the table says
     assert result.metrics["safety"]["min_clearance_m"] == pytest.approx(radius + distance, abs=0.02)  # a slow tick
     assert abs(result.states.to_pandas().iloc[-1].vx) < 1e-9

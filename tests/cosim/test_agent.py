@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Message, Mosaic, ProbabilityMap, Sighting, Sightings, VehicleState, Velocity
+from vcmvsp.cosim.util.codec import Decoder, encode
 
 VEHICLES = ("car1", "car2", "car3")
 PLAIN = st.recursive(

@@ -1,15 +1,16 @@
 """What ``import cosim`` offers, what it costs, and what stands in the way of a robot that has only the core."""
 
+import importlib
 import subprocess
 import sys
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 
 PUBLIC = {
-    "run": "api",
-    "Result": "api",
+    "run": "runs.api",
+    "Result": "runs.api",
     "study": "studies.engine",
     "Agent": "agent",
     "Observation": "agent",
@@ -46,32 +47,32 @@ HEAVY = {"numpy", "pybullet", "cv2", "zenoh", "matplotlib", "pyarrow", "mcap", "
 
 
 def test_the_public_names_are_these() -> None:
-    assert set(cosim.__all__) == set(PUBLIC)
-    assert len(cosim.__all__) == len(PUBLIC)
+    assert set(vcmvsp.__all__) == set(PUBLIC)
+    assert len(vcmvsp.__all__) == len(PUBLIC)
 
 
 @pytest.mark.parametrize(("name", "home"), PUBLIC.items())
 def test_every_public_name_is_that_of_its_home(name: str, home: str) -> None:
-    module = __import__(f"cosim.{home}", fromlist=[name])
-    assert getattr(cosim, name) is getattr(module, name)
-    assert name in dir(cosim)
+    module = importlib.import_module(f"vcmvsp.cosim.{home}")
+    assert getattr(vcmvsp, name) is getattr(module, name)
+    assert name in dir(vcmvsp)
 
 
 def test_another_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="module 'cosim' has no attribute 'Agnet'"):
-        _ = cosim.Agnet
+    with pytest.raises(AttributeError, match="module 'vcmvsp' has no attribute 'Agnet'"):
+        _ = vcmvsp.Agnet
     with pytest.raises(ImportError, match="Agnet"):
-        exec("from vcmvsp.cosim import Agnet", {})
+        exec("from vcmvsp import Agnet", {})
 
 
 def modules_after(code: str) -> set[str]:
-    """The top-level modules of a fresh interpreter that has run this."""
+    """The top-level modules, and the parts of vcmvsp, of a fresh interpreter that has run this."""
     script = f"{code}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
-    return {name.partition(".")[0] for name in done.stderr.split()}
+    return {name.removeprefix("vcmvsp.").partition(".")[0] for name in done.stderr.split()}
 
 
-@pytest.mark.parametrize("code", ["from vcmvsp import cosim", "import cosim.cli", "from vcmvsp.cosim import ScenarioError"])
+@pytest.mark.parametrize("code", ["import vcmvsp", "import vcmvsp.cosim.cli.app", "from vcmvsp import ScenarioError"])
 def test_the_core_and_its_command_line_load_nothing_heavy(code: str) -> None:
     assert not modules_after(code) & HEAVY
 
@@ -82,12 +83,12 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 def test_an_author_of_agents_needs_numpy_alone() -> None:
-    code = "from vcmvsp.cosim import Agent, Observation, Radio, Velocity, arc, wrap"
+    code = "from vcmvsp import Agent, Observation, Radio, Velocity, arc, wrap"
     assert modules_after(code) & (HEAVY | {"physics", "netsim", "agents", "hardware"}) == {"numpy"}
 
 
 def test_the_shipped_agents_load_no_other_part() -> None:
-    code = "import agents.formation.leader_follower, agents.formation.trajectory"
+    code = "from vcmvsp.agents.formation.followers import leader_follower; from vcmvsp.agents.formation.leaders import trajectory"
     assert modules_after(code) & (HEAVY | {"physics", "netsim", "hardware"}) == {"numpy"}
 
 

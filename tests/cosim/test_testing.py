@@ -15,8 +15,8 @@ from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.testing import check_agent, check_channel, check_federate
 from vcmvsp.cosim.types import Message, Note, States, Velocity, frozen
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
 from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
 from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss

@@ -11,18 +11,19 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.federate import RunInfo
-from tests.support.cosim.command_line import vcmvsp
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.docs.readme_coverage import SHOWN
-from tests.support.docs.readme_pages import CODE, INDENTED, ROOT, Block
+from tests.support.docs.readme_pages import CODE, INDENTED, Block
 from tests.support.docs.readme_pages import block as block_of
 from tests.support.docs.readme_sessions import KEEP_GAP
 from tests.support.netsim.bridge_runs import Standing
+from tests.support.paths import ROOT
+from vcmvsp.cosim.federate import RunInfo
 
 DO = (
-    "A block in a README that is neither a scenario nor for a shell is used by a test, as `tests.support.docs.readme_pages.block` gives it."
-    " Name that test in SHOWN in tests/support/docs/readme_coverage.py, or say there why there can be none."
+    "A block in a README that is neither a scenario nor for a shell is used by a test (`tests.support.docs.readme_pages.block`)."
+    " Name it in SHOWN in tests/support/docs/readme_coverage.py, or say there why there can be none."
 )
 CARS = """
 [[vehicle]]
@@ -100,7 +101,7 @@ def test_every_table_is_one_of_a_scenario(block: Block, tmp_path: Path, monkeypa
         Path(name).write_bytes(content.encode() if isinstance(content, str) else content)
     head = "" if "\nduration_s =" in block.text else 'name = "shown"\nduration_s = 100.0\n'
     Path("shown.toml").write_text(head + around.before + block.text + around.after)
-    code, _, err = vcmvsp("check", "shown.toml")
+    code, _, err = vcmvsp_command("check", "shown.toml")
     assert code == 0, f"{block}: {err} If it is a part of a scenario, say in AROUND what is around it."
 
 
@@ -125,7 +126,7 @@ def test_the_federate_of_ones_own() -> None:
 def test_the_call_of_a_study_on_slurm_is_one_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no such cluster here: what it is asked is written down, and the study is given nothing that it does not take."""
     asked: list[tuple[Any, ...]] = []
-    signature = inspect.signature(cosim.study)
+    signature = inspect.signature(vcmvsp.study)
 
     class Cluster:
         def __init__(self, **options: Any) -> None:
@@ -137,6 +138,6 @@ def test_the_call_of_a_study_on_slurm_is_one_of_ours(monkeypatch: pytest.MonkeyP
     package = ModuleType("dask_jobqueue")
     package.SLURMCluster = Cluster  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "dask_jobqueue", package)
-    monkeypatch.setattr(cosim, "study", lambda *args, **options: asked.append(signature.bind(*args, **options).args[:1]))
+    monkeypatch.setattr(vcmvsp, "study", lambda *args, **options: asked.append(signature.bind(*args, **options).args[:1]))
     exec(compile(block_of("cosim/README.md", "SLURMCluster("), "README.md", "exec", dont_inherit=True), {})
     assert asked == [("cluster", 1), ("jobs", 100), ("formation-slalom",)]

@@ -9,29 +9,29 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp.cosim.scenario import loader
-from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.docs.gallery import section
+from tests.support.docs.readme_commands import mentioned, ours, understood
 from tests.support.docs.readme_coverage import ELSEWHERE, SHOWN, UNRUN
 from tests.support.docs.readme_pages import (
     COMMANDS,
     MENTIONS,
     PAGES,
-    ROOT,
     Command,
     blocks_of,
     commands_in,
     program_of,
     words_of,
 )
-from tests.support.docs.readme_commands import mentioned, ours, understood
 from tests.support.docs.readme_sessions import STORIES, Step, Story
-from tests.support.docs.gallery import section
+from tests.support.paths import ROOT
+from vcmvsp.cosim.scenario import loader
 
 STEPS = {step.command for story in STORIES for step in story.steps}
 KNOWN = [each for each in COMMANDS if program_of(words_of(each.text)) in {"vcmvsp", "make"}]
 DO = (
-    "A command in a README is run by a test. Make it a `Step` of a story in tests/support/docs/readme_sessions.py; or, if a test runs it"
-    " already, name that in ELSEWHERE, or, if it cannot be run here, say why in UNRUN, both in tests/support/docs/readme_coverage.py."
+    "A command in a README is run by a test. Make it a `Step` in tests/support/docs/readme_sessions.py; or, if a test runs it"
+    " already, name that in ELSEWHERE, or, if it cannot be run here, say why in UNRUN (tests/support/docs/readme_coverage.py)."
 )
 
 
@@ -77,7 +77,7 @@ def test_what_a_sentence_says_of_a_command_is_so(mention: str) -> None:
 
 @pytest.mark.parametrize(("name", "settings"), changes())
 def test_every_key_that_is_to_be_changed_is_one_of_its_scenario(name: str, settings: list[str]) -> None:
-    code, _, err = vcmvsp("check", name, *settings)
+    code, _, err = vcmvsp_command("check", name, *settings)
     assert code == 0, err
 
 
@@ -150,7 +150,7 @@ def done(step: Step) -> None:
     """Run it here; it ends well, and what it is told to write is there."""
     command, _, target = step.command.partition(" > ")
     words = [step.instead.get(word, word) for word in ours(words_of(command))] + shlex.split(step.shorter)
-    code, out, err = vcmvsp(*words)
+    code, out, err = vcmvsp_command(*words)
     assert code == 0, f"{step.command}\n{err}"
     if target:
         Path(target).write_text(out)

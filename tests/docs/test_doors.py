@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import Stage, ended
 from tests.support.docs.readme_pages import block, command, words_of
 from tests.support.docs.readme_sessions import BRIEF
@@ -42,7 +42,7 @@ def test_ports_are_where_the_first_page_has_them(tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(tmp_path)
     first = free_ports(300)
     words = words_of(command("vcmvsp run formation-circle --set bridge").replace("18000", str(first)))
-    code, _, err = vcmvsp(*words[1:], *BRIEF.split())
+    code, _, err = vcmvsp_command(*words[1:], *BRIEF.split())
     assert code == 0, err
     shown = {int(port) - 18000 for port in re.findall(r"\b18\d{3}\b", block("README.md", "where are you?"))}
     assert {int(port) - first for port in re.findall(r"\b\d{5}\b", err)} >= shown == {0, 2, 99, 199}

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.scenario import loader
+import vcmvsp
 from tests.support.docs.gallery import FOLDER, TEXT, assert_printed, made, section
+from vcmvsp.cosim.scenario import loader
 
 SEARCHING = "recon-"  # their names; they take long, and have a file of their own: `agents/test_gallery_reconnaissance.py`
 
@@ -20,14 +20,14 @@ def test_a_built_in_scenario_prints_what_its_gallery_says(name: str) -> None:
 def test_a_formation_with_another_estimator_keeps_the_error_that_its_gallery_says(name: str) -> None:
     (other,) = re.findall(r"`--set agents.estimator=(\w+)`", section(name))
     (rms,) = re.findall(r"(0\.\d{4}) m\s+RMS", section(name).rpartition("With `--set")[2])
-    changed = cosim.run(name, set={"agents.estimator": other}, agents="inprocess", mcap=False)
+    changed = vcmvsp.run(name, set={"agents.estimator": other}, agents="inprocess", mcap=False)
     assert changed.metrics["formation"]["rms_m"] == pytest.approx(float(rms), abs=5e-5)
 
 
 def test_robots_on_patrol_touch_each_other_only_where_the_gallery_says() -> None:
     assert made("lab-patrol").metrics["safety"]["collisions"] == 0
     (clearance,) = re.findall(r"`--set agents.clearance=(\S+)` they bump into each other", section("lab-patrol"))
-    bumping = cosim.run("lab-patrol", set={"agents.clearance": float(clearance)}, mcap=False)
+    bumping = vcmvsp.run("lab-patrol", set={"agents.clearance": float(clearance)}, mcap=False)
     assert bumping.metrics["safety"]["collisions"] > 0
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp import cosim
-from tests.support.cosim.command_line import contents, vcmvsp
+import vcmvsp
+from tests.support.cosim.command_line import contents, vcmvsp_command
 from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended
 from tests.support.docs.readme_pages import block, command
 from tests.support.docs.readme_sessions import BRIEF, KEEP_GAP
@@ -43,7 +43,7 @@ class Machines(Stage):
 
     def do(self, beginning: str, more: str = "") -> str:
         """Run it in this process."""
-        code, out, err = vcmvsp(*self.words(beginning), *more.split())
+        code, out, err = vcmvsp_command(*self.words(beginning), *more.split())
         assert code == 0, f"{beginning}\n{out}\n{err}"
         return out
 
@@ -67,7 +67,7 @@ def test_a_run_its_host_and_its_observer_each_with_a_certificate(machines: Machi
     machines.do("vcmvsp doctor --connect")
     host = machines.start(*machines.words("vcmvsp agent keep_gap.py"))
     assert [ended(each)[0] for each in (host, run, observer)] == [0, 0, 0]
-    cosim.run("gap.toml", set={"duration_s": 1.0}, out="alone")
+    vcmvsp.run("gap.toml", set={"duration_s": 1.0}, out="alone")
     far, near = contents(machines.folder / "runs" / "gap-0"), contents(machines.folder / "alone")
     assert far["metrics.json"] == near["metrics.json"]
 

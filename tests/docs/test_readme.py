@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.paths import ROOT
+from vcmvsp.cosim.cli.app import main
 from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.cosim.scenario import loader
-from vcmvsp.cosim.cli.app import main
 from vcmvsp.cosim.testing import check_agent
 
-README = (Path(__file__).parent.parent / "README.md").read_text("utf-8")
+README = (ROOT / "README.md").read_text("utf-8")
 pytestmark = pytest.mark.usefixtures("figures")
 BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", README, re.DOTALL)
 
@@ -22,7 +23,7 @@ def block(language: str, words: str) -> str:
     return next(text for kind, text in BLOCKS if kind == language and words in text)
 
 
-def vcmvsp(*arguments: str) -> None:
+def vcmvsp_command(*arguments: str) -> None:
     with pytest.raises(SystemExit) as ended:
         main(list(arguments))
     assert ended.value.code == 0
@@ -37,9 +38,9 @@ def gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_twenty_lines_keep_the_gap(gap: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    vcmvsp("run", "gap.toml", "--out", "gap")
+    vcmvsp_command("run", "gap.toml", "--out", "gap")
     assert "gap: 2 agents (inprocess), 30 s simulated" in capsys.readouterr().out
-    states = cosim.run("gap.toml").states.to_pandas()
+    states = vcmvsp.run("gap.toml").states.to_pandas()
     last = states[states.time_ns == states.time_ns.max()].set_index("vehicle")
     # On a straight line at v the gap grows by v (1/gain + mean age): the speed is not known to the follower.
     assert last.x["car1"] - last.x["car2"] == pytest.approx(2.0 + 0.3 * (1 / 0.8 + 0.1 + 0.1 * 0.3 / 0.7), abs=0.1)
@@ -48,8 +49,8 @@ def test_the_twenty_lines_keep_the_gap(gap: Path, capsys: pytest.CaptureFixture[
 def test_the_agent_as_an_object_and_as_a_file_give_the_same(gap: Path) -> None:
     space: dict[str, object] = {}
     exec((gap / "keep_gap.py").read_text(), space)
-    keep_gap: type[cosim.Agent] = space["KeepGap"]  # type: ignore[assignment]
-    as_file, as_object = cosim.run("gap.toml"), cosim.run("gap.toml", agents={"car2": keep_gap("car1")})  # type: ignore[call-arg]
+    keep_gap: type[vcmvsp.Agent] = space["KeepGap"]  # type: ignore[assignment]
+    as_file, as_object = vcmvsp.run("gap.toml"), vcmvsp.run("gap.toml", agents={"car2": keep_gap("car1")})  # type: ignore[call-arg]
     assert as_object.metrics == as_file.metrics
     with pytest.raises(AssertionError, match="KeyError"):  # it believes every message; a real one should not
         check_agent(lambda: keep_gap("car1"))  # type: ignore[call-arg]
@@ -58,14 +59,14 @@ def test_the_agent_as_an_object_and_as_a_file_give_the_same(gap: Path) -> None:
 def test_the_lines_for_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {}
-    exec(block("python", "from vcmvsp import cosim\n\nr = "), space)
+    exec(block("python", "import vcmvsp\n\nr = "), space)
     assert len(capsys.readouterr().out.split()) == 2
     names = {"scenario.toml", "run.mcap", "radio.parquet", "states.parquet", "metrics.json", "about.json", "report.html"}
     assert {path.name for path in (tmp_path / "lossy").iterdir()} == names | {"trajectory.png", "formation_error.png"}
 
 
 def test_the_demo_prints_what_the_readme_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    vcmvsp("run", "formation-circle", "--out", str(tmp_path / "out"))
+    vcmvsp_command("run", "formation-circle", "--out", str(tmp_path / "out"))
     timing = re.compile(r"in \S+ s \(\S+ real time\)|results: .*")
     shown = timing.sub("", block("", "formation-circle: 3 agents"))
     assert timing.sub("", capsys.readouterr().out) == shown
@@ -77,7 +78,7 @@ def test_worlds_and_vehicles_are_shown_as_the_readme_says(
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    vcmvsp ((?:list|show|world|drive) .*)$", README, re.MULTILINE)
     for command in commands:
-        vcmvsp(*shlex.split(command, comments=True))
+        vcmvsp_command(*shlex.split(command, comments=True))
     assert len(commands) == 4
     assert (tmp_path / "city.png").stat().st_size > 10_000
     printed = capsys.readouterr().out
@@ -96,4 +97,4 @@ def test_the_vehicles_of_the_readme_are_understood() -> None:
 
 def test_every_link_leads_somewhere() -> None:
     for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert (Path(__file__).parent.parent / target).exists(), target
+        assert (ROOT / target).exists(), target

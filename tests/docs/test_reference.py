@@ -2,29 +2,29 @@
 
 import re
 import typing
-from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.support.paths import SCENARIOS
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Vfh
-from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
 from vcmvsp.agents.reconnaissance.watch import Wanted, Watching
-from vcmvsp.cosim.reference import markdown, describe
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.reference import describe, markdown
 from vcmvsp.cosim.scenario import expand, loader, schema
 from vcmvsp.netsim.impairments.jammer import Source
-from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
 from vcmvsp.netsim.impairments.script import Change
-from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
 from vcmvsp.physics.sensors.noise import Noise
+from vcmvsp.physics.world.floor import Ground, Mark
 from vcmvsp.physics.world.solids import MATERIAL_COLORS, Box, Cylinder, Prism
 from vcmvsp.physics.world.targets import Target
 from vcmvsp.physics.world.world import Light, Movable, Moving, Wind, Zone
 
-FOLDER = Path(__file__).parent.parent / "scenarios"
+FOLDER = SCENARIOS
 TEXT = (FOLDER / "README.md").read_text("utf-8")
 Documented = dict[str, dict[str, str]]  # column of defaults -> key -> what it says
 

@@ -13,19 +13,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.runs import api
+import vcmvsp
+from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
-from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
+from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario.schema import SafetyTable
 from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
-from vcmvsp.hardware.stations import mission
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.federate import HEARTBEAT, KNOWN_S, Hardware
-from vcmvsp.hardware.station.process_client import StationError
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
+from vcmvsp.hardware.station.process_client import StationError
+from vcmvsp.hardware.stations import mission
 
 TENTH = SECOND_NS // 10
 SAFETY = msgspec.convert(
@@ -234,7 +234,7 @@ def scenario(**changes: Any) -> dict[str, Any]:
     return {**BENCH, **changes}
 
 
-def held_up_s(result: cosim.Result, name: str) -> float:
+def held_up_s(result: vcmvsp.Result, name: str) -> float:
     """For how long this machine let run and station wait: 0.0, where it kept time.
 
     That is the one thing that stops a robot here: it stands where its station was held up for half a second.
@@ -246,7 +246,7 @@ def held_up_s(result: cosim.Result, name: str) -> float:
 
 
 def test_a_real_vehicle_drives_and_is_where_it_says(tmp_path: Path) -> None:
-    result = cosim.run(scenario(), out=tmp_path / "run")
+    result = vcmvsp.run(scenario(), out=tmp_path / "run")
     x = result.states.to_pandas().query("vehicle == 'car1'")["x"].to_numpy()
     assert x[-1] == pytest.approx(0.3 * 2.0, abs=0.25 + 0.3 * held_up_s(result, "car1"))  # it has to gain speed first
     assert (np.diff(x) > -0.01).all()
@@ -254,14 +254,14 @@ def test_a_real_vehicle_drives_and_is_where_it_says(tmp_path: Path) -> None:
     assert 0.02 <= real["age_s"]["p50"] < 1.0
     late = result.about["lateness"]
     assert 20 <= late["instants"] <= 20 + late["over_one_period"]  # others count when they are late
-    again = cosim.run(tmp_path / "run" / "scenario.toml", playback=tmp_path / "run")
+    again = vcmvsp.run(tmp_path / "run" / "scenario.toml", playback=tmp_path / "run")
     assert again.metrics == result.metrics
 
 
 def test_a_fence_holds_in_a_run_and_the_recording_tells_that_it_did() -> None:
     fence = [[-1.0, -1.0], [0.6, -1.0], [0.6, 1.0], [-1.0, 1.0]]
     own = {**BENCH["vehicle"][0], "safety": {"fence": fence, "fence_margin_m": 0.05}}
-    result = cosim.run(scenario(duration_s=3.0, vehicle=[own]))
+    result = vcmvsp.run(scenario(duration_s=3.0, vehicle=[own]))
     farthest = 0.6 - 0.25 - 0.05 + 0.01  # its radius, and the margin
     assert result.states.to_pandas()["x"].max() < farthest + 0.3 * held_up_s(result, "car1")
     assert result.metrics["hardware"]["car1"]["limited_s"] > 0.5
@@ -297,15 +297,15 @@ def test_a_simulated_vehicle_has_nothing_of_a_real_one(key: str) -> None:
 
 def test_real_vehicles_keep_to_the_wall_clock() -> None:
     with pytest.raises(UsageError, match="--realtime 2: real vehicles \\(car1\\) keep to the wall clock"):
-        cosim.run(scenario(), realtime=2.0)
+        vcmvsp.run(scenario(), realtime=2.0)
     begin = time.monotonic()
-    cosim.run(scenario(duration_s=1.0))
+    vcmvsp.run(scenario(duration_s=1.0))
     assert time.monotonic() - begin > 1.0
 
 
 SLOW = """
 import time
-from vcmvsp.cosim import Agent
+from vcmvsp import Agent
 class Slow(Agent):
     def act(self, obs, radio):
         time.sleep(0.0 if obs.time_ns else 0.25)
@@ -319,17 +319,17 @@ def test_a_run_that_falls_behind_slips_or_stops_as_it_is_told(tmp_path: Path, la
     plain = scenario(duration_s=1.0, clock={"late": late}, vehicle=[{"name": "car1", "kind": "kinematic", "agent": agent}])
     if late == "stop":
         with pytest.raises(FederateError, match=r"clock: 0\.0\d* s began \d+\.\d+ s late, more than clock.tolerance_s"):
-            cosim.run(plain, realtime=1.0)
+            vcmvsp.run(plain, realtime=1.0)
         return
-    slept = cosim.run(plain, realtime=1.0).about["lateness"]
+    slept = vcmvsp.run(plain, realtime=1.0).about["lateness"]
     assert slept["over_one_period"] >= 1
     assert slept["slipped_s"] > 0.1
 
 
 def test_a_run_that_is_killed_leaves_what_a_replay_needs(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps(scenario(duration_s=60.0)))
-    program = f"import cosim, json; cosim.run(json.load(open('{tmp_path}/s.json')), out='{tmp_path}/run')"
-    child = subprocess.Popen([sys.executable, "-c", program], cwd=Path(cosim.__file__).parent.parent)
+    program = f"import cosim, json; vcmvsp.run(json.load(open('{tmp_path}/s.json')), out='{tmp_path}/run')"
+    child = subprocess.Popen([sys.executable, "-c", program], cwd=Path(vcmvsp.__file__).parent.parent)
     try:
         recording = tmp_path / "run" / "hardware.mcap"
         until = time.monotonic() + 60.0
@@ -339,12 +339,12 @@ def test_a_run_that_is_killed_leaves_what_a_replay_needs(tmp_path: Path) -> None
     finally:
         child.kill()
         child.wait(10)
-    again = cosim.run(tmp_path / "run" / "scenario.toml", playback=tmp_path / "run", set={"duration_s": 1.0})
+    again = vcmvsp.run(tmp_path / "run" / "scenario.toml", playback=tmp_path / "run", set={"duration_s": 1.0})
     assert again.states.to_pandas().query("vehicle == 'car1'")["x"].max() > 0.05
 
 
 def test_an_emulated_robot_drives_in_formation_behind_a_real_port(tmp_path: Path) -> None:
-    result = cosim.run(
+    result = vcmvsp.run(
         "hybrid-formation",
         set={
             "duration_s": 6.0,

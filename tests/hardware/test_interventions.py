@@ -2,14 +2,14 @@
 
 from typing import Any
 
+from tests.hardware.station.test_controller import Station as Turning
+from tests.hardware.test_federate import TENTH, Station, federate, report
+from tests.support.hardware.stations import mission
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, Slot
 from vcmvsp.cosim.types import Halted, RealStatus, Velocity
 from vcmvsp.hardware.federate import Hardware
 from vcmvsp.hardware.real_vehicle import HALTED
-from tests.support.hardware.stations import mission
-from tests.hardware.test_federate import TENTH, Station, federate, report
-from tests.hardware.station.test_controller import Station as Turning
 
 STILL = Velocity()
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp import hardware
 from tests.support.hardware.driver_runs import rest
+from vcmvsp import hardware
 
 
 @pytest.mark.usefixtures("steady")

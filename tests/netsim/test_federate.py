@@ -4,13 +4,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
 from vcmvsp.cosim.types import FrameReport, Message, Reception, States
-from vcmvsp.netsim.mac.dcf import events
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
-from tests.support.netsim.channels import make_channel
+from vcmvsp.netsim.mac.dcf import events
 
 MS = 1_000_000
 NAMES = ("a", "b", "c")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from tests.netsim.test_federate import MS, NAMES, RUN, frames, sends, states
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.types import Array, States
 from vcmvsp.netsim.federate import RadioFederate
-from tests.support.netsim.channels import make_channel
-from tests.netsim.test_federate import MS, NAMES, RUN, frames, sends, states
 
 
 def levels(radio: RadioFederate, here: Event) -> Array:

@@ -1,9 +1,9 @@
 import pytest
 
+from tests.support.netsim.channels import make_channel, send
 from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.presets import LAYERS, PRESETS, preset
-from tests.support.netsim.channels import make_channel, send
 
 
 @pytest.mark.parametrize("name", PRESETS)

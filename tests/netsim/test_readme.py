@@ -7,23 +7,23 @@ from typing import Any
 
 import pytest
 
+from tests.support.netsim.channels import send
 from vcmvsp import netsim
 from vcmvsp.cosim.assembly import radio
-from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.testing import check_channel
-from vcmvsp.netsim.channel.link_budget import Hearing
-from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.link_budget import Hearing
+from vcmvsp.netsim.channel.reception import UNDER_WAY, Outcomes
+from vcmvsp.netsim.channel.runtime_changes import Outages
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.delivery import Delivery
+from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
 from vcmvsp.netsim.impairments.loss import Bernoulli
-from vcmvsp.netsim.channel.runtime_changes import Outages
-from vcmvsp.netsim.channel.reception import UNDER_WAY, Outcomes
-from vcmvsp.netsim.phy.standards import Dsss
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from tests.support.netsim.channels import send
+from vcmvsp.netsim.phy.standards import Dsss
 
 HOME = Path(netsim.__path__[0])
 README = (HOME / "README.md").read_text(encoding="utf-8")

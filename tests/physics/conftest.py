@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.federate import Physics
 from vcmvsp.physics.vehicles.models import GroundVehicle, VehicleSpec
 from vcmvsp.physics.world.world import World
-from tests.support.physics.physics_stepper import stepped
 
 Command = tuple[float, str, float, float]  # from when, s; vehicle; v, m/s; w, rad/s
 

@@ -7,32 +7,31 @@ import sys
 from collections import Counter
 from collections.abc import Generator, Iterator, Mapping
 from itertools import zip_longest
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
+from tests.support.paths import ROOT
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Later, Velocity, Waypoint
-from vcmvsp.physics.sensors.camera import Camera, NadirCamera
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.world.floor import Ground, Mark
-from vcmvsp.physics.sensors.positioning_system import Positioning
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.sensors.range_scanner import Lms, Ring
-from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.bumper import Bumper
+from vcmvsp.physics.sensors.camera import Camera, NadirCamera
 from vcmvsp.physics.sensors.gps import Gps
 from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.world.solids import Box, Cylinder
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.range_scanner import Lms, Ring
+from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point, Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.floor import Ground, Mark
+from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
-from tests.support.physics.physics_stepper import stepped
 
 DURATION_S = 4.0
-ROOT = Path(__file__).parents[2]
 
 
 class Digest(NamedTuple):

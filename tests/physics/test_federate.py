@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.step_responses import settling_s
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, Federate, Instants, RunInfo, Slot
@@ -16,13 +17,12 @@ from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.scene import Hull
-from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
 from vcmvsp.physics.world.solids import Box
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
 from vcmvsp.physics.world.world import Movable, Moving, World
-from tests.support.step_responses import settling_s
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])

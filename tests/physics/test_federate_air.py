@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Vehicle, VehicleSpec
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.solids import Box
-from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Vehicle, VehicleSpec
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World
-from tests.support.physics.physics_stepper import stepped
 
 Play = Callable[..., list[list[Event]]]
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])

@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.external_vehicles import Courses, straight
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Array, Contact, Halted, Moved, Pushed, States, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.vehicles.models import P2DX, Inertial, Kinematic, Point, Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, World
-from tests.support.physics.external_vehicles import Courses, straight
-from tests.support.physics.physics_stepper import stepped
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 TENTH = (Instants(Ticks.every(0.1)),)

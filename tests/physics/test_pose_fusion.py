@@ -10,19 +10,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.federate import Event, Instants
-from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
 from vcmvsp.cosim.estimation.fusion import Fusion, Pose
 from vcmvsp.cosim.estimation.kalman_filter import Noise
+from vcmvsp.cosim.federate import Event, Instants
+from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning_system import Positioning
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.vehicles.models import Lag, VehicleSpec
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.world import World
-from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 TURNS = [(0.0, "car", 0.4, 0.2), (4.0, "car", 0.4, -0.3), (9.0, "car", 0.3, 0.5)]

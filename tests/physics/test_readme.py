@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp import physics
-from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.cosim.assembly.worlds import world_of
+from vcmvsp.cosim.config import builtin_kinds
+from vcmvsp.cosim.runs import api
 from vcmvsp.physics.world.solids import Cylinder
 
 README = (Path(physics.__path__[0]) / "README.md").read_text(encoding="utf-8")
@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_scenario(folder: Path) -> None:
     (folder / "all.toml").write_text(HEAD + block("toml", '[world]\nkind = "laboratory"'))
-    assert {*cosim.run("all.toml").states.to_pandas().vehicle} == {"ugv", "uav"}
+    assert {*vcmvsp.run("all.toml").states.to_pandas().vehicle} == {"ugv", "uav"}
 
 
 def test_the_vehicle_of_ones_own(folder: Path) -> None:
@@ -53,14 +53,14 @@ def test_the_sensor_of_ones_own(folder: Path) -> None:
     scenario: dict[str, Any] = {"name": "s", "duration_s": 0.5, "vehicles": {"sensors": own}, "vehicle": cars}
     seen: dict[str, float] = {}
 
-    class Look(cosim.Agent):
+    class Look(vcmvsp.Agent):
         def __init__(self, name: str) -> None:
             self.name = name
 
-        def act(self, obs: cosim.Observation, radio: cosim.Radio) -> None:
+        def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> None:
             seen[self.name] = obs.readings["sonar"].values["nearest_m"]  # type: ignore[union-attr]
 
-    cosim.run(scenario, agents={name: Look(name) for name in places})
+    vcmvsp.run(scenario, agents={name: Look(name) for name in places})
     assert seen == pytest.approx({"a": 3.0, "b": 3.0, "c": 4.0}, abs=0.1)
 
 

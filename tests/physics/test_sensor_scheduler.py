@@ -7,21 +7,21 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.config import binding
+from tests.support.physics.sensor_scenes import SECOND_NS, scene_of
 from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Later, Measured, Rate, Reading
 from vcmvsp.physics.sensor_scheduler import Instruments
-from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.altimeter import Altimeter
 from vcmvsp.physics.sensors.gps import Gps
 from vcmvsp.physics.sensors.imu import InertialUnit
 from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
+from vcmvsp.physics.sensors.noise import Noise
+from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.uwb import Uwb
-from tests.support.physics.sensor_scenes import SECOND_NS, scene_of
+from vcmvsp.physics.world.scene import Scene
 
 Fitted = Mapping[str, Mapping[str, Sensor]]
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.scenario import loader
+import vcmvsp
 from vcmvsp.cosim.runs.api import check
+from vcmvsp.cosim.scenario import loader
 
 STUDIES = [name for name in loader.names() if name.startswith("study-")]
 T = 0.1  # s, between messages
@@ -23,7 +23,7 @@ LOSS, DELAY, BURST, WHO = "radio.loss.probability", "radio.delay.seconds", "radi
 
 @cache
 def metrics(name: str, seed: int, *point: tuple[str, Any]) -> dict[str, Any]:
-    return cosim.run(name, seed=seed, set=dict(point), agents="inprocess", mcap=False).metrics
+    return vcmvsp.run(name, seed=seed, set=dict(point), agents="inprocess", mcap=False).metrics
 
 
 def rms(name: str, point: dict[str, Any], seeds: int = 1) -> float:

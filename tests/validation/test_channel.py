@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from tests.support.validation.fleets import (
     K1,
     LEFT_BEHIND,
@@ -22,7 +22,7 @@ FOLLOWERS = 30
 FROM_S = 20.0
 
 
-def mean_age_s(result: cosim.Result, sender: str, receiver: str) -> float:
+def mean_age_s(result: vcmvsp.Result, sender: str, receiver: str) -> float:
     """Age of information over continuous time: the area under a sawtooth that rises at 1 s/s and falls at receptions."""
     rows = result.radio.to_pandas()
     rows = rows[(rows.sender == sender) & (rows.receiver == receiver)].dropna(subset="received_ns")
@@ -40,7 +40,7 @@ def test_loss_on_a_straight_line(p: float) -> None:
     """
     agents = {"estimator": "hold", **NEVER_LOST}
     scenario = fleet(300.0, [RIGHT_BEHIND, LEFT_BEHIND] * (FOLLOWERS // 2), path="straight", radio=lossy(p), agents=agents)
-    result = cosim.run(scenario, set={"record.period_s": 0.5, "metrics.from_s": FROM_S}, mcap=False)
+    result = vcmvsp.run(scenario, set={"record.period_s": 0.5, "metrics.from_s": FROM_S}, mcap=False)
     alpha, d = 1 - K1 * T, T
     mean = V * (d + T * p / (1 - p))
     var = (V * K1 * T) ** 2 / (1 - alpha**2) * T**2 * p / (1 - p) ** 2 * (1 + alpha * p) / (1 - alpha * p)
@@ -71,7 +71,7 @@ def test_the_range_of_the_wireless_simulation_server(exponent: float, range_m: f
         {"name": "near", "pose": (0.0, -reach * (1 - 1e-6), 0.0), "agent": leader},
         {"name": "far", "pose": (0.0, reach * (1 + 1e-6), 0.0), "agent": leader},
     ]
-    rows = cosim.run(scenario, mcap=False).radio.to_pandas()
+    rows = vcmvsp.run(scenario, mcap=False).radio.to_pandas()
     outcomes = rows[rows.sender == "car1"].groupby("receiver", observed=True).outcome
     assert outcomes.unique().map(list).to_dict() == {"near": ["received"], "far": ["below sensitivity"]}
     assert (outcomes.size() == 50).all()
@@ -84,7 +84,7 @@ def test_a_link_keeps_its_draws_when_vehicles_are_added() -> None:
     for followers in (2, 5):
         names = [{**RIGHT_BEHIND, "pose": (-1.0 - number, -0.5, 0.0)} for number in range(followers)]
         scenario = fleet(30.0, names, radio=radio, agents={"broadcast": followers > 2})
-        rows = cosim.run(scenario, mcap=False).radio.to_pandas()
+        rows = vcmvsp.run(scenario, mcap=False).radio.to_pandas()
         link = rows[(rows.sender == "car1") & (rows.receiver == "car2")]
         links.append(link[["sent_ns", "received_ns", "outcome", "delay_ns"]].astype(object).to_numpy().tolist())
     assert len(links[0]) == 300

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.agents.formation.followers.consensus import Graph, neighbours_of
+import vcmvsp
 from tests.support.step_responses import growth, root
 from tests.support.validation.fleets import Floats, Table, lossy, poses
+from vcmvsp.agents.formation.followers.consensus import Graph, neighbours_of
 
 KIND = "consensus"
 SMALL = 1e-3  # m: growth is followed over many powers of ten before the vehicles' greatest speed ends it
@@ -59,7 +59,7 @@ def modes_of(graph: Graph, count: int) -> tuple[Floats, Floats]:
 
 def points(scenario: Table, **settings: Any) -> Floats:
     """Where the vehicles were at every tick, (m, n, 2)."""
-    return poses(cosim.run(scenario, set=settings, mcap=False))[1][..., :2]
+    return poses(vcmvsp.run(scenario, set=settings, mcap=False))[1][..., :2]
 
 
 def sampled(step: float, age: int, ticks: int) -> Floats:
@@ -146,7 +146,7 @@ def test_a_formation_forms_and_moves_over_a_lossy_radio(own: str) -> None:
     scenario = team(
         start, 90.0, delay_s=0.15, loss=0.5, graph="ring", gain=0.6, own=own, velocity=(0.5, 0.0), formation=formation
     )
-    result = cosim.run(scenario, mcap=False)
+    result = vcmvsp.run(scenario, mcap=False)
     _, moved = poses(result)
     deep = math.sqrt(3.0)
     expected = [(-deep, -1.0), (-deep, 1.0), (-2 * deep, -2.0), (-2 * deep, 2.0)]
@@ -160,7 +160,9 @@ def test_robots_on_wheels_form_up_with_their_hand_points() -> None:
     start = [(0.0, 0.0, 0.0), (-2.0, 1.0, 3.0), (1.0, -3.0, -1.5), (-1.0, -1.0, 1.0)]
     formation = {"shape": "column", "spacing": 0.8}
     asked: dict[str, Any] = {"handle": 0.3, "heading": math.pi / 4, "velocity": (0.2, 0.2), "max_speed": 0.8}
-    result = cosim.run(team(start, 90.0, kind="kinematic", delay_s=1.0, graph="path", formation=formation, **asked), mcap=False)
+    result = vcmvsp.run(
+        team(start, 90.0, kind="kinematic", delay_s=1.0, graph="path", formation=formation, **asked), mcap=False
+    )
     _, moved = poses(result)
     assert moved[-1, :, 2] % math.tau == pytest.approx(np.full(4, math.pi / 4), abs=1e-3)
     apart = np.diff(moved[-1, :, :2], axis=0)

@@ -22,13 +22,13 @@ import pytest
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.step_responses import Floats
+from tests.support.validation.fleets import LEFT, errors, fleet, lossy
 from vcmvsp.cosim.reproduction.figures.formation import loss_integration as plain
 from vcmvsp.cosim.reproduction.figures.formation.delay import DELAYS_S
 from vcmvsp.cosim.reproduction.figures.formation.delay import REFERENCE as DELAY
 from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, LEFT_BEHIND, RIGHT_BEHIND, T
-from tests.support.step_responses import Floats
-from tests.support.validation.fleets import LEFT, errors, fleet, lossy
 
 ALL, BOTH, PATHS = ("hold", "dr", "acc", "plan"), ("hold", "dr"), ("slalom", "random")
 TICKS, FROM = 1201, 200  # of a run, and those that do not count
@@ -237,13 +237,13 @@ def run(
     lead: Mapping[str, Any] | None = None,
     out: Path | None = None,
     **more: Any,
-) -> cosim.Result:
+) -> vcmvsp.Result:
     scenario = fleet(120.0, followers, path=path, radio=radio, leader={"tell": ["a", "plan"]}, **more)  # for all kinds
     scenario["vehicle"][0].update(lead or {})
-    return cosim.run(scenario, out=out, mcap=out is not None)
+    return vcmvsp.run(scenario, out=out, mcap=out is not None)
 
 
-def losses(result: cosim.Result) -> NDArray[np.bool_]:
+def losses(result: vcmvsp.Result) -> NDArray[np.bool_]:
     """Which of the leader's reports, by tick, were lost on the way to which follower, (ticks, n)."""
     table = result.radio.to_pandas().query("sender == 'car1'")
     tick = np.rint(table.sent_ns.to_numpy() / 1e9 / T).astype(int)
@@ -253,14 +253,14 @@ def losses(result: cosim.Result) -> NDArray[np.bool_]:
     return missed
 
 
-def rms(result: cosim.Result) -> Floats:
+def rms(result: vcmvsp.Result) -> Floats:
     """RMS of |z| of each follower, m."""
     _, z = errors(result)
     return np.asarray(np.sqrt((z[FROM:] ** 2).sum(axis=-1).mean(axis=0)))
 
 
 @functools.cache
-def mixed(path: str, p: float) -> cosim.Result:
+def mixed(path: str, p: float) -> vcmvsp.Result:
     """All four estimators behind one leader."""
     return run(path, crew_of(ALL, 4), lossy(p))
 
@@ -320,7 +320,7 @@ def bursts(mean_frames: float) -> dict[str, Any]:
 
 
 @functools.cache
-def in_bursts(mean_frames: float) -> cosim.Result:
+def in_bursts(mean_frames: float) -> vcmvsp.Result:
     return run("slalom", crew_of(("hold", "dr", FREE), 8), bursts(mean_frames))
 
 
@@ -365,7 +365,7 @@ def test_noise_of_the_leaders_pose(tmp_path: Path) -> None:
 # --- ages ---
 
 
-def mean_age_s(result: cosim.Result) -> float:
+def mean_age_s(result: vcmvsp.Result) -> float:
     """Age of the newest report that has arrived, averaged over time and receivers: the sawtooth, integrated from 1 s on."""
     table = result.radio.to_pandas()
     reports = table[(table.sender == "car1") & (table.received_ns >= 0)].sort_values("received_ns")
@@ -404,7 +404,7 @@ def test_an_estimator_in_a_file_beside_the_scenario_is_kept_with_the_result(tmp_
         "        return report.state._replace(v=0.0, w=0.0)\n"
     )
     scenario = fleet(5.0, path="straight", radio=lossy(), agents={"estimator": f"{tmp_path}/mine.py:Still"})
-    run = cosim.run(scenario)
-    again = cosim.run(run.save(tmp_path / "out") / "scenario.toml", mcap=False)
+    run = vcmvsp.run(scenario)
+    again = vcmvsp.run(run.save(tmp_path / "out") / "scenario.toml", mcap=False)
     assert (tmp_path / "out" / "mine.py").is_file()
     assert again.metrics == run.metrics

@@ -11,25 +11,25 @@ import functools
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from tests.support.validation.fleets import LEFT_BEHIND, RIGHT_BEHIND, Floats, errors, fleet, lossy
 
 SEEDS = range(1, 5)
 
 
 @functools.cache
-def run(p: float, acknowledge: bool, seed: int = 1) -> cosim.Result:
+def run(p: float, acknowledge: bool, seed: int = 1) -> vcmvsp.Result:
     scenario = fleet(120.0, [RIGHT_BEHIND, LEFT_BEHIND], path="random", radio=lossy(p), agents={"estimator": "dr"})
     scenario["vehicle"][0]["agent"]["sending"] = {"when": "needed", "threshold": 0.02, "acknowledge": acknowledge}
-    return cosim.run({**scenario, "seed": seed}, mcap=False)
+    return vcmvsp.run({**scenario, "seed": seed}, mcap=False)
 
 
-def reports_per_s(*results: cosim.Result) -> float:
+def reports_per_s(*results: vcmvsp.Result) -> float:
     frames = [result.radio.to_pandas() for result in results]
     return sum(table[table.sender == "car1"].frame.nunique() for table in frames) / (120.0 * len(results))
 
 
-def error(*results: cosim.Result) -> Floats:
+def error(*results: vcmvsp.Result) -> Floats:
     """|z| of both followers from 20 s on, m."""
     each = []
     for result in results:
@@ -38,7 +38,7 @@ def error(*results: cosim.Result) -> Floats:
     return np.array(each)
 
 
-def rms(*results: cosim.Result) -> float:
+def rms(*results: vcmvsp.Result) -> float:
     return float(np.sqrt(np.mean(error(*results) ** 2)))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from tests.support.validation.fleets import fleet, poses
 
 DIES_S = 4.0
@@ -14,7 +14,7 @@ def test_a_dead_vehicle_stands_still_and_sends_nothing(latency_s: float) -> None
     scenario = fleet(8.0, radio={"preset": "ideal"})
     scenario["agents"] = {"latency_s": latency_s}
     scenario["vehicle"][0]["agent"]["fails_s"] = DIES_S
-    result = cosim.run(scenario, mcap=False)
+    result = vcmvsp.run(scenario, mcap=False)
     times, moved = poses(result)
     stands = times >= DIES_S + latency_s
     assert (moved[stands, 0] == moved[stands, 0][0]).all()
@@ -26,9 +26,9 @@ def test_a_dead_vehicle_stands_still_and_sends_nothing(latency_s: float) -> None
 def test_it_does_not_matter_where_it_dies() -> None:
     scenario = fleet(6.0, radio={"preset": "ideal"})
     scenario["vehicle"][1]["agent"]["fails_s"] = 3.0
-    digests = {cosim.run(scenario, agents=runs, mcap=False).metrics["digest"] for runs in ("inprocess", "encoded")}  # type: ignore[arg-type]
+    digests = {vcmvsp.run(scenario, agents=runs, mcap=False).metrics["digest"] for runs in ("inprocess", "encoded")}  # type: ignore[arg-type]
     assert len(digests) == 1
-    assert "fails_s = 3.0" in cosim.run(scenario, mcap=False).scenario
+    assert "fails_s = 3.0" in vcmvsp.run(scenario, mcap=False).scenario
 
 
 def test_who_waits_for_answers_gives_up_one_that_is_dead() -> None:
@@ -38,7 +38,7 @@ def test_who_waits_for_answers_gives_up_one_that_is_dead() -> None:
     for vehicle in scenario["vehicle"][1:]:
         vehicle["agent"] = {"kind": "leader_follower"}
     scenario["vehicle"][2]["agent"]["fails_s"] = 20.0
-    sent_ns = cosim.run(scenario, mcap=False).radio.to_pandas().query("sender == 'car1'").sent_ns.unique()
+    sent_ns = vcmvsp.run(scenario, mcap=False).radio.to_pandas().query("sender == 'car1'").sent_ns.unique()
     often, rare = (np.count_nonzero((sent_ns >= begin * 1e9) & (sent_ns < end * 1e9)) for begin, end in ((20, 30), (32, 60)))
     assert often > 30  # every answer_s
     assert rare <= 15  # every silence_s
@@ -48,5 +48,5 @@ def test_one_that_dies_far_from_its_place_never_settles_and_one_in_its_place_has
     for at_s, settles in ((1.0, False), (15.0, True)):
         scenario = fleet(20.0, [{"pose": (-1.5, 0.0, 0.0)}], path="straight", radio={"preset": "ideal"})
         scenario["vehicle"][1]["agent"]["fails_s"] = at_s
-        formation = cosim.run(scenario, mcap=False).metrics["formation"]
+        formation = vcmvsp.run(scenario, mcap=False).metrics["formation"]
         assert (formation["settling_s"] is not None) == settles

@@ -5,12 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.followers.control_law import Place
-from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.agent import Observation, Radio
-from vcmvsp.cosim.types import Follows, Velocity
+import vcmvsp
 from tests.support.step_responses import overshoot, servo_step, settling_s
 from tests.support.validation.fleets import (
     AHEAD,
@@ -27,11 +22,16 @@ from tests.support.validation.fleets import (
     fleet,
     poses,
 )
+from vcmvsp.agents.formation import LeaderFollower
+from vcmvsp.agents.formation.followers.control_law import Place
+from vcmvsp.cosim.agent import Observation, Radio
+from vcmvsp.cosim.analysis import closed_forms
+from vcmvsp.cosim.types import Follows, Velocity
 
 
 def test_the_standard_triangle_on_a_circle() -> None:
     """|z| = 0; radius sqrt((R + L')^2 - L^2); rho^2 = 1 - 2 L L' sin(thb), sin(thb) = L w / (v + L' w)."""
-    result = cosim.run(fleet(90.0), mcap=False)
+    result = vcmvsp.run(fleet(90.0), mcap=False)
     times, moved = poses(result)
     centre = np.array([0.0, R])
     radius = np.hypot(*(moved[-1, 1:, :2] - centre).T)
@@ -51,7 +51,7 @@ def test_the_standard_triangle_on_a_circle() -> None:
 
 def test_a_short_handle_keeps_the_distance_better() -> None:
     """The same circle with a handle of 0.3 m: rho 0.9384 and 1.0520 m."""
-    result = cosim.run(fleet(90.0, agents={"handle": 0.3}), mcap=False)
+    result = vcmvsp.run(fleet(90.0, agents={"handle": 0.3}), mcap=False)
     _, moved = poses(result)
     assert np.hypot(*(moved[-1, 1:, :2] - moved[-1, 0, :2]).T) == pytest.approx([0.9384, 1.0520], abs=1e-4)
     assert result.metrics["formation"]["final_m"] < 1e-6
@@ -59,7 +59,7 @@ def test_a_short_handle_keeps_the_distance_better() -> None:
 
 def test_inertia_leaves_no_error_on_a_circle() -> None:
     """Commands are constant there, so lags and limits do not matter in the end: < 1 mm after 60 s."""
-    assert cosim.run(fleet(60.0, kind="inertial"), mcap=False).metrics["formation"]["final_m"] < 1e-3
+    assert vcmvsp.run(fleet(60.0, kind="inertial"), mcap=False).metrics["formation"]["final_m"] < 1e-3
 
 
 class Closer(LeaderFollower):
@@ -81,7 +81,7 @@ def test_step_response_of_a_servo(k1: float, share: float) -> None:
     """0.5 m behind the slot at v = 0.3 m/s, servo lag 0.5 s, 10 Hz (Fig 30): the sampled servo, state (z1, v_f - v_l)."""
     at_s, tau = 40.0, 0.5
     scenario = fleet(65.0, [{"distance": 1.5}], path="straight", kind="lag")
-    result = cosim.run(scenario, agents={"car2": Closer(at_s, k1=k1)}, mcap=False)
+    result = vcmvsp.run(scenario, agents={"car2": Closer(at_s, k1=k1)}, mcap=False)
     times, z = errors(result)
     z1 = z[times >= at_s, 0, 0]
     assert z1 == pytest.approx(0.5 * servo_step(k1, T, tau, len(z1)), abs=1e-6)
@@ -106,15 +106,15 @@ def test_a_leader_that_starts_at_once(behind: float, kind: str, reference_s: flo
     servo = (0.0, math.inf) if kind == "kinematic" else (0.5, 0.3)
     assert settled_s(behind, *servo, 0) == pytest.approx(reference_s)
     scenario = fleet(20.0, [{"pose": (-1.0 - behind, 0.0, 0.0)}], path="straight", kind=kind)
-    result = cosim.run(scenario, set={"vehicle.car1.kind": "kinematic"}, mcap=False)
+    result = vcmvsp.run(scenario, set={"vehicle.car1.kind": "kinematic"}, mcap=False)
     assert result.metrics["formation"]["settling_s"] == pytest.approx(settled_s(behind, *servo, 1))
 
 
 def test_a_body_settles_later_than_a_point() -> None:
     """The same start with p2dx bodies in Bullet, which take 0.9 s to reach 90 % of 0.3 m/s."""
     scenario = fleet(10.0, [{}], path="straight", kind="p2dx", physics={"kind": "bullet"})
-    body = cosim.run(scenario, set={"vehicle.car1.kind": "kinematic"}, mcap=False)
-    point = cosim.run(scenario, set={"vehicle.car1.kind": "kinematic", "physics.kind": "kinematic"}, mcap=False)
+    body = vcmvsp.run(scenario, set={"vehicle.car1.kind": "kinematic"}, mcap=False)
+    point = vcmvsp.run(scenario, set={"vehicle.car1.kind": "kinematic", "physics.kind": "kinematic"}, mcap=False)
     assert point.metrics["formation"]["settling_s"] == 0.0
     assert 2.0 < body.metrics["formation"]["settling_s"] < 3.0
 
@@ -125,7 +125,7 @@ def test_noise_of_positioning(sigma_m: float, sigma_rad: float, rms_m: float, to
     sensor = {"rate_hz": 10.0, "sigma_m": sigma_m, "sigma_rad": sigma_rad}
     vehicles = {"pose_source": "positioning", "positioning": sensor}
     followers = [RIGHT_BEHIND, LEFT_BEHIND] * 5
-    result = cosim.run(fleet(120.0, followers, vehicles=vehicles, metrics={"from_s": 20.0}), mcap=False)
+    result = vcmvsp.run(fleet(120.0, followers, vehicles=vehicles, metrics={"from_s": 20.0}), mcap=False)
     assert result.metrics["formation"]["rms_m"] == pytest.approx(rms_m, abs=tolerance)
     _, moved = poses(result)
     assert np.hypot(moved[:, 0, 0], moved[:, 0, 1] - R) == pytest.approx(R, abs=1e-9)
@@ -135,7 +135,7 @@ def test_wheels_and_bodies_do_what_was_commanded() -> None:
     """p2dx in Bullet: forward speed and yaw rate within 1 % of the command, on a line and on a circle."""
     scenario = fleet(20.0, [], kind="p2dx", physics={"kind": "bullet"})
     scenario["vehicle"].append({"name": "car2", "pose": (0.0, -3.0, 0.0), "agent": {"kind": "trajectory", "path": "straight"}})
-    times, moved = poses(cosim.run(scenario, mcap=False))
+    times, moved = poses(vcmvsp.run(scenario, mcap=False))
     steady = moved[times >= 5.0]
     span = times[-1] - 5.0
     way = np.hypot(*np.diff(steady[..., :2], axis=0).transpose(2, 0, 1)).sum(axis=0)
@@ -147,7 +147,7 @@ def test_wheels_and_bodies_do_what_was_commanded() -> None:
 
 def test_the_platform_adds_nothing_to_the_law() -> None:
     """A start away from the slot decays by (1 - k1 T) a period, to the last digits: no delay and no sample is lost between."""
-    result = cosim.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}], path="straight"), mcap=False)
+    result = vcmvsp.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}], path="straight"), mcap=False)
     times, z = errors(result)
     heard = 0.5 + V * T  # the first report is acted upon at the second tick
     assert z[1:, 0, 0] == pytest.approx(heard * (1 - K1 * T) ** np.arange(len(times) - 1), abs=1e-12)

@@ -6,18 +6,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from tests.support.validation.fleets import lossy, poses
 from tests.support.validation.teams import COLUMN, link_errors, parents_of, team
 
 DIES_S = 40.0
 
 
-def loss_of(car: str, duration_s: float = 60.0, period_s: float = 0.1) -> cosim.Result:
+def loss_of(car: str, duration_s: float = 60.0, period_s: float = 0.1) -> vcmvsp.Result:
     """A column of six on the circle, heartbeat 1 s, one of whose members dies."""
     agents = {"heartbeat_s": 1.0, "handle": 0.5, "period_s": period_s}
     scenario = team(6, duration_s, COLUMN, agents=agents, record={"period_s": 0.1})
-    return cosim.run(scenario, set={f"vehicle.{car}.agent.fails_s": DIES_S}, mcap=False)
+    return vcmvsp.run(scenario, set={f"vehicle.{car}.agent.fails_s": DIES_S}, mcap=False)
 
 
 def test_the_one_behind_a_dead_member_follows_the_one_before_it() -> None:
@@ -54,7 +54,7 @@ def test_when_the_leader_dies_the_lowest_member_leads_and_the_others_keep_the_sh
     """It comes to a stop, for there is nothing to follow; the others end in their places around it."""
     formation = {"shape": "wedge", "topology": topology, "spacing": 1.0}
     scenario = team(6, 60.0, formation, leader={"path": "straight"}, agents={"heartbeat_s": 1.0})
-    result = cosim.run(scenario, set={"vehicle.car1.agent.fails_s": DIES_S}, mcap=False)
+    result = vcmvsp.run(scenario, set={"vehicle.car1.agent.fails_s": DIES_S}, mcap=False)
     parents = parents_of(result)
     assert parents["car2"] == [(0.0, "car1"), (41.0, None)]
     assert all(since == 41.0 and parent == "car2" for car in parents if car != "car2" for since, parent in parents[car][1:])
@@ -70,7 +70,7 @@ def test_losses_alone_raise_as_many_false_alarms_as_the_formula_says() -> None:
     p, duration_s, links = 0.7, 200.0, 5
     agents = {"heartbeat_s": 1.0, "timeout_s": 1e9}
     scenario = team(links + 1, duration_s, COLUMN, agents=agents, radio=lossy(p), record={"period_s": 10.0})
-    followed = parents_of(cosim.run(scenario, mcap=False))
+    followed = parents_of(vcmvsp.run(scenario, mcap=False))
     alarms = sum(
         before == f"car{int(car[3:]) - 1}" for car, parents in followed.items() for (_, before), _ in pairwise(parents)
     )

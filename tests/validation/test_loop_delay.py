@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
-from vcmvsp import cosim
+import vcmvsp
 from tests.support.step_responses import growth, overshoot
 from tests.support.validation.fleets import AHEAD, K1, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
 
@@ -26,7 +26,7 @@ def alone(k1: float, latency_s: float, duration_s: float, *, period_s: float = F
         "agents.period_s": period_s,
         "record.period_s": period_s,
     }
-    times, z = errors(cosim.run(scenario, set=settings, mcap=False))
+    times, z = errors(vcmvsp.run(scenario, set=settings, mcap=False))
     return times, z[:, 0, 0]
 
 
@@ -35,7 +35,7 @@ def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float
     """Lag v d, reached as exp(-k t) whatever the delay; with k d up to 8, five times what the loop itself could bear."""
     radio = lossy(delay_s=delay_s)
     times, z = errors(
-        cosim.run(fleet(delay_s + 25.0, [NEVER_LOST], path="straight", radio=radio, agents={"estimator": "hold"}), mcap=False)
+        vcmvsp.run(fleet(delay_s + 25.0, [NEVER_LOST], path="straight", radio=radio, agents={"estimator": "hold"}), mcap=False)
     )
     assert z[-1, 0, 0] == pytest.approx(V * delay_s, rel=1e-6)
     heard = z[times >= delay_s + 0.05, 0, 0] - V * delay_s
@@ -46,7 +46,7 @@ def test_late_reports_on_a_circle_shift_the_follower_along_its_arc() -> None:
     """|z| = 2 R sin(w d / 2) behind a leader on the circle, settled at an age of 5 s as well as at 1 s."""
     for delay_s in (1.0, 5.0):
         scenario = fleet(60.0 + delay_s, [NEVER_LOST], radio=lossy(delay_s=delay_s), agents={"estimator": "hold"})
-        _, z = errors(cosim.run(scenario, mcap=False))
+        _, z = errors(vcmvsp.run(scenario, mcap=False))
         assert np.hypot(*z[-1, 0]) == pytest.approx(2.0 * R * math.sin(0.5 * W * delay_s), rel=1e-4)
 
 
@@ -79,7 +79,7 @@ def test_a_slow_agent_bounds_the_gain_across(period_s: float, bound: float) -> N
         pose = (-AHEAD, -0.5 + 1e-4, 0.0)
         follower = {"bearing_deg": 30.0, "pose": pose, "k2": factor * bound, "k1": 0.5, **NEVER_LOST}
         scenario = fleet(41 * period_s, [follower], path="straight", radio=lossy())
-        _, z = errors(cosim.run(scenario, set={"agents.period_s": period_s, "record.period_s": period_s}, mcap=False))
+        _, z = errors(vcmvsp.run(scenario, set={"agents.period_s": period_s, "record.period_s": period_s}, mcap=False))
         aside = np.abs(z[:, 0, 1])
         # the second tick is the first that has a report; an error of the heading, which dies out at v / ell, comes with it
         assert (aside[30:41].max() > aside[2:12].max()) == grows
@@ -120,7 +120,7 @@ def test_each_of_three_knobs_moves_its_own_number_only(delay_s: float, latency_s
     follower = {"pose": (-1.0 - START, 0.0, 0.0), "k1": K, "estimator": "hold", **NEVER_LOST}
     scenario = fleet(90.0, [follower], path="straight", radio=lossy(delay_s=delay_s))
     settings = {"vehicle.car2.agent.latency_s": latency_s, "vehicle.car2.agent.period_s": period_s}
-    _, z = errors(cosim.run(scenario, set=settings, mcap=False))
+    _, z = errors(vcmvsp.run(scenario, set=settings, mcap=False))
     lag = z[-1, 0, 0]
     assert lag == pytest.approx(V * delay_s, abs=1e-6)
     ticks = z[:: round(period_s / T), 0, 0] - lag  # at the follower's own ticks

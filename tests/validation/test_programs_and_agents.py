@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from vcmvsp.cosim.sockets import Socket
 from tests.support.netsim.socket_programs import played, scenario
+from vcmvsp.cosim.sockets import Socket
 
 TALKER = """
-from vcmvsp.cosim import Agent
+from vcmvsp import Agent
 
 class Talker(Agent):
     def act(self, obs, radio):

@@ -8,14 +8,15 @@ import cv2
 import msgspec
 import numpy as np
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.paths import SCENARIOS
+from vcmvsp import Agent, Observation, Radio, Velocity
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
-from vcmvsp.cosim import Agent, Observation, Radio, Velocity
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.types import Sighting, Vec3
 
-TARGETS = Path(__file__).parents[2] / "scenarios" / "targets"
+TARGETS = SCENARIOS / "targets"
 SIZE_M = 2.0
 PLACES = {"alpha": ((0.0, 23.0), 0.4), "bravo": ((-23.0, 0.0), -2.0)}  # x, y, m, on crossroads of the town; turned by, rad
 HEIGHTS = (10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
@@ -50,7 +51,7 @@ class Photographer(Agent):
         self.sensors = self.watch.sensors
         self.taken: list[tuple[str, Vec3, float, tuple[Sighting, ...]]] = []  # over which target, from where, yaw
 
-    def start(self, info: cosim.VehicleInfo) -> None:
+    def start(self, info: vcmvsp.VehicleInfo) -> None:
         self.watch.start(info)
         self._rng = info.stream("places")
         self._over = ""
@@ -76,7 +77,7 @@ class Darting(Agent):
         self.sensors = self.watch.sensors
         self.seen: list[tuple[float, tuple[float, float]]] = []  # tilt, rad, and place, m
 
-    def start(self, info: cosim.VehicleInfo) -> None:
+    def start(self, info: vcmvsp.VehicleInfo) -> None:
         self.watch.start(info)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
@@ -100,7 +101,7 @@ def test_targets_are_recognised_from_10_to_40_m_and_nothing_else(tmp_path: Path)
         "world": town(tmp_path),
         "vehicle": [{"name": "uav", "kind": "point", "position": [0.0, 0.0, 20.0], "sensors": {"camera": camera}, **jumps}],
     }
-    cosim.run(scenario, agents={"uav": agent})
+    vcmvsp.run(scenario, agents={"uav": agent})
     assert len(agent.taken) == EACH * len(HEIGHTS)
     right, false = 0, 0
     for height in HEIGHTS:
@@ -127,7 +128,7 @@ def test_a_quadrotor_that_accelerates_does_not_see_its_target_wander(tmp_path: P
     agent = Darting(msgspec.convert(watching(), Watching))
     camera = {"kind": "nadir_camera", "width": 640, "height": 480, "rate_hz": 8.0, "field_of_view": 1.35, "latency_s": 0.15}
     uav = {"name": "uav", "kind": "quadrotor", "position": [0.0, 23.0, 20.0], "sensors": {"camera": camera}}
-    cosim.run(
+    vcmvsp.run(
         {"name": "darting", "duration_s": 9.0, "seed": 3, "world": town(tmp_path), "vehicle": [uav]}, agents={"uav": agent}
     )
     assert max(tilt for tilt, _ in agent.seen) > math.atan(3.0 / 9.81)
@@ -144,7 +145,7 @@ def test_a_quadrotor_finds_a_target_that_moves_and_keeps_over_it(tmp_path: Path)
     camera = {"kind": "nadir_camera", "width": 640, "height": 480, "rate_hz": 5.0, "field_of_view": 1.35}
     agent = {"kind": "track", "watching": watching()}
     uav = {"name": "uav", "kind": "quadrotor", "position": [0.0, 0.0, 20.0], "sensors": {"camera": camera}, "agent": agent}
-    result = cosim.run({"name": "over", "duration_s": 20.0, "seed": 3, "world": world, "vehicle": [uav]}, mcap=False)
+    result = vcmvsp.run({"name": "over", "duration_s": 20.0, "seed": 3, "world": world, "vehicle": [uav]}, mcap=False)
     moved = motion(result.states)
     x, y, z = (each[:, 0] for each in moved.position)
     time_s = moved.time_ns / 1e9

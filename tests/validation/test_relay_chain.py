@@ -7,14 +7,15 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim import Agent, Observation, Radio
+import vcmvsp
+from tests.support.paths import SCENARIOS
+from vcmvsp import Agent, Observation, Radio
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.runs.replay import replay
+from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Reception, Routed
 
-TEXT = (Path(cosim.__file__).parent.parent / "scenarios" / "relay-chain.toml").read_text("utf-8")
+TEXT = (SCENARIOS / "relay-chain.toml").read_text("utf-8")
 SETTINGS: dict[str, Any] = {"duration_s": 24.0, "metrics.from_s": 8.0}
 CHAIN = [f"car{i + 1}" for i in range(6)]
 KINDS: dict[str, dict[str, Any]] = {
@@ -26,18 +27,18 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 @cache
-def run(kind: str) -> cosim.Result:
-    return cosim.run("relay-chain", set={**SETTINGS, **KINDS[kind]}, mcap=False)
+def run(kind: str) -> vcmvsp.Result:
+    return vcmvsp.run("relay-chain", set={**SETTINGS, **KINDS[kind]}, mcap=False)
 
 
 @cache
-def perfect() -> cosim.Result:
+def perfect() -> vcmvsp.Result:
     """The same over a radio that reaches everybody at once."""
     scenario = {**tomllib.loads(TEXT), "radio": {"preset": "ideal"}, "routing": {"kind": "none"}}
-    return cosim.run(scenario, set=SETTINGS, mcap=False)
+    return vcmvsp.run(scenario, set=SETTINGS, mcap=False)
 
 
-def rms_m(result: cosim.Result) -> float:
+def rms_m(result: vcmvsp.Result) -> float:
     return float(result.metrics["formation"]["rms_m"])
 
 
@@ -78,7 +79,7 @@ class Caller(Agent):
 def test_an_agent_calls_another_over_several_hops(kind: str) -> None:
     events: list[Event] = []
     settings = {**SETTINGS, **KINDS[kind], "duration_s": 18.0}
-    cosim.run("relay-chain", set=settings, agents={"car6": Caller()}, mcap=False, observe=events.append)
+    vcmvsp.run("relay-chain", set=settings, agents={"car6": Caller()}, mcap=False, observe=events.append)
     calls = [each.value for each in events if isinstance(each.value, Routed) and each.value.to == "car1"]
     heard = [each.value for each in events if isinstance(each.value, Reception) and each.key == "car1/heard"]
     answered = {each.sent_ns: each.received_ns for each in heard if each.message.sender == "car6"}
@@ -95,7 +96,7 @@ def test_an_agent_calls_another_over_several_hops(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["flooding", "static", "distance_vector"])
 def test_the_same_seed_gives_the_same_wherever_agents_run(kind: str) -> None:
     settings = {**SETTINGS, **KINDS[kind], "duration_s": 3.0, "metrics.from_s": 1.0}
-    here, apart = (cosim.run("relay-chain", set=settings, agents=runs, mcap=False) for runs in ("inprocess", "process"))
+    here, apart = (vcmvsp.run("relay-chain", set=settings, agents=runs, mcap=False) for runs in ("inprocess", "process"))
     assert here.metrics["digest"] == apart.metrics["digest"]
     assert here.radio.equals(apart.radio)
 
@@ -104,15 +105,15 @@ def test_the_same_seed_gives_the_same_wherever_agents_run(kind: str) -> None:
 def test_recorded_radio_gives_the_same_table(kind: str, tmp_path: Path) -> None:
     """Frames meet the fates that they met; the network layer finds what to do with them anew."""
     settings = {**SETTINGS, **KINDS[kind], "duration_s": 3.0, "metrics.from_s": 1.0}
-    first = cosim.run("relay-chain", set=settings, out=tmp_path / "one")
+    first = vcmvsp.run("relay-chain", set=settings, out=tmp_path / "one")
     again = replay(tmp_path / "one", radio="recorded", out=tmp_path / "two")
     assert first.radio.equals(again.radio)
     assert first.metrics["routing"] == again.metrics["routing"]
 
 
 def test_it_runs_again_from_what_it_has_left(tmp_path: Path) -> None:
-    first = cosim.run("relay-chain", set={**SETTINGS, "duration_s": 3.0, **KINDS["static"]}, out=tmp_path / "one")
-    again = cosim.run(tmp_path / "one" / "scenario.toml", out=tmp_path / "two")
+    first = vcmvsp.run("relay-chain", set={**SETTINGS, "duration_s": 3.0, **KINDS["static"]}, out=tmp_path / "one")
+    again = vcmvsp.run(tmp_path / "one" / "scenario.toml", out=tmp_path / "two")
     assert first.metrics == again.metrics
     for name in ("run.mcap", "radio.parquet", "scenario.toml"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

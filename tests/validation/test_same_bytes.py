@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.agents.formation import LeaderFollower, Trajectory
-from vcmvsp.cosim.runs.result import Result
+import vcmvsp
 from tests.support.netsim.gateway_context import free_ports
 from tests.support.validation.fleets import files
+from vcmvsp.agents.formation import LeaderFollower, Trajectory
+from vcmvsp.cosim.runs.result import Result
 
 pytestmark = pytest.mark.usefixtures("figures")
 
@@ -39,7 +39,7 @@ COMMAND = [sys.executable, "-m", "vcmvsp.cosim.cli.app"]
 def reference(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[str, bytes]:
     """What the run leaves when all agents run in this process."""
     folder = tmp_path_factory.mktemp("reference")
-    cosim.run("formation-circle", set=SHORT, out=folder)
+    vcmvsp.run("formation-circle", set=SHORT, out=folder)
     left = files(folder)
     assert set(left) == NAMES
     return left
@@ -53,14 +53,14 @@ def assert_same(folder: Path, reference: dict[str, bytes]) -> None:
 
 def test_twice_in_one_process_and_saved_later(reference: dict[str, bytes], tmp_path: Path) -> None:
     np.random.seed(5)  # noqa: NPY002  what others do to the global generator must not matter
-    first = cosim.run("formation-circle", set=SHORT)
+    first = vcmvsp.run("formation-circle", set=SHORT)
     np.random.random(7)  # noqa: NPY002
-    cosim.run("formation-circle", set={**SHORT, "physics.kind": "kinematic"}, seed=3)
+    vcmvsp.run("formation-circle", set={**SHORT, "physics.kind": "kinematic"}, seed=3)
     assert_same(first.save(tmp_path / "first"), reference)
 
 
 def test_another_seed_is_another_run(reference: dict[str, bytes], tmp_path: Path) -> None:
-    left = files(cosim.run("formation-circle", set=SHORT, seed=2).save(tmp_path / "seed2"))
+    left = files(vcmvsp.run("formation-circle", set=SHORT, seed=2).save(tmp_path / "seed2"))
     differing = {name for name in reference if left[name] != reference[name]}
     assert differing >= NAMES - {"trajectory.png"}
 
@@ -68,18 +68,18 @@ def test_another_seed_is_another_run(reference: dict[str, bytes], tmp_path: Path
 def test_the_resolved_scenario_gives_the_run_again(reference: dict[str, bytes], tmp_path: Path) -> None:
     resolved = tmp_path / "scenario.toml"
     resolved.write_bytes(reference["scenario.toml"])
-    cosim.run(resolved, out=tmp_path / "again")
+    vcmvsp.run(resolved, out=tmp_path / "again")
     assert_same(tmp_path / "again", reference)
 
 
 def test_behind_the_bytes_of_the_wire(reference: dict[str, bytes], tmp_path: Path) -> None:
-    cosim.run("formation-circle", set=SHORT, agents="encoded", out=tmp_path / "out")  # type: ignore[arg-type]
+    vcmvsp.run("formation-circle", set=SHORT, agents="encoded", out=tmp_path / "out")  # type: ignore[arg-type]
     assert_same(tmp_path / "out", reference)
 
 
 @pytest.mark.parametrize("processes", [1, 3])
 def test_in_processes(processes: int, reference: dict[str, bytes], tmp_path: Path) -> None:
-    cosim.run("formation-circle", set={**SHORT, "agents.processes": processes}, agents="process", out=tmp_path / "out")
+    vcmvsp.run("formation-circle", set={**SHORT, "agents.processes": processes}, agents="process", out=tmp_path / "out")
     assert_same(tmp_path / "out", reference)
 
 
@@ -110,7 +110,7 @@ def test_with_latency_below_and_above_the_period(
     monkeypatch.setattr(Result, "_figures", lambda result, shown: {})  # they would be drawn from the tables that are compared
     settings = {**SHORT, "physics.kind": "kinematic", "agents.latency_s": latency_s, "agents.processes": 2}
     for where in ("inprocess", "encoded", "process"):
-        cosim.run("formation-circle", set=settings, agents=where, out=tmp_path / where)  # type: ignore[arg-type]
+        vcmvsp.run("formation-circle", set=settings, agents=where, out=tmp_path / where)  # type: ignore[arg-type]
     here = files(tmp_path / "inprocess")
     assert here["states.parquet"] != reference["states.parquet"]
     assert_same(tmp_path / "encoded", here)
@@ -120,7 +120,7 @@ def test_with_latency_below_and_above_the_period(
 def test_agents_as_objects(reference: dict[str, bytes], tmp_path: Path) -> None:
     """Built here with the same parameters, they do what the scenario's would do; they may be mixed with these."""
     leader, follower = Trajectory("circle", 0.3, 0.15), LeaderFollower("car1", 1.0, 30.0)
-    cosim.run("formation-circle", set=SHORT, agents={"car1": leader, "car2": follower}, out=tmp_path / "out")
+    vcmvsp.run("formation-circle", set=SHORT, agents={"car1": leader, "car2": follower}, out=tmp_path / "out")
     left = files(tmp_path / "out")
     assert {name for name in NAMES if left[name] != reference[name]} <= {"scenario.toml", "report.html"}
 
@@ -144,7 +144,7 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
 
     try:
         wait_for(lambda: (tmp_path / "early.txt").stat().st_size > 0)
-        cosim.run("formation-circle", set=SHORT, agents="zenoh", listen=endpoint, tell=tell, out=tmp_path / "out")
+        vcmvsp.run("formation-circle", set=SHORT, agents="zenoh", listen=endpoint, tell=tell, out=tmp_path / "out")
         assert [process.wait(timeout=60) for process in started] == [0, 0]
     finally:
         for process in started:

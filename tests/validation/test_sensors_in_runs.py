@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim import Agent, Observation, Radio, Scan, Velocity
+import vcmvsp
+from tests.support.validation.fleets import files
+from vcmvsp import Agent, Observation, Radio, Scan, Velocity
 from vcmvsp.physics.sensors.camera import Camera
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from tests.support.validation.fleets import files
 
 ROOM: dict[str, Any] = {
     "name": "room",
@@ -51,10 +51,10 @@ class Looker(Agent):
 
 def test_the_same_bytes_wherever_those_who_look_run(tmp_path: Path) -> None:
     recorded = {**ROOM, "record": {"sensors": ["scan", "cam"]}}
-    here = files(cosim.run(recorded, out=tmp_path / "here").folder or tmp_path)
-    away = files(cosim.run(recorded, agents="process", out=tmp_path / "away").folder or tmp_path)
+    here = files(vcmvsp.run(recorded, out=tmp_path / "here").folder or tmp_path)
+    away = files(vcmvsp.run(recorded, agents="process", out=tmp_path / "away").folder or tmp_path)
     assert [name for name in here if here[name] != away[name]] == []
-    again = cosim.run(tmp_path / "here" / "scenario.toml", out=tmp_path / "again")
+    again = vcmvsp.run(tmp_path / "here" / "scenario.toml", out=tmp_path / "again")
     assert files(tmp_path / "again")["metrics.json"] == here["metrics.json"]
     assert again.metrics["radio"]["frames"] > 0
 
@@ -72,17 +72,17 @@ def test_a_picture_or_scan_that_nobody_looks_at_is_never_made(monkeypatch: pytes
 
     monkeypatch.setattr(RangeScanner, "measure_all", classmethod(counted))
     monkeypatch.setattr(Camera, "measure", never)
-    alone = cosim.run(ROOM)
+    alone = vcmvsp.run(ROOM)
     assert 20 <= len(looked) <= 30  # of a alone: ten a second, of which a fifth drop out
     looked.clear()
-    everybody = cosim.run({**ROOM, "record": {"sensors": ["scan"]}})
+    everybody = vcmvsp.run({**ROOM, "record": {"sensors": ["scan"]}})
     assert len(looked) > 40
     assert everybody.states.equals(alone.states)  # being recorded changes nothing
 
 
 def test_readings_do_not_depend_on_who_else_carries_sensors() -> None:
     def heard(vehicles: list[dict[str, Any]]) -> list[Any]:
-        result = cosim.run({**ROOM, "vehicle": vehicles})
+        result = vcmvsp.run({**ROOM, "vehicle": vehicles})
         return result.states.filter(result.states["vehicle"].to_numpy() == "a")["x"].to_pylist()
 
     a, b = ROOM["vehicle"]
@@ -105,14 +105,14 @@ def test_readings_do_not_depend_on_who_else_carries_sensors() -> None:
     ],
 )
 def test_bad_sensors_are_refused_by_name(sensors: Any, key: str, words: str) -> None:
-    with pytest.raises(cosim.ScenarioError) as raised:
-        cosim.run({**ROOM, "vehicles": {"kind": "p2dx"}, "vehicle": [{"name": "a", "sensors": sensors}]})
+    with pytest.raises(vcmvsp.ScenarioError) as raised:
+        vcmvsp.run({**ROOM, "vehicles": {"kind": "p2dx"}, "vehicle": [{"name": "a", "sensors": sensors}]})
     assert raised.value.key == key
     assert words in str(raised.value)
 
 
 def test_a_vehicle_below_or_outside_the_world_is_refused() -> None:
     for world, position in (({"kind": "laboratory"}, [50.0, 0.0, 0.0]), ({"kind": "urban"}, [0.0, 500.0, 5.0])):
-        with pytest.raises(cosim.ScenarioError, match="outside") as raised:
-            cosim.run({**ROOM, "world": world, "vehicle": [{"name": "a", "position": position}]})
+        with pytest.raises(vcmvsp.ScenarioError, match="outside") as raised:
+            vcmvsp.run({**ROOM, "world": world, "vehicle": [{"name": "a", "position": position}]})
         assert raised.value.key == "vehicle.a.position"

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.agents.formation import LeaderFollower, Trajectory
+import vcmvsp
 from tests.support.agents.agent_loop import drive
 from tests.support.agents.straight_paths import crosses
 from tests.support.validation.fleets import T, lossy, poses
 from tests.support.validation.teams import COLUMN, link_errors, neighbours_only, parents_of, rms_of_links, team
+from vcmvsp.agents.formation import LeaderFollower, Trajectory
 
 SHAPES = ("column", "line", "echelon", "wedge", "box", "diamond")
 
@@ -21,7 +21,7 @@ SHAPES = ("column", "line", "echelon", "wedge", "box", "diamond")
 def test_five_robots_keep_every_shape_on_a_circle(shape: str, topology: str) -> None:
     """R = 2 m, handle 0.5 m: every |z| < 1e-6."""
     scenario = team(5, 60.0, {"shape": shape, "topology": topology, "spacing": 0.8}, agents={"handle": 0.5})
-    result = cosim.run(scenario, mcap=False)
+    result = vcmvsp.run(scenario, mcap=False)
     _, errors = link_errors(result)
     assert len(errors) == 4
     assert max(error[-1] for error in errors.values()) < 1e-6
@@ -33,7 +33,7 @@ def test_trees_and_graphs_keep_their_shape_too() -> None:
     graph = {"shape": "diamond", "topology": "graph", "spacing": 0.8}
     graph["parents"] = {"car2": "car1", "car5": "car2", "car3": "car5", "car4": "car3"}
     for formation in (tree, graph):
-        assert cosim.run(team(5, 60.0, formation), mcap=False).metrics["formation"]["final_m"] < 1e-6
+        assert vcmvsp.run(team(5, 60.0, formation), mcap=False).metrics["formation"]["final_m"] < 1e-6
 
 
 def test_a_star_grows_with_the_lever_arm_and_a_chain_does_not() -> None:
@@ -57,8 +57,8 @@ def test_so_it_is_with_messages_a_tick_old() -> None:
     """The same through the platform: a column suits a chain."""
     formation = {**COLUMN, "topology": "star"}
     rest: dict[str, Any] = {"leader": {"path": "random"}, "agents": {"handle": 0.5}, "metrics": {"from_s": 20.0}}
-    star = rms_of_links(cosim.run(team(7, 120.0, formation, **rest), mcap=False))
-    chain = rms_of_links(cosim.run(team(7, 120.0, COLUMN, **rest), mcap=False))
+    star = rms_of_links(vcmvsp.run(team(7, 120.0, formation, **rest), mcap=False))
+    chain = rms_of_links(vcmvsp.run(team(7, 120.0, COLUMN, **rest), mcap=False))
     assert star[0] == chain[0]
     assert np.diff(star).min() > 0.005
     assert star[-1] > 4 * chain[-1]
@@ -71,7 +71,7 @@ CHANGES = ((20.0, "column"), (45.0, "diamond"))
 @pytest.mark.parametrize(("topology", "probability"), [("star", 0.0), ("chain", 0.0), ("k-tree", 0.5)])
 def test_a_team_takes_another_shape_and_nobodys_way_crosses_anothers(topology: str, probability: float) -> None:
     formation = {"shape": "wedge", "topology": topology, "spacing": 1.0, "changes": CHANGES}
-    result = cosim.run(team(7, 75.0, formation, leader={"path": "straight"}, radio=lossy(probability)), mcap=False)
+    result = vcmvsp.run(team(7, 75.0, formation, leader={"path": "straight"}, radio=lossy(probability)), mcap=False)
     times, errors = link_errors(result)
     _, moved = poses(result)
     beside_leader = moved[:, 1:, :2] - moved[:, :1, :2]  # it drives along x
@@ -91,7 +91,7 @@ def test_a_team_takes_another_shape_and_nobodys_way_crosses_anothers(topology: s
 def test_a_new_shape_comes_down_a_lossy_chain() -> None:
     """Each hears its neighbours alone, and every other message is lost: all the same, all adopt it, one after the other."""
     formation = {**COLUMN, "changes": ((10.0, "echelon"),)}
-    result = cosim.run(team(6, 60.0, formation, leader={"path": "straight"}, radio=neighbours_only(6, 0.5)), mcap=False)
+    result = vcmvsp.run(team(6, 60.0, formation, leader={"path": "straight"}, radio=neighbours_only(6, 0.5)), mcap=False)
     side = 0.8 * np.sqrt(0.5)
     adopted: dict[str, float] = {}
     for placed in result.follows:

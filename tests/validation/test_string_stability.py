@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.reproduction.figures.formation import chain
+import vcmvsp
 from tests.support.cosim.figures import RUNNER, made
 from tests.support.validation.fleets import K1, lossy
 from tests.support.validation.teams import COLUMN, rms_of_links, swing, team
+from vcmvsp.cosim.reproduction.figures.formation import chain
 
 OMEGA, TAU, DELAY_S, STEP_S = 0.8, 0.5, 0.3, 0.01  # rad/s, s, s, s
 SURGING = {"path": "stopgo", "yaw_rate": 0.0, "surge_s": math.tau / OMEGA}
 
 
-def surge(delay_s: float = DELAY_S, count: int = 4, **agents: Any) -> cosim.Result:
+def surge(delay_s: float = DELAY_S, count: int = 4, **agents: Any) -> vcmvsp.Result:
     """A column on a straight line, with servos of 0.5 s, whose leader swings its speed; agents at 100 Hz."""
     settings = {"period_s": STEP_S, "max_reverse": 1e9, **agents}
     scenario = team(count, 20.0, COLUMN, leader=SURGING, kind="lag", agents=settings, radio=lossy(0.0, delay_s))
-    return cosim.run({**scenario, "record": {"period_s": 0.1}}, mcap=False)
+    return vcmvsp.run({**scenario, "record": {"period_s": 0.1}}, mcap=False)
 
 
 def gain(numerator: complex) -> float:
@@ -64,7 +64,7 @@ def test_with_the_leaders_speed_the_chain_is_string_stable(estimator: str) -> No
 def test_without_the_speed_the_error_stands() -> None:
     """The price of feeding nothing forward: a lag of v / k at every hop."""
     scenario = team(4, 40.0, COLUMN, leader={"path": "straight"}, agents={"feed": "none"}, metrics={"from_s": 39.0})
-    assert rms_of_links(cosim.run(scenario, mcap=False)) == pytest.approx([0.3 / K1] * 3, rel=1e-3)
+    assert rms_of_links(vcmvsp.run(scenario, mcap=False)) == pytest.approx([0.3 / K1] * 3, rel=1e-3)
 
 
 def column(**way: Any) -> list[float]:

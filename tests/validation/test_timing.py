@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from tests.support.validation.fleets import LEFT, NEVER_LOST, Floats, R, T, V, W, errors, fleet, lossy
 
 START = 0.5  # m behind the slot
@@ -16,7 +16,7 @@ def late_loop(k: float, latency_s: float, duration_s: float) -> tuple[Floats, Fl
     follower = {"pose": (-1.0 - START, 0.0, 0.0), "k1": k, **NEVER_LOST}
     scenario = fleet(duration_s, [follower], path="straight", radio={"preset": "ideal"})
     settings = {"vehicle.car1.agent.speed": 0.0, "vehicle.car2.agent.latency_s": latency_s}
-    times, z = errors(cosim.run(scenario, set=settings, mcap=False))
+    times, z = errors(vcmvsp.run(scenario, set=settings, mcap=False))
     return times, z[:, 0, 0]
 
 
@@ -51,7 +51,7 @@ def test_the_limit_of_stability(ticks: int) -> None:
 def test_hold_on_a_circle_lags_by_the_chord_of_the_age(delay_s: float) -> None:
     """|z| = 2 (R + L') sin(w a / 2), where a message is a = T ceil(D / T) old when it is used, at least T."""
     age = T * max(1, math.ceil(delay_s / T - 1e-9))
-    result = cosim.run(
+    result = vcmvsp.run(
         fleet(60.0, radio=lossy(delay_s=delay_s), agents={"estimator": "hold"}, metrics={"from_s": 40.0}), mcap=False
     )
     _, z = errors(result)
@@ -63,7 +63,7 @@ def test_hold_on_a_circle_lags_by_the_chord_of_the_age(delay_s: float) -> None:
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.3])
 def test_hold_on_a_line_lags_by_speed_times_age(delay_s: float) -> None:
-    result = cosim.run(fleet(60.0, path="straight", radio=lossy(delay_s=delay_s), agents={"estimator": "hold"}), mcap=False)
+    result = vcmvsp.run(fleet(60.0, path="straight", radio=lossy(delay_s=delay_s), agents={"estimator": "hold"}), mcap=False)
     assert result.metrics["formation"]["final_m"] == pytest.approx(V * max(T, delay_s), rel=1e-6)
 
 
@@ -71,7 +71,7 @@ def test_hold_on_a_line_lags_by_speed_times_age(delay_s: float) -> None:
 @pytest.mark.parametrize(("probability", "delay_s"), [(0.0, 0.0), (0.0, 1.0), (0.6, 0.0), (0.6, 0.3)])
 def test_dead_reckoning_leaves_nothing_on_lines_and_circles(path: str, probability: float, delay_s: float) -> None:
     """Whatever the loss and the delay: the leader's speeds are constant."""
-    result = cosim.run(
+    result = vcmvsp.run(
         fleet(70.0, path=path, radio=lossy(probability, delay_s, 0.02 if delay_s else 0.0), agents=NEVER_LOST), mcap=False
     )
     assert result.metrics["formation"]["final_m"] < 1e-6

@@ -16,12 +16,12 @@ from vcmvsp.agents.formation.aerial.flight import (
     limited,
     told,
 )
-from vcmvsp.agents.formation.team.formation import Formation
-from vcmvsp.agents.formation.team.membership import Membership
-from vcmvsp.agents.formation.team.passage import scanners
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.report import Report
 from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.membership import Membership
+from vcmvsp.agents.formation.team.passage import scanners
 from vcmvsp.agents.formation.team.shape import Slot
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import rotate2, wrap

@@ -14,10 +14,10 @@ from vcmvsp.agents.formation.aerial.flight import (
     limited,
     told,
 )
-from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import wrap

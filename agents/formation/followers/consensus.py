@@ -22,9 +22,9 @@ from bisect import bisect_left
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from vcmvsp.agents.formation.team.formation import Formation, ShapeName
 from vcmvsp.agents.formation.followers.hand_point import axle_velocity, hand_point
 from vcmvsp.agents.formation.reports.report import PLAUSIBLE
+from vcmvsp.agents.formation.team.formation import Formation, ShapeName
 from vcmvsp.agents.formation.team.shape import slots
 from vcmvsp.agents.formation.team.team import members_of
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo

@@ -1,6 +1,7 @@
 """The follower: keeps a place beside a leader of which it knows only what the radio brings.
 
-The law itself, with its geometry, is in `agents.formation.followers.control_law`; who follows whom in a team in `agents.formation.team.team`.
+The law itself, with its geometry, is in `agents.formation.followers.control_law`; who follows whom in a team in
+`agents.formation.team.team`.
 """
 
 import math
@@ -8,14 +9,14 @@ from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.steering import Steering
-from vcmvsp.agents.formation.followers.feed_forward import Feed, Feeding
-from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.followers.control_law import Place, formation_law, point_of
-from vcmvsp.agents.formation.team.membership import Membership
-from vcmvsp.agents.formation.team.passage import scanners
+from vcmvsp.agents.formation.followers.feed_forward import Feed, Feeding
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.report import LeaderState, accelerations, measured_speeds
 from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.membership import Membership
+from vcmvsp.agents.formation.team.passage import scanners
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.frames import yaw_of

@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.steering import Steering
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.reports.sending import Reporter, Sending
+from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.team.membership import check_silence
 from vcmvsp.agents.formation.team.passage import Guide, places_of, scanners
-from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
-from vcmvsp.agents.formation.reports.sending import Reporter, Sending
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import NonNegative, Positive, Velocity

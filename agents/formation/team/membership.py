@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-from vcmvsp.agents.formation.team.formation import Formation
-from vcmvsp.agents.formation.reports.received import Listening
-from vcmvsp.agents.formation.team.passage import Lookout
 from vcmvsp.agents.formation.reports.prediction import Estimator
+from vcmvsp.agents.formation.reports.received import Listening
 from vcmvsp.agents.formation.reports.report import Report
 from vcmvsp.agents.formation.reports.sending import Reporter, Sending, acknowledge
+from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.passage import Lookout
 from vcmvsp.agents.formation.team.shape import Slot
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo

@@ -1,7 +1,8 @@
 """When a team makes itself narrow, as ``[agents.formation.passage]`` says, and what its members see of the lane that it needs.
 
 The team needs a lane as wide as its wide shape, bodies included, and a margin on either side. Its leader calls the narrow shape
-as soon as its own scan shows anything in that lane; when to change back, a policy says (`agents.formation.team.passage_policy`).
+as soon as its own scan shows anything in that lane; when to change back, a policy says
+(`agents.formation.team.passage_policy`).
 
 Where the leader itself is lost, the team stays as it is: a member that leads in its place drives nowhere, and calls no shapes.
 
@@ -25,11 +26,11 @@ from msgspec.structs import replace
 
 from vcmvsp.agents.avoidance.settings import Settings
 from vcmvsp.agents.avoidance.view import Looking, View, view_of
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.formation.reports.received import Listening
-from vcmvsp.agents.formation.team.passage_policy import policy_of
 from vcmvsp.agents.formation.reports.prediction import Estimator
+from vcmvsp.agents.formation.reports.received import Listening
 from vcmvsp.agents.formation.reports.report import LeaderState, Report, height_of
+from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.team.passage_policy import policy_of
 from vcmvsp.agents.formation.team.shape import Slot
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Body, Observation, VehicleInfo

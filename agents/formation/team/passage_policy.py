@@ -18,8 +18,8 @@ radio, at the end of a long chain, count as gone.
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from vcmvsp.agents.formation.team.formation import Passage
 from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.team.formation import Passage
 from vcmvsp.cosim.clock import seconds_to_ns
 
 

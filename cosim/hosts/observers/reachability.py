@@ -13,10 +13,10 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import tls_diagnosis, key_names, access_control
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO
 from vcmvsp.cosim.hosts.observers.watcher import PATIENCE_S, POLL_S, ask, greeted, which
+from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
 from vcmvsp.cosim.transport.zenoh_session import common_names, opened
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import tls_diagnosis, key_names, access_control
-from vcmvsp.cosim.hosts.host_client import dial, hub_of
 from vcmvsp.cosim.hosts.event_publisher import About, stamp
+from vcmvsp.cosim.hosts.host_client import dial, hub_of
+from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle

@@ -1,7 +1,7 @@
 """What agents show, as messages that Foxglove and Lichtblick draw: maps and mosaics as grids, sightings on their pictures.
 
-As in `cosim.recording.foxglove.messages`, names and fields are those of Foxglove's published schemas. What those have no place for stands
-in further fields, which viewers pass over, so that a recording has all that an agent showed.
+As in `cosim.recording.foxglove.messages`, names and fields are those of Foxglove's published schemas. What those have no place
+for stands in further fields, which viewers pass over, so that a recording has all that an agent showed.
 
 ===============================  ===========================  =====================================================
 ``<vehicle>/map``                `Grid`                       ``probability`` in 255ths and ``seen``, 0 or 1, per cell
@@ -17,8 +17,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from vcmvsp.cosim.recording.foxglove.messages import Color, FoxgloveMessage, Pose, Time, Vector3
-from vcmvsp.cosim.util.palette import rgb_of
 from vcmvsp.cosim.types import Array, Mosaic, ProbabilityMap, Sighting, Sightings
+from vcmvsp.cosim.util.palette import rgb_of
 
 UINT8 = 1  # foxglove.NumericType
 LINE_LOOP = 2  # foxglove.PointsAnnotationType

@@ -1,4 +1,4 @@
-"""Draws what a figure of `cosim.reproduction.figures` consists of: panels of curves, or maps; as PNG and SVG, the same bytes each time."""
+"""Draws a figure of `cosim.reproduction.figures`: panels of curves, or maps; as PNG and SVG, the same bytes each time."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +10,9 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import offset_copy
 
-from vcmvsp.cosim.util.palette import OKABE_ITO, PROBABILITY, color_of
 from vcmvsp.cosim.plots.run_plots import draw_vehicle
 from vcmvsp.cosim.plots.style import LEVEL, MAP, line_of, marker_of, style, styled
+from vcmvsp.cosim.util.palette import OKABE_ITO, PROBABILITY, color_of
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel

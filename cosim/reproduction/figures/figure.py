@@ -1,7 +1,8 @@
 """What a figure is made of: runs of the platform, what is drawn of them, and rows that compare them with what must come out.
 
-A figure is a function ``make(runner: Runner) -> Figure`` in a module of its own, which `cosim.reproduction.figures.NAMES` names. It builds
-scenarios as mappings, hands them to the runner as jobs, and says what to draw; it never draws, and knows no part but ``cosim``.
+A figure is a function ``make(runner: Runner) -> Figure`` in a module of its own, which `cosim.reproduction.figures.NAMES`
+names. It builds scenarios as mappings, hands them to the runner as jobs, and says what to draw; it never draws, and knows no
+part but ``cosim``.
 """
 
 import math
@@ -11,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vcmvsp.cosim.runs.api import Result, run
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.processes.worker_pool import Pool
+from vcmvsp.cosim.runs.api import Result, run
 from vcmvsp.cosim.types import Array
 
 Read = Callable[[Result], Any]

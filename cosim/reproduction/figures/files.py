@@ -14,8 +14,8 @@ def as_json(name: str, figure: Figure) -> str:
 
 def write(name: str, figure: Figure, folder: Path) -> list[Path]:
     """Write NAME.csv, NAME-expected.csv, NAME.json, NAME.png and NAME.svg; the answer is where they are."""
-    from vcmvsp.cosim.reproduction.figures import drawing
     from vcmvsp.cosim.plots import run_plots
+    from vcmvsp.cosim.reproduction.figures import drawing
 
     points, expected, rows = (folder / f"{name}{end}" for end in (".csv", "-expected.csv", ".json"))
     with writing(folder):

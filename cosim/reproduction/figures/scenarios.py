@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.runs.api import Result
-from vcmvsp.cosim.reproduction.figures.figure import Job
 from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.reproduction.figures.figure import Job
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 T, V, W, R = 0.1, 0.3, 0.15, 2.0  # s; the leader's m/s, rad/s and m

@@ -1,16 +1,16 @@
 """Every law, closed form and outside reference that the platform is held to, measured anew: ``vcmvsp validate``.
 
-A check is a function of a module here that measures and gives rows (`cosim.reproduction.figures.figure.Row`); nothing is copied from an
-earlier run. Expected numbers are worked out where there is a formula, and stored with their source where another program, a
-standard or a book says them. Start reading in `cosim.reproduction.validation.check`.
+A check is a function of a module here that measures and gives rows (`cosim.reproduction.figures.figure.Row`); nothing is
+copied from an earlier run. Expected numbers are worked out where there is a formula, and stored with their source where
+another program, a standard or a book says them. Start reading in `cosim.reproduction.validation.check`.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from vcmvsp.cosim.reproduction import figures
-from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.validation.check import Check
 
 TOH, OWN, NS3 = "Toh 2012", "independent simulation", "ns-3.44"
@@ -26,7 +26,7 @@ def _figure(area: str, name: str, source: str, seconds: float, reduced: str = ""
 
 
 def _ns3(name: str, case: str, seconds: float) -> Check:
-    return Check(name, AIR, f"{case}: delivery, delays.", NS3, "sharing:judged", seconds, {"name": case})
+    return Check(name, AIR, f"{case}: delivery, delays.", NS3, "medium_access:judged", seconds, {"name": case})
 
 
 _ALL = (
@@ -40,20 +40,20 @@ _ALL = (
     Check("shadowing", LINK, "Spread, correlation, there and back.", "Gudmundson 1991", "levels:shadowing"),
     Check("fading", LINK, "Quantiles, mean, variance.", f"{NS3} (Nakagami); chi-squared; exponential", "levels:fading", 8),
     Check("doppler", LINK, "Fading in time: correlation of the power.", "Clarke 1968, J0 squared", "levels:doppler", 4),
-    Check("success", LINK, "Success by SINR of every modulation.", NS3, "errors:success"),
-    Check("received", LINK, "Frames received over one link.", f"{NS3}, 20,000 frames each", "errors:received"),
-    Check("air-time", LINK, "Time on the air.", NS3, "errors:air_time"),
+    Check("success", LINK, "Success by SINR of every modulation.", NS3, "error_rates:success"),
+    Check("received", LINK, "Frames received over one link.", f"{NS3}, 20,000 frames each", "error_rates:received"),
+    Check("air-time", LINK, "Time on the air.", NS3, "error_rates:air_time"),
     Check("chance", LINK, "Losses on their own and in bursts.", "Bernoulli; Gilbert and Elliott", "losses:chance", 4),
     Check("queue", LINK, "Waiting behind one's own frames.", "Lindley; Pollaczek and Khinchine", "losses:queue", 12),
     Check("age", LINK, "Age of information by loss and delay.", "Kaul, Yates and Gruteser 2012", "losses:age"),
-    Check("bianchi", AIR, "Saturated radios.", "Bianchi 2000", "sharing:bianchi", 8),
-    Check("periodic", AIR, "10 to 100 radios that broadcast at 10 Hz.", NS3, "sharing:periodic", 25),
+    Check("bianchi", AIR, "Saturated radios.", "Bianchi 2000", "medium_access:bianchi", 8),
+    Check("periodic", AIR, "10 to 100 radios that broadcast at 10 Hz.", NS3, "medium_access:periodic", 25),
     _ns3("dcf-b-50", "802.11b, 50 in one domain", 3),
     _ns3("dcf-b-100", "802.11b, 100 in one domain, overloaded", 5),
     _ns3("dcf-b-hidden", "802.11b, 30, hidden from each other", 4),
     _ns3("dcf-g-100", "802.11g, 100 in one domain", 8),
     _ns3("dcf-g-hidden", "802.11g, 40, hidden from each other", 6),
-    Check("lrwpan", AIR, "CSMA/CA of 802.15.4.", NS3, "sharing:lrwpan", 4),
+    Check("lrwpan", AIR, "CSMA/CA of 802.15.4.", NS3, "medium_access:lrwpan", 4),
     _figure(FORMATION, "24", f"{TOH}, Fig. 24", 8),
     _figure(FORMATION, "25", f"{TOH}, Fig. 25", 2),
     _figure(FORMATION, "26", f"{TOH}, Fig. 26; {OWN}", 5),
@@ -69,9 +69,9 @@ _ALL = (
     _figure(FORMATION, "consensus-delay", "sampled modes of the Laplacian", 30, "2 of 4 ages at 1 kHz", shares=(0.98, 1.02)),
     Check("wheels", BODIES, "Differential drives in PyBullet.", "what was commanded", "vehicles:wheels"),
     Check("quadrotor", BODIES, "Steady flight, limits, wind.", "balance of forces", "vehicles:quadrotor", 4),
-    Check("scanner", BODIES, "Beams in a room and among pillars.", "exact geometry", "sensing:scanner"),
-    Check("inertial", BODIES, "An inertial unit on a circle.", "v w and g", "sensing:inertial"),
-    Check("positions", BODIES, "Errors of positioning.", "what its parameters say", "sensing:positions"),
+    Check("scanner", BODIES, "Beams in a room and among pillars.", "exact geometry", "sensors:scanner"),
+    Check("inertial", BODIES, "An inertial unit on a circle.", "v w and g", "sensors:inertial"),
+    Check("positions", BODIES, "Errors of positioning.", "what its parameters say", "sensors:positions"),
     _figure(AVOIDANCE, "28", f"{TOH}, Fig. 28; {OWN}", 4),
     _figure(AVOIDANCE, "29", f"{TOH}, Fig. 29; {OWN}", 10),
     _figure(AVOIDANCE, "41", f"{TOH}, Figs. 40 and 41; geometry", 19),

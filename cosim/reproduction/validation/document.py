@@ -6,9 +6,9 @@ from importlib import metadata
 from itertools import groupby
 from pathlib import Path
 
-from vcmvsp.cosim.util.files import to_json, writing
 from vcmvsp.cosim.reproduction.validation import CHECKS
 from vcmvsp.cosim.reproduction.validation.check import Outcome
+from vcmvsp.cosim.util.files import to_json, writing
 
 SCHEMA = "vcmvsp.validation/1"
 LIBRARIES = ("numpy", "scipy", "pybullet")
@@ -75,7 +75,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Iterator[str]:
     yield (
         "A row holds where measured and expected differ by no more than the tolerance, an absolute number; where it is a\n"
         "share of what is expected, the case says so. Where another program, a standard or a book says what is to be\n"
-        "expected, that stands under *expected by*, and in the code beside the number (`cosim/reproduction/validation`, `cosim/reproduction/figures`).\n"
+        "expected, that stands under *expected by*, and in the code beside the number (`cosim/reproduction`).\n"
         "A check that is *reduced* has fewer runs than `vcmvsp figure` of the same name; its tolerances are the same.\n"
     )
     yield "| area | check | what | expected by | rows | off |"

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
-from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, heard, line
+from vcmvsp.cosim.types import Array
 
 T_NS = 100_000_000
 LINKS = 1000

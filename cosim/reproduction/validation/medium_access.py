@@ -7,8 +7,8 @@ import numpy as np
 
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
-from vcmvsp.cosim.types import Array, FrameReport
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, decided, send
+from vcmvsp.cosim.types import Array, FrameReport
 
 SATURATED: Mapping[str, Any] = {"kind": "dcf", "lifetime_s": 1e6, "queue_frames": 1_000_000}
 EQUAL: Mapping[str, Any] = {"kind": "log_distance", "exponent": 2.0, "reference_distance_m": 1000.0, "reference_loss_db": 76.0}

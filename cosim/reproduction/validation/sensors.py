@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
 from vcmvsp.cosim.types import Array, Later
 
@@ -134,5 +134,5 @@ def _readings(
         if event.key == "car/it":
             told.append(event.value.get() if isinstance(event.value, Later) else event.value)
 
-    cosim.run(scenario, mcap=False, observe=observe)
+    vcmvsp.run(scenario, mcap=False, observe=observe)
     return told

@@ -6,9 +6,9 @@ All happens in the run's own thread, between two of its instants, or while it wa
 import time
 from collections.abc import Callable, Sequence
 
+from vcmvsp.cosim.assembly.interventions import Operator
 from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock, SimClock
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.assembly.interventions import Operator
 from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
 from vcmvsp.cosim.view.live.feed import Feed
 from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Line, Move, Order, Outage, Pace

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import msgspec
 
-from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.newest_values import Newest, Places, Poses
 from vcmvsp.cosim.view.messages import Line, Order, Pace, Scenery, Sensors, Shown

@@ -10,8 +10,8 @@ import struct
 import time
 from collections.abc import Iterator
 
-from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.types import Value
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.messages import Order, Scenery, Shown
 
 LARGEST = 1 << 28  # bytes of a message: a mosaic of the ground

@@ -15,8 +15,8 @@ from typing import Any, NoReturn
 
 import msgspec
 
-from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.view.auth import web_server
 from vcmvsp.cosim.view.live import protocol

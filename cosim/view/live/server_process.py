@@ -8,14 +8,14 @@ import time
 from types import TracebackType
 from typing import Self
 
-from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.processes.child_process import BOOT, ending
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view import HOST
+from vcmvsp.cosim.view.auth.rules import new_token, url_of
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import Feed
 from vcmvsp.cosim.view.live.newest_values import Places, Poses
-from vcmvsp.cosim.view.auth.rules import new_token, url_of
 from vcmvsp.cosim.view.messages import Scenery
 
 START_S = 60.0  # for the page to be there

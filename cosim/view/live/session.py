@@ -6,11 +6,11 @@ from typing import Any, Self
 
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.clock import Clock, LiveClock
-from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.view.live.control import Live, may
-from vcmvsp.cosim.view.scenery import scenery_of
 from vcmvsp.cosim.view.live.server_process import Viewer
+from vcmvsp.cosim.view.scenery import scenery_of
 
 
 class Viewing:

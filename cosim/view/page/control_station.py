@@ -12,16 +12,16 @@ import viser
 from vcmvsp.cosim.view.messages import Order, Scenery, Shown
 from vcmvsp.cosim.view.page.camera import Follower
 from vcmvsp.cosim.view.page.charts import Charts
-from vcmvsp.cosim.view.page.selection import Choice
 from vcmvsp.cosim.view.page.controls import controls
 from vcmvsp.cosim.view.page.inputs import is_finite, picked
-from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.links import WHICH, Links, legend
-from vcmvsp.cosim.view.page.style import Every
 from vcmvsp.cosim.view.page.marks import Fixes, Ghosts, Trails
 from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
-from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
 from vcmvsp.cosim.view.page.scene import Scene
+from vcmvsp.cosim.view.page.selection import Choice
+from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
+from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.style import Every
 from vcmvsp.cosim.view.page.vehicles import Vehicles
 
 LEFT_PX, RIGHT_PX = 300.0, 360.0

@@ -10,9 +10,9 @@ import viser
 
 from vcmvsp.cosim.view.messages import Change, End, Halt, Order, Outage, Scenery
 from vcmvsp.cosim.view.page.inputs import picked, write
-from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.obstacle_control import Mover
 from vcmvsp.cosim.view.page.pace_control import Pacing, Timeline
+from vcmvsp.cosim.view.page.state import Known
 
 ALL = "all vehicles"
 Give = Callable[[Order], None]

@@ -9,9 +9,9 @@ import viser
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
+from vcmvsp.cosim.view.page.batches import Segments
 from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.style import LOST_RGB, STRONGEST_DBM, WEAKEST_DBM, rssi_colors
-from vcmvsp.cosim.view.page.batches import Segments
 
 FRESH_NS = SECOND_NS  # how long a frame is shown
 MOST = 600  # half lines; of more, the newest are drawn

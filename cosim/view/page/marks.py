@@ -6,10 +6,10 @@ import viser
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
-from vcmvsp.cosim.view.page.state import Known
-from vcmvsp.cosim.view.page.style import TINY, Every, box, colors_of, disc, turned
 from vcmvsp.cosim.view.page.batches import Batch, Segments
 from vcmvsp.cosim.view.page.formation_slots import places_of
+from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.style import TINY, Every, box, colors_of, disc, turned
 
 SEGMENTS, LONGEST, SHORTEST = 4000, 150, 20
 """Of all trails together, and of each of them."""

@@ -7,8 +7,8 @@ import numpy as np
 import viser
 
 from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
-from vcmvsp.cosim.util.palette import PROBABILITY, rgb
 from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sightings
+from vcmvsp.cosim.util.palette import PROBABILITY, rgb
 from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.style import TARGET_RGB, Every, colors_of, rotated

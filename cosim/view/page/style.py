@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from vcmvsp.cosim.util.palette import OKABE_ITO, rgb
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.palette import OKABE_ITO, rgb
 
 Mesh = tuple[Array, Array]  # vertices (v, 3) float32 and triangles (t, 3) uint32, counter-clockwise seen from outside
 TINY = 1e-6  # the scale of what is not to be seen

@@ -7,6 +7,7 @@ import viser
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
+from vcmvsp.cosim.view.page.batches import Batch, Segments
 from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.style import (
     CHOSEN_RGB,
@@ -22,7 +23,6 @@ from vcmvsp.cosim.view.page.style import (
     ring,
     rotated,
 )
-from vcmvsp.cosim.view.page.batches import Batch, Segments
 
 LABELS = 200  # vehicles; of more, the others' names are not written beside them
 LABELS_AT_ONCE = 16  # are moved: each costs a message

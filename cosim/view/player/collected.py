@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
+from vcmvsp.cosim.view.messages import Line
 from vcmvsp.cosim.view.player import decoding as values
 from vcmvsp.cosim.view.player.frame_counts import Counts
 from vcmvsp.cosim.view.player.mcap_index import Taker
 from vcmvsp.cosim.view.player.notes import Notes
-from vcmvsp.cosim.view.messages import Line
 
 FRAMES, LOG, HALTED = "radio/frame", "log", "operator/halted"
 NOTE = "note"  # of each vehicle

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.frames import yaw_of
-from vcmvsp.cosim.recording.foxglove.messages import LEVELS, CameraCalibration, LaserScan, Log, RawImage, Time
 from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid, ImageAnnotations
+from vcmvsp.cosim.recording.foxglove.messages import LEVELS, CameraCalibration, LaserScan, Log, RawImage, Time
 from vcmvsp.cosim.types import (
     Fix,
     Follows,

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.view.player.recording import Recording
 from vcmvsp.cosim.view.messages import Go, Order, Pace, Seek, Sensors, Shown
+from vcmvsp.cosim.view.player.recording import Recording
 
 FASTEST, SLOWEST = 100.0, 0.01  # simulated seconds per second
 

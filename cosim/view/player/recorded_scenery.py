@@ -11,8 +11,8 @@ import numpy as np
 from vcmvsp.cosim.config import factory
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import frozen
-from vcmvsp.cosim.view.scenery import scenery_of
 from vcmvsp.cosim.view.messages import Craft, Scenery
+from vcmvsp.cosim.view.scenery import scenery_of
 
 MAY = ("pace", "seek", "sensors")
 """Orders that a recording obeys."""

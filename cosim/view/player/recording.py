@@ -7,17 +7,16 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION
 from vcmvsp.cosim.types import Fix, Image, Scan, Sightings, States
-from vcmvsp.cosim.view.player import decoding as values
-from vcmvsp.cosim.view.player.mcap_index import Messages, Topic
-from vcmvsp.cosim.view.player.collected import FRAMES, HALTED, LOG, NOTE, Kept
-from vcmvsp.cosim.view.player.recorded_scenery import Stage, bare_stage, stage_of
 from vcmvsp.cosim.view.messages import Line, Scenery, Shown
+from vcmvsp.cosim.view.player import decoding as values
+from vcmvsp.cosim.view.player.collected import FRAMES, HALTED, LOG, NOTE, Kept
+from vcmvsp.cosim.view.player.mcap_index import Messages, Topic
+from vcmvsp.cosim.view.player.recorded_scenery import Stage, bare_stage, stage_of
 
 T = TypeVar("T")
 FILE = "run.mcap"
@@ -141,7 +140,6 @@ class Recording:
         """Where the run took place; without its scenario, or its world, the vehicles are shown alone."""
         path, why = self._folder / "scenario.toml", "there is no scenario.toml (yet)"
         if path.is_file():
-            registry.guard()
             try:
                 return stage_of(path, self.vehicles)
             except (VcmvspError, ValueError) as error:

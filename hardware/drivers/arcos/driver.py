@@ -13,13 +13,13 @@ import msgspec
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.drivers.arcos.command_schedule import Mode, Steering
 from vcmvsp.hardware.drivers.arcos.config_packet import warnings
 from vcmvsp.hardware.drivers.arcos.handshake import ZERO_SPEED, Handshake, Settings
 from vcmvsp.hardware.drivers.arcos.packet import Reader, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
-from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
-from vcmvsp.hardware.drivers.arcos.command_schedule import Mode, Steering
 from vcmvsp.hardware.drivers.arcos.samples import Track
+from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, checked
 from vcmvsp.hardware.drivers.byte_link import OPEN_S, Line, open_line
 from vcmvsp.hardware.drivers.threaded import Wired

@@ -1,7 +1,7 @@
 """The standard server information packet (SIP): what the robot tells every 100 ms.
 
-Raw counts, as they are on the line; `hardware.drivers.arcos.robot_parameters.Robot` holds the factors that make millimetres of them. Sources:
-AmigoBot manual, table 4; Pioneer 2 operations manual, table "Standard server information packet".
+Raw counts, as they are on the line; `hardware.drivers.arcos.robot_parameters.Robot` holds the factors that make millimetres of
+them. Sources: AmigoBot manual, table 4; Pioneer 2 operations manual, table "Standard server information packet".
 """
 
 import struct

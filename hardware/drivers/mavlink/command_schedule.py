@@ -6,9 +6,9 @@ No clock and no line of its own.
 import math
 
 from vcmvsp.cosim.types import Vec3, Velocity
+from vcmvsp.hardware.drivers.command_repeater import Pace
 from vcmvsp.hardware.drivers.mavlink.codec import Message, Sender, mavlink
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import world_flipped
-from vcmvsp.hardware.drivers.command_repeater import Pace
 
 PERIOD_NS = 50_000_000  # PX4 wants more than 2 Hz, ArduPilot one in 3 s; a radio at 57600 baud is filled to a fifth
 STILL: Vec3 = (0.0, 0.0, 0.0)

@@ -16,17 +16,17 @@ import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, HandshakeError, LinkLost
 from vcmvsp.hardware.drivers.byte_link import OPEN_S
 from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Reader, Sender, mavlink, sender_of
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer, Search
+from vcmvsp.hardware.drivers.mavlink.command_schedule import finite
 from vcmvsp.hardware.drivers.mavlink.link import Link, open_link
 from vcmvsp.hardware.drivers.mavlink.messages import heartbeat
-from vcmvsp.hardware.drivers.mavlink.session import Orders, Pilot
-from vcmvsp.hardware.drivers.mavlink.command_schedule import finite
 from vcmvsp.hardware.drivers.mavlink.samples import Track
-from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
+from vcmvsp.hardware.drivers.mavlink.session import Orders, Pilot
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer, Search
 from vcmvsp.hardware.drivers.threaded import Wired
 
 GOODBYE_S = 4.0  # heartbeats, which show that a mode was changed, come once a second

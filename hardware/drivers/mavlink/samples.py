@@ -2,13 +2,13 @@
 
 import math
 
+from vcmvsp.cosim.estimation.clock_offset import ForeignClock
+from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Odometry, Vec3, VehicleState
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.mavlink.codec import Message
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import attitude_from_euler, body_flipped, world_flipped
-from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
-from vcmvsp.cosim.estimation.clock_offset import ForeignClock
 
 ATTITUDE_NS = 500_000_000  # an attitude that is older says nothing of now
 MS = 1_000_000  # ns

@@ -13,10 +13,10 @@ from vcmvsp.cosim.types import Value, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Sample, What
 from vcmvsp.hardware.drivers.mavlink import messages
 from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer
 from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL, Steering, finite, setpoint
-from vcmvsp.hardware.drivers.mavlink.status_text import Texts
 from vcmvsp.hardware.drivers.mavlink.samples import Track
+from vcmvsp.hardware.drivers.mavlink.status_text import Texts
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer
 
 ASK_NS = 500_000_000  # until something that was not done is asked for again
 CLIMB = 0.7  # m/s, of a take-off

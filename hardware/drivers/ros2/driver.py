@@ -25,7 +25,6 @@ from vcmvsp.hardware.drivers.base import (
     checked,
 )
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET, Pace
-from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     ODOMETRY,
     STAMPS_END_NS,
@@ -36,9 +35,10 @@ from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     decode_odometry,
     encode_twist,
 )
-from vcmvsp.hardware.drivers.ros2.presence import Presence
 from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Heard, Mode, Node
+from vcmvsp.hardware.drivers.ros2.presence import Presence
 from vcmvsp.hardware.drivers.ros2.samples import Pose, Track
+from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 from vcmvsp.hardware.drivers.threaded import Threaded
 
 OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and room

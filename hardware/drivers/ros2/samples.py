@@ -3,11 +3,11 @@
 from typing import Literal
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.estimation.clock_offset import ForeignClock
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, rotate2, wrap, yaw_of
 from vcmvsp.cosim.types import Odometry, Vec3, VehicleState
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.ros2.cdr_messages import STAMPS_END_NS, OdometryMessage
-from vcmvsp.cosim.estimation.clock_offset import ForeignClock
 
 Pose = Literal["odometry", "world"]
 DRIFT_PPM = 500.0  # no clock runs away faster: by so much NTP slews at most

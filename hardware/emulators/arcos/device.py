@@ -16,9 +16,9 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.hardware.drivers.arcos import sip
 from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS, SYNC0, SYNC1, SYNC2, Command
 from vcmvsp.hardware.drivers.arcos.config_packet import Config, encode_config
-from vcmvsp.hardware.emulators.arcos.motion import Motion, Pose, Wheels, relative
 from vcmvsp.hardware.drivers.arcos.packet import Reader, frame, parse_command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
+from vcmvsp.hardware.emulators.arcos.motion import Motion, Pose, Wheels, relative
 
 TICK_NS = 5_000_000  # of the emulation: what it does at a tick depends on no other time
 GAP_NS = 200_000_000  # a packet is given up when the line is silent for so long; 200 bytes take that long at 9600 baud

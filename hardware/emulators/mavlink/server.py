@@ -12,8 +12,8 @@ import threading
 import time
 from typing import Any
 
-from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 from vcmvsp.hardware.emulators.device_server import LOOPBACK, Serving, Tcp
+from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 
 _READ = 65_535  # bytes
 

@@ -4,11 +4,11 @@ import math
 from typing import NamedTuple
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.types import Vec3, VehicleState
 from vcmvsp.hardware.drivers.mavlink.autopilots import Autopilot
 from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, euler_from_attitude, world_flipped
-from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 
 TICK_NS = 5_000_000  # of the emulation: what it does at a tick depends on no other time
 TELEMETRY_HZ, STATUS_HZ = 50.0, 1.0

@@ -17,9 +17,9 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.mavlink.autopilots import Kind, autopilot_of
 from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import body_flipped, world_flipped
 from vcmvsp.hardware.emulators.mavlink.motion import Motion
-from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL
 from vcmvsp.hardware.emulators.mavlink.telemetry import SITE, TICK_NS, Now, Telemetry, version
 
 LEAD_NS = 1_000_000_000  # PX4: set-points have to come for more than this before OFFBOARD [PX4 guide, Offboard mode]

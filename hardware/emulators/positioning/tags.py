@@ -20,8 +20,8 @@ from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Probability, Rate, Seconds, Vec3
 from vcmvsp.hardware.emulators.arcos.server import Pty
-from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
 from vcmvsp.hardware.emulators.device_server import Serving
+from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
 
 Truth = Callable[[], tuple[float, float, float, float] | None]
 """Where the tag is: x, y, z in m, yaw in rad; None while that is not known."""

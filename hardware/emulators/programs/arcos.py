@@ -11,10 +11,10 @@ import msgspec
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS
-from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot
+from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
-from vcmvsp.hardware.emulators.programs.options import RobotOptions, Tags, TcpPort
+from vcmvsp.hardware.emulators.device_server import Serving
 from vcmvsp.hardware.emulators.positioning.tags import (
     Outlet,
     Source,
@@ -25,7 +25,7 @@ from vcmvsp.hardware.emulators.positioning.tags import (
     standing,
     ubisense_outlet,
 )
-from vcmvsp.hardware.emulators.device_server import Serving
+from vcmvsp.hardware.emulators.programs.options import RobotOptions, Tags, TcpPort
 
 ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 KINDS = {"amigobot": "amigo", "p2dx": "p2dx", "amigo-sh": "amigo-sh"}

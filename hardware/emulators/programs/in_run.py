@@ -15,16 +15,16 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
+from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.processes.child_process import BOOT
 from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.cosim.util.polling import readable
-from vcmvsp.hardware.emulators.programs.options import PtyPort, RobotOptions, Tags, UdpAddress
+from vcmvsp.hardware.emulators.device_server import LOOPBACK
 from vcmvsp.hardware.emulators.positioning.tags import Errors
 from vcmvsp.hardware.emulators.programs.arcos import KINDS, Rig, device_of
+from vcmvsp.hardware.emulators.programs.options import PtyPort, RobotOptions, Tags, UdpAddress
 from vcmvsp.hardware.localisation.ubisense import tag_of
-from vcmvsp.hardware.emulators.device_server import LOOPBACK
 
 EMULATED = "emulated"
 READY_S = 20.0
@@ -62,7 +62,13 @@ class Emulated:
             errors=_errors(vehicle.positioning or {}),
             seed=vehicle.seed,
         )
-        command = [sys.executable, "-P", "-c", BOOT.format(module="vcmvsp.hardware.emulators.programs.in_run"), msgspec.json.encode(wanted).decode()]
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            BOOT.format(module="vcmvsp.hardware.emulators.programs.in_run"),
+            msgspec.json.encode(wanted).decode(),
+        ]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=sys.__stderr__, process_group=0
         )

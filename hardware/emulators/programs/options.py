@@ -9,11 +9,11 @@ import msgspec
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.types import Positive
-from vcmvsp.hardware.emulators.arcos.server import TCP_PORT
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults
+from vcmvsp.hardware.emulators.arcos.server import TCP_PORT
+from vcmvsp.hardware.emulators.device_server import LOOPBACK
 from vcmvsp.hardware.emulators.positioning.tags import Errors
 from vcmvsp.hardware.localisation import ubisense
-from vcmvsp.hardware.emulators.device_server import LOOPBACK
 
 
 class PtyPort(NamedTuple):

@@ -8,20 +8,20 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from vcmvsp import cosim
-from vcmvsp.cosim.config import registry, binding
-from vcmvsp.cosim.scenario import loader
+import vcmvsp
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.frames import rotate2
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import Measured, Odometry, Scan, Vec3, VehicleState, Velocity
-from vcmvsp.hardware.emulators.arcos.motion import Wheels
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
+from vcmvsp.hardware.emulators.arcos.motion import Wheels
 from vcmvsp.hardware.emulators.arcos.server import Served
-from vcmvsp.hardware.emulators.programs.options import RobotOptions
 from vcmvsp.hardware.emulators.programs.arcos import KINDS, Ready, Rig, device_of, parameters, until_interrupted
+from vcmvsp.hardware.emulators.programs.options import RobotOptions
 
 SONAR = "sonar{}"
 """What the sensor is called that stands for the sonar of this number; a scenario may have ones of its own."""
@@ -175,7 +175,7 @@ def emulate(
             agent = DeviceAgent(served, senses, lambda _: rig.start(chosen.tags, lambda: agent.truth), period_s)
             agents = {own.name: agent}
             try:
-                result = cosim.run(
+                result = vcmvsp.run(
                     scenario_name,
                     set=changes,
                     agents=agents,

@@ -12,7 +12,6 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
 from vcmvsp.cosim.types import Positive, Rate, Vec3
 from vcmvsp.hardware.drivers.base import ORIGIN
-from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     ODOMETRY,
     TWIST,
@@ -23,6 +22,7 @@ from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     encode_odometry,
 )
 from vcmvsp.hardware.drivers.ros2.node import Heard, Mode, Node
+from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 
 STEP_S = 0.01  # of the motion
 

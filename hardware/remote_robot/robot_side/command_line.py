@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vcmvsp.cosim.config import registry, binding
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.transport import endpoints, key_names
 from vcmvsp.cosim.types import Vec3

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import zenoh
 from zenoh.handlers import Callback
 
-from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.hosts.host_client import dial
+from vcmvsp.cosim.transport import key_names
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import Welcome
 

@@ -13,17 +13,17 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.transport import access_control
 from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import Driver, Sample
-from vcmvsp.hardware.remote_robot import messages
-from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
-from vcmvsp.hardware.remote_robot.robot_side.connection import Dialled, NobodyThere, Told
-from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Hello, Up, Welcome
 from vcmvsp.hardware.drivers.call_timeout import within
+from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Hello, Up, Welcome
+from vcmvsp.hardware.remote_robot.robot_side.connection import Dialled, NobodyThere, Told
+from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle

@@ -12,8 +12,8 @@ from typing import Literal
 import msgspec
 
 from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import (
     Driver,
     DriverError,
@@ -23,9 +23,9 @@ from vcmvsp.hardware.drivers.base import (
     PortError,
     Sample,
 )
-from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Down, Failure
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.drivers.call_timeout import within
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Down, Failure
 
 GRACE_S = 2.0  # beyond what a driver says of itself
 KEPT = 1000  # notices that nobody has heard yet

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.transport import access_control
+from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import Hello
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.transport import endpoints, key_names
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3
+from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import (
     COMMAND_TIMEOUT_S,
     CommandTimeout,
@@ -28,10 +28,10 @@ from vcmvsp.hardware.drivers.base import (
     PortError,
 )
 from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.messages import SAY_S, Hello, Welcome
 from vcmvsp.hardware.remote_robot.run_side.admission import Admission
 from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Knock, News, Peer
 from vcmvsp.hardware.remote_robot.run_side.session import Talking
-from vcmvsp.hardware.remote_robot.messages import SAY_S, Hello, Welcome
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys

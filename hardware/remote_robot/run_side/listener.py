@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import zenoh
 from zenoh.handlers import Callback
 
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import key_names, access_control
+from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.remote_robot.messages import Welcome
 

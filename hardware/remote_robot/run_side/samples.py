@@ -5,11 +5,11 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.estimation.clock_offset import Exchange
 from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.remote_robot.messages import Up
-from vcmvsp.cosim.estimation.clock_offset import Exchange
 
 WINDOW = 50  # exchanges of times that count: some two seconds
 MOST_READINGS = 64  # of sonar, in a sample

@@ -10,18 +10,18 @@ import threading
 import time
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.types import Vec3, Velocity
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET
+from vcmvsp.hardware.drivers.threaded import NOTICES, Threaded
 from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Failure, Hello
 from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Heard, Knock, News, Peer
 from vcmvsp.hardware.remote_robot.run_side.orders import Orders
 from vcmvsp.hardware.remote_robot.run_side.samples import Track
-from vcmvsp.hardware.remote_robot.messages import SAY_S, Down, Failure, Hello
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
-from vcmvsp.hardware.drivers.threaded import NOTICES, Threaded
 
 GRACE_S = 2.0  # for a robot, beyond what its driver says of itself
 LONGEST_CLOSE_S = 30.0  # whatever it says

@@ -11,8 +11,8 @@ from typing import Annotated, Protocol
 
 import msgspec
 
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.transport.endpoints import is_loopback
 
 BROADCAST = -1

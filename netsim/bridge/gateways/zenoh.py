@@ -19,11 +19,11 @@ import msgspec
 import zenoh
 from zenoh.handlers import Callback
 
-from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import endpoints, access_control
+from vcmvsp.cosim.transport import access_control, endpoints
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import Name
+from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.netsim.bridge.gateways.base import (
     BROADCAST,
     HIGHEST,
@@ -43,7 +43,10 @@ HEARD = f"{OWN}heard/"
 CLIENTS: dict[str, Any] = {
     "mode": "router",
     "transport": {
-        "unicast": {"accept_timeout": access_control.ACCEPT_MS, "accept_pending": 1000},  # strangers who say nothing keep nobody out
+        "unicast": {
+            "accept_timeout": access_control.ACCEPT_MS,
+            "accept_pending": 1000,
+        },  # strangers who say nothing keep nobody out
         "link": {
             "tx": {
                 "queue": {

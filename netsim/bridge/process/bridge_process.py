@@ -1,7 +1,8 @@
 """The bridge process: opens all doors, gives the run what comes in through them, and delivers what the run says is due.
 
 It ends when it is told to, and when the link to the run ends, however that came about. The run takes one batch of datagrams at
-a time and says when it has: until then they wait here, in a store that is bounded for each vehicle (`netsim.bridge.process.datagram_store`).
+a time and says when it has: until then they wait here, in a store that is bounded for each vehicle
+(`netsim.bridge.process.datagram_store`).
 """
 
 import asyncio
@@ -16,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry, binding
-from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError, place_of
 from vcmvsp.cosim.processes.local_link import Link
-from vcmvsp.netsim.bridge.process import messages as wire
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import Door, DoorError
+from vcmvsp.netsim.bridge.process import messages as wire
+from vcmvsp.netsim.bridge.process.datagram_store import Store
 from vcmvsp.netsim.bridge.process.gateway_context import OpenHall
 from vcmvsp.netsim.bridge.process.pacer import Delivery, Pacer
-from vcmvsp.netsim.bridge.process.datagram_store import Store
 
 OPENING_S = 10.0  # from the start to being told what to open
 CLOSE_S = 3.0  # for a door to close, or for last words,

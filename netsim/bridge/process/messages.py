@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from vcmvsp.cosim.util.codec import Decoder
 from vcmvsp.cosim.types import Array, Value
+from vcmvsp.cosim.util.codec import Decoder
 
 
 class DoorSpec(Value, frozen=True, kw_only=True):

@@ -7,11 +7,11 @@ import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Decibels, Seconds
-from vcmvsp.netsim.mac.csma154.receivers import Air
-from vcmvsp.netsim.mac.csma154.events import Network
-from vcmvsp.netsim.phy.error_rate import OqpskErrors
 from vcmvsp.netsim.interfaces.layers import Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Medium
+from vcmvsp.netsim.mac.csma154.events import Network
+from vcmvsp.netsim.mac.csma154.receivers import Air
+from vcmvsp.netsim.phy.error_rate import OqpskErrors
 
 Exponent = Annotated[int, msgspec.Meta(ge=0, le=16)]
 Few = Annotated[int, msgspec.Meta(ge=0, le=28)]
@@ -22,8 +22,8 @@ Many = Annotated[int, msgspec.Meta(ge=1)]
 class Csma154:
     """Unslotted CSMA/CA of IEEE 802.15.4 at 2.4 GHz, as ns-3.44 ``LrWpanMac`` and ``LrWpanPhy``.
 
-    The sensitivity is no threshold of reception: it sets the noise (`netsim.phy.noise.ThermalNoise.ieee802154`). Messages that need
-    several frames contend once, and are received or lost as one.
+    The sensitivity is no threshold of reception: it sets the noise (`netsim.phy.noise.ThermalNoise.ieee802154`). Messages that
+    need several frames contend once, and are received or lost as one.
 
     Args:
         min_be: exponent of the first backoff (macMinBE).

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
+from vcmvsp.netsim.phy.error_rate import ErrorRate
 
 Rows = NDArray[np.intp]
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
-from vcmvsp.netsim.mac.csma154.receivers import Flight
-from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
 from vcmvsp.netsim.interfaces.layers import Keys
+from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
 from vcmvsp.netsim.interfaces.medium import Codes, Offered
+from vcmvsp.netsim.mac.csma154.receivers import Flight
 
 if TYPE_CHECKING:  # it is what opens the network of radios
     from vcmvsp.netsim.mac.csma154.parameters import Csma154
@@ -74,5 +74,5 @@ class Radio:
         return self._plans[place]
 
     def luck(self) -> float:
-        """The patience (`netsim.interfaces.medium.Offered`) with the acknowledgement of the attempt that ended the last contention."""
+        """The patience (`netsim.interfaces.medium.Offered`) with the acknowledgement of the last attempt."""
         return -math.log1p(-self._luck[(self._contentions - 1) % _BLOCK][0])

@@ -8,8 +8,8 @@ twice, as in `netsim.mac.dcf.kernels`.
 
 import numpy as np
 
-from vcmvsp.netsim.mac.dcf.state import NOBODY, SCARCE, Rules, State
 from vcmvsp.netsim.interfaces.layers import Bools
+from vcmvsp.netsim.mac.dcf.state import NOBODY, SCARCE, Rules, State
 
 
 def sense(s: State, rules: Rules, now: int) -> None:

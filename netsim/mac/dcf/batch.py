@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcmvsp.netsim.mac.dcf.state import NEVER, State
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes, Decided
+from vcmvsp.netsim.mac.dcf.state import NEVER, State
 
 
 class Batch(NamedTuple):

@@ -7,8 +7,8 @@ frame waits or not. A frame that finds the medium idle and no backoff left waits
 Written for NumPy and for compilation alike, see `netsim.mac.jit.cache`: what changes is in the arrays of a `State`.
 """
 
-from vcmvsp.netsim.mac.dcf.detection import detect, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.backoff import back_off, count_down, defer_one, doze, draw, request, sense, wait
+from vcmvsp.netsim.mac.dcf.detection import detect, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.kernels import copy, soonest
 from vcmvsp.netsim.mac.dcf.queues import decide, enqueue, expire, insert, leave, next_decision
 from vcmvsp.netsim.mac.dcf.state import (

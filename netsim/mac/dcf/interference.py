@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vcmvsp.netsim.mac.dcf.state import ON_AIR, Rules, State
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
+from vcmvsp.netsim.mac.dcf.state import ON_AIR, Rules, State
 
 
 def interference(s: State, rules: Rules, i: int) -> Floats | float:

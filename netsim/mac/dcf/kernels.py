@@ -1,13 +1,14 @@
 """What is done at all radios alike, written twice: with vectors for NumPy, and as loops, which are quicker when compiled.
 
-In compiled code ``f_loop`` stands for ``f`` (see `netsim.mac.jit.cache`). Both do the same operations on the same numbers in the
-same order, and leave the same bits behind; but a loop leaves out what changes nothing at a radio.
+In compiled code ``f_loop`` stands for ``f`` (see `netsim.mac.jit.cache`). Both do the same operations on the same numbers in
+the same order, and leave the same bits behind; but a loop leaves out what changes nothing at a radio.
 """
 
 from typing import Any
 
 import numpy as np
 
+from vcmvsp.netsim.interfaces.layers import Ints
 from vcmvsp.netsim.mac.dcf.backoff import defer, defer_one
 from vcmvsp.netsim.mac.dcf.interference import (
     energy_end,
@@ -33,7 +34,6 @@ from vcmvsp.netsim.mac.dcf.state import (
     State,
 )
 from vcmvsp.netsim.phy.error_table import between, look_up_one, places
-from vcmvsp.netsim.interfaces.layers import Ints
 
 
 def copy(values: Any, to: Any) -> None:

@@ -1,7 +1,7 @@
 """The air that radios of IEEE 802.11 share, from outside: frames are offered, time goes on, frames are decided.
 
-What happens in between is `netsim.mac.dcf.events`, which works on arrays; here frames get their places in them, and those that are
-decided are taken out again.
+What happens in between is `netsim.mac.dcf.events`, which works on arrays; here frames get their places in them, and those that
+are decided are taken out again.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.rng import link_uniform
+from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys
+from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
+from vcmvsp.netsim.interfaces.medium import Codes, Decided, Offered, Renew
 from vcmvsp.netsim.mac.dcf import events
-from vcmvsp.netsim.mac.jit.cache import Compiled, at_hand, available, loaded, looped
 from vcmvsp.netsim.mac.dcf.batch import Batch
 from vcmvsp.netsim.mac.dcf.events import DRAWS, LEVELS, OUTPUT
 from vcmvsp.netsim.mac.dcf.power_rows import Levels, free_numbers, take
@@ -30,10 +32,8 @@ from vcmvsp.netsim.mac.dcf.state import (
     State,
     new_state,
 )
-from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
+from vcmvsp.netsim.mac.jit.cache import Compiled, at_hand, available, loaded, looped
 from vcmvsp.netsim.phy.error_rate import ErrorRate
-from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys
-from vcmvsp.netsim.interfaces.medium import Codes, Decided, Offered, Renew
 
 LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
 COMPILE_AFTER = 5000  # the same, where it must be compiled first: once for each computer
@@ -42,7 +42,12 @@ PER_FRAME = (
     *("attempts", "row", "began_ns", "told", "outcome", "least_there", "patiences"),
 )
 CORE = (
-    *("vcmvsp.netsim.phy.error_table", "vcmvsp.netsim.mac.dcf.interference", "vcmvsp.netsim.mac.dcf.backoff", "vcmvsp.netsim.mac.dcf.kernels"),
+    *(
+        "vcmvsp.netsim.phy.error_table",
+        "vcmvsp.netsim.mac.dcf.interference",
+        "vcmvsp.netsim.mac.dcf.backoff",
+        "vcmvsp.netsim.mac.dcf.kernels",
+    ),
     *("vcmvsp.netsim.mac.dcf.detection", "vcmvsp.netsim.mac.dcf.queues", "vcmvsp.netsim.mac.dcf.events"),
 )
 

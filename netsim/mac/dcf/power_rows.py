@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vcmvsp.netsim.mac.dcf.state import NOBODY
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
+from vcmvsp.netsim.mac.dcf.state import NOBODY
 
 
 class Levels:

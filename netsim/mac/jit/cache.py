@@ -22,7 +22,7 @@ from typing import Any
 
 from vcmvsp.netsim.mac.jit.argument_block import Block, Layout
 
-_MAKERS = tuple(str(Path(__file__).with_name(f"compiled_{part}.py")) for part in ("make", "load"))
+_MAKERS = tuple(str(Path(__file__).with_name(name)) for name in ("compiler.py", "loader.py"))
 _DIGEST_BYTES = 16  # in front of kept code: that of the code
 _functions: dict[tuple[tuple[str, ...], str, Layout, Layout], Callable[[int, int, int], int]] = {}  # that are loaded
 

@@ -1,8 +1,8 @@
 """Machine code is made, by numba.
 
 Numba passes a named tuple of arrays field by field: every call of every function moves hundreds of words, and the compiler
-has to see through all of them. Here a `netsim.mac.jit.argument_block.Block` is a type of numba's, one pointer: ``block.field`` in
-compiled code reads the words behind it.
+has to see through all of them. Here a `netsim.mac.jit.argument_block.Block` is a type of numba's, one pointer: ``block.field``
+in compiled code reads the words behind it.
 """
 
 # numba is only partly typed.

@@ -8,17 +8,17 @@ from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.airborne_clearance import REACH_M
-from vcmvsp.physics.dynamics.bullet.quadrotors import Flyers
-from vcmvsp.physics.dynamics.bullet.ground_robots import Robots
-from vcmvsp.physics.dynamics.bullet.external_vehicles import Shown
-from vcmvsp.physics.dynamics.bullet.world_bodies import Things
 from vcmvsp.physics.dynamics.bullet.contacts import Touches
-from vcmvsp.physics.engine.interface import Motion, Touch, gathered
+from vcmvsp.physics.dynamics.bullet.external_vehicles import Shown
+from vcmvsp.physics.dynamics.bullet.ground_robots import Robots
+from vcmvsp.physics.dynamics.bullet.quadrotors import Flyers
+from vcmvsp.physics.dynamics.bullet.world_bodies import Things
 from vcmvsp.physics.dynamics.external_vehicles import Reflected
+from vcmvsp.physics.dynamics.wind import Gusts
+from vcmvsp.physics.engine.interface import Motion, Touch, gathered
+from vcmvsp.physics.vehicles.models import DifferentialDrive, Vehicle
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
-from vcmvsp.physics.vehicles.models import DifferentialDrive, Vehicle
-from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.world.world import World
 
 _ENCODER_HZ = 40.0

@@ -7,8 +7,8 @@ import numpy as np
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.dynamics.bullet import SOLID, p
 from vcmvsp.physics.dynamics.bullet.world_bodies import HEAVY_KG
-from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.dynamics.external_vehicles import Reflected
+from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.world.scene import Hull
 
 _FRICTION = 0.5  # of the hulls, assumed

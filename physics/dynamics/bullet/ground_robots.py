@@ -16,11 +16,11 @@ from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p, turned
 from vcmvsp.physics.dynamics.bullet.body_builder import LEFT, RIGHT, differential_drive, finish
 from vcmvsp.physics.dynamics.bullet.world_bodies import BaseState, base_states, floor_friction, motion_of
-from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.dynamics.firmware import Firmware
 from vcmvsp.physics.dynamics.kinematic_ground import wrapped
-from vcmvsp.physics.vehicles.urdf import UrdfDrive
+from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.vehicles.models import DifferentialDrive
+from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World, Zone
 
 

@@ -1,9 +1,9 @@
 """Quadrotors in a Bullet world: NumPy moves them, and Bullet those that may touch something.
 
-In free air Bullet would do nothing that `physics.dynamics.flight.Fleet.integrate` does not do for all at once, so there a quadrotor's
-body is parked: far below, touching nothing, asleep. One that may come to touch anything (floor, solid, another body) before the
-next look, 20 times a second, is handed over: its body gets its state, and from then on the force and torque of every step. It
-stays there until it has been clear of everything for a while.
+In free air Bullet would do nothing that `physics.dynamics.flight.Fleet.integrate` does not do for all at once, so there a
+quadrotor's body is parked: far below, touching nothing, asleep. One that may come to touch anything (floor, solid, another
+body) before the next look, 20 times a second, is handed over: its body gets its state, and from then on the force and torque
+of every step. It stays there until it has been clear of everything for a while.
 
 While its body touches nothing, the state of one that is near is still NumPy's, which differs from Bullet's by rounding alone;
 only what a contact does is taken from Bullet. So whoever is near, without touching, changes no bit of anybody's flight.
@@ -17,12 +17,12 @@ from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, p
 from vcmvsp.physics.dynamics.bullet.airborne_clearance import SolidsMap, near_each_other, near_others
 from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
-from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.dynamics.wind import Gusts
+from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.scene import rotations
 from vcmvsp.physics.world.shapes import Shapes
-from vcmvsp.physics.dynamics.wind import Gusts
 
 _LOOK_HZ = 20.0
 _AWAY_LOOKS = 10  # clear in so many looks: handed back

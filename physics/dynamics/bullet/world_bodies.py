@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
-from vcmvsp.physics.dynamics.movables import heading_of, on_time
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, WHEEL, p, turned
-from vcmvsp.physics.engine.interface import NO_BODIES, Motion
+from vcmvsp.physics.dynamics.movables import heading_of, on_time
 from vcmvsp.physics.dynamics.rigid_body import into_body, pairs
+from vcmvsp.physics.engine.interface import NO_BODIES, Motion
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import World
 

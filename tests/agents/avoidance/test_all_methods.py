@@ -7,12 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
-from vcmvsp.agents.avoidance.gaps import gaps_ahead
-from vcmvsp.agents.avoidance.settings import Settings
-from vcmvsp.agents.avoidance.steering import Steering
-from vcmvsp.cosim.agent import VehicleInfo
-from vcmvsp.cosim.types import Scan
 from tests.support.agents.obstacle_fields import (
     WHEELS,
     WINGS,
@@ -23,6 +17,12 @@ from tests.support.agents.obstacle_fields import (
     steering,
     sweep,
 )
+from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
+from vcmvsp.agents.avoidance.gaps import gaps_ahead
+from vcmvsp.agents.avoidance.settings import Settings
+from vcmvsp.agents.avoidance.steering import Steering
+from vcmvsp.cosim.agent import VehicleInfo
+from vcmvsp.cosim.types import Scan
 
 FIELD = PotentialField(core=0.3, reach=0.8)
 METHODS = [FIELD, Gap(), Vfh(), DynamicWindow()]

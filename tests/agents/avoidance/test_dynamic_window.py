@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.obstacle_fields import Box, Point, Pose, Way, drive
 from vcmvsp.agents.avoidance import DynamicWindow, Method, Task, View, view_of
 from vcmvsp.agents.avoidance.dynamic_window import clearances
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import arc, rotate2
 from vcmvsp.cosim.types import Array, Scan
-from tests.support.agents.obstacle_fields import Box, Point, Pose, Way, drive
 
 ROBOT = Body(width_m=0.33, radius_m=0.216)
 KEEP = 0.266

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from tests.support.agents.scans import SMALL, Wall, bearings, box, ranges_of, view, wall_with_doors
 from vcmvsp.agents.avoidance import Decision, Gap, Task
 from vcmvsp.agents.avoidance.method import Point
 from vcmvsp.agents.avoidance.view import View
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.types import Array
-from tests.support.agents.scans import SMALL, Wall, bearings, box, ranges_of, view, wall_with_doors
 
 SQUARE = Body(width_m=0.4, radius_m=0.3)
 DRONE = Body(width_m=0.4, radius_m=0.2, flies=True)

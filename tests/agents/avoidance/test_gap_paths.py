@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp.agents.avoidance import Gap
 from tests.support.agents.scans import SMALL, box, driven, wall_with_doors
+from vcmvsp.agents.avoidance import Gap
 
 
 @pytest.mark.parametrize("fov", [math.pi, 4.0, math.tau])

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from tests.support.agents.scans import Wall, ranges_of, view, wall_with_doors
 from vcmvsp.agents.avoidance.gaps import Gaps, gaps, gaps_ahead
 from vcmvsp.cosim.types import Array
-from tests.support.agents.scans import Wall, ranges_of, view, wall_with_doors
 
 L = 2.0
 BEAMS = 512

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from tests.support.agents.scans import ranges_of, view, wall_with_doors
 from vcmvsp.agents.avoidance.lane import ASIDE, free_m, lane_free, ways
 from vcmvsp.agents.avoidance.view import View, view_of
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array, Scan
-from tests.support.agents.scans import ranges_of, view, wall_with_doors
 
 Ranges = arrays.arrays(float, 36, elements=st.sampled_from([0.0, 0.5, math.inf]) | st.floats(0.0, 3.0))
 

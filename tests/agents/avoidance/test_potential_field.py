@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.agents.obstacle_fields import PILLAR, Box, Point, Pose, Way, clearance, drive, fly, look
 from vcmvsp.agents.avoidance import PotentialField, Task, View, view_of
 from vcmvsp.agents.avoidance.method import Method
 from vcmvsp.agents.avoidance.potential_field import repulsion
@@ -15,7 +16,6 @@ from vcmvsp.agents.formation import axle_velocity
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Scan
-from tests.support.agents.obstacle_fields import PILLAR, Box, Point, Pose, Way, clearance, drive, fly, look
 
 AIR = Body(width_m=0.4, radius_m=0.25, flies=True)
 ROBOT = Body(width_m=0.33, radius_m=0.216)  # an AmigoBot

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.obstacle_fields import Point, Pose, Way, drive, fly
 from vcmvsp.agents.avoidance import Method, Task, Vfh, View, view_of
 from vcmvsp.agents.avoidance.vfh import _Vfh, histogram, openings
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Array, Scan
-from tests.support.agents.obstacle_fields import Point, Pose, Way, drive, fly
 
 ROBOT = Body(width_m=0.33, radius_m=0.216)
 DRONE = Body(width_m=0.5, radius_m=0.25, flies=True)

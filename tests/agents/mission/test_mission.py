@@ -10,8 +10,8 @@ import pytest
 from vcmvsp.agents.avoidance import Gap
 from vcmvsp.agents.mission.mission import Mission
 from vcmvsp.agents.reconnaissance.roster import Claim
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message, Reception, Scan, Vec3, VehicleState, Velocity
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from vcmvsp.cosim.scenario import loader
 from tests.support.docs.gallery import assert_printed
+from vcmvsp.cosim.scenario import loader
 
 
 @pytest.mark.timeout(300)

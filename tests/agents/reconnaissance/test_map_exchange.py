@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.area_search import GRID, S, over_the_air
+from tests.support.agents.shared_maps import KINDS, SENSOR, SMALL, TEAM, everything, ledger, look, tell
 from vcmvsp.agents.reconnaissance import exchange, log_odds
 from vcmvsp.agents.reconnaissance.exchange import Consensus, Exchange, Kind
 from vcmvsp.agents.reconnaissance.ledger import Ledger
-from tests.support.agents.area_search import GRID, S, over_the_air
-from tests.support.agents.shared_maps import KINDS, SENSOR, SMALL, TEAM, everything, ledger, look, tell
 
 # -- without loss
 

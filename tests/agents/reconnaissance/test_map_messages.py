@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from tests.support.agents.area_search import GRID, S, over_the_air, size
+from tests.support.agents.shared_maps import KINDS, SENSOR, TEAM, ledger, tell
 from vcmvsp.agents.reconnaissance import exchange
 from vcmvsp.agents.reconnaissance.exchange import Kind
 from vcmvsp.cosim.agent import Radio
-from tests.support.agents.area_search import GRID, S, over_the_air, size
-from tests.support.agents.shared_maps import KINDS, SENSOR, TEAM, ledger, tell
 
 
 @pytest.mark.parametrize("max_bytes", [40, 64, 100, 127, 300, 1400, 2312])

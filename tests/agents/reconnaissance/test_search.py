@@ -7,16 +7,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from vcmvsp.agents.reconnaissance.roster import Claim, Roster
+from tests.support.agents.agent_loop import received
+from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
 from vcmvsp.agents.reconnaissance import Sensor, lanes, strips
 from vcmvsp.agents.reconnaissance.ledger import Ledger
+from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.cosim.agent import Body, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.testing import check_agent
 from vcmvsp.cosim.types import Message, ProbabilityMap, Scan
-from tests.support.agents.agent_loop import received
-from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
 
 S = 1_000_000_000
 

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.agents.search_agents import GRID, info, see
 from vcmvsp.agents.reconnaissance import lanes
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.agents.reconnaissance.watch import Frame
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Image, Sighting, Velocity
-from tests.support.agents.search_agents import GRID, info, see
 
 S = 1_000_000_000
 PIXELS = (48, 64)

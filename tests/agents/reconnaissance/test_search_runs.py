@@ -7,8 +7,8 @@ import pytest
 
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.cosim.agent import Observation, Radio
-from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Velocity
 
 TARGETS = ((9.0, 31.0), (27.0, 13.0))

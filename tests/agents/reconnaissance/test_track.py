@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.agents.aerial_loop import BODY, T, Uav
+from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 from vcmvsp.agents.reconnaissance.roster import Roster
 from vcmvsp.agents.reconnaissance.track import CLIMB, Track
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message, Reception, Waypoint
-from tests.support.agents.aerial_loop import BODY, T, Uav
-from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 
 
 def told(sender: str, tick: int, **body: Any) -> Reception:
@@ -277,5 +277,5 @@ def test_what_is_wrong_is_said_with_its_key(params: dict[str, Any], key: str, wo
         "vehicle": [{"name": "u", "kind": "point", "position": [0.0, 0.0, 9.0], "agent": {"kind": "track", **params}}],
     }
     with pytest.raises(ScenarioError, match=words) as raised:
-        cosim.run(scenario)
+        vcmvsp.run(scenario)
     assert raised.value.key == f"vehicle.u.agent.{key}".rstrip(".")

@@ -2,13 +2,13 @@
 
 import pytest
 
+from tests.support.agents.aerial_loop import Uav
+from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
 from vcmvsp.agents.reconnaissance.track import Track
 from vcmvsp.cosim.agent import Radio
 from vcmvsp.cosim.types import Mosaic, Sightings, Velocity
-from tests.support.agents.aerial_loop import Uav
-from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
 
 
 def test_while_it_sees_its_target_it_looks_around_it_and_at_all_of_the_picture_every_second() -> None:

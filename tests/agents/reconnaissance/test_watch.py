@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.agents.aerial_loop import BODY, T
 from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, nadir_of
 from vcmvsp.agents.reconnaissance.poses import Poses
 from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, Frame, frame, glyph, tilted
 from vcmvsp.agents.reconnaissance.watch import Around, Wanted, Watch, Watching
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw
 from vcmvsp.cosim.types import Image, Scan, Vec3, VehicleState
-from tests.support.agents.aerial_loop import BODY, T
 
 T_NS = round(T * 1e9)
 RATE = st.floats(-1.0, 1.0)

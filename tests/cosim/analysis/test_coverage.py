@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.walled_run import rows, run_rooms
 from vcmvsp.cosim.analysis import coverage
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.plots import coverage_plot, run_plots
-from tests.support.cosim.command_line import vcmvsp
-from tests.support.cosim.walled_run import rows, run_rooms
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +105,11 @@ def test_the_picture_has_units_equal_scales_and_the_same_bytes(folder: Path, tmp
 
 def test_a_map_from_the_command_line(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    code, out, err = vcmvsp("radio", str(folder), "--coverage", "car1", "--resolution", "5")
+    code, out, err = vcmvsp_command("radio", str(folder), "--coverage", "car1", "--resolution", "5")
     assert (code, err) == (0, "")
     assert "coverage-car1.png" in out
     assert (tmp_path / "coverage-car1.png").read_bytes().startswith(b"\x89PNG")
-    code, out, _ = vcmvsp("radio", str(folder), "--coverage", "car1", "--resolution", "5", "--size", "200", "--json")
+    code, out, _ = vcmvsp_command("radio", str(folder), "--coverage", "car1", "--resolution", "5", "--size", "200", "--json")
     answer = json.loads(out)
     assert (code, answer["size_bytes"]) == (0, 200)
     assert len(answer["level_dbm"]) == len(answer["y_m"])

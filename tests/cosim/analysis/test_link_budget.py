@@ -10,12 +10,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.analysis import links as explain, link_budget, link_text
-from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.analysis.loss_cause import why
-from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.walled_run import ROOMS, rows, run_rooms
+from vcmvsp.cosim.analysis import link_budget, link_text
+from vcmvsp.cosim.analysis import links as explain
+from vcmvsp.cosim.analysis.loss_cause import why
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.runs import api
 
 LINKS = [(a, b) for a in ("car1", "car2", "car3", "car4") for b in ("car1", "car2", "car3", "car4") if a != b]
 
@@ -200,17 +201,17 @@ def test_where_no_frame_has_a_sinr_none_is_the_worst(folder: Path, tmp_path: Pat
 
 
 def test_text_and_json_of_a_run(folder: Path) -> None:
-    code, out, err = vcmvsp("radio", str(folder))
+    code, out, err = vcmvsp_command("radio", str(folder))
     assert (code, err) == (0, "")
     assert "car1/car2" in out
     for arguments, links in (([], 12), (["--link", "car1/*"], 3), (["--link", "car?/car1"], 3), (["--link", "car1/car2"], 1)):
-        code, out, err = vcmvsp("radio", str(folder), *arguments, "--json")
+        code, out, err = vcmvsp_command("radio", str(folder), *arguments, "--json")
         assert (code, err) == (0, "")
         assert len(json.loads(out)["links"]) == links
-        assert vcmvsp("radio", str(folder), *arguments)[0] == 0
-    code, out, _ = vcmvsp("radio", str(folder), "--link", "car1/car3", "--frame", "lost")
+        assert vcmvsp_command("radio", str(folder), *arguments)[0] == 0
+    code, out, _ = vcmvsp_command("radio", str(folder), "--link", "car1/car3", "--frame", "lost")
     assert (code, "brick" in out, "sensitivity" in out) == (0, True, True)
-    _, out, _ = vcmvsp("radio", str(folder), "--link", "car1/car3", "--frame", "lost", "--json")
+    _, out, _ = vcmvsp_command("radio", str(folder), "--link", "car1/car3", "--frame", "lost", "--json")
     assert json.loads(out)["frame"]["why"].startswith("lost: ")
 
 
@@ -237,16 +238,19 @@ def test_text_and_json_of_a_run(folder: Path) -> None:
     ],
 )
 def test_what_is_wrong_is_said_by_name(folder: Path, arguments: list[str], words: str) -> None:
-    code, out, err = vcmvsp("radio", str(folder), *arguments)
+    code, out, err = vcmvsp_command("radio", str(folder), *arguments)
     assert (code, out) == (2, "")
     assert words in err
 
 
 def test_what_is_no_run(folder: Path, tmp_path: Path) -> None:
-    assert "is no directory of a run" in vcmvsp("radio", "formation-circle").err
-    assert "no states.parquet here" in vcmvsp("radio", str(tmp_path)).err
-    assert "no scenario.toml here" in vcmvsp("radio", str(tmp_path), "--coverage", "car1").err
-    assert "a time can be given for a run only" in vcmvsp("radio", "formation-circle", "--coverage", "car1", "--at", "1").err
+    assert "is no directory of a run" in vcmvsp_command("radio", "formation-circle").err
+    assert "no states.parquet here" in vcmvsp_command("radio", str(tmp_path)).err
+    assert "no scenario.toml here" in vcmvsp_command("radio", str(tmp_path), "--coverage", "car1").err
+    assert (
+        "a time can be given for a run only"
+        in vcmvsp_command("radio", "formation-circle", "--coverage", "car1", "--at", "1").err
+    )
     for damage in (slice(-20, None), slice(1000, 3000)):
         for name in ("radio.parquet", "states.parquet"):
             content = bytearray((folder / name).read_bytes())
@@ -259,7 +263,7 @@ def test_what_is_no_run(folder: Path, tmp_path: Path) -> None:
 def test_who_is_alone_has_no_links(tmp_path: Path) -> None:
     run = api.run("pillar-single", set={"duration_s": 0.2}, agents="inprocess", out=tmp_path / "run")
     assert run.folder is not None
-    outcome = vcmvsp("radio", str(run.folder))
+    outcome = vcmvsp_command("radio", str(run.folder))
     assert (outcome.code, outcome.out) == (2, "")
     assert "was the only vehicle, and there is no link" in outcome.err
     assert "--link" not in outcome.err

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import tomli_w
 
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.analysis.recognition import Rates, Share
 from vcmvsp.cosim.analysis.snapshots import InSight, Snapshot, Snapshots
 from vcmvsp.cosim.types import Sighting
-from tests.support.cosim.command_line import vcmvsp
 
 FLAG = {"name": "flag", "picture": "targets/alpha.png", "size_m": 2.0}
 
@@ -142,17 +142,19 @@ def test_looks_and_targets_are_counted() -> None:
 
 
 def test_the_last_lines_are_for_the_scenario(file: Path) -> None:
-    given = vcmvsp("calibrate-recognition", str(file), "--frames", "12", "--quiet")
+    given = vcmvsp_command("calibrate-recognition", str(file), "--frames", "12", "--quiet")
     assert given.code == 0, given.err
     assert "12 pictures from 15 m, cells of 2 m" in given.out
     lines: Mapping[str, Any] = tomllib.loads(given.out[given.out.index("[agents]") :])["agents"]
     assert 0.0 < lines["q"] < 0.01 < 0.7 < lines["p"] < 1.0
     assert given.err == ""
-    assert vcmvsp("calibrate-recognition", str(file), "--frames", "12", "--quiet").out == given.out
+    assert vcmvsp_command("calibrate-recognition", str(file), "--frames", "12", "--quiet").out == given.out
 
 
 def test_json(file: Path) -> None:
-    given = vcmvsp("calibrate-recognition", str(file), "--frames", "6", "--json", "--height", "12", "--cell", "3", "--quiet")
+    given = vcmvsp_command(
+        "calibrate-recognition", str(file), "--frames", "6", "--json", "--height", "12", "--cell", "3", "--quiet"
+    )
     answer = json.loads(given.out)
     assert (answer["vehicle"], answer["height_m"], answer["cell_m"], answer["frames"]) == ("uav1", 12.0, 3.0, 6)
     assert answer["p"]["of"] == answer["recall"]["of"] >= 2
@@ -188,7 +190,7 @@ def test_json(file: Path) -> None:
     ],
 )
 def test_what_cannot_be_measured_is_told_with_its_key(file: Path, arguments: tuple[str, ...], words: str) -> None:
-    given = vcmvsp("calibrate-recognition", str(file), "--quiet", *arguments)
+    given = vcmvsp_command("calibrate-recognition", str(file), "--quiet", *arguments)
     assert given.code == 2, given.err
     assert words in given.err
     assert given.out == ""
@@ -203,6 +205,6 @@ def test_a_camera_that_sees_the_horizon_can_be_measured() -> None:
 
 
 def test_a_scenario_without_recognition_says_so() -> None:
-    given = vcmvsp("calibrate-recognition", "lab-patrol")
+    given = vcmvsp_command("calibrate-recognition", "lab-patrol")
     assert given.code == 2
     assert "lab-patrol: agents.watching: is missing" in given.err

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.command_line import two_cars, vcmvsp
+from tests.support.cosim.command_line import two_cars, vcmvsp_command
 
 DOORS = "[bridge.ip]\n[bridge.lab]\nkind = {kind!r}\n"
 
@@ -17,7 +17,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("kind", ["ip", "vcmvsp.netsim.bridge.gateways.ip.gateway:Ip"])
 def test_a_second_door_of_a_kind_of_which_there_is_one_is_refused_where_it_stands(tmp_path: Path, kind: str) -> None:
     (tmp_path / "s.toml").write_text(two_cars() + DOORS.format(kind=kind))
-    outcome = vcmvsp("check", "s.toml")
+    outcome = vcmvsp_command("check", "s.toml")
     assert (outcome.code, outcome.out) == (2, "")
     problem = f"bridge.lab: a run has one door of kind {kind} at most, and bridge.ip is one: leave one of the two out"
     assert problem in outcome.err
@@ -27,4 +27,4 @@ def test_a_second_door_of_a_kind_of_which_there_is_one_is_refused_where_it_stand
 def test_of_other_kinds_there_may_be_several(tmp_path: Path) -> None:
     doors = "[bridge.udp]\n[bridge.lab]\nkind = 'udp'\nfirst_port = 48000\n[bridge.net]\nkind = 'ip'\n"
     (tmp_path / "s.toml").write_text(two_cars() + doors)
-    assert vcmvsp("check", "s.toml").code == 0
+    assert vcmvsp_command("check", "s.toml").code == 0

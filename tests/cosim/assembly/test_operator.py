@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.interventions import Operator
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.assembly.interventions import Operator
 from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, OutageTable, SetTable
 
 SCENARIO: dict[str, Any] = {
@@ -30,8 +30,8 @@ SCENARIO: dict[str, Any] = {
 INFO = RunInfo(scenario="test", seed=0, duration_ns=10**10, vehicles=("car1", "car2"))
 
 
-def run(interventions: list[dict[str, Any]], observe: Any = None, **settings: Any) -> cosim.Result:
-    return cosim.run({**SCENARIO, "intervention": interventions}, set=settings, mcap=False, observe=observe)
+def run(interventions: list[dict[str, Any]], observe: Any = None, **settings: Any) -> vcmvsp.Result:
+    return vcmvsp.run({**SCENARIO, "intervention": interventions}, set=settings, mcap=False, observe=observe)
 
 
 @given(st.lists(st.integers(0, 10**10), max_size=20))
@@ -127,13 +127,13 @@ def test_what_was_done_live_is_repeated_to_the_byte(preset: str, tmp_path: Path,
         if instants in orders:
             seen[-1].ask(orders[instants])
 
-    live = cosim.run(SCENARIO, set=settings, progress=progress, mcap=False)
+    live = vcmvsp.run(SCENARIO, set=settings, progress=progress, mcap=False)
     assert len(tomllib.loads(live.scenario)["intervention"]) == len(orders)
     path = tmp_path / "again.toml"
     path.write_text(live.scenario)
-    again = cosim.run(path, mcap=False)
+    again = vcmvsp.run(path, mcap=False)
     assert again.metrics == live.metrics
-    assert again.metrics["digest"] != cosim.run(SCENARIO, set=settings, mcap=False).metrics["digest"]
+    assert again.metrics["digest"] != vcmvsp.run(SCENARIO, set=settings, mcap=False).metrics["digest"]
     assert again.scenario == live.scenario
 
 

@@ -10,19 +10,19 @@ from bench import __main__ as bench
 from bench import growth
 from bench.growth import CASES, COUNTS, exponent
 from bench.measure import Row, missing
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.cli import bench as cli_bench
-from tests.support.cosim.command_line import vcmvsp
 
 
 def test_without_the_sources_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli_bench, "HOME", tmp_path)
-    given = vcmvsp("bench")
+    given = vcmvsp_command("bench")
     assert given.code == 2
     assert "in a checkout of the sources" in given.err
 
 
 def test_a_part_that_is_none_ends_it(capfd: pytest.CaptureFixture[str]) -> None:
-    assert vcmvsp("bench", "nothing").code == 2
+    assert vcmvsp_command("bench", "nothing").code == 2
     assert "there is no part 'nothing'" in capfd.readouterr().err
 
 

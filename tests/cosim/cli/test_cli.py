@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp.cosim.terminal import progress
-from vcmvsp.cosim.scenario import loader as scenarios
-from tests.support.cosim.command_line import contents, two_cars, vcmvsp
+from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 from tests.support.cosim.run_processes import UNDRAWN
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.terminal import progress
 
 FILES = ["about.json", "metrics.json", "radio.parquet", "report.html", "run.mcap", "scenario.toml", "states.parquet"]
 
 CHATTY = """
 import sys
-from vcmvsp.cosim import Agent
+from vcmvsp import Agent
 print("on import")
 class Chatty(Agent):
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_run_leaves_its_files(folder: Path) -> None:
-    code, out, err = vcmvsp("run", "s.toml", "--out", "out")
+    code, out, err = vcmvsp_command("run", "s.toml", "--out", "out")
     assert (code, err) == (0, "")
     assert "two-cars: 2 agents (inprocess), 0.5 s simulated" in out
     assert out.endswith("results:   out\n")
@@ -53,10 +53,10 @@ def test_a_run_leaves_its_files(folder: Path) -> None:
 
 def test_without_a_folder_results_go_where_nothing_is_yet(folder: Path) -> None:
     for name in ("two-cars-0", "two-cars-0-2", "two-cars-0-3"):
-        code, out, _ = vcmvsp("run", "s.toml")
+        code, out, _ = vcmvsp_command("run", "s.toml")
         assert code == 0
         assert out.endswith(f"results:   runs/{name}\n")
-    vcmvsp("run", "s.toml", "--seed", "7", "--set", "name=other")
+    vcmvsp_command("run", "s.toml", "--seed", "7", "--set", "name=other")
     assert sorted(path.name for path in (folder / "runs").iterdir()) == [
         "other-7",
         "two-cars-0",
@@ -68,15 +68,15 @@ def test_without_a_folder_results_go_where_nothing_is_yet(folder: Path) -> None:
 
 def test_a_folder_that_is_not_empty_is_left_alone_unless_forced(folder: Path) -> None:
     (folder / "out").mkdir()
-    assert vcmvsp("run", "s.toml", "--out", "out").code == 0  # empty
+    assert vcmvsp_command("run", "s.toml", "--out", "out").code == 0  # empty
     (folder / "out" / "keep.txt").write_text("mine")
     before = contents(folder / "out")
-    code, out, err = vcmvsp("run", "s.toml", "--out", "out", "--seed", "9", "--set", "duration_s=0.2")
+    code, out, err = vcmvsp_command("run", "s.toml", "--out", "out", "--seed", "9", "--set", "duration_s=0.2")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "--out out: is not empty" in err
     assert "--force" in err
     assert contents(folder / "out") == before
-    assert vcmvsp("run", "s.toml", "--out", "out", "--seed", "9", "--set", "duration_s=0.2", "--force").code == 0
+    assert vcmvsp_command("run", "s.toml", "--out", "out", "--seed", "9", "--set", "duration_s=0.2", "--force").code == 0
     after = contents(folder / "out")
     assert after["keep.txt"] == b"mine"
     assert all(after[name] != before[name] for name in FILES if name != "about.json")
@@ -97,7 +97,7 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
     (folder / "file").write_text("mine")
     (folder / "dangling").symlink_to("nowhere")
     before = sorted(folder.iterdir())
-    code, said, err = vcmvsp("run", "s.toml", "--out", out, *(["--force"] if force else []))
+    code, said, err = vcmvsp_command("run", "s.toml", "--out", out, *(["--force"] if force else []))
     assert (code, said, err.count("\n")) == (2, "", 1), err
     assert words in err
     assert sorted(folder.iterdir()) == before
@@ -126,7 +126,7 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
 )
 def test_a_bad_option_is_refused(folder: Path, options: list[str], words: str) -> None:
     before = sorted(folder.iterdir())
-    code, out, err = vcmvsp("run", "s.toml", *options)
+    code, out, err = vcmvsp_command("run", "s.toml", *options)
     assert (code, out) == (2, "")
     assert words in err
     assert "Traceback" not in err
@@ -135,30 +135,30 @@ def test_a_bad_option_is_refused(folder: Path, options: list[str], words: str) -
 
 def test_realtime_takes_a_speed_or_none(folder: Path) -> None:
     for options in (["--realtime"], ["--realtime", "10"], ["--realtime=10"]):
-        assert vcmvsp("run", "s.toml", *options, "--set", "duration_s=0.2", "--out", "out", "--force").code == 0
+        assert vcmvsp_command("run", "s.toml", *options, "--set", "duration_s=0.2", "--out", "out", "--force").code == 0
         speed = 10.0 if "10" in options[-1] else 1.0
         assert json.loads((folder / "out" / "about.json").read_text())["lateness"]["speed"] == speed
 
 
 def test_the_pace_changes_no_result(folder: Path) -> None:
-    vcmvsp("run", "s.toml", "--out", "fast")
-    _, out, _ = vcmvsp("run", "s.toml", "--out", "paced", "--realtime", "5")
+    vcmvsp_command("run", "s.toml", "--out", "fast")
+    _, out, _ = vcmvsp_command("run", "s.toml", "--out", "paced", "--realtime", "5")
     assert "lateness:" in out
     assert contents(folder / "fast") == contents(folder / "paced")
 
 
 def test_the_seed_option_is_the_seed(folder: Path) -> None:
     noisy = ["--set", "radio.loss.probability=0.5", "--set", "duration_s=3"]
-    vcmvsp("run", "s.toml", *noisy, "--seed", "3", "--out", "a")
-    vcmvsp("run", "s.toml", *noisy, "--set", "seed=3", "--out", "b")
-    vcmvsp("run", "s.toml", *noisy, "--seed", "4", "--out", "c")
+    vcmvsp_command("run", "s.toml", *noisy, "--seed", "3", "--out", "a")
+    vcmvsp_command("run", "s.toml", *noisy, "--set", "seed=3", "--out", "b")
+    vcmvsp_command("run", "s.toml", *noisy, "--seed", "4", "--out", "c")
     assert contents(folder / "a") == contents(folder / "b")
     assert contents(folder / "a")["radio.parquet"] != contents(folder / "c")["radio.parquet"]
 
 
 @pytest.mark.parametrize("command", ["run", "agent", "list", "show", "check", "plot", "doctor"])
 def test_every_command_has_help(command: str) -> None:
-    code, out, err = vcmvsp(command, "--help")
+    code, out, err = vcmvsp_command(command, "--help")
     assert (code, err) == (0, "")
     assert f"{command} [OPTIONS]" in out
     if command not in ("list", "doctor"):
@@ -192,17 +192,17 @@ def test_json_is_clean_with_the_physics_engine_too() -> None:
 def test_check_and_show_are_clean_too(folder: Path) -> None:
     (folder / "chatty.py").write_text(CHATTY)
     (folder / "s.toml").write_text(two_cars(agent="kind='chatty.py:Chatty'"))
-    code, out, err = vcmvsp("check", "s.toml")
+    code, out, err = vcmvsp_command("check", "s.toml")
     assert (code, out) == (0, "s.toml: fine (2 vehicles, 0.5 s)\n")
     assert "on construction" in err
     assert "at a tick" not in err
-    assert vcmvsp("show", "s.toml", "--resolved").out.startswith('name = "two-cars"\n')
+    assert vcmvsp_command("show", "s.toml", "--resolved").out.startswith('name = "two-cars"\n')
     assert sorted(path.name for path in folder.iterdir() if path.name != "__pycache__") == ["chatty.py", "s.toml"]
 
 
 def test_progress_is_lines_on_stderr_in_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "LOG_EVERY_S", 0.0)
-    code, out, err = vcmvsp("run", "s.toml", "--out", "out")
+    code, out, err = vcmvsp_command("run", "s.toml", "--out", "out")
     lines = err.splitlines()
     assert code == 0
     assert len(lines) == 6  # 0, 0.1, ... 0.5 s
@@ -213,22 +213,22 @@ def test_progress_is_lines_on_stderr_in_a_log(monkeypatch: pytest.MonkeyPatch) -
 
 def test_quiet_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "LOG_EVERY_S", 0.0)
-    assert vcmvsp("run", "s.toml", "--out", "out", "--quiet") == (0, "", "")
-    assert vcmvsp("run", "s.toml", "--out", "out", "-q").err.startswith("vcmvsp: --out out: is not empty")
+    assert vcmvsp_command("run", "s.toml", "--out", "out", "--quiet") == (0, "", "")
+    assert vcmvsp_command("run", "s.toml", "--out", "out", "-q").err.startswith("vcmvsp: --out out: is not empty")
 
 
 def test_quiet_json_is_json() -> None:
-    code, out, err = vcmvsp("run", "s.toml", "--out", "out", "--quiet", "--json")
+    code, out, err = vcmvsp_command("run", "s.toml", "--out", "out", "--quiet", "--json")
     assert (code, err) == (0, "")
     assert out == Path("out/metrics.json").read_text()
 
 
 def test_an_agent_that_calls_exit_fails_like_any_other(folder: Path) -> None:
     (folder / "leaves.py").write_text(
-        "from vcmvsp.cosim import Agent\nclass A(Agent):\n    def act(self, obs, radio):\n        exit(0)\n"
+        "from vcmvsp import Agent\nclass A(Agent):\n    def act(self, obs, radio):\n        exit(0)\n"
     )
     (folder / "s.toml").write_text(two_cars(agent="kind='leaves.py:A'"))
-    code, _, err = vcmvsp("run", "s.toml", "--out", "out")
+    code, _, err = vcmvsp_command("run", "s.toml", "--out", "out")
     assert code == 3
     assert "agent leaves.py:A of vehicle car2" in err
     assert (folder / "out" / "metrics.json").exists()
@@ -244,10 +244,10 @@ def test_an_agent_that_calls_exit_fails_like_any_other(folder: Path) -> None:
     ],
 )
 def test_a_command_that_is_none_names_agent_and_vehicle(folder: Path, returned: str, words: str) -> None:
-    source = f"from vcmvsp.cosim import Agent, Velocity\nclass A(Agent):\n    def act(self, obs, radio):\n        return {returned}\n"
+    source = f"from vcmvsp import Agent, Velocity\nclass A(Agent):\n    def act(self, obs, radio):\n        return {returned}\n"
     (folder / "odd.py").write_text(source)
     (folder / "s.toml").write_text(two_cars(agent="kind='odd.py:A'"))
-    code, _, err = vcmvsp("run", "s.toml", "--out", "out")
+    code, _, err = vcmvsp_command("run", "s.toml", "--out", "out")
     assert code == 3
     assert err.startswith("vcmvsp: agent odd.py:A of vehicle car2: ")
     assert words in err
@@ -258,8 +258,8 @@ def test_a_command_that_is_none_names_agent_and_vehicle(folder: Path, returned: 
 
 
 def test_list_names_every_scenario_and_what_it_shows() -> None:
-    code, out, _ = vcmvsp("list")
-    about = json.loads(vcmvsp("list", "--json").out)
+    code, out, _ = vcmvsp_command("list")
+    about = json.loads(vcmvsp_command("list", "--json").out)
     assert code == 0
     assert list(about) == scenarios.names()
     assert all(re.search(rf"^{name} +{re.escape(words)}$", out, re.MULTILINE) for name, words in about.items())
@@ -267,24 +267,24 @@ def test_list_names_every_scenario_and_what_it_shows() -> None:
 
 @pytest.mark.parametrize("name", scenarios.names())
 def test_every_scenario_that_is_listed_is_fine_and_shown_as_written(name: str) -> None:
-    assert vcmvsp("show", name) == (0, (scenarios.BUILT_IN / f"{name}.toml").read_text("utf-8"), "")
-    code, out, err = vcmvsp("check", name)
+    assert vcmvsp_command("show", name) == (0, (scenarios.BUILT_IN / f"{name}.toml").read_text("utf-8"), "")
+    code, out, err = vcmvsp_command("check", name)
     assert (code, err) == (0, "")
     assert out.startswith(f"{name}: fine (")
 
 
 def test_show_refuses_what_is_no_text(folder: Path) -> None:
     (folder / "s.toml").write_bytes(b"name = '\xff'")
-    assert vcmvsp("show", "s.toml") == vcmvsp("check", "s.toml")
+    assert vcmvsp_command("show", "s.toml") == vcmvsp_command("check", "s.toml")
 
 
 def test_check_agrees_with_a_run_whose_host_brings_the_class_along(folder: Path) -> None:
     (folder / "s.toml").write_text(two_cars(agents="runs = 'zenoh'", agent=""))
-    assert vcmvsp("check", "s.toml").code == 0
+    assert vcmvsp_command("check", "s.toml").code == 0
 
 
 def test_doctor_finds_this_installation_well() -> None:
-    code, out, err = vcmvsp("doctor")
+    code, out, err = vcmvsp_command("doctor")
     assert (code, err) == (0, "")
     assert all(line.startswith("ok ") for line in out.splitlines())
     assert len(set(re.findall(r"digest (\w+)", out))) == 1  # one process and many give the same

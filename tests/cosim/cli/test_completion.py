@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 import typer.main
 
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import completion
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.scenario import loader as scenarios
-from tests.support.cosim.command_line import vcmvsp
 
 HEAVY = ("numpy", "rich", "matplotlib", "pybullet", "zenoh")
 
@@ -45,7 +45,7 @@ class Shell:
         self._patch.setenv("COMP_CWORD", str(len(words)))
         self._patch.setenv("_TYPER_COMPLETE_ARGS", " ".join(["vcmvsp", *words]))
         self._patch.setenv("_TYPER_COMPLETE_FISH_ACTION", "get-args")
-        code, out, err = vcmvsp()
+        code, out, err = vcmvsp_command()
         assert (code, err) == (0, "")
         return out.splitlines()
 
@@ -169,7 +169,7 @@ def test_fish_is_told_by_the_exit_code_whether_there_is_anything(monkeypatch: py
     monkeypatch.setenv("_TYPER_COMPLETE_FISH_ACTION", "is-args")
     for words, code in (("vcmvsp ru", 0), ("vcmvsp run --out x", 1)):
         monkeypatch.setenv("_TYPER_COMPLETE_ARGS", words)
-        assert vcmvsp() == (code, "", "")
+        assert vcmvsp_command() == (code, "", "")
 
 
 def test_what_cannot_be_answered_is_answered_by_silence(monkeypatch: pytest.MonkeyPatch, bash: Shell) -> None:
@@ -177,7 +177,7 @@ def test_what_cannot_be_answered_is_answered_by_silence(monkeypatch: pytest.Monk
     monkeypatch.setenv("_VCMVSP_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", "vcmvsp\nrun\n--set\nrad")
     monkeypatch.setenv("COMP_CWORD", "3")
-    assert (vcmvsp().out, vcmvsp().err) == ("", "")
+    assert (vcmvsp_command().out, vcmvsp_command().err) == ("", "")
 
 
 def asked(*arguments: str, **variables: str) -> str:
@@ -210,7 +210,7 @@ def test_bash_itself_completes(folder: Path) -> None:
         _vcmvsp_completion vcmvsp
         echo "${COMPREPLY[@]}"
     """
-    root = Path(registry.__file__).parent.parent
+    root = ROOT
     environment = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(root)}
     done = subprocess.run(["bash", "-c", script], check=True, capture_output=True, text=True, timeout=60, env=environment)
     assert (done.stdout.split(), done.stderr) == (["bernoulli", "bursts"], "")

@@ -11,15 +11,15 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.secure_hub import lasting_links
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.event_publisher import Topics
+from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.security import authority, certificates, x509
 from vcmvsp.cosim.security.certificates import Keys
-from vcmvsp.cosim.transport import key_names, access_control
-from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.hosts.hub import Hub
-from vcmvsp.cosim.hosts.event_publisher import Topics
-from tests.support.cosim.command_line import vcmvsp
-from tests.support.cosim.secure_hub import lasting_links
-from tests.support.cosim.run_processes import reserved
+from vcmvsp.cosim.transport import access_control, key_names
 
 ABOUT = {"scenario": "here", "duration_s": 60.0, "vehicles": ("car1", "car2"), "missing": lambda: ("car2",)}
 
@@ -55,7 +55,7 @@ def shows(stack: contextlib.ExitStack, keys: Keys | None = None) -> str:
 
 def examined(endpoint: str, *more: str) -> tuple[int | str | None, dict[str, tuple[bool, str]]]:
     """The exit code, and each check with what was said; the lines for people say the same."""
-    code, out, _ = vcmvsp("doctor", "--connect", endpoint, *more, "--json")
+    code, out, _ = vcmvsp_command("doctor", "--connect", endpoint, *more, "--json")
     checks = {each["name"]: (each["ok"], each["words"]) for each in json.loads(out)}
     assert code == (0 if all(ok for ok, _ in checks.values()) else 1)
     return code, checks
@@ -82,7 +82,7 @@ def test_an_observer_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> 
     code, checks = examined(endpoint, "--keys", file)
     assert code == 0
     assert checks["access"] == (True, "'anna' hears what the run shows and speaks for itself alone")
-    code, out, _ = vcmvsp("doctor", "--connect", endpoint, "--keys", file)
+    code, out, _ = vcmvsp_command("doctor", "--connect", endpoint, "--keys", file)
     assert code == 0
     assert [line[:7] for line in out.splitlines()] == ["ok     "] * 9
 
@@ -175,6 +175,6 @@ def test_a_run_that_says_nothing(stack: contextlib.ExitStack) -> None:
     ],
 )
 def test_bad_arguments(arguments: list[str], words: str) -> None:
-    code, out, said = vcmvsp("doctor", *arguments)
+    code, out, said = vcmvsp_command("doctor", *arguments)
     assert (code, out) == (2, "")
     assert words in said

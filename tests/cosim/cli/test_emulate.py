@@ -18,17 +18,17 @@ import psutil
 import pytest
 import serial  # type: ignore[import-untyped]
 
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.run_processes import reserved
+from tests.support.hardware.driver_runs import held
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.arcos.packet import Reader, command
 from vcmvsp.hardware.drivers.arcos.sip import is_sip
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
 from vcmvsp.hardware.drivers.ros2.driver import Ros2Driver
-from tests.support.cosim.command_line import vcmvsp
-from tests.support.cosim.run_processes import reserved
-from tests.support.hardware.driver_runs import held
+from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
 
 WALL = """
 name = "wall"
@@ -346,7 +346,7 @@ def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(arguments: tuple[str, ...], said: str) -> None:
-    outcome = vcmvsp("emulate", *arguments)
+    outcome = vcmvsp_command("emulate", *arguments)
     assert outcome.code == 2
     assert said in outcome.err
     assert outcome.err.count("\n") == 1
@@ -355,18 +355,18 @@ def test_what_cannot_be_is_said_in_one_line(arguments: tuple[str, ...], said: st
 
 def test_a_port_that_is_taken_is_said_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "robot").touch()
-    outcome = vcmvsp("emulate", "amigobot", "--port", str(tmp_path / "robot"))
+    outcome = vcmvsp_command("emulate", "amigobot", "--port", str(tmp_path / "robot"))
     assert (outcome.code, outcome.err.count("\n")) == (2, 1)
     assert "is there already" in outcome.err
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        outcome = vcmvsp("emulate", "amigobot", "--port", f"tcp://:{taken.getsockname()[1]}")
+        outcome = vcmvsp_command("emulate", "amigobot", "--port", f"tcp://:{taken.getsockname()[1]}")
     assert (outcome.code, outcome.err.count("\n")) == (2, 1)
     assert "in use" in outcome.err
 
 
 def test_nothing_is_left_of_it_in_this_process() -> None:
     before = held()
-    outcome = vcmvsp("emulate", "amigobot", "--duration", "0.2", "--ubisense", "udp://127.0.0.1:9", "--dwm1001", "PTY")
+    outcome = vcmvsp_command("emulate", "amigobot", "--duration", "0.2", "--ubisense", "udp://127.0.0.1:9", "--dwm1001", "PTY")
     assert outcome.code == 0
     assert len(outcome.out.splitlines()) >= 4
     assert held() <= before

@@ -16,8 +16,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.config import registry
-from tests.support.cosim.command_line import vcmvsp
 
 networks = registry.piece("networks")
 
@@ -132,7 +132,7 @@ def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
 def test_where_there_is_no_such_machine_the_message_says_which_there_are(
     network: str, arguments: tuple[str, ...], problem: str
 ) -> None:
-    outcome = vcmvsp("net", "exec", *arguments, *(() if "--run" in arguments else ("--run", network)), "--", "true")
+    outcome = vcmvsp_command("net", "exec", *arguments, *(() if "--run" in arguments else ("--run", network)), "--", "true")
     assert (outcome.code, outcome.out) == (2, "")
     assert re.fullmatch(f"vcmvsp: {problem.format(run=network)}", outcome.err)
 
@@ -146,7 +146,7 @@ def test_a_program_that_there_is_not_is_said_in_one_line(network: str) -> None:
 def test_of_two_runs_one_must_be_named(network: str) -> None:
     other = networks.Lease(f"{NAME}other")
     try:
-        outcome = vcmvsp("net", "exec", "car1", "--", "true")
+        outcome = vcmvsp_command("net", "exec", "car1", "--", "true")
     finally:
         other.end()
     assert outcome.code == 2
@@ -155,17 +155,17 @@ def test_of_two_runs_one_must_be_named(network: str) -> None:
 
 
 def test_status_tells_addresses_and_that_the_run_is_alive(network: str) -> None:
-    outcome = vcmvsp("net", "status", "--json")
+    outcome = vcmvsp_command("net", "status", "--json")
     about = next(each for each in json.loads(outcome.out) if each["run"] == network)
     assert about["alive"] is True
     addresses = {each["vehicle"]: each["addresses"] for each in about["spaces"]}
     assert addresses == {"car1": ["10.77.0.1", "fd77::1"], "car2": ["10.77.0.2", "fd77::2"]}
-    text = vcmvsp("net", "status").out
+    text = vcmvsp_command("net", "status").out
     assert f"{network}: alive, process {about['pid']}\n  car1  10.77.0.1  fd77::1\n  car2  10.77.0.2  fd77::2\n" in text
 
 
 def test_what_is_alive_is_not_cleared_away(network: str) -> None:
-    outcome = vcmvsp("net", "down", network)
+    outcome = vcmvsp_command("net", "down", network)
     assert outcome.code == 2
     assert f"run {network} is alive" in outcome.err
     assert on("car1", "true", run=network).returncode == 0
@@ -174,7 +174,7 @@ def test_what_is_alive_is_not_cleared_away(network: str) -> None:
 def test_a_second_run_of_the_same_name_is_refused_before_it_begins(network: str, tmp_path: Path) -> None:
     scenario = tmp_path / "again.toml"
     scenario.write_text(SCENARIO.format(name=network))
-    outcome = vcmvsp("net", "up", str(scenario), "--out", str(tmp_path / "out"))
+    outcome = vcmvsp_command("net", "up", str(scenario), "--out", str(tmp_path / "out"))
     assert outcome.code == 2
     assert f"a run named {network} has its network on this machine" in outcome.err
     assert not (tmp_path / "out").exists()
@@ -182,13 +182,13 @@ def test_a_second_run_of_the_same_name_is_refused_before_it_begins(network: str,
 
 def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(networks, "FOLDER", tmp_path / "net")
-    assert vcmvsp("net", "status").out == "no run has a network on this machine\n"
-    assert vcmvsp("net", "down").out == "there is nothing to clear away\n"
+    assert vcmvsp_command("net", "status").out == "no run has a network on this machine\n"
+    assert vcmvsp_command("net", "down").out == "there is nothing to clear away\n"
     leases = {name: networks.Lease(name) for name in ("alive", "dead")}
     for name, lease in leases.items():
         lease.tell(networks.Network(run=name, pid=os.getpid(), spaces=()))
     os.close(leases["dead"]._lock)  # as the end of its process does
-    assert vcmvsp("net", "down").out == "dead: gone\n"
+    assert vcmvsp_command("net", "down").out == "dead: gone\n"
     assert [each.run for each in networks.networks()] == ["alive"]
     leases["alive"].end()
     assert not networks.networks()
@@ -260,17 +260,17 @@ def test_what_a_killed_run_has_left_is_shown_and_cleared_away(tmp_path: Path) ->
         end = time.monotonic() + READY_S
         while any(each.alive for each in networks.networks() if each.run == name):
             assert time.monotonic() < end
-        assert f"{name}: killed; clear it away with 'vcmvsp net down'" in vcmvsp("net", "status").out
+        assert f"{name}: killed; clear it away with 'vcmvsp net down'" in vcmvsp_command("net", "status").out
         assert len(list(networks.netns.NAMES.glob(f"vcmvsp-{name}-*"))) == 2
-        assert f"{name}: gone" in vcmvsp("net", "down", name).out
-        assert vcmvsp("net", "down", name).out == "there is nothing to clear away\n"
+        assert f"{name}: gone" in vcmvsp_command("net", "down", name).out
+        assert vcmvsp_command("net", "down", name).out == "there is nothing to clear away\n"
         assert not list(networks.netns.NAMES.glob(f"vcmvsp-{name}-*"))
 
 
 def test_force_takes_the_network_from_a_run_that_is_alive(tmp_path: Path) -> None:
     name = f"{NAME}forced"
     with up(tmp_path, name=name) as process:
-        assert vcmvsp("net", "down", name, "--force").code == 0
+        assert vcmvsp_command("net", "down", name, "--force").code == 0
         assert process.wait(READY_S) == 3
         assert not [each for each in networks.networks() if each.run == name]
         assert not list(networks.netns.NAMES.glob(f"vcmvsp-{name}-*"))

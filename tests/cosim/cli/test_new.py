@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.cosim.command_line import contents, vcmvsp_command
+from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import new
-from tests.support.cosim.command_line import contents, vcmvsp
 
-ROOT = Path(__file__).parent.parent.parent
 OWN = [part for part in new.PARTS if part != "scenario"]
 
 
@@ -34,9 +34,9 @@ def python(*arguments: str) -> str:
 @pytest.mark.timeout(300)  # a process that loads everything, on a machine that may be busy
 @pytest.mark.parametrize("part", new.PARTS)
 def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> None:
-    printed = vcmvsp("new", part, f"my-own-{part}").out
+    printed = vcmvsp_command("new", part, f"my-own-{part}").out
     run, test = re.search(r"next: vcmvsp (run \S+)\n +pytest (\S+)\n", printed).groups()  # type: ignore[union-attr]
-    assert vcmvsp(*run.split(), "--quiet", "--out", "out").code == 0
+    assert vcmvsp_command(*run.split(), "--quiet", "--out", "out").code == 0
     assert (folder / "out" / "metrics.json").is_file()
     passed = python("-m", "pytest", "-q", "-p", "no:cacheprovider", test)
     assert re.search(r"\d+ passed", passed)
@@ -45,7 +45,7 @@ def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> No
 
 @pytest.mark.parametrize("part", new.PARTS)
 def test_it_says_what_it_has_written(folder: Path, part: str) -> None:
-    code, out, err = vcmvsp("new", part, "thing", "--out", "some/where")
+    code, out, err = vcmvsp_command("new", part, "thing", "--out", "some/where")
     assert (code, err) == (0, "")
     written = {str(path.relative_to(folder)) for path in (folder / "some" / "where").iterdir()}
     assert {line.split()[0] for line in out.partition("next: ")[0].splitlines()} == written
@@ -54,7 +54,7 @@ def test_it_says_what_it_has_written(folder: Path, part: str) -> None:
 
 @pytest.mark.parametrize("name", ["follow-wall", "follow_wall", "FollowWall", "followWall"])
 def test_one_name_in_any_spelling_gives_one_module_and_one_class(folder: Path, name: str) -> None:
-    assert vcmvsp("new", "agent", name).code == 0
+    assert vcmvsp_command("new", "agent", name).code == 0
     assert sorted(path.name for path in folder.iterdir()) == ["follow_wall.py", "follow_wall.toml", "test_follow_wall.py"]
     assert "class FollowWall(Agent):" in (folder / "follow_wall.py").read_text()
     assert tomllib.loads((folder / "follow_wall.toml").read_text())["agents"]["kind"] == "follow_wall.py:FollowWall"
@@ -103,7 +103,7 @@ def test_what_makes_no_sense_is_refused_in_one_line_and_nothing_is_written(
     folder: Path, arguments: tuple[str, ...], words: str
 ) -> None:
     (folder / "a-file").write_text("mine")
-    code, out, err = vcmvsp("new", *arguments)
+    code, out, err = vcmvsp_command("new", *arguments)
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert words in err
     assert [path.name for path in folder.iterdir()] == ["a-file"]
@@ -112,11 +112,11 @@ def test_what_makes_no_sense_is_refused_in_one_line_and_nothing_is_written(
 @pytest.mark.parametrize("taken", ["mine.py", "mine.toml", "test_mine.py"])
 def test_a_file_that_is_there_stays_and_nothing_is_written_beside_it(folder: Path, taken: str) -> None:
     (folder / taken).symlink_to("nowhere")  # also one that leads nowhere: to write would make what it names
-    assert vcmvsp("new", "agent", "mine").code == 2
+    assert vcmvsp_command("new", "agent", "mine").code == 2
     (folder / taken).unlink()
     (folder / taken).write_text("my own")
     before = contents(folder)
-    code, _, err = vcmvsp("new", "agent", "mine")
+    code, _, err = vcmvsp_command("new", "agent", "mine")
     assert (code, err.count("\n")) == (2, 1)
     assert f"{taken}: is there already" in err
     assert contents(folder) == before
@@ -124,9 +124,9 @@ def test_a_file_that_is_there_stays_and_nothing_is_written_beside_it(folder: Pat
 
 @pytest.mark.parametrize("part", OWN)
 def test_what_is_written_is_a_kind_that_is_shown_with_its_parameters(folder: Path, part: str) -> None:
-    vcmvsp("new", part, "mine")
+    vcmvsp_command("new", part, "mine")
     if part != "channel":  # layers are no group of `show`
-        code, out, err = vcmvsp("show", part, "mine.py:Mine")
+        code, out, err = vcmvsp_command("show", part, "mine.py:Mine")
         assert (code, err) == (0, "")
         assert out.startswith("mine.py:Mine: ")
-    assert vcmvsp("check", "mine.toml").code == 0
+    assert vcmvsp_command("check", "mine.toml").code == 0

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp import cosim
-from tests.support.cosim.command_line import contents, two_cars, vcmvsp
+import vcmvsp
+from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 
 pytestmark = pytest.mark.usefixtures("figures")
 
@@ -22,7 +22,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("target", ["nowhere", "s.toml", "empty"])
 def test_plot_refuses_what_no_run_has_left(folder: Path, target: str) -> None:
     (folder / "empty").mkdir()
-    code, out, err = vcmvsp("plot", target)
+    code, out, err = vcmvsp_command("plot", target)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"vcmvsp: {target}: ")
     assert list((folder / "empty").iterdir()) == []
@@ -30,26 +30,26 @@ def test_plot_refuses_what_no_run_has_left(folder: Path, target: str) -> None:
 
 @pytest.mark.parametrize("damage", [slice(-20, None), slice(1000, 3000)])
 def test_plot_says_which_run_is_damaged(folder: Path, damage: slice) -> None:
-    assert vcmvsp("run", "s.toml", "--out", "damaged").code == 0
+    assert vcmvsp_command("run", "s.toml", "--out", "damaged").code == 0
     table = folder / "damaged" / "states.parquet"
     content = bytearray(table.read_bytes())
     content[damage] = bytes(len(content[damage]))
     table.write_bytes(content)
-    code, out, err = vcmvsp("plot", "damaged")
+    code, out, err = vcmvsp_command("plot", "damaged")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.startswith("vcmvsp: damaged cannot be read: ")
 
 
 def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
-    vcmvsp("run", "formation-circle", "--set", "physics.kind=kinematic", "--set", "duration_s=2", "--out", "out")
+    vcmvsp_command("run", "formation-circle", "--set", "physics.kind=kinematic", "--set", "duration_s=2", "--out", "out")
     figures = {name: data for name, data in contents(folder / "out").items() if name.endswith(".png")}
     assert sorted(figures) == ["formation_error.png", "trajectory.png"]
     for _ in range(4):  # what is left to chance differs seldom
-        code, out, err = vcmvsp("plot", "out", "--out", "again")
+        code, out, err = vcmvsp_command("plot", "out", "--out", "again")
         assert (code, err) == (0, "")
         assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
         assert contents(folder / "again") == figures
-    code, out, err = vcmvsp("plot", "out", "--out", "drawn", "--svg")
+    code, out, err = vcmvsp_command("plot", "out", "--out", "drawn", "--svg")
     assert (code, err) == (0, "")
     assert sorted(out.splitlines()) == ["drawn/formation_error.svg", "drawn/trajectory.svg"]
     assert (folder / "drawn" / "trajectory.svg").read_text().startswith("<?xml")
@@ -59,17 +59,17 @@ def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: P
     """A run whose recording was thrown away has all figures but those; its numbers tell of the mission."""
     scenario = {**tomllib.loads(two_cars()), "world": {"kind": "empty", "targets": [{"name": "a", "place": [0.0, 0.0]}]}}
     (folder / "mine.py").write_text(
-        "from vcmvsp.cosim import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        self.note(task='search')\n"
+        "from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        self.note(task='search')\n"
     )
     for each in scenario["vehicle"]:
         each["agent"] = {"kind": "mine.py:Mine"}
     scenario.pop("agents", None)
-    result = cosim.run({**scenario, "duration_s": 0.5}, out=folder / "out")
+    result = vcmvsp.run({**scenario, "duration_s": 0.5}, out=folder / "out")
     assert "mission" in result.plot()
     assert (folder / "out" / "mission.png").is_file()
     (folder / "out" / "run.mcap").unlink()
     assert sorted(result.plot()) == ["formation_error", "trajectory"]
-    code, out, err = vcmvsp("plot", "out", "--out", "again")
+    code, out, err = vcmvsp_command("plot", "out", "--out", "again")
     assert (code, err) == (0, "")
     assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
     assert result.metrics["mission"]["targets_found"] == 0
@@ -77,7 +77,7 @@ def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: P
 
 @pytest.mark.parametrize("out", ["s.toml", "/proc/vcmvsp"])
 def test_plot_refuses_a_folder_that_cannot_be_written(out: str) -> None:
-    vcmvsp("run", "s.toml", "--out", "out")
-    code, _, err = vcmvsp("plot", "out", "--out", out)
+    vcmvsp_command("run", "s.toml", "--out", "out")
+    code, _, err = vcmvsp_command("plot", "out", "--out", out)
     assert code == 2
     assert out in err

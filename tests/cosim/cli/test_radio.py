@@ -8,9 +8,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from tests.support.cosim.command_line import Outcome, vcmvsp_command
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
-from tests.support.cosim.command_line import Outcome, vcmvsp
 
 TRIAL = ("channel", "--positions", "p.csv", "--rate", "10", "--size", "100", "--duration", "1")
 
@@ -34,7 +34,7 @@ def sets(*settings: str) -> list[str]:
 
 def channel(preset: str, *arguments: str) -> dict[str, Any]:
     """The counts of a trial."""
-    done = vcmvsp(*TRIAL, "--preset", preset, "--json", *arguments)
+    done = vcmvsp_command(*TRIAL, "--preset", preset, "--json", *arguments)
     assert (done.code, done.err) == (0, "")
     counts: dict[str, Any] = json.loads(done.out)
     return counts
@@ -42,7 +42,7 @@ def channel(preset: str, *arguments: str) -> dict[str, Any]:
 
 def columns(*arguments: str) -> dict[str, Any]:
     """What ``per`` or ``pathloss`` prints."""
-    done = vcmvsp(*arguments, "--json")
+    done = vcmvsp_command(*arguments, "--json")
     assert (done.code, done.err) == (0, "")
     found: dict[str, Any] = json.loads(done.out)
     return found
@@ -71,7 +71,7 @@ def test_a_trial_counts_frames_and_receptions() -> None:
 
 
 def test_a_trial_says_the_same_in_words() -> None:
-    done = vcmvsp(*TRIAL, "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
+    done = vcmvsp_command(*TRIAL, "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
     assert (done.code, done.err) == (0, "")
     assert "wifi-b-1: 40 frames of 4 vehicles\n" in done.out
     assert "50.00 % of frame x receiver (60 below sensitivity)\n" in done.out
@@ -137,12 +137,14 @@ def test_parameters_that_another_kind_does_not_know_do_not_count(folder: Path) -
     ],
 )
 def test_a_setting_that_cannot_be_is_named(setting: str, words: tuple[str, ...]) -> None:
-    refused(vcmvsp(*TRIAL, "--preset", "wifi-b-1", "--set", setting), f"--set {setting}: ", *words)
+    refused(vcmvsp_command(*TRIAL, "--preset", "wifi-b-1", "--set", setting), f"--set {setting}: ", *words)
 
 
 def test_a_value_and_a_table_of_the_same_name_are_told_apart() -> None:
     settings = sets("path_loss.exponent=2", "path_loss.exponent.x=2")
-    refused(vcmvsp(*TRIAL, "--preset", "wifi-b-1", *settings), "--set path_loss.exponent.x=2", "is a value, not a table")
+    refused(
+        vcmvsp_command(*TRIAL, "--preset", "wifi-b-1", *settings), "--set path_loss.exponent.x=2", "is a value, not a table"
+    )
 
 
 @pytest.mark.parametrize(
@@ -162,13 +164,13 @@ def test_a_value_and_a_table_of_the_same_name_are_told_apart() -> None:
     ],
 )
 def test_an_option_that_cannot_be_is_named(arguments: tuple[str, ...], words: tuple[str, ...], folder: Path) -> None:
-    refused(vcmvsp(*TRIAL, "--preset", "ideal", *arguments), *words)
+    refused(vcmvsp_command(*TRIAL, "--preset", "ideal", *arguments), *words)
     assert files(folder) == ["p.csv"]
 
 
 def test_wrong_positions_are_named_with_line_and_column(folder: Path) -> None:
     (folder / "p.csv").write_text("x,y,z\n0,0,0\n1,a,0\n")
-    refused(vcmvsp(*TRIAL, "--preset", "ideal"), "p.csv line 3, column y: must be a number, not 'a'")
+    refused(vcmvsp_command(*TRIAL, "--preset", "ideal"), "p.csv line 3, column y: must be a number, not 'a'")
 
 
 def test_an_interrupted_trial_leaves_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,17 +185,17 @@ def test_an_interrupted_trial_leaves_no_file(folder: Path, monkeypatch: pytest.M
 
     sending = made.send
     monkeypatch.setattr(made, "send", send)
-    done = vcmvsp(*TRIAL, "--preset", "ideal", "--out", "rows.parquet")
+    done = vcmvsp_command(*TRIAL, "--preset", "ideal", "--out", "rows.parquet")
     assert (done.code, done.out, done.err) == (130, "", "vcmvsp: interrupted\n")
     assert files(folder) == ["p.csv"]
 
 
 def test_a_trial_that_takes_its_time_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.cosim.terminal.progress.LOG_EVERY_S", 0.0)
-    done = vcmvsp(*TRIAL, "--preset", "ideal", "--json")
+    done = vcmvsp_command(*TRIAL, "--preset", "ideal", "--json")
     assert " of 1 s simulated" in done.err
     assert json.loads(done.out)["frames"] == 40
-    assert vcmvsp(*TRIAL, "--preset", "ideal", "--json", "--quiet").err == ""
+    assert vcmvsp_command(*TRIAL, "--preset", "ideal", "--json", "--quiet").err == ""
 
 
 # --- per --------------------------------------------------------------------------------------------------------------------
@@ -220,7 +222,7 @@ def test_the_model_of_packet_errors_can_be_chosen() -> None:
 
 
 def test_packet_errors_as_a_table() -> None:
-    done = vcmvsp("per", "--preset", "zigbee", "--snr", "0:2:1", "--size", "20")
+    done = vcmvsp_command("per", "--preset", "zigbee", "--snr", "0:2:1", "--size", "20")
     head, names, *rows = done.out.splitlines()
     assert (done.code, head) == (0, "# preset zigbee, model oqpsk, size_bytes 20")
     assert names.split() == ["snr_db", "success", "per", "payload_success"]
@@ -239,7 +241,7 @@ def test_packet_errors_as_a_table() -> None:
     ],
 )
 def test_packet_errors_that_cannot_be_asked_for(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
-    refused(vcmvsp("per", "--size", "100", *arguments), *words)
+    refused(vcmvsp_command("per", "--size", "100", *arguments), *words)
 
 
 # --- pathloss ---------------------------------------------------------------------------------------------------------------
@@ -269,12 +271,12 @@ def test_antennas_over_ground_have_the_height_of_the_law() -> None:
 
 
 def test_no_distance_is_negative() -> None:
-    refused(vcmvsp("pathloss", "--preset", "wss", "--distance", "-1:1:1"), "--distance -1:1:1", "negative")
-    refused(vcmvsp("pathloss", "--preset", "wss", "--distance", "1:5"), "--distance 1:5", "START:STOP:STEP")
+    refused(vcmvsp_command("pathloss", "--preset", "wss", "--distance", "-1:1:1"), "--distance -1:1:1", "negative")
+    refused(vcmvsp_command("pathloss", "--preset", "wss", "--distance", "1:5"), "--distance 1:5", "START:STOP:STEP")
 
 
 @pytest.mark.parametrize("command", ["channel", "per", "pathloss"])
 def test_help_shows_an_example(command: str) -> None:
-    done = vcmvsp(command, "--help")
+    done = vcmvsp_command(command, "--help")
     assert done.code == 0
     assert f"Example: vcmvsp {command} --preset " in done.out

@@ -10,12 +10,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from vcmvsp.cosim.reference import query, index as reference_index, describe, terminal_text, tree, extra_docs
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
-from vcmvsp.cosim.scenario import expand, schema
+from tests.support.cosim.command_line import vcmvsp_command
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.reference import describe, extra_docs, query, terminal_text, tree
+from vcmvsp.cosim.reference import index as reference_index
 from vcmvsp.cosim.reference.tree import Key, Reference, Section
+from vcmvsp.cosim.scenario import expand, schema
 from vcmvsp.netsim.federate import RadioFederate
-from tests.support.cosim.command_line import vcmvsp
 
 KEY = Key(name="size", type="> 0", unit="", schema={}, required=False, default=2.5, without="", meaning="of it, " * 20 + "all")
 
@@ -142,7 +143,7 @@ def test_a_key_is_shown_alone(section: str, found: dict[str, list[str]]) -> None
     ],
 )
 def test_of_an_unknown_section_the_nearest_name_is_told(section: str, near: str) -> None:
-    code, out, err = vcmvsp("reference", section)
+    code, out, err = vcmvsp_command("reference", section)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert f"did you mean '{near}'?" in err
 
@@ -152,14 +153,14 @@ def test_what_is_no_name_is_refused(section: str) -> None:
     if section == "radio..":
         assert [*names(section)] == [*names("radio")]
     else:
-        assert vcmvsp("reference", section).code == 2
+        assert vcmvsp_command("reference", section).code == 2
 
 
 # --- how it is said -----------------------------------------------------------------------------------------------------------
 
 
 def test_it_is_plain_where_nobody_looks() -> None:
-    code, out, err = vcmvsp("reference", "radio.loss.bernoulli")
+    code, out, err = vcmvsp_command("reference", "radio.loss.bernoulli")
     assert (code, err) == (0, "")
     head, row = out.splitlines()
     assert head.startswith('radio.loss, kind = "bernoulli": Every frame is lost with the same probability on every link, ')
@@ -187,10 +188,10 @@ def test_meanings_stand_in_one_column() -> None:
 
 
 def test_json_is_what_its_types_say() -> None:
-    out = vcmvsp("reference", "--json").out
+    out = vcmvsp_command("reference", "--json").out
     assert msgspec.json.decode(out, type=Reference, strict=True) == whole()
     assert json.loads(out)["schema"] == "vcmvsp.reference/1"
-    (section,) = json.loads(vcmvsp("reference", "clock.late", "--json").out)["sections"]
+    (section,) = json.loads(vcmvsp_command("reference", "clock.late", "--json").out)["sections"]
     (key,) = section.pop("keys")
     assert section == {"path": "clock", "kind": "", "listed": False, "about": section["about"]}
     assert {*key} == {*Key.__struct_fields__}

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 from vcmvsp.cosim.scenario import loader as scenarios
-from tests.support.cosim.command_line import contents, two_cars, vcmvsp
 
 MINE = """
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -73,11 +73,11 @@ def test_a_resolved_scenario_gives_the_same_bytes_again(folder: Path, text: str)
     (folder / "sub").mkdir()
     (folder / "sub" / "mine.py").write_text(MINE)
     (folder / "s.toml").write_text(text)
-    first = vcmvsp("run", "s.toml", "--out", "first")
+    first = vcmvsp_command("run", "s.toml", "--out", "first")
     assert first.code == 0, first.err
-    shown = vcmvsp("show", "s.toml", "--resolved").out
+    shown = vcmvsp_command("show", "s.toml", "--resolved").out
     assert shown == (folder / "first" / "scenario.toml").read_text()
-    again = vcmvsp("run", "first/scenario.toml", "--out", "again")
+    again = vcmvsp_command("run", "first/scenario.toml", "--out", "again")
     assert again.code == 0, again.err
     assert contents(folder / "again") == contents(folder / "first")
 
@@ -85,26 +85,26 @@ def test_a_resolved_scenario_gives_the_same_bytes_again(folder: Path, text: str)
 @pytest.mark.parametrize("name", [name for name in scenarios.names() if name != "hybrid-formation"])  # which is real
 def test_built_in_scenarios_are_the_same_when_resolved(folder: Path, name: str) -> None:
     short = ["--set", "duration_s=1", "--set", "physics.kind=kinematic"]
-    assert vcmvsp("run", name, *short, "--out", "first").code == 0
-    assert vcmvsp("run", "first/scenario.toml", "--out", "again").code == 0
+    assert vcmvsp_command("run", name, *short, "--out", "first").code == 0
+    assert vcmvsp_command("run", "first/scenario.toml", "--out", "again").code == 0
     assert contents(folder / "again") == contents(folder / "first")
 
 
 def test_the_period_of_a_class_is_resolved_exactly(folder: Path) -> None:
     (folder / "mine.py").write_text(MINE)
     (folder / "s.toml").write_text(two_cars(agent="kind = 'mine.py:Camera'"))
-    assert f"period_s = {1 / 30}\n" in vcmvsp("show", "s.toml", "--resolved").out
+    assert f"period_s = {1 / 30}\n" in vcmvsp_command("show", "s.toml", "--resolved").out
 
 
 def test_settings_are_part_of_what_is_shown() -> None:
-    assert "probability = 0.25" in vcmvsp("show", "s.toml", "--set", "radio.loss.probability=0.25").out
-    assert "probability" not in vcmvsp("show", "s.toml").out
+    assert "probability = 0.25" in vcmvsp_command("show", "s.toml", "--set", "radio.loss.probability=0.25").out
+    assert "probability" not in vcmvsp_command("show", "s.toml").out
 
 
 def test_nothing_of_this_machine_is_in_the_results(folder: Path) -> None:
     """Another folder, another file name, another place for the agents: the same bytes."""
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "other.toml").write_text(two_cars())
-    vcmvsp("run", "s.toml", "--out", "one")
-    vcmvsp("run", "elsewhere/other.toml", "--out", "elsewhere/two", "--agents", "process")
+    vcmvsp_command("run", "s.toml", "--out", "one")
+    vcmvsp_command("run", "elsewhere/other.toml", "--out", "elsewhere/two", "--agents", "process")
     assert contents(folder / "one") == contents(folder / "elsewhere" / "two")

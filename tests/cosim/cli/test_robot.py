@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp.cosim.security import authority
+from tests.support.cosim.command_line import Outcome, vcmvsp_command
+from tests.support.cosim.run_processes import reserved
 from vcmvsp.cosim.cli import app
 from vcmvsp.cosim.cli.robot import register
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.security import authority
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.remote_robot.robot_side.command_line import built, kind_of
-from tests.support.cosim.command_line import Outcome, vcmvsp
-from tests.support.cosim.run_processes import reserved
 
 if "robot" not in [each.name for each in app.app.registered_commands]:
     register(app.app)
@@ -26,7 +26,7 @@ HERE = "tcp/127.0.0.1:7448"
 
 
 def robot(*options: str, driver: str = "bench", connect: str = HERE, vehicle: str = "car3") -> Outcome:
-    return vcmvsp("robot", "--vehicle", vehicle, "--driver", driver, "--connect", connect, *options)
+    return vcmvsp_command("robot", "--vehicle", vehicle, "--driver", driver, "--connect", connect, *options)
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from tests.support.hardware.stations import Run, driven, mission
+from tests.support.paths import ROOT
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop
 from vcmvsp.hardware.station.emergency_stop import Caller, Ear
-from vcmvsp.hardware.station.process_client import Station
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, Part
-from tests.support.hardware.stations import Run, driven, mission
+from vcmvsp.hardware.station.process_client import Station
 
 FOLDERS = emergency_stop.folders
 PATIENCE_S = 30.0
@@ -48,7 +49,7 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(folder) / "vcmvsp"
 
 
-def vcmvsp(*arguments: str, answer_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
+def vcmvsp_command(*arguments: str, answer_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
     """The command; it waits longer than usual for a station that does not answer."""
     command = [sys.executable, "-c", COMMANDS, *arguments]
     environment = {**os.environ, "ANSWER_S": str(answer_s)}
@@ -63,7 +64,7 @@ def test_all_are_stopped_and_stay_so() -> None:
     with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
         drive(first)
         drive(second)
-        done = vcmvsp("stop")
+        done = vcmvsp_command("stop")
         assert sorted(done.stdout.splitlines()) == ["car1: stopped (run test)", "car2: stopped (run test)"]
         assert (done.stderr, done.returncode) == ("", 0)
         for run in (first, second):
@@ -77,7 +78,7 @@ def test_all_are_stopped_and_stay_so() -> None:
 
 def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
     with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
-        done = vcmvsp("stop", "car2", "car9", "--json")
+        done = vcmvsp_command("stop", "car2", "car9", "--json")
         assert done.returncode == 1
         assert "as car9" in done.stderr
         answers = json.loads(done.stdout)
@@ -89,7 +90,7 @@ def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
 
 
 def test_there_is_none() -> None:
-    done = vcmvsp("stop")
+    done = vcmvsp_command("stop")
     assert (done.stdout, done.returncode) == ("", 1)
     assert done.stderr == "vcmvsp: no robot is driven on this machine by you\n"
 
@@ -100,14 +101,14 @@ def test_what_a_killed_station_left_behind_is_removed(alone: Path) -> None:
     os.kill(station.pid, signal.SIGKILL)
     station.close()
     assert len(list(alone.iterdir())) == 1
-    assert vcmvsp("stop").returncode == 1
+    assert vcmvsp_command("stop").returncode == 1
     assert list(alone.iterdir()) == []
 
 
 def test_a_station_that_hangs_is_said_not_to_answer() -> None:
     with driven(mission()) as run:
         os.kill(run.station.pid, signal.SIGSTOP)
-        done = vcmvsp("stop", answer_s=emergency_stop.ANSWER_S)
+        done = vcmvsp_command("stop", answer_s=emergency_stop.ANSWER_S)
         os.kill(run.station.pid, signal.SIGCONT)
         assert done.returncode == 1
         assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in done.stdout
@@ -158,7 +159,7 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
             while not caller.say("who"):
                 assert time.monotonic() < end
                 time.sleep(0.02)
-        done = vcmvsp("stop")
+        done = vcmvsp_command("stop")
         assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
         (tmp_path / "go").touch()
         with pytest.raises(DriverError, match=OPERATOR_STOP):  # it might be taking off
@@ -178,13 +179,13 @@ with driven(mission(federation_s=None, command_s=None)) as run:
 
 
 def test_it_works_while_the_run_is_frozen(alone: Path) -> None:
-    run = subprocess.Popen([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+    run = subprocess.Popen([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=ROOT)
     try:
         assert run.stdout is not None
         assert select.select([run.stdout], [], [], 60.0)[0]
         assert run.stdout.readline() == "drives\n"
         run.send_signal(signal.SIGSTOP)
-        done = vcmvsp("stop")
+        done = vcmvsp_command("stop")
         assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
     finally:
         run.kill()

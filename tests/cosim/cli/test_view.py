@@ -14,13 +14,13 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.command_line import two_cars, vcmvsp_command
+from tests.support.cosim.recorded_run import chunk_ends
+from tests.support.cosim.run_processes import VCMVSP
+from tests.support.cosim.view_pages import browser, positions
 from vcmvsp.cosim.tables.columns import numbers
 from vcmvsp.cosim.tables.schema import load
-from tests.support.cosim.command_line import two_cars, vcmvsp
-from tests.support.cosim.run_processes import VCMVSP
-from tests.support.cosim.recorded_run import chunk_ends
-from tests.support.cosim.view_pages import browser, positions
 
 PATIENCE_S = 45.0
 ROBOTS = "/vehicles/ground"
@@ -31,7 +31,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of half a second."""
     folder = tmp_path_factory.mktemp("view")
     (folder / "s.toml").write_text(two_cars())
-    cosim.run(folder / "s.toml", out=folder / "out")
+    vcmvsp.run(folder / "s.toml", out=folder / "out")
     return folder / "out"
 
 
@@ -53,7 +53,7 @@ def test_it_refuses_what_no_run_has_left(tmp_path: Path, name: str) -> None:
     (tmp_path / "file.txt").touch()
     (tmp_path / "zeros").mkdir()
     (tmp_path / "zeros" / "run.mcap").write_bytes(bytes(100))
-    code, out, err = vcmvsp("view", str(tmp_path / name))
+    code, out, err = vcmvsp_command("view", str(tmp_path / name))
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"vcmvsp: {tmp_path / name}")
 
@@ -61,12 +61,14 @@ def test_it_refuses_what_no_run_has_left(tmp_path: Path, name: str) -> None:
 def test_a_port_that_is_taken_is_said_in_one_line(run_dir: Path) -> None:
     with viewing(run_dir) as (_, url):
         port = url.partition("?")[0].rstrip("/").rpartition(":")[2]
-        code, out, err = vcmvsp("view", str(run_dir), "--port", port)
+        code, out, err = vcmvsp_command("view", str(run_dir), "--port", port)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert port in err
 
 
-@pytest.mark.parametrize("place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.auth.web_server.open_server"])
+@pytest.mark.parametrize(
+    "place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.auth.web_server.open_server"]
+)
 def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that whoever waits for the page learns that there is none."""
 
@@ -75,7 +77,7 @@ def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: 
         raise AssertionError("the signal was not heard")
 
     monkeypatch.setattr(place, interrupted)
-    assert vcmvsp("view", str(run_dir), "--port", "0") == (130, "", "vcmvsp: interrupted\n")
+    assert vcmvsp_command("view", str(run_dir), "--port", "0") == (130, "", "vcmvsp: interrupted\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.runs import step_response
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.runs import step_response
 from vcmvsp.cosim.types import Velocity, Waypoint
-from tests.support.cosim.command_line import vcmvsp
 
 HALL = """
 boxes = [{ center = [2.0, 0.0, 1.0], size = [0.2, 4.0, 2.0], material = "brick" }]
@@ -36,14 +36,14 @@ heading = 1.0
 
 @pytest.mark.parametrize("group", ["worlds", "vehicles", "sensors", "agents"])
 def test_every_kind_is_listed_and_each_of_its_parameters_is_shown_with_a_meaning(group: str) -> None:
-    about = json.loads(vcmvsp("list", group, "--json").out)
+    about = json.loads(vcmvsp_command("list", group, "--json").out)
     word = group.removesuffix("s")
     assert list(about) == list(builtin_kinds.KINDS[word])
     for kind, summary in about.items():
-        shown = vcmvsp("show", word, kind)
+        shown = vcmvsp_command("show", word, kind)
         assert shown.code == 0
         assert shown.out.startswith(f"{kind}: {summary}")
-        parameters = json.loads(vcmvsp("show", word, kind, "--json").out)["parameters"]
+        parameters = json.loads(vcmvsp_command("show", word, kind, "--json").out)["parameters"]
         assert all(name in shown.out for name in parameters)
         if word != "agent":
             assert [name for name, each in parameters.items() if not each["meaning"]] == []
@@ -63,7 +63,7 @@ def test_every_kind_is_listed_and_each_of_its_parameters_is_shown_with_a_meaning
     ],
 )
 def test_what_cannot_be_shown_is_refused_by_name(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
-    outcome = vcmvsp(*arguments)
+    outcome = vcmvsp_command(*arguments)
     assert (outcome.code, outcome.out) == (2, "")
     assert words in outcome.err
     assert outcome.err.count("\n") == 1
@@ -76,14 +76,14 @@ def test_a_world_is_counted_and_drawn_from_a_kind_a_file_and_a_scenario(
     Path("hall.toml").write_text(HALL)
     Path("s.toml").write_text(PAIR + "[world]\nkind = 'file'\npath = 'hall.toml'\n")
     for what, name in (("hall.toml", "hall"), ("s.toml", "pair")):
-        about = json.loads(vcmvsp("world", what, "--json").out)
+        about = json.loads(vcmvsp_command("world", what, "--json").out)
         assert (about["world"], about["solids"], about["kinds"]) == (name, 2, {"box": 1, "cylinder": 1})
         assert about["materials"] == {"brick": 1, "concrete": 1}
         picture = cv2.imread(about["png"])
         assert picture is not None
         assert picture.std() > 5.0
     for seed in ("1", "2"):
-        vcmvsp("world", "urban", "--set", f"seed={seed}", "--png", f"{seed}.png")
+        vcmvsp_command("world", "urban", "--set", f"seed={seed}", "--png", f"{seed}.png")
     assert Path("1.png").read_bytes() != Path("2.png").read_bytes()
 
 
@@ -108,7 +108,7 @@ def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
 
     def response(vehicle: str, command: str) -> Any:
         given = ("--vehicle", vehicle, "--command", command, "--seconds", "6", "--json")
-        return json.loads(vcmvsp("drive", str(scenario), *given).out)
+        return json.loads(vcmvsp_command("drive", str(scenario), *given).out)
 
     about = response("car", "v=0.3,w=0.5")
     assert about["v"]["steady"] == pytest.approx(0.3, rel=2e-3)
@@ -119,7 +119,7 @@ def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
     x, y = about["series"]["x"][-1] - 5.0, about["series"]["y"][-1]
     assert math.atan2(y, x) == pytest.approx(1.0, abs=0.02)
     assert about["v"]["steady"] == pytest.approx(2.0, rel=0.02)
-    outcome = vcmvsp("drive", str(scenario), "--vehicle", "cat", "--command", "v=2")
+    outcome = vcmvsp_command("drive", str(scenario), "--vehicle", "cat", "--command", "v=2")
     assert (outcome.code, "unknown vehicle 'cat'" in outcome.err) == (2, True)
 
 
@@ -127,7 +127,9 @@ def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
 def test_what_flies_is_judged_along_its_command_whatever_its_heading(tmp_path: Path, command: str) -> None:
     scenario = tmp_path / "pair.toml"
     scenario.write_text(PAIR.replace("heading = 1.0", "heading = -2.0"))
-    about = json.loads(vcmvsp("drive", str(scenario), "--vehicle", "uav", "--command", command, "--seconds", "6", "--json").out)
+    about = json.loads(
+        vcmvsp_command("drive", str(scenario), "--vehicle", "uav", "--command", command, "--seconds", "6", "--json").out
+    )
     judged = about["vz" if command.startswith("vz") else "v"]
     assert abs(judged["error_percent"]) < 1.0
 
@@ -142,8 +144,8 @@ def test_files_that_a_scenario_names_are_found_beside_it_and_kept(tmp_path: Path
     ):
         (folder / "s.toml").write_text(f"{PAIR}[world]\n{world}\n")
         monkeypatch.chdir(tmp_path)
-        assert vcmvsp("run", "mine/s.toml", "--set", "duration_s=0.2", "--out", f"first{number}").code == 0
-        again = vcmvsp("run", f"first{number}/scenario.toml", "--out", f"again{number}")
+        assert vcmvsp_command("run", "mine/s.toml", "--set", "duration_s=0.2", "--out", f"first{number}").code == 0
+        again = vcmvsp_command("run", f"first{number}/scenario.toml", "--out", f"again{number}")
         assert (again.code, (tmp_path / f"again{number}" / "lawn.png").is_file()) == (0, True)
 
 
@@ -151,7 +153,7 @@ def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         "name = 's'\nduration_s = 1.0\n[[vehicle]]\nname = 'q'\ncount = 3\nkind = 'p2dx'\nspacing = [0.1, 0.1]\n"
     )
-    outcome = vcmvsp("check", str(tmp_path / "s.toml"))
+    outcome = vcmvsp_command("check", str(tmp_path / "s.toml"))
     assert (outcome.code, "s.toml line 3: vehicle.q2.position: q2 and q1 overlap" in outcome.err) == (2, True), outcome.err
 
 
@@ -159,7 +161,7 @@ def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
 def test_solids_are_seen_in_the_figure_of_the_paths_which_say_how_much_of_them(tmp_path: Path) -> None:
     boxes = [{"center": [x, 2.0, 0.5], "size": [1.0, 1.0, 1.0]} for x in (3.0, 300.0)]
     (tmp_path / "s.toml").write_text(f"{PAIR}[world]\nkind = 'boxes'\nboxes = []\n")
-    runs = [cosim.run(tmp_path / "s.toml", set={"world.boxes": each}) for each in ([], boxes)]
+    runs = [vcmvsp.run(tmp_path / "s.toml", set={"world.boxes": each}) for each in ([], boxes)]
     plain, seen = (run.plot()["trajectory"].axes[0] for run in runs)
     assert [len(each.collections[0].get_paths()) for each in (plain, seen)] == [0, 2]
     assert plain.get_xlim() == seen.get_xlim()

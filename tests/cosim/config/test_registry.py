@@ -1,4 +1,4 @@
-"""From a kind to a class: short names, modules and files, each with errors that say what to do; and the guard of the parts."""
+"""From a kind to a class: short names, modules and files, each with errors that say what to do."""
 
 import importlib
 import os
@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from tests.support.paths import ROOT
 from vcmvsp.cosim.config import builtin_kinds, registry
-from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.config.binding import Named
+from vcmvsp.cosim.errors import ScenarioError
 
-HOME = Path(registry.__file__).resolve().parent.parent
 ORIGIN = Named("s.toml line 3")
 
 
@@ -50,7 +50,7 @@ def test_a_slip_of_the_pen_is_answered_with_the_nearest_name(group: str, kind: s
 def test_a_class_can_be_named_by_its_module() -> None:
     assert registry.find("agent", "vcmvsp.cosim.agent:Agent").__name__ == "Agent"
     assert "has no class 'Agnt'" in refusal("agent", "vcmvsp.cosim.agent:Agnt").problem
-    assert "No module named 'cosim.agnt'" in refusal("agent", "cosim.agnt:Agent").problem
+    assert "No module named 'vcmvsp.cosim.agnt'" in refusal("agent", "vcmvsp.cosim.agnt:Agent").problem
 
 
 def test_other_distributions_can_add_short_names(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,7 +58,7 @@ def test_other_distributions_can_add_short_names(monkeypatch: pytest.MonkeyPatch
         name, value = "mine", "vcmvsp.cosim.agent:Agent"
 
     def entry_points(*, group: str) -> list[Any]:
-        return [Entry] if group == "vcmvsp.cosim.agent" else []
+        return [Entry] if group == "vcmvsp.agent" else []
 
     monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
     assert registry.find("agent", "mine").__name__ == "Agent"
@@ -127,27 +127,18 @@ def test_a_file_that_misses_another_file_is_not_taken_for_a_missing_file(tmp_pat
     assert "fails.py line 1" in refusal("agent", "fails.py:A", tmp_path).problem
 
 
-def test_the_parts_are_beside_the_core() -> None:
-    registry.guard()
-    for part in registry.PARTS:
-        assert Path(str(importlib.import_module(part).__file__)).resolve().parent == HOME / part
-
-
-def test_a_part_from_elsewhere_is_refused(tmp_path: Path) -> None:
-    """Somebody else's package called ``agents``, first on the path as in a notebook's folder."""
+def test_a_folder_or_package_called_agents_is_in_nobodys_way(tmp_path: Path) -> None:
+    """Other distributions install an ``agents`` too, and a notebook's folder comes first on its path."""
     (tmp_path / "agents").mkdir()
-    (tmp_path / "agents" / "__init__.py").touch()
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(HOME)])}
-    command = [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", "formation-circle", "--out", "out"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
-    assert "'agents'" in done.stderr
-    assert str(HOME / "agents") in done.stderr
-    assert str(tmp_path / "agents") in done.stderr
-    assert not (tmp_path / "out").exists()
+    (tmp_path / "agents" / "__init__.py").write_text("OTHER = True\n")
+    code = "import agents, vcmvsp; assert agents.OTHER; vcmvsp.run('formation-circle', set={'duration_s': 1.0}, mcap=False)"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, timeout=60, check=True)
 
 
-def test_a_part_that_is_nowhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "PARTS", ("no_such_part",))
-    with pytest.raises(UsageError, match="finds it at nowhere"):
-        registry.guard()
+@pytest.mark.parametrize("part", ["cosim", "physics", "netsim", "agents", "hardware"])
+def test_no_package_can_be_imported_under_a_second_name(part: str) -> None:
+    """The folders of a checkout lie on the path of programs that are started in it."""
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import {part}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert f"ImportError: this is vcmvsp.{part}: import it by that name" in done.stderr

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import ScenarioError
-from tests.support.cosim.command_line import vcmvsp
 
 OWN = '''
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_class_of_ones_own_is_shown_with_its_comments(folder: Path) -> None:
-    outcome = vcmvsp("show", "sensor", "own.py:Sonar")
+    outcome = vcmvsp_command("show", "sensor", "own.py:Sonar")
     assert (outcome.code, outcome.err) == (0, "")
     assert "Tells how high it is." in outcome.out
     assert "how far it hears" in outcome.out
@@ -78,17 +78,19 @@ def test_a_class_of_ones_own_is_shown_with_its_comments(folder: Path) -> None:
     ],
 )
 def test_it_is_refused_in_one_line(folder: Path, arguments: tuple[str, ...], words: str) -> None:
-    outcome = vcmvsp(*arguments)
+    outcome = vcmvsp_command(*arguments)
     assert (outcome.code, outcome.err.count("\n")) == (2, 1), outcome.err
     assert words in outcome.err
 
 
 def test_a_way_point_must_have_a_speed_and_is_not_reached_before_it_is(folder: Path) -> None:
     (folder / "u.toml").write_text("name='u'\nduration_s=1.0\n[[vehicle]]\nname='u'\nkind='point'\nposition=[0,0,5]\n")
-    assert vcmvsp("drive", "u.toml", "--vehicle", "u", "--command", "x=1,y=0,z=5,speed=0").code == 2
+    assert vcmvsp_command("drive", "u.toml", "--vehicle", "u", "--command", "x=1,y=0,z=5,speed=0").code == 2
     far, near = (
         json.loads(
-            vcmvsp("drive", "u.toml", "--vehicle", "u", "--command", f"x={x},y=0,z=5,speed=1", "--seconds", "3", "--json").out
+            vcmvsp_command(
+                "drive", "u.toml", "--vehicle", "u", "--command", f"x={x},y=0,z=5,speed=1", "--seconds", "3", "--json"
+            ).out
         )
         for x in (100, 1)
     )
@@ -98,7 +100,7 @@ def test_a_way_point_must_have_a_speed_and_is_not_reached_before_it_is(folder: P
 
 def test_one_key_of_a_sensor_that_all_share_is_set_for_one(folder: Path) -> None:
     (folder / "s.toml").write_text(CAR + "\n[[vehicle]]\nname = 'b'\nposition = [3.0, 0.0, 0.0]\n")
-    resolved = json.loads(vcmvsp("show", "s.toml", "--json", "--set", "vehicle.b.sensors.scan.beams=64").out)
+    resolved = json.loads(vcmvsp_command("show", "s.toml", "--json", "--set", "vehicle.b.sensors.scan.beams=64").out)
     assert [each["sensors"]["scan"]["beams"] for each in resolved["vehicle"]] == [32, 64]
 
 
@@ -108,8 +110,8 @@ def test_two_files_of_one_name_are_both_kept(folder: Path) -> None:
         (folder / name / "own.py").write_text(OWN.replace("3.0", f"{number + 1}.0"))
     sensors = "sensors = { one = { kind = 'a/own.py:Sonar' }, other = { kind = 'b/own.py:Sonar' } }"
     (folder / "s.toml").write_text(f"name = 's'\nduration_s = 0.5\n[[vehicle]]\nname = 'a'\nkind = 'p2dx'\n{sensors}\n")
-    assert vcmvsp("run", "s.toml", "--out", "first").code == 0
-    assert vcmvsp("run", "first/scenario.toml", "--out", "again").code == 0
+    assert vcmvsp_command("run", "s.toml", "--out", "first").code == 0
+    assert vcmvsp_command("run", "first/scenario.toml", "--out", "again").code == 0
     first, again = ((folder / name / "scenario.toml").read_text() for name in ("first", "again"))
     assert ("own-2.py:Sonar" in first, first == again) == (True, True)
 
@@ -134,7 +136,7 @@ def test_physics_of_ones_own_needs_to_know_nothing_of_obstacles(folder: Path) ->
     )
     scenario: dict[str, Any] = {"name": "still", "duration_s": 1.0, "physics": {"kind": f"{folder / 'still.py'}:Still"}}
     scenario["vehicle"] = [{"name": "car1", "kind": "point"}]
-    assert cosim.run(scenario).metrics["duration_s"] == 1.0
+    assert vcmvsp.run(scenario).metrics["duration_s"] == 1.0
     move = {"kind": "move", "at_s": 0.5, "obstacle": "box", "position": [0.0, 0.0]}
     with pytest.raises(ScenarioError, match=r"box cannot be moved: this physics has no check_move"):
-        cosim.run({**scenario, "intervention": [move]})
+        vcmvsp.run({**scenario, "intervention": [move]})

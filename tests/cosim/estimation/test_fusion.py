@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.estimation.fusion import Fusion, Pose, Verdict
 from vcmvsp.cosim.estimation.kalman_filter import SIZE, Motion, Noise, Seen, corrected, grown, innovation, moved
+from vcmvsp.cosim.types import Array
 
 MS = 1_000_000
 S = 1000 * MS

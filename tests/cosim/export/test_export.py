@@ -12,20 +12,20 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim import export_runs
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.studies import two
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export import csv_files, video
-from vcmvsp.cosim.recording import recorded_run, load
-from vcmvsp.cosim.plots import run_plots
 from vcmvsp.cosim.export.formats import NAMES, export
-from vcmvsp.cosim.recording.recorded_run import Source, Values
+from vcmvsp.cosim.plots import run_plots
+from vcmvsp.cosim.recording import load, recorded_run
 from vcmvsp.cosim.recording.mcap_file import Recorded, contents, messages
+from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import VehicleState
-from tests.support.cosim import export_runs
-from tests.support.cosim.command_line import vcmvsp
-from tests.support.cosim.studies import two
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -111,7 +111,7 @@ def test_what_there_was_not_is_an_empty_cell(tmp_path: Path) -> None:
 
 def test_a_frame_that_is_under_way_at_the_end_is_not_shown_as_lost(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    cosim.run(two(duration_s=0.1005, radio={"preset": "wifi-b-1"}), out=folder)
+    vcmvsp.run(two(duration_s=0.1005, radio={"preset": "wifi-b-1"}), out=folder)
     radio = load(folder).radio
     assert set(radio["outcome"].to_pylist()) == {"received", "under way"}
     assert video._Film(recorded_run.Source(folder, lambda _: None))._lost == []
@@ -193,7 +193,7 @@ def test_what_cannot_be_written_is_said_before_anything_is(
     (tmp_path / "full/csv").mkdir(parents=True)
     for name in ("csv/a.csv", "layout.json"):
         (tmp_path / "full" / name).write_text("mine")
-    outcome = vcmvsp("export", str(export_runs.run_of("lab-patrol")), *arguments)
+    outcome = vcmvsp_command("export", str(export_runs.run_of("lab-patrol")), *arguments)
     assert (outcome.code, outcome.out) == (2, "")
     assert words in outcome.err
     assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["full", "csv", "a.csv", "layout.json"]
@@ -222,11 +222,11 @@ def test_two_outputs_need_two_names(tmp_path: Path) -> None:
 
 def test_a_folder_without_a_recording_is_named(tmp_path: Path) -> None:
     for folder, words in ((tmp_path, "no run.mcap here"), (tmp_path / "none", "there is no such folder")):
-        outcome = vcmvsp("export", str(folder), "--csv", "--out", str(tmp_path / "out"))
+        outcome = vcmvsp_command("export", str(folder), "--csv", "--out", str(tmp_path / "out"))
         assert (outcome.code, outcome.out) == (2, "")
         assert words in outcome.err
     (tmp_path / "run.mcap").write_bytes(b"no recording")
-    assert "is no recording of a run" in vcmvsp("export", str(tmp_path), "--csv", "--out", str(tmp_path / "out")).err
+    assert "is no recording of a run" in vcmvsp_command("export", str(tmp_path), "--csv", "--out", str(tmp_path / "out")).err
     assert not (tmp_path / "out").exists()
 
 
@@ -244,7 +244,9 @@ def test_with_force_old_files_give_way_and_others_stay(tmp_path: Path) -> None:
     (tmp_path / "csv").mkdir()
     (tmp_path / "csv/states.csv").write_text("old")
     (tmp_path / "csv/mine.txt").write_text("mine")
-    outcome = vcmvsp("export", str(export_runs.run_of("lab-patrol")), "--csv", "--out", str(tmp_path), "--force", "--quiet")
+    outcome = vcmvsp_command(
+        "export", str(export_runs.run_of("lab-patrol")), "--csv", "--out", str(tmp_path), "--force", "--quiet"
+    )
     assert (outcome.code, outcome.out, outcome.err) == (0, f"{tmp_path / 'csv'}\n", "")
     assert len(rows(tmp_path / "csv/states.csv")) == 63
     assert (tmp_path / "csv/mine.txt").read_text() == "mine"
@@ -269,7 +271,7 @@ def test_of_an_export_that_fails_nothing_stays(tmp_path: Path, monkeypatch: pyte
 def test_of_a_run_that_was_killed_all_is_exported_that_is_there(part: float, tmp_path: Path) -> None:
     folder, out = export_runs.cut("lab-patrol", tmp_path / "killed", part), tmp_path / "out"
     outputs = {name: out / called for name, called in NAMES.items()}
-    outcome = vcmvsp("export", str(folder), *(f"--{name}" for name in outputs), "--out", str(out))
+    outcome = vcmvsp_command("export", str(folder), *(f"--{name}" for name in outputs), "--out", str(out))
     assert (outcome.code, outcome.out.split()) == (0, [str(path) for path in outputs.values()])
     left = rows(out / "csv/states.csv")
     whole = recorded("lab-patrol", "ugv1/state")

@@ -14,13 +14,13 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from tests.support.cosim import export_runs
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.frames import product
-from vcmvsp.cosim.recording import recorded_run
 from vcmvsp.cosim.export.formats import export
 from vcmvsp.cosim.export.rosbag import ros_name, write_bag
+from vcmvsp.cosim.frames import product
+from vcmvsp.cosim.recording import recorded_run
 from vcmvsp.cosim.recording.mcap_file import messages
-from tests.support.cosim import export_runs
 
 RERUN = Path(sys.executable).with_name("rerun")
 RUNS = ("lab-patrol", "recon-team", "a crossing cart", "a tag and late sensors")

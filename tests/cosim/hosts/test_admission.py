@@ -17,12 +17,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.run_processes import Stage, ended, wait_for
 from vcmvsp.cosim.errors import FederateError, UsageError
 from vcmvsp.cosim.hosts import host_client, protocol
 from vcmvsp.cosim.transport.zenoh_session import threads
-from tests.support.cosim.command_line import vcmvsp
-from tests.support.cosim.run_processes import Stage, ended, wait_for
 
 SCENARIO = """
 name = "byhand"
@@ -45,7 +45,7 @@ pose = [-1.0, 0.0, 0.0]
 agent = {{ kind = "leader_follower", leader = "car1", k1 = 0.7 }}
 """
 STILL = """
-from vcmvsp.cosim import Agent, Velocity
+from vcmvsp import Agent, Velocity
 
 class Still(Agent):
     def __init__(self, leader: str = "nobody", patience: float = 1.0) -> None:
@@ -93,8 +93,8 @@ def test_a_host_may_bring_parameters_and_the_result_says_so(stage: ByHand) -> No
     assert (code, said.splitlines()[-1]) == (0, "the run is over")
     agent = stage.resolved_agent()
     assert (agent["kind"], agent["k1"], agent["k2"]) == ("leader_follower", 0.7, 0.25)
-    again = cosim.run(str(stage.out / "scenario.toml"))
-    assert again.metrics == cosim.run(str(stage.scenario()), set={"vehicle.car2.agent.k2": 0.25}, agents="inprocess").metrics
+    again = vcmvsp.run(str(stage.out / "scenario.toml"))
+    assert again.metrics == vcmvsp.run(str(stage.scenario()), set={"vehicle.car2.agent.k2": 0.25}, agents="inprocess").metrics
     assert '"car2": "zenoh"' in (stage.out / "about.json").read_text()
 
 
@@ -105,7 +105,7 @@ def test_a_host_may_bring_another_class_and_the_result_says_so(stage: ByHand) ->
     assert (agent["kind"], agent["leader"], agent["patience"]) == ("still.py:Still", "car1", 3.0)
     assert "k1" not in agent
     assert (stage.out / "still.py").read_text() == STILL  # so that the resolved scenario runs from where it is
-    moved = cosim.run(str(stage.out / "scenario.toml")).states.to_pandas().query("vehicle == 'car2'")
+    moved = vcmvsp.run(str(stage.out / "scenario.toml")).states.to_pandas().query("vehicle == 'car2'")
     assert set(moved.x) == {-1.0}
 
 
@@ -195,10 +195,10 @@ def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        code, _, said = vcmvsp("run", str(stage.scenario()), "--out", str(stage.out), "--listen", endpoint)
+        code, _, said = vcmvsp_command("run", str(stage.scenario()), "--out", str(stage.out), "--listen", endpoint)
         assert code == 2
         assert "cannot listen on 'tcp/127.0.0.1:" in said
-    assert vcmvsp("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2
+    assert vcmvsp_command("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2
 
 
 def test_a_run_that_listens_but_has_not_opened_its_door_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,13 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vcmvsp import Agent
 from vcmvsp.agents.federate import AgentHost
-from vcmvsp.cosim import Agent
 from vcmvsp.cosim.agent import AgentInfo, AgentSpec
 from vcmvsp.cosim.clock import Ticks
-from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.hosts import answer_checks, protocol
 from vcmvsp.cosim.types import (
     AnyValue,
@@ -33,6 +31,8 @@ from vcmvsp.cosim.types import (
     Velocity,
     Waypoint,
 )
+from vcmvsp.cosim.util.codec import Decoder, encode
+from vcmvsp.cosim.util.text import plain
 
 NAMES = frozenset({"car1", "car2", "car3"})
 OWN = {"car2": 100, "car3": 250}
@@ -342,7 +342,10 @@ def test_a_failure_blames_its_own_vehicles_alone() -> None:
     said = protocol.Failed(cause="\x1b[2Jit broke", details="a\nb", vehicles=("car1", "car3", "car3"), agent="x\ny")
     cleaned = answer_checks.failed(said, ("car2", "car3"))
     assert (cleaned.cause, cleaned.details, cleaned.vehicles, cleaned.agent) == ("it broke", "a\nb", ("car3",), "x y")
-    assert answer_checks.failed(msgspec.structs.replace(said, vehicles=("car1",)), ("car2", "car3")).vehicles == ("car2", "car3")
+    assert answer_checks.failed(msgspec.structs.replace(said, vehicles=("car1",)), ("car2", "car3")).vehicles == (
+        "car2",
+        "car3",
+    )
     assert answer_checks.failed(msgspec.structs.replace(said, vehicles=()), ("car2",)).vehicles == ()
 
 

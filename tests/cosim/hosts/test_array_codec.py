@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util import codec
+from tests.cosim.util.test_codec import ARRAYS, bits
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import array_codec, protocol
 from vcmvsp.cosim.types import Array, Later, Mosaic, Scan, VehicleState
-from tests.cosim.util.test_codec import ARRAYS, bits
+from vcmvsp.cosim.util import codec
 
 LISTS: array_codec.Unpacker[list[Array]] = array_codec.Unpacker(list[Array])
 SCAN = Scan(ranges=np.linspace(0.1, 9.9, 16, dtype=np.float32), angle_min=-2.0, angle_step=0.01, range_max=10.0)
@@ -120,7 +120,9 @@ def test_what_a_message_says_of_itself_takes_no_memory() -> None:
 
 def test_noise_is_a_value_error_or_another_message() -> None:
     draw = random.Random(5)
-    honest = protocol.encode(protocol.Act(7, [Event("a/scan", 7, SCAN), Event("a/estimate", 7, STATE), Event("b/scan", 7, SCAN)]))
+    honest = protocol.encode(
+        protocol.Act(7, [Event("a/scan", 7, SCAN), Event("a/estimate", 7, STATE), Event("b/scan", 7, SCAN)])
+    )
     refused = 0
     for _ in range(3000):
         data = bytearray(honest)

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from vcmvsp.cosim.transport import access_control
-from vcmvsp.cosim.hosts.hub import Hub
-from vcmvsp.cosim.transport.access_control import merge
 from tests.support.cosim.secure_hub import QUIET, start
+from vcmvsp.cosim.hosts.hub import Hub
+from vcmvsp.cosim.transport import access_control
+from vcmvsp.cosim.transport.access_control import merge
 
 PASSWORDS = {"car1": "a0" * 16, "car2": "b1" * 16}
 

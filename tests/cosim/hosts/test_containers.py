@@ -12,13 +12,14 @@ import pytest
 import typer
 import yaml
 
-from vcmvsp import cosim
-from vcmvsp.cosim.hosts import hosts_file
-from vcmvsp.cosim.cli.app import app
-from tests.support.cosim.command_line import vcmvsp
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import Stage, ended
+from tests.support.paths import ROOT
+from vcmvsp.cosim.cli.app import app
+from vcmvsp.cosim.hosts import hosts_file
 
-DEPLOY = Path(cosim.__file__).parent / "deploy"
+DEPLOY = ROOT / "cosim" / "deploy"
 README = (DEPLOY / "README.md").read_text()
 COMPOSE: dict[str, Any] = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
 MANIFESTS: list[dict[str, Any]] = [*yaml.safe_load_all((DEPLOY / "job.yaml").read_text())]
@@ -132,7 +133,7 @@ def test_the_same_words_run_as_processes_of_this_machine(
         if "7447" in word and "0.0.0.0" not in word
     )
     for step in STEPS[: len(STEPS) // 2] if commands is SERVICES else STEPS[len(STEPS) // 2 :]:
-        assert vcmvsp(*shlex.split(step)[1:]).code == 0
+        assert vcmvsp_command(*shlex.split(step)[1:]).code == 0
 
     def here(word: str) -> str:
         word = word.replace(f"tls/{dialled}:7447", f"tls/localhost:{stage.port}").replace(
@@ -147,7 +148,7 @@ def test_the_same_words_run_as_processes_of_this_machine(
     started[name] = stage.start(*map(here, words), "--set", "duration_s=2.0")
     outcomes = {name: ended(process) for name, process in started.items()}
     assert {code for code, _ in outcomes.values()} == {0}, outcomes
-    alone = cosim.run("formation-circle", set={"duration_s": 2.0}, mcap=False)
+    alone = vcmvsp.run("formation-circle", set={"duration_s": 2.0}, mcap=False)
     assert json.loads((stage.folder / "results" / "circle" / "metrics.json").read_text()) == alone.metrics
 
 

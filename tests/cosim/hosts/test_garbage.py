@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.security import authority
-from vcmvsp.cosim.transport import key_names
+import vcmvsp
+from tests.support.cosim.run_processes import Stage, ended, wait_for
 from vcmvsp.cosim.hosts import protocol as wire
 from vcmvsp.cosim.hosts.hub import Hub
+from vcmvsp.cosim.security import authority
+from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.transport.zenoh_session import opened
-from tests.support.cosim.run_processes import Stage, ended, wait_for
 
 SCENARIO = """
 name = "garbage"
@@ -99,7 +99,7 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
         assert code == 0, said
         assert [ended(host)[0] for host in hosts] == [0, 0]
         digest = json.loads((stage.out / "metrics.json").read_text())["digest"]
-    assert digest == cosim.run(tmp_path / "garbage.toml", agents="inprocess", mcap=False).metrics["digest"]
+    assert digest == vcmvsp.run(tmp_path / "garbage.toml", agents="inprocess", mcap=False).metrics["digest"]
 
 
 def test_nonsense_for_a_greeting_is_answered_and_the_next_host_is_heard() -> None:

@@ -16,16 +16,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp.agents.federate import AgentHost
-from vcmvsp.cosim.hosts import manager
 from vcmvsp.cosim.agent import AgentSpec
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.hosts import manager, protocol
 from vcmvsp.cosim.hosts import session as crews
-from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.hosts.server import Desk
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
+from vcmvsp.cosim.hosts.server import Desk
 from vcmvsp.cosim.types import VehicleState
 
 SCENARIO = {
@@ -63,11 +62,19 @@ def honest_answers() -> list[bytes]:
     """What a host says from beginning to end, and every other kind of answer there is."""
     desk = Desk(AgentHost)
     later = [msgspec.structs.replace(event, time_ns=10**8) for event in INBOX]
-    questions = [protocol.Build((SPEC,)), protocol.Begin(RUN), protocol.Act(0, INBOX), protocol.Act(10**8, later), protocol.End("over")]
+    questions = [
+        protocol.Build((SPEC,)),
+        protocol.Begin(RUN),
+        protocol.Act(0, INBOX),
+        protocol.Act(10**8, later),
+        protocol.End("over"),
+    ]
     said = [desk.handle(protocol.encode(question)) for question in questions]
     assert desk.failure is None
     said.append(protocol.encode(protocol.Failed("it broke", "Traceback\n", ("car2",), "leader_follower")))
-    said.append(protocol.encode(protocol.Failed("must be a number", key="vehicle.car2.agent.k1", source="a.toml", bad_scenario=True)))
+    said.append(
+        protocol.encode(protocol.Failed("must be a number", key="vehicle.car2.agent.k1", source="a.toml", bad_scenario=True))
+    )
     return said
 
 
@@ -238,10 +245,10 @@ class Hostile(crews.MemoryLink):
         return self.nonsense if self._turn == self.turn else honest
 
 
-def run(**more: Any) -> cosim.Result:
+def run(**more: Any) -> vcmvsp.Result:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of numbers beyond all sense, which are an agent's to command
-        return cosim.run(SCENARIO, agents="encoded", **more)  # type: ignore[arg-type]  # for tests alone
+        return vcmvsp.run(SCENARIO, agents="encoded", **more)  # type: ignore[arg-type]  # for tests alone
 
 
 @pytest.fixture
@@ -268,7 +275,7 @@ def test_a_run_with_a_hostile_host_ends_with_its_error_and_a_readable_recording(
         kind = draw.choice(list(NONSENSE))
         Hostile.turn, Hostile.nonsense = draw.randrange(1, len(said) + 1), kind(draw, said)
         try:
-            result: cosim.Result | None = run()
+            result: vcmvsp.Result | None = run()
         except ERRORS as error:
             assert_clean(error)
             result = error.result
@@ -319,7 +326,13 @@ def test_nonsense_in_a_greeting_is_a_value_error() -> None:
 def test_a_host_answers_nonsense_with_why_it_ends() -> None:
     """And ends: a run that asks such things is none."""
     draw, failed = random.Random(4), 0
-    asked = [protocol.Build((SPEC,)), protocol.Begin(RUN), protocol.Act(0, INBOX), protocol.Act(10**8, []), protocol.End("over")]
+    asked = [
+        protocol.Build((SPEC,)),
+        protocol.Begin(RUN),
+        protocol.Act(0, INBOX),
+        protocol.Act(10**8, []),
+        protocol.End("over"),
+    ]
     questions = [protocol.encode(question) for question in asked]
     for number in range(1000):
         desk = Desk(AgentHost)

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.run_processes import UNDRAWN
 from vcmvsp.agents.federate import AgentHost
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.types import Follows, Message, Reception, VehicleState, Velocity
-from tests.support.cosim.run_processes import UNDRAWN
 
 
 def alone(kind: str = "trajectory", **more: Any) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def test_files_beside_two_agents_do_not_mix_and_are_read_afresh(tmp_path: Path) 
         vehicle["agent"] = {"kind": f"{folder}/{vehicle['name']}.py:A"}
 
     def moved() -> list[float]:
-        end = cosim.run(scenario).states.to_pandas().groupby("vehicle").x.last()
+        end = vcmvsp.run(scenario).states.to_pandas().groupby("vehicle").x.last()
         return [round(end["car1"], 9), round(end["car2"] - 3.0, 9)]
 
     assert moved() == [0.1, 0.4]
@@ -94,7 +94,7 @@ BAD: dict[str, Callable[[Doing, Radio], object]] = {
 @pytest.mark.parametrize("what", BAD)
 def test_what_an_agent_does_wrong_names_it_and_keeps_the_recording(what: str) -> None:
     with pytest.raises(AgentError, match="vehicle car1") as raised:
-        cosim.run(alone(), agents={"car1": Doing(BAD[what])})
+        vcmvsp.run(alone(), agents={"car1": Doing(BAD[what])})
     assert raised.value.result.states["time_ns"].to_numpy().max() == 500_000_000
 
 
@@ -104,7 +104,7 @@ def test_an_agent_that_leaves_before_the_start_is_named() -> None:
             sys.exit(0)
 
     with pytest.raises(AgentError, match="vehicle car1: raised SystemExit"):
-        cosim.run(alone(), agents={"car1": Leaving()})
+        vcmvsp.run(alone(), agents={"car1": Leaving()})
 
 
 def test_every_agent_is_closed_even_if_one_fails() -> None:
@@ -122,13 +122,13 @@ def test_every_agent_is_closed_even_if_one_fails() -> None:
             raise RuntimeError(self.name)
 
     with pytest.raises(AgentError, match="RuntimeError: car1"):
-        cosim.run(alone(), agents={"car1": Closing("car1"), "car2": Closing("car2")})
+        vcmvsp.run(alone(), agents={"car1": Closing("car1"), "car2": Closing("car2")})
     assert closed == ["car1", "car2"]
 
 
 def test_the_digest_tells_runs_apart_that_differ_in_commands_or_messages_alone() -> None:
     def digest(what: Callable[[Doing, Radio], object]) -> str:
-        text: str = cosim.run(alone(), agents={"car1": Doing(what)}).metrics["digest"]
+        text: str = vcmvsp.run(alone(), agents={"car1": Doing(what)}).metrics["digest"]
         return text
 
     digests = [digest(lambda _, radio, x=x: radio.send(x=x)) for x in (1.0, 2.0)]  # type: ignore[misc]
@@ -141,31 +141,31 @@ def test_a_follower_that_stops_following_is_measured_no_longer() -> None:
             self.follows = Follows(leader="car2", slot=(-1.0, 0.0), handle_m=0.5) if obs.time_s < 0.5 else None
             return Velocity(linear=(-1.0, 0.0, 0.0))
 
-    formation = cosim.run(alone(), agents={"car1": Leaving()}).metrics["formation"]
+    formation = vcmvsp.run(alone(), agents={"car1": Leaving()}).metrics["formation"]
     assert formation["max_m"] == pytest.approx(2.0 + 0.4, abs=0.11)  # it starts 2 m off, and drives away while it follows
     assert formation["final_m"] is None
 
 
 def test_a_frame_under_way_at_the_end_is_neither_received_nor_lost() -> None:
     scenario = {**alone(), "radio": {"delay": {"seconds": 0.35}}}
-    radio = cosim.run(scenario).metrics["radio"]
+    radio = vcmvsp.run(scenario).metrics["radio"]
     assert (radio["frames"], radio["receptions"], radio["delivery_ratio"], radio["losses"]) == (10, 7, 1.0, {})
 
 
 def test_settings_are_left_as_they_were_given() -> None:
     settings = {"vehicle.car1.agent": {"kind": "trajectory"}, "vehicle.car1.agent.speed": 0.5}
-    cosim.run(alone(), set=settings)
+    vcmvsp.run(alone(), set=settings)
     assert settings == {"vehicle.car1.agent": {"kind": "trajectory"}, "vehicle.car1.agent.speed": 0.5}
 
 
 def test_a_result_can_be_saved_where_it_is_and_elsewhere(tmp_path: Path) -> None:
-    first = cosim.run(alone(), out=tmp_path / "a")
+    first = vcmvsp.run(alone(), out=tmp_path / "a")
     first.save(tmp_path / "a", force=True)
     first.save(tmp_path / "b")
     assert (tmp_path / "a" / "run.mcap").read_bytes() == (tmp_path / "b" / "run.mcap").read_bytes()
-    second = cosim.run(alone(), out=tmp_path / "d")
-    cosim.run(alone(), out=tmp_path / "d", force=True, set={"duration_s": 0.5})
-    with pytest.raises(cosim.UsageError, match="holds another run by now"):
+    second = vcmvsp.run(alone(), out=tmp_path / "d")
+    vcmvsp.run(alone(), out=tmp_path / "d", force=True, set={"duration_s": 0.5})
+    with pytest.raises(vcmvsp.UsageError, match="holds another run by now"):
         second.save(tmp_path / "c")
 
 
@@ -179,21 +179,21 @@ def test_a_result_can_be_saved_where_it_is_and_elsewhere(tmp_path: Path) -> None
 )
 def test_another_kind_can_be_set_as_it_is(settings: dict[str, Any], changed: dict[str, Any]) -> None:
     short = {"duration_s": 0.5, "physics.kind": "kinematic"}
-    resolved = tomllib.loads(cosim.run("formation-circle", set={**short, **settings}, agents="inprocess").scenario)
+    resolved = tomllib.loads(vcmvsp.run("formation-circle", set={**short, **settings}, agents="inprocess").scenario)
     assert resolved["radio"] == {**resolved["radio"], **changed}
 
 
 def test_another_agent_takes_what_it_knows_of_the_files_parameters() -> None:
     settings = {"duration_s": 0.5, "physics.kind": "kinematic", "vehicle.car2.agent.kind": "trajectory"}
-    first = cosim.run("formation-circle", set=settings, agents="inprocess")
+    first = vcmvsp.run("formation-circle", set=settings, agents="inprocess")
     agent = tomllib.loads(first.scenario)["vehicle"][1]["agent"]
     assert (agent["kind"], "leader" in agent) == ("trajectory", False)
-    assert cosim.run(tomllib.loads(first.scenario)).metrics == first.metrics
+    assert vcmvsp.run(tomllib.loads(first.scenario)).metrics == first.metrics
 
 
 def test_a_wrong_parameter_beside_a_kind_that_is_set_is_still_refused() -> None:
-    with pytest.raises(cosim.ScenarioError, match="unknown key 'probabilty'"):
-        cosim.run("formation-circle", set={"radio.loss.kind": "bernoulli", "radio.loss.probabilty": 0.5})
+    with pytest.raises(vcmvsp.ScenarioError, match="unknown key 'probabilty'"):
+        vcmvsp.run("formation-circle", set={"radio.loss.kind": "bernoulli", "radio.loss.probabilty": 0.5})
 
 
 @pytest.mark.parametrize(

@@ -19,14 +19,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp import cosim
-from vcmvsp.cosim.hosts import hosts_file
-from vcmvsp.cosim.errors import VcmvspError
-from vcmvsp.cosim.scenario.loader import settings_of
-from vcmvsp.cosim.hosts import ssh
-from tests.support.cosim.command_line import vcmvsp
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended, wait_for
 from tests.support.cosim.ssh_hosts import Machine, played, served
+from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.hosts import hosts_file, ssh
+from vcmvsp.cosim.scenario.loader import settings_of
 
 SCENARIO = """
 name = "far"
@@ -55,7 +54,7 @@ pose = [9.0, 9.0, 0.0]
 """
 NOTED = """
 import os, pathlib, sys
-from vcmvsp.cosim import Agent, Velocity
+from vcmvsp import Agent, Velocity
 
 class Noted(Agent):
     def __init__(self, word: str = "") -> None:
@@ -144,7 +143,7 @@ def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: Launching) -
     assert code == 0, said
     assert "[two] joined; waiting for the run to begin" in said
     assert stage.log("two") == stage.log("car2") == "joined; waiting for the run to begin\nthe run is over\n"
-    alone = cosim.run(stage.folder / "far.toml", set={"vehicle.car3.agent.k1": 0.7}, agents="inprocess", mcap=False)
+    alone = vcmvsp.run(stage.folder / "far.toml", set={"vehicle.car3.agent.k1": 0.7}, agents="inprocess", mcap=False)
     assert json.loads((stage.out / "metrics.json").read_text()) == alone.metrics
     assert tomllib.loads((stage.out / "scenario.toml").read_text()) == tomllib.loads(alone.scenario)
     about = json.loads((stage.out / "about.json").read_text())
@@ -155,7 +154,7 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
     there = stage.folder / "a b"
     there.mkdir()
     (there / "noted.py").write_text(NOTED)
-    assert vcmvsp("keys", "init", str(stage.folder / "keys")).code == 0
+    assert vcmvsp_command("keys", "init", str(stage.folder / "keys")).code == 0
     endpoint = f"tls/127.0.0.1:{stage.port}"
     command, given = tuple(VCMVSP), {"word": HOSTILE}
     stage.hosts(
@@ -180,7 +179,7 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
     assert not [*stage.folder.rglob("hacked")]
     assert tomllib.loads((stage.out / "scenario.toml").read_text())["vehicle"][1]["agent"]["word"] == HOSTILE
     shutil.copy(there / "noted.py", stage.out)  # which the run's machine has never seen
-    again = cosim.run(stage.out / "scenario.toml", agents="inprocess", mcap=False)
+    again = vcmvsp.run(stage.out / "scenario.toml", agents="inprocess", mcap=False)
     assert json.loads((stage.out / "metrics.json").read_text())["digest"] == again.metrics["digest"]
     if not machine.server:
         assert [each.name for each in (stage.folder / "far").iterdir()] == ["ssh-was-told"]  # and no keys are left
@@ -214,7 +213,7 @@ def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Laun
 def test_no_host_outlives_its_run(stage: Launching, machine: Machine, end: signal.Signals) -> None:
     pid = stage.folder / "pid"
     command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
-    assert vcmvsp("keys", "init", str(stage.folder / "keys")).code == 0
+    assert vcmvsp_command("keys", "init", str(stage.folder / "keys")).code == 0
     endpoint = f"tls/127.0.0.1:{stage.port}"
     stage.hosts(f'connect = "{endpoint}"\n' + table(machine, vehicles=["car2", "car3"], command=command, copy=True, name="far"))
     launch = stage.launch("--keys", "keys", "--realtime", "--set", "duration_s=3600")
@@ -364,7 +363,7 @@ def test_what_is_wrong_with_a_file_of_hosts_is_said_before_anything_starts(
     monkeypatch.chdir(tmp_path)
     Path("far.toml").write_text(SCENARIO)
     Path("hosts.toml").write_text(text)
-    code, out, said = vcmvsp("launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more)
+    code, out, said = vcmvsp_command("launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more)
     assert (code, out) == (2, "")
     assert problem in said
     assert said.count("\n") == 1

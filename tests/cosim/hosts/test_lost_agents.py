@@ -15,16 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from vcmvsp import cosim
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.metrics import agent_metrics
-from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.types import Presence
+import vcmvsp
 from tests.support.cosim.run_processes import Stage, ended, wait_for
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.metrics import agent_metrics
+from vcmvsp.cosim.types import Presence
 
 AGENTS = '''
 import os, signal, sys
-from vcmvsp.cosim import Agent, Follows, Velocity
+from vcmvsp import Agent, Follows, Velocity
 
 class Failing(Agent):
     """Drives on at 0.5 m/s, counts its ticks, and at ``at`` seconds does what ``how`` says."""
@@ -72,7 +72,7 @@ def scenario(tmp_path: Path) -> Path:
     return path
 
 
-def travelled(result: cosim.Result, vehicle: str) -> float:
+def travelled(result: vcmvsp.Result, vehicle: str) -> float:
     """m, along x."""
     rows = result.states.to_pandas().query("vehicle == @vehicle")
     return float(rows.x.iloc[-1] - rows.x.iloc[0])
@@ -102,7 +102,7 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
         "agents.latency_s": latency_s,
         "vehicle.car2.agent.how": how,
     }
-    here = cosim.run(scenario, set=settings, out=tmp_path / "here")
+    here = vcmvsp.run(scenario, set=settings, out=tmp_path / "here")
     held = min(hold_s if policy == "hold" else 0.0, 4.0)
     # Commands of 0 to 0.9 s took effect a latency later; the one of 1 s failed; a hold ends at a tick.
     drives_s = min(1.0 + np.ceil(held / 0.1 - 1e-9) * 0.1, 5.0 - latency_s)
@@ -122,10 +122,10 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
     assert said[2]["since_ns"] == SECOND_NS
     for place in ("process", "encoded") if latency_s else ("encoded",):
         there = tmp_path / place
-        cosim.run(scenario, set=settings, agents=place, out=there)  # type: ignore[arg-type]
+        vcmvsp.run(scenario, set=settings, agents=place, out=there)  # type: ignore[arg-type]
         for name in ("run.mcap", "states.parquet", "radio.parquet", "metrics.json", "scenario.toml"):
             assert (there / name).read_bytes() == (tmp_path / "here" / name).read_bytes(), name
-    again = cosim.run(tmp_path / "here" / "scenario.toml")
+    again = vcmvsp.run(tmp_path / "here" / "scenario.toml")
     assert again.metrics == here.metrics
 
 
@@ -133,8 +133,8 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
 def test_a_host_that_is_killed_costs_the_run_its_vehicles_alone(policy: str, scenario: Path, tmp_path: Path) -> None:
     """Not a bit of the result differs from that of an agent that raises at the same tick, but for the reason."""
     settings = {"agents.on_lost": policy, "vehicle.car2.agent.how": "kill"}
-    killed = cosim.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
-    raised = cosim.run(scenario, set={**settings, "vehicle.car2.agent.how": "raise"})
+    killed = vcmvsp.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
+    raised = vcmvsp.run(scenario, set={**settings, "vehicle.car2.agent.how": "raise"})
     assert killed.states.equals(raised.states)
     assert killed.radio.equals(raised.radio)
     assert killed.metrics["agents"] == raised.metrics["agents"]
@@ -145,7 +145,7 @@ def test_a_host_that_is_killed_costs_the_run_its_vehicles_alone(policy: str, sce
 def test_a_host_that_is_killed_takes_along_what_it_had_yet_to_say(scenario: Path, tmp_path: Path) -> None:
     """With a latency it may be killed with answers on the way; all from the first that is missing are lost."""
     settings = {"agents.on_lost": "remove", "agents.latency_s": 0.25, "vehicle.car2.agent.how": "kill"}
-    killed = cosim.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
+    killed = vcmvsp.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
     ((_, at_s, said),) = presences(tmp_path / "killed")
     assert 0.7 <= said["since_ns"] / SECOND_NS <= 1.0
     assert at_s == pytest.approx(said["since_ns"] / SECOND_NS + 0.25)
@@ -156,8 +156,8 @@ def test_a_host_that_is_killed_takes_along_what_it_had_yet_to_say(scenario: Path
 
 def test_one_vehicle_that_must_not_be_lost_ends_the_run(scenario: Path) -> None:
     settings = {"agents.on_lost": "hold", "vehicle.car3.agent.on_lost": "stop", "vehicle.car2.agent.how": "kill"}
-    with pytest.raises(cosim.AgentError, match="vehicles car1, car2, car3: was killed by SIGKILL") as caught:
-        cosim.run(scenario, set={**settings, "agents.processes": 1}, agents="process")
+    with pytest.raises(vcmvsp.AgentError, match="vehicles car1, car2, car3: was killed by SIGKILL") as caught:
+        vcmvsp.run(scenario, set={**settings, "agents.processes": 1}, agents="process")
     assert caught.value.result.metrics["agents"]["car2"] == {**FINE, "missed": 1}
 
 
@@ -332,7 +332,17 @@ def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand)
     elsewhere.mkdir()
     (elsewhere / "failing.py").write_text(AGENTS)
     good = subprocess.Popen(
-        [sys.executable, "-m", "vcmvsp.cosim.cli.app", "agent", "failing.py:Failing", "--vehicle", "car2", "--connect", stage.endpoint],
+        [
+            sys.executable,
+            "-m",
+            "vcmvsp.cosim.cli.app",
+            "agent",
+            "failing.py:Failing",
+            "--vehicle",
+            "car2",
+            "--connect",
+            stage.endpoint,
+        ],
         cwd=elsewhere,
         stderr=subprocess.PIPE,
         text=True,

@@ -10,11 +10,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from vcmvsp import cosim
-from vcmvsp.cosim.security import authority
+import vcmvsp
 from tests.support.cosim.command_line import contents
-from tests.support.cosim.run_processes import Stage, ended, wait_for
 from tests.support.cosim.network_namespaces import MIDDLE, PORT, RUN, Network
+from tests.support.cosim.run_processes import Stage, ended, wait_for
+from vcmvsp.cosim.security import authority
 
 SCENARIO = """
 name = "far"
@@ -69,7 +69,7 @@ class Far(Stage):
 
     def reference(self) -> dict[str, bytes]:
         """The files of the same run in this process."""
-        cosim.run(self.folder / "far.toml", agents="inprocess", out=self.folder / "reference")
+        vcmvsp.run(self.folder / "far.toml", agents="inprocess", out=self.folder / "reference")
         return contents(self.folder / "reference")
 
 
@@ -115,7 +115,8 @@ def test_one_far_host_that_is_cut_off_for_three_seconds_gives_the_files_of_one_p
 
 
 LIAR = """
-import sys; from pathlib import Path; from vcmvsp.agents import host_process as serve; from vcmvsp.cosim.security import certificates
+import sys; from pathlib import Path
+from vcmvsp.agents import host_process as serve; from vcmvsp.cosim.security import certificates
 certificates.Bundle.speaks_for = lambda *_: None
 serve.host(sys.argv[1], ("car3",), keys=Path(sys.argv[2]))
 """

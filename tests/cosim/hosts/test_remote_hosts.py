@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp import cosim
-from tests.support.cosim.command_line import vcmvsp
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import Stage, Wire, ended, wait_for
 
 SCENARIO = """
@@ -47,11 +47,13 @@ class Place(Stage):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        assert vcmvsp("keys", "init", str(folder / "keys")).code == 0
+        assert vcmvsp_command("keys", "init", str(folder / "keys")).code == 0
 
     def keys(self, *vehicles: str, as_: str) -> str:
         out = self.folder / f"{as_}.keys"
-        given = vcmvsp("keys", "vehicle", *vehicles, "--keys", str(self.folder / "keys"), "--as", as_, "--out", str(out))
+        given = vcmvsp_command(
+            "keys", "vehicle", *vehicles, "--keys", str(self.folder / "keys"), "--as", as_, "--out", str(out)
+        )
         assert given.code == 0, given.err
         return out.name
 
@@ -65,7 +67,7 @@ class Place(Stage):
 
     def reference(self, latency_s: float = 0.0) -> str:
         settings = {"agents.latency_s": latency_s}
-        digest: str = cosim.run(self.folder / "far.toml", set=settings, agents="inprocess", mcap=False).metrics["digest"]
+        digest: str = vcmvsp.run(self.folder / "far.toml", set=settings, agents="inprocess", mcap=False).metrics["digest"]
         return digest
 
     def digest(self) -> str:
@@ -146,14 +148,14 @@ def test_a_cut_that_heals_within_the_deadline_loses_nothing(
 def test_beyond_this_machine_certificates_are_a_must(place: Place) -> None:
     (place.folder / "far.toml").write_text(SCENARIO.format(duration=1.0))
     run = ("run", str(place.folder / "far.toml"), "--out", str(place.out))
-    code, _, said = vcmvsp(*run, "--listen", f"tcp/0.0.0.0:{place.port}")
+    code, _, said = vcmvsp_command(*run, "--listen", f"tcp/0.0.0.0:{place.port}")
     assert code == 2
     assert re.search(r"use tls/0\.0\.0\.0:\d+ --keys DIR .* or add --insecure", said)
-    code, _, said = vcmvsp("agent", "--vehicle", "car2", "--connect", "tcp/192.0.2.1:7447")
+    code, _, said = vcmvsp_command("agent", "--vehicle", "car2", "--connect", "tcp/192.0.2.1:7447")
     assert code == 2
     assert "--keys FILE" in said
     assert not place.out.exists()
     keys = place.folder / "keys"
-    code, _, said = vcmvsp(*run, "--listen", f"tls/127.0.0.1:{place.port}", "--keys", str(keys))
+    code, _, said = vcmvsp_command(*run, "--listen", f"tls/127.0.0.1:{place.port}", "--keys", str(keys))
     assert code == 2
     assert f"no machine has a certificate for car2, car3: vcmvsp keys vehicle car2 --keys {keys}" in said

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from tests.support.cosim.run_processes import Wire
+from tests.support.cosim.secure_hub import PATIENCE_S, lasting_links, until
 from vcmvsp.cosim.hosts import host_client, protocol
 from vcmvsp.cosim.hosts.hub import Hub
-from tests.support.cosim.secure_hub import PATIENCE_S, lasting_links, until
-from tests.support.cosim.run_processes import Wire
 
 
 class Desk:

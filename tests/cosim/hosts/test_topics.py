@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -20,14 +19,16 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
+from tests.support.cosim.secure_hub import lasting_links
+from tests.support.paths import ROOT
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.event_publisher import ECHO, Topics, stamp
+from vcmvsp.cosim.hosts.hub import QUEUES, Hub
+from vcmvsp.cosim.recording.foxglove import messages
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Keys
-from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.recording.foxglove import messages
-from vcmvsp.cosim.transport import key_names, access_control
-from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.hosts.hub import QUEUES, Hub
-from vcmvsp.cosim.hosts.event_publisher import ECHO, Topics, stamp
+from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import (
     Contact,
@@ -53,7 +54,6 @@ from vcmvsp.cosim.types import (
     Velocity,
     Waypoint,
 )
-from tests.support.cosim.secure_hub import lasting_links
 
 PATIENCE_S = 20.0
 MESSAGE = Message(sender="car1", body={"x": 1.5, "plan": [1, 2], "raw": b"\x00\xff"}, size_bytes=40)
@@ -309,7 +309,8 @@ def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitS
     names = ("laptop", "anna", "ben", "gone")
     bundles = {name: certificates.load_bundle(keys.folder / f"{name}.keys") for name in names}
     sessions = {
-        name: stack.enter_context(client(hub.endpoint, access_control.machine_security(bundle))) for name, bundle in bundles.items()
+        name: stack.enter_context(client(hub.endpoint, access_control.machine_security(bundle)))
+        for name, bundle in bundles.items()
     }
     ears = {name: Ear(session) for name, session in sessions.items()}
     show(topics, "car2/note", VALUES["note"], ears["anna"])
@@ -355,7 +356,7 @@ def test_an_observer_that_hangs_holds_nobody_up(stack: contextlib.ExitStack) -> 
     (where,) = [json.loads(each.ok.payload.to_string()) for each in session.get(f"@/{session.zid()}/router") if each.ok]
     topics = Topics(session, {})
     hangs = subprocess.Popen(
-        [sys.executable, "-c", OBSERVER, where["locators"][0]], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent
+        [sys.executable, "-c", OBSERVER, where["locators"][0]], stdout=subprocess.PIPE, text=True, cwd=ROOT / "tests"
     )
     try:
         assert hangs.stdout is not None

@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from vcmvsp import cosim
-from vcmvsp.cosim.security import authority
-from vcmvsp.cosim.cli import watch as cli_watch
-from vcmvsp.cosim import transport
-from vcmvsp.cosim.hosts.observers.watcher import Seen
-from tests.support.cosim.command_line import vcmvsp
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP, Stage, ended, wait_for
+from tests.support.paths import ROOT
+from vcmvsp.cosim.cli import watch as cli_watch
+from vcmvsp.cosim.hosts.observers.watcher import Seen
+from vcmvsp.cosim.security import authority
 
 SCENARIO = """
 name = "shown"
@@ -84,7 +84,7 @@ class Theatre(Stage):
 
     def alone(self) -> str:
         """The digest of the run when nobody watches."""
-        digest: str = cosim.run(self.folder / "shown.toml", mcap=False).metrics["digest"]
+        digest: str = vcmvsp.run(self.folder / "shown.toml", mcap=False).metrics["digest"]
         return digest
 
 
@@ -205,10 +205,10 @@ def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
         "keys/nobody.keys": "nobody.keys: cannot be read: No such file",
     }
     for file, words in refusals.items():
-        code, _, said = vcmvsp("watch", theatre.endpoint, "--keys", str(theatre.folder / file))
+        code, _, said = vcmvsp_command("watch", theatre.endpoint, "--keys", str(theatre.folder / file))
         assert (code, len(said.splitlines())) == (2, 1)
         assert words in said
-    code, _, said = vcmvsp("watch", theatre.endpoint)
+    code, _, said = vcmvsp_command("watch", theatre.endpoint)
     assert code == 2
     assert "add --keys FILE (made on the run's machine with: vcmvsp keys observer NAME" in said
     assert [ended(each)[0] for each in (run, theatre.host("--keys", "keys/laptop.keys"), anna)] == [0, 0, 0]
@@ -217,7 +217,7 @@ def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
 
 @pytest.mark.parametrize("topic", ["", "/", "car1/", "a//b", "car1/#", "a*"])
 def test_topics_are_key_expressions(topic: str) -> None:
-    code, _, said = vcmvsp("watch", "tcp/127.0.0.1:1", "--topic", topic)
+    code, _, said = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--topic", topic)
     assert (code, said) == (
         2,
         f"vcmvsp: --topic {topic}: must be a key like car2/command, with * for one part and ** for many\n",
@@ -268,7 +268,7 @@ def test_what_is_no_json_is_shown_as_nothing() -> None:
 
 def test_the_readme_watches_a_run(theatre: Theatre) -> None:
     """Its program knows nothing of this project but that page."""
-    readme = (Path(transport.__file__).parent / "README.md").read_text("utf-8")
+    readme = (ROOT / "cosim" / "hosts" / "README.md").read_text("utf-8")
     blocks = dict(re.findall(r"^```(json5|python)\n(.*?)^```", readme, re.DOTALL | re.MULTILINE))
     theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
     authority.init(theatre.folder / "keys")

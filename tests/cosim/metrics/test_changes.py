@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.cosim.recordings import TENTH, follows, note, recorded, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Follows
-from tests.support.cosim.recordings import TENTH, follows, note, recorded, states
 
 KEYS = ("shape_changes", "mode_toggles", "avoid_s", "reformed_s")
 TEAM = [follows("b", "a", (-1.0, 0.0), 0.3), follows("c", "a", (-2.0, 0.0), 0.3)]

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.cosim.recordings import TENTH, recorded, velocity
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Waypoint
-from tests.support.cosim.recordings import TENTH, recorded, velocity
 
 
 def control_of(names: str, events: list[Event], seconds: float, window: tuple[float, float | None] = (0.0, None)) -> Any:

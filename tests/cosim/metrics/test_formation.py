@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.cosim.recordings import TENTH, follows, recorded, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.team_shape import misfit_squared
 from vcmvsp.cosim.types import Follows
-from tests.support.cosim.recordings import TENTH, follows, recorded, states
 
 T = 0.1
 CORNERS = {"a": 0j, "b": -1 + 1j, "c": -1 - 1j, "d": -2 + 0j}  # a diamond that "a" leads

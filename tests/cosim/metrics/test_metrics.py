@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.cosim.recordings import TENTH, Pose, follows, frame, recorded, states
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.metrics import ages_s, links, min_separation_m, motion
 from vcmvsp.cosim.recording import accumulators
 from vcmvsp.cosim.recording.digest import digest
-from vcmvsp.cosim.metrics import ages_s, links, min_separation_m, motion
 from vcmvsp.cosim.types import (
     Changed,
     Contact,
@@ -43,7 +44,6 @@ from vcmvsp.cosim.types import (
     Waypoint,
     frozen,
 )
-from tests.support.cosim.recordings import TENTH, Pose, follows, frame, recorded, states
 
 L, SIDE, R, W = math.sqrt(3) / 2, 0.5, 2.0, 0.15  # the standard triangle on the standard circle
 

@@ -8,9 +8,9 @@ from msgspec.structs import replace
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.metrics import Routing, age_metrics, informed, links, receptions, unreached_s
 from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table
 from vcmvsp.cosim.types import FrameReport, Routed
 

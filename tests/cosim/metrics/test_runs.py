@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.terminal.progress import summary
+import vcmvsp
 from tests.support.validation.fleets import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, fleet, lossy
+from vcmvsp.cosim.terminal.progress import summary
 
 
 def flat(metrics: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -29,7 +29,7 @@ def test_age_over_all_time_and_its_peaks() -> None:
     """
     p, d, followers, from_s, end_s = 0.7, 0.03, 30, 20.0, 100.0
     scenario = fleet(end_s, [RIGHT_BEHIND, LEFT_BEHIND] * (followers // 2), radio=lossy(p, d), agents=NEVER_LOST)
-    metrics = cosim.run(scenario, set={"record.period_s": 1.0, "metrics.from_s": from_s}, mcap=False).metrics
+    metrics = vcmvsp.run(scenario, set={"record.period_s": 1.0, "metrics.from_s": from_s}, mcap=False).metrics
     k = np.arange(1, 2000)
     interval, chance = T * k, (1 - p) * p ** (k - 1)
     mean = float(chance @ interval)
@@ -52,7 +52,7 @@ def test_age_over_all_time_and_its_peaks() -> None:
 def test_response_of_a_kinematic_follower(k1: float, start: float) -> None:
     """z grows by v T until the first report is acted upon, then by 1 - k1 T a period."""
     follower = {"pose": (-1.0 - start, 0.0, 0.0), "k1": k1, **NEVER_LOST}
-    metrics = cosim.run(fleet(20.0, [follower], path="straight", radio={"preset": "ideal"}), mcap=False).metrics
+    metrics = vcmvsp.run(fleet(20.0, [follower], path="straight", radio={"preset": "ideal"}), mcap=False).metrics
     z = np.array([start, *((start + V * T) * (1 - k1 * T) ** np.arange(200))])
     falling = z[: np.argmax(np.abs(z) < 0.05 * start)]
     rate = -np.polyfit(T * np.arange(len(falling)), np.log(np.abs(falling)), 1)[0]
@@ -67,7 +67,7 @@ def test_keys_do_not_depend_on_chance() -> None:
     """Whatever the seed and the losses, but for their causes."""
     keys = []
     for seed, p in ((1, 0.0), (2, 0.3), (3, 1.0)):
-        metrics = cosim.run(fleet(2.0, radio=lossy(p)), seed=seed, mcap=False).metrics
+        metrics = vcmvsp.run(fleet(2.0, radio=lossy(p)), seed=seed, mcap=False).metrics
         values = flat(metrics)
         json.dumps(metrics, allow_nan=False)
         assert all(value is None or isinstance(value, str | int | float) for value in values.values())
@@ -81,7 +81,7 @@ def test_keys_do_not_depend_on_chance() -> None:
 def test_k1_is_the_rate_where_the_period_is_short() -> None:
     follower = {"pose": (-1.5, 0.0, 0.0), **NEVER_LOST}
     scenario = fleet(10.0, [follower], path="straight", radio={"preset": "ideal"}, agents={"period_s": 0.01})
-    rate = cosim.run(scenario, set={"record.period_s": 0.05}, mcap=False).metrics["formation"]["convergence_1_s"]
+    rate = vcmvsp.run(scenario, set={"record.period_s": 0.05}, mcap=False).metrics["formation"]["convergence_1_s"]
     assert rate == pytest.approx(K1, rel=0.01)
 
 
@@ -94,11 +94,11 @@ def test_errors_of_a_chain_add_up_in_its_shape() -> None:
     behind = {"estimator": "hold", "bearing_deg": 0.0, "handle": 0.5, "broadcast": True, **NEVER_LOST}
     chain = [behind, {**behind, "leader": "car2", "pose": (-2.0, 0.0, 0.0)}]
     scenario = fleet(60.0, chain, path="straight", radio={"preset": "ideal"}, metrics={"from_s": 50.0})
-    result = cosim.run(scenario, mcap=False)
+    result = vcmvsp.run(scenario, mcap=False)
     formation = result.metrics["formation"]
     assert [each["rms_m"] for each in formation["per_follower"].values()] == pytest.approx([V * T, V * T], rel=1e-6)
     assert formation["hop_gain"] == pytest.approx(1.0, rel=1e-6)
     assert formation["shape"]["rms_m"] == pytest.approx(V * T * math.sqrt(2 / 3), rel=1e-6)
     assert "error 0.0300 m RMS, 0.0300 m at most, shape 0.0245 m, " in summary(result)
-    star = cosim.run(fleet(5.0, radio={"preset": "ideal"}), mcap=False)
+    star = vcmvsp.run(fleet(5.0, radio={"preset": "ideal"}), mcap=False)
     assert "shape" not in summary(star)

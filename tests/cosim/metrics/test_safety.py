@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim import Agent, Observation, Radio, Velocity
-from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.assembly.worlds import world_of
+import vcmvsp
 from tests.support.cosim.recordings import TENTH, recorded, states
+from vcmvsp import Agent, Observation, Radio, Velocity
+from vcmvsp.cosim.assembly.worlds import world_of
+from vcmvsp.cosim.clock import SECOND_NS
 
 CART = {
     "name": "cart",
@@ -28,14 +28,14 @@ class Straight(Agent):
         return Velocity(linear=(0.5, 0.0, 0.0))
 
 
-def passing(world: dict[str, Any], *vehicles: dict[str, Any], **settings: Any) -> cosim.Result:
+def passing(world: dict[str, Any], *vehicles: dict[str, Any], **settings: Any) -> vcmvsp.Result:
     """Of 10 s in which all go 5 m eastwards."""
     listed = [{"name": f"v{k}", "kind": "kinematic", **each} for k, each in enumerate(vehicles)]
     scenario = {"name": "passing", "duration_s": 10.0, "physics": {"kind": "kinematic"}, "world": world, "vehicle": listed}
-    return cosim.run(scenario, agents={each["name"]: Straight() for each in listed}, set=settings)
+    return vcmvsp.run(scenario, agents={each["name"]: Straight() for each in listed}, set=settings)
 
 
-def clearance(result: cosim.Result) -> Any:
+def clearance(result: vcmvsp.Result) -> Any:
     return result.metrics["safety"]["min_clearance_m"]
 
 

@@ -16,25 +16,26 @@ from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 
-from vcmvsp.cosim.analysis import coverage as coverages
-from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, Photo
-from vcmvsp.cosim.plots import coverage_plot, mission_plot, run_plots, study_plot
-from vcmvsp.cosim.reproduction.figures import drawing as figure_plot
-from vcmvsp.cosim.plots.calibration_plot import draw_calibration
-from vcmvsp.cosim.tables.labels import label_of
-from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.recording.mission_log import read_mission
-from vcmvsp.cosim.util.palette import COMMANDERS, OKABE_ITO, rgb
-from vcmvsp.cosim.plots.style import line_of, style
-from vcmvsp.cosim.studies.rows import flat
-from vcmvsp.cosim.studies.summary import summarise
+from tests.cosim.studies.test_outputs import DELAY, LOSS, METRIC, study
 from tests.support.cosim import recordings
 from tests.support.cosim.reconnaissance_recording import TARGETS, recorded
-from tests.cosim.studies.test_outputs import DELAY, LOSS, METRIC, study
+from tests.support.paths import ROOT
+from vcmvsp.cosim.analysis import coverage as coverages
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.plots import coverage_plot, mission_plot, run_plots, study_plot
+from vcmvsp.cosim.plots.calibration_plot import draw_calibration
+from vcmvsp.cosim.plots.style import line_of, style
+from vcmvsp.cosim.recording.mission_log import read_mission
+from vcmvsp.cosim.reproduction.figures import drawing as figure_plot
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, Photo
+from vcmvsp.cosim.studies.rows import flat
+from vcmvsp.cosim.studies.summary import summarise
+from vcmvsp.cosim.tables.labels import label_of
+from vcmvsp.cosim.util.palette import COMMANDERS, OKABE_ITO, rgb
 
 Array = np.ndarray
-FIGURES = Path(figure_plot.__file__).parents[1] / "figures"
+FIGURES = ROOT / "cosim" / "reproduction" / "figures"
 
 # Of pure numbers; why there is no unit.
 PURE = {

@@ -20,14 +20,16 @@ from matplotlib.figure import Figure
 from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader, make_reader
 
+from tests.support.cosim.recordings import follows, states
+from tests.support.cosim.recordings import recorded as plainly
 from vcmvsp.cosim import types
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.recording import Recorder, load
 from vcmvsp.cosim.plots import run_plots
+from vcmvsp.cosim.recording import Recorder, load
 from vcmvsp.cosim.recording.foxglove.schemas import schema_of
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, write_table
 from vcmvsp.cosim.types import (
@@ -47,8 +49,6 @@ from vcmvsp.cosim.types import (
     Velocity,
     frozen,
 )
-from tests.support.cosim.recordings import follows, states
-from tests.support.cosim.recordings import recorded as plainly
 
 NAMES = ("car1", "car2")
 TENTH = Ticks.every(0.1)

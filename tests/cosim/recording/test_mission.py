@@ -14,18 +14,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim import metrics
-from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
-from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
-from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, read_mission, surest_map
-from vcmvsp.cosim.studies.rows import flat
-from vcmvsp.cosim.types import Image, Looks, Mosaic, Presence, ProbabilityMap, Sighting, Sightings, frozen
+from tests.cosim.recording.test_files import check
 from tests.support.cosim.reconnaissance_recording import CELL_M, CELLS, TARGETS, events, recorded
 from tests.support.cosim.recordings import note, states
 from tests.support.cosim.recordings import recorded as plainly
-from tests.cosim.recording.test_files import check
+from vcmvsp.cosim import metrics
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
+from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
+from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, read_mission, surest_map
+from vcmvsp.cosim.studies.rows import flat
+from vcmvsp.cosim.types import Image, Looks, Mosaic, Presence, ProbabilityMap, Sighting, Sightings, frozen
 
 NAMES = ("uav1", "uav2")
 END_NS = 20 * SECOND_NS

@@ -15,13 +15,13 @@ import pytest
 from mcap import records
 from mcap.reader import NonSeekingReader, make_reader
 
-from vcmvsp.cosim.recording.foxglove import messages as foxglove
+from tests.support.cosim import export_runs, mcap_checks
+from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.recording import scene
+from vcmvsp.cosim.recording.foxglove import messages as foxglove
 from vcmvsp.cosim.recording.foxglove.schemas import FRAME, schema_of
 from vcmvsp.cosim.recording.mcap_file import McapLog, about, contents, messages, of_topic
 from vcmvsp.cosim.types import FrameReport, Note
-from vcmvsp.cosim.assembly.worlds import world_of
-from tests.support.cosim import export_runs, mcap_checks
 
 RERUN = Path(sys.executable).with_name("rerun")
 

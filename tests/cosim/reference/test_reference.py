@@ -17,16 +17,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.channels import make_channel, send
 from vcmvsp.cosim.assembly import radio
-from vcmvsp.cosim.reference import markdown as reference, describe
-from vcmvsp.cosim.config import builtin_kinds, registry, binding
-from vcmvsp.cosim.scenario import loader
-from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.reference.radio_range import reach_m
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.reference import describe
+from vcmvsp.cosim.reference import markdown as reference
+from vcmvsp.cosim.reference.radio_range import reach_m
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.types import Message, NonNegative, Positive, Probability, Seconds, Seed, Vec3
 from vcmvsp.netsim.presets import LAYERS, PRESETS, preset
-from tests.support.netsim.channels import make_channel, send
 
 ALL_BLOCKS = "''.join(write() for write in reference.BLOCKS.values())"
 REQUIRED = {"probability": 0.1, "quantiles": [[0.0, 0.0], [1.0, 0.1]], "file": "links.csv"}  # all others may be 0.1
@@ -107,7 +108,9 @@ def test_a_page_that_is_not_is_noticed_and_repaired(tmp_path: Path, change: tupl
     page, fresh = tmp_path / "README.md", reference.PAGE.read_text("utf-8")
     page.write_text(fresh.replace(*change, 1), "utf-8")
     assert page.read_text("utf-8") != fresh
-    with pytest.raises(SystemExit, match=re.escape("is not what the code says; update it: python -m vcmvsp.cosim.reference.markdown --write")):
+    with pytest.raises(
+        SystemExit, match=re.escape("is not what the code says; update it: python -m vcmvsp.cosim.reference.markdown --write")
+    ):
         reference.main([], page)
     reference.main(["--write"], page)
     assert page.read_text("utf-8") == fresh
@@ -129,7 +132,9 @@ def test_a_page_without_a_place_for_it_is_refused() -> None:
 
 
 def test_it_is_the_same_in_every_process(blocks: dict[str, str]) -> None:
-    code = f"from vcmvsp.cosim.reference import markdown as reference; import sys; sys.stdout.buffer.write({ALL_BLOCKS}.encode())"
+    code = (
+        f"from vcmvsp.cosim.reference import markdown as reference; import sys; sys.stdout.buffer.write({ALL_BLOCKS}.encode())"
+    )
     environment = {**os.environ, "PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"}  # not this one's
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=environment).stdout
     assert told.decode() == "".join(blocks.values())

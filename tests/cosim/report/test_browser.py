@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from tests.support.cosim.studies import LOSS, two
 from tests.support.cosim.view_pages import ARGUMENTS, CHROMIUM
 
@@ -29,8 +29,8 @@ def browser() -> Iterator[Any]:
 def pages(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[str, Path]:
     """Of a run and of a study."""
     folder = tmp_path_factory.mktemp("pages")
-    cosim.run(two(duration_s=2.0), out=folder / "run")
-    cosim.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=2, metrics=["formation.rms_m"], jobs=1, out=folder / "study")
+    vcmvsp.run(two(duration_s=2.0), out=folder / "run")
+    vcmvsp.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=2, metrics=["formation.rms_m"], jobs=1, out=folder / "study")
     return {name: folder / name / "report.html" for name in ("run", "study")}
 
 

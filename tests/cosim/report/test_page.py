@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
 from tests.support.cosim.html_pages import Reader
+from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
 
 HOSTILE = "<script>alert(1)</script> & \"quoted\" 'too'"
 DRAWING = """<?xml version="1.0"?>

@@ -6,20 +6,20 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.errors import VcmvspError
+import vcmvsp
+from tests.support.cosim.command_line import Outcome, two_cars, vcmvsp_command
+from tests.support.cosim.html_pages import Reader
+from tests.support.cosim.studies import two
 from vcmvsp.cosim.analysis.links import Log, overview
+from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.report.glossary import GROUPS, WORDS, meaning_of
 from vcmvsp.cosim.report.metric_tables import flat
 from vcmvsp.cosim.report.page import cell
 from vcmvsp.cosim.report.run_page import write
-from tests.support.cosim.command_line import Outcome, two_cars, vcmvsp
-from tests.support.cosim.html_pages import Reader
-from tests.support.cosim.studies import two
 
 HOSTILE = "<script>alert('x')</script> & \"quoted\" <b>"
 AGENT = f"""
-from vcmvsp.cosim import Agent, Velocity
+from vcmvsp import Agent, Velocity
 
 
 class Mine(Agent):
@@ -37,7 +37,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run with losses, followers and a drawn radio."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     radio = {"preset": "wifi-b-1", "loss": {"kind": "bernoulli", "probability": 0.4}}
-    cosim.run(two(duration_s=3.0, radio=radio, seed=5), out=folder)
+    vcmvsp.run(two(duration_s=3.0, radio=radio, seed=5), out=folder)
     return folder
 
 
@@ -99,32 +99,32 @@ def test_made_again_it_is_the_same_but_for_the_figures_that_tests_leave_out(run:
 
 @pytest.mark.usefixtures("figures")
 def test_made_again_from_the_folder_it_has_the_same_figures(folder: Path) -> None:
-    cosim.run(two(duration_s=2.0), out=folder / "out")
+    vcmvsp.run(two(duration_s=2.0), out=folder / "out")
     before = (folder / "out" / "report.html").read_bytes()
     assert before.count(b"<svg") == 2
     (folder / "out" / "report.html").unlink()
-    assert vcmvsp("report", "out") == Outcome(0, "out/report.html\n", "")
+    assert vcmvsp_command("report", "out") == Outcome(0, "out/report.html\n", "")
     assert (folder / "out" / "report.html").read_bytes() == before
-    assert vcmvsp("report", "out", "--out", "page.html") == Outcome(0, "page.html\n", "")
+    assert vcmvsp_command("report", "out", "--out", "page.html") == Outcome(0, "page.html\n", "")
     assert (folder / "page.html").read_bytes() == before
 
 
 def test_a_run_in_which_nobody_sends_or_follows_has_a_page(folder: Path) -> None:
     (folder / "mine.py").write_text(
-        "from vcmvsp.cosim import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        pass\n"
+        "from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        pass\n"
     )
     mine = 'kind = "mine.py:Mine"'
     text = two_cars(agent=mine).replace('kind = "trajectory", path = "circle"', mine)
-    cosim.run(_written(folder, text), out=folder / "out")
+    vcmvsp.run(_written(folder, text), out=folder / "out")
     page = read(folder / "out")
     assert "Nobody sent anything." in page.words
     assert "Nothing was sent." in page.words
 
 
 def test_runs_without_a_folder_leave_no_page(folder: Path) -> None:
-    cosim.run(two(), mcap=False)
+    vcmvsp.run(two(), mcap=False)
     assert list(folder.iterdir()) == []
-    saved = cosim.run(two()).save("saved")
+    saved = vcmvsp.run(two()).save("saved")
     assert (saved / "report.html").is_file()
 
 
@@ -135,9 +135,9 @@ def test_what_agents_say_is_text_and_never_markup(folder: Path, policy: str) -> 
     text = two_cars(agents=f'on_lost = "{policy}"', agent=mine).replace('kind = "trajectory", path = "circle"', mine)
     if policy == "stop":
         with pytest.raises(VcmvspError):
-            cosim.run(_written(folder, text), out=folder / "out")
+            vcmvsp.run(_written(folder, text), out=folder / "out")
     else:
-        cosim.run(_written(folder, text), out=folder / "out")
+        vcmvsp.run(_written(folder, text), out=folder / "out")
     page = read(folder / "out")
     assert HOSTILE in page.words
     assert not page.tags & {"script", "b"}
@@ -148,7 +148,7 @@ def test_what_agents_say_is_text_and_never_markup(folder: Path, policy: str) -> 
 def test_frames_to_one_vehicle_each_count_as_sent_and_who_has_no_agent_has_none(folder: Path) -> None:
     act = "for to in ('car2', 'car3')[: 2 * (obs.vehicle == 'car1')]:\n            radio.send(x=1.0, to=to)"
     (folder / "mine.py").write_text(
-        f"from vcmvsp.cosim import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        {act}\n"
+        f"from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        {act}\n"
     )
     vehicles: list[dict[str, Any]] = [
         {"name": name, "pose": [x, 0.0, 0.0]} for name, x in (("car1", 0.0), ("car2", 1.0), ("car3", 2.0))
@@ -156,7 +156,7 @@ def test_frames_to_one_vehicle_each_count_as_sent_and_who_has_no_agent_has_none(
     for each in vehicles[:2]:
         each["agent"] = {}
     scenario = two(agents={"kind": str(folder / "mine.py:Mine"), "period_s": 0.1}, vehicle=vehicles)
-    result = cosim.run(scenario, out=folder / "out")
+    result = vcmvsp.run(scenario, out=folder / "out")
     rows = {row[0]: row for row in read(folder / "out").rows("vehicle", "kind")}
     assert int(rows["car1"][7]) == result.metrics["radio"]["frames"] == 20
     assert [rows[name][2] for name in rows] == ["mine.py:Mine", "mine.py:Mine", ""]
@@ -171,7 +171,7 @@ def test_a_run_that_was_killed_says_what_it_lacks(run: Path, folder: Path) -> No
     (folder / "cut").mkdir()
     whole = (run / "run.mcap").read_bytes()
     (folder / "cut" / "run.mcap").write_bytes(whole[: len(whole) * 3 // 4])
-    assert vcmvsp("report", "cut").code == 0
+    assert vcmvsp_command("report", "cut").code == 0
     page = read(folder / "cut")
     missing = {row[0]: row[1] for row in page.rows("file")}
     assert missing == dict.fromkeys(
@@ -193,7 +193,7 @@ def test_a_folder_without_one_of_its_files_has_a_page_all_the_same(
         (folder / "out" / name).unlink()
     else:
         (folder / "out" / name).write_bytes(content)
-    assert vcmvsp("report", "out").code == 0
+    assert vcmvsp_command("report", "out").code == 0
     if (name, content) in (("scenario.toml", b""), ("run.mcap", b""), ("run.mcap", b"PAR1\x00 not [ what { it was")):
         return  # an empty scenario is one, and of a damaged recording what comes before the damage is read
     assert {row[0] for row in read(folder / "out").rows("file")} == {name}  # and all others are shown
@@ -203,7 +203,7 @@ def test_a_folder_without_one_of_its_files_has_a_page_all_the_same(
 def test_what_no_run_has_left_is_refused(folder: Path, target: str) -> None:
     _written(folder, two_cars())
     (folder / "empty").mkdir()
-    code, out, err = vcmvsp("report", target)
+    code, out, err = vcmvsp_command("report", target)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"vcmvsp: {target}: ")
     assert list((folder / "empty").iterdir()) == []
@@ -212,7 +212,7 @@ def test_what_no_run_has_left_is_refused(folder: Path, target: str) -> None:
 def test_a_page_that_cannot_be_written_is_one_error(run: Path, folder: Path) -> None:
     (folder / "here").mkdir()
     for out in ("here", "no/such/folder.html"):
-        code, _, err = vcmvsp("report", str(run), "--out", out)
+        code, _, err = vcmvsp_command("report", str(run), "--out", out)
         assert (code, err.count("\n")) == (2, 1)
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.command_line import Outcome, vcmvsp_command
+from tests.support.cosim.html_pages import Reader
+from tests.support.cosim.studies import LOSS, mine, two
 from vcmvsp.cosim.studies.plan import Plan, Run
 from vcmvsp.cosim.studies.rows import Row, encode
 from vcmvsp.cosim.studies.store import JOURNAL, PLAN, Line
-from tests.support.cosim.command_line import Outcome, vcmvsp
-from tests.support.cosim.html_pages import Reader
-from tests.support.cosim.studies import LOSS, mine, two
 
 METRIC = "formation.rms_m"
 
@@ -21,7 +21,7 @@ METRIC = "formation.rms_m"
 def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a study of two points with two seeds each leaves."""
     folder = tmp_path_factory.mktemp("studies") / "out"
-    cosim.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=2, metrics=[METRIC], jobs=1, out=folder)
+    vcmvsp.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=2, metrics=[METRIC], jobs=1, out=folder)
     return folder
 
 
@@ -41,9 +41,9 @@ def test_made_again_it_is_the_same(study: Path) -> None:
     before = (study / "report.html").read_bytes()
     assert before.count(b"<svg") == 1
     (study / "report.html").unlink()
-    assert vcmvsp("report", "out") == Outcome(0, "out/report.html\n", "")
+    assert vcmvsp_command("report", "out") == Outcome(0, "out/report.html\n", "")
     assert (study / "report.html").read_bytes() == before
-    assert vcmvsp("report", "out", "--out", "page.html") == Outcome(0, "page.html\n", "")
+    assert vcmvsp_command("report", "out", "--out", "page.html") == Outcome(0, "page.html\n", "")
     assert Path("page.html").read_bytes() == before
 
 
@@ -59,7 +59,7 @@ def test_of_a_study_that_was_cut_it_shows_what_is_done_also_in_the_journal(study
     (study / PLAN).write_text(longer.to_toml())
     row = msgspec.Raw(encode(Row(error="car1: <script>alert(1)</script>")))
     (study / JOURNAL).write_bytes(msgspec.json.encode(Line(Run((0.5,), 2).key, row)) + b'\n{"run": "0.0')
-    assert vcmvsp("report", "out").code == 0
+    assert vcmvsp_command("report", "out").code == 0
     page = read(study)
     assert "Of these only 5 are done yet" in page.words
     assert "1 failed" in page.words
@@ -75,7 +75,7 @@ def test_of_a_study_that_was_cut_it_shows_what_is_done_also_in_the_journal(study
 def test_before_the_first_run_is_done_there_is_a_page(study: Path) -> None:
     for name in ("study.parquet", "report.html"):
         (study / name).unlink()
-    assert vcmvsp("report", "out").code == 0
+    assert vcmvsp_command("report", "out").code == 0
     assert "only 0 are done" in read(study).words
 
 
@@ -83,7 +83,7 @@ def test_before_the_first_run_is_done_there_is_a_page(study: Path) -> None:
 def test_a_damaged_study_is_one_error(study: Path, name: str, content: str) -> None:
     (study / name).write_text(content)
     before = (study / "report.html").read_bytes()
-    code, out, err = vcmvsp("report", "out")
+    code, out, err = vcmvsp_command("report", "out")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "out" in err
     assert (study / "report.html").read_bytes() == before
@@ -93,10 +93,10 @@ def test_errors_of_runs_are_listed_and_can_be_made_up_for(tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path)
     mine(tmp_path)
     vary = {"agents.nap_s": [0.0, 0.001]}
-    cosim.study("mine.toml", vary=vary, seeds=2, seed=1, set={"agents.bad_seed": 2}, jobs=1, out="out")
+    vcmvsp.study("mine.toml", vary=vary, seeds=2, seed=1, set={"agents.bad_seed": 2}, jobs=1, out="out")
     page = read(Path("out"))
     assert [row[1] for row in page.rows("agents.nap_s", "seed", "error")] == ["2", "2"]
     assert all("not with this seed" in row[-1] for row in page.rows("agents.nap_s", "seed", "error"))
     before = Path("out", "report.html").read_bytes()
-    assert vcmvsp("report", "out").code == 0
+    assert vcmvsp_command("report", "out").code == 0
     assert Path("out", "report.html").read_bytes() == before

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.cosim.figures import drawn
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.reproduction.figures.search import map_exchange
 from vcmvsp.cosim.reproduction.figures.search.map_exchange import sequential, sequential_rows
@@ -18,7 +19,6 @@ from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
     searched,
 )
 from vcmvsp.cosim.types import Note, ProbabilityMap
-from tests.support.cosim.figures import drawn
 
 QUICK = 15  # a seed whose targets four vehicles find within seconds
 

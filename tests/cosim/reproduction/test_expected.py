@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.tables.schema import Recording
-from vcmvsp.cosim.report import motion_laws, radio_laws
-from vcmvsp.cosim.report.theory_table import Expected, Seen
-from vcmvsp.cosim.report.link_counts import links_of
+import vcmvsp
 from tests.support.cosim.studies import two
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.report import motion_laws, radio_laws
+from vcmvsp.cosim.report.link_counts import links_of
+from vcmvsp.cosim.report.theory_table import Expected, Seen
+from vcmvsp.cosim.tables.schema import Recording
 
 LOSS, DELAY = "share of frames lost by chance", "delay, mean"
 AGE, PEAK = "age of information, over all time", "age of information, peaks"
@@ -22,7 +22,7 @@ BURSTS, ERROR = "share of frames lost in bursts", "formation error, mean"
 
 def seen(scenario: Any, **settings: Any) -> Seen:
     """A run, as a report looks at it."""
-    result = cosim.run(scenario, set={name.replace("__", "."): value for name, value in settings.items()}, mcap=False)
+    result = vcmvsp.run(scenario, set={name.replace("__", "."): value for name, value in settings.items()}, mcap=False)
     facts = result._recorder.facts
     return Seen(
         tomllib.loads(result.scenario),

@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.reproduction import figures
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
-from vcmvsp.cosim.reproduction.figures.formation import circle, gains, loss, loss_integration, rates
-from vcmvsp.cosim.reproduction.figures.files import as_json, table, write
+from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -31,6 +30,8 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     at_most,
     relative,
 )
+from vcmvsp.cosim.reproduction.figures.files import as_json, table, write
+from vcmvsp.cosim.reproduction.figures.formation import circle, gains, loss, loss_integration, rates
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     ASIDE,
     K1,
@@ -45,7 +46,6 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     track,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio
-from tests.support.cosim.command_line import vcmvsp
 
 AHEAD = math.sqrt(3.0) / 2.0
 
@@ -143,24 +143,24 @@ def test_every_name_leads_to_a_function() -> None:
 def test_a_name_that_is_none_is_told_the_nearest() -> None:
     with pytest.raises(UsageError, match="did you mean 'loss-delay'"):
         figures.find("los-delay")
-    given = vcmvsp("figure", "estimator")
+    given = vcmvsp_command("figure", "estimator")
     assert given.code == 2
     assert "did you mean 'estimators'" in given.err
 
 
 def test_without_a_name_they_are_listed() -> None:
-    given = vcmvsp("figure")
+    given = vcmvsp_command("figure")
     assert given.code == 0
     assert [line.split()[0] for line in given.out.splitlines()] == list(figures.NAMES)
-    assert list(json.loads(vcmvsp("figure", "--json").out)) == list(figures.NAMES)
+    assert list(json.loads(vcmvsp_command("figure", "--json").out)) == list(figures.NAMES)
 
 
 def test_the_exit_code_says_whether_all_came_out(made_up: types.ModuleType, tmp_path: Path) -> None:
-    given = vcmvsp("figure", "made-up", "--out", str(tmp_path))
+    given = vcmvsp_command("figure", "made-up", "--out", str(tmp_path))
     assert given.code == 0
     assert str(tmp_path / "made-up.png") in given.out
     made_up.make = lambda runner: synthetic(2.0)  # type: ignore[attr-defined]
-    missed = vcmvsp("figure", "made-up", "--out", str(tmp_path), "--json")
+    missed = vcmvsp_command("figure", "made-up", "--out", str(tmp_path), "--json")
     assert missed.code == 1
     assert json.loads(missed.out)["rows"][0]["ok"] is False
     assert "1 of 1 numbers" in missed.err
@@ -172,7 +172,7 @@ def test_the_exit_code_says_whether_all_came_out(made_up: types.ModuleType, tmp_
 )
 def test_bad_arguments_end_before_the_first_run(made_up: types.ModuleType, arguments: tuple[str, ...], words: str) -> None:
     made_up.make = pytest.fail  # type: ignore[attr-defined]
-    given = vcmvsp("figure", "made-up", *arguments)
+    given = vcmvsp_command("figure", "made-up", *arguments)
     assert given.code == 2
     assert words in given.err
 
@@ -196,7 +196,7 @@ def test_a_run_that_fails_in_a_process_is_raised_here() -> None:
         Runner(2)([track(good), track(bad)])
 
 
-def die_once(result: cosim.Result, mark: Path) -> int:
+def die_once(result: vcmvsp.Result, mark: Path) -> int:
     """The worker's process, which the first of them does not survive."""
     if not mark.exists():
         mark.touch()
@@ -204,7 +204,7 @@ def die_once(result: cosim.Result, mark: Path) -> int:
     return os.getpid()
 
 
-def die(result: cosim.Result) -> None:
+def die(result: vcmvsp.Result) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -216,7 +216,7 @@ def test_a_worker_that_is_killed_costs_no_figure(tmp_path: Path) -> None:
         Runner(2)([Job(fleet(0.5), die), Job(fleet(0.5), die)])
 
 
-def refuse(result: cosim.Result) -> None:
+def refuse(result: vcmvsp.Result) -> None:
     raise AgentError(("car1",), "mine", "no")
 
 
@@ -311,7 +311,7 @@ def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("fewer")
 @pytest.mark.parametrize("name", ["24", "25", "28", "30", "31", "32", "33", "stall", "levels"])
 def test_figure(name: str, tmp_path: Path) -> None:
-    given = vcmvsp("figure", name, "--jobs", "1", "--json", "--out", str(tmp_path))
+    given = vcmvsp_command("figure", name, "--jobs", "1", "--json", "--out", str(tmp_path))
     answer = json.loads(given.out)
     assert [row for row in answer["rows"] if not row["ok"]] == []
     assert given.code == 0

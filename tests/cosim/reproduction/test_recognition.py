@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.cosim.figures import drawn, missed
 from vcmvsp.agents.reconnaissance.recognition import Detection
 from vcmvsp.agents.reconnaissance.recognition.ground import Truth
 from vcmvsp.agents.reconnaissance.recognition.inspection import colour_map, inspect
+from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.search import recognition_stages
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     KINDS,
@@ -19,8 +21,6 @@ from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     target,
     together,
 )
-from vcmvsp.cosim.frames import wrap
-from tests.support.cosim.figures import drawn, missed
 
 FOCAL_PX = 400.0
 

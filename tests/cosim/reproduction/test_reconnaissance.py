@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.cosim.figures import drawn
 from vcmvsp.cosim.reproduction.figures.search import reconnaissance
 from vcmvsp.cosim.reproduction.figures.search.reconnaissance import Scouted, rows_of
-from tests.support.cosim.figures import drawn
 
 TIME_S = np.arange(0.0, 100.0, 0.5)
 ALPHA, BRAVO = np.array([10.0, 20.0]), np.array([-30.0, 5.0])

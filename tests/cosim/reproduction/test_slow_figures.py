@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp.cosim.reproduction.figures.formation import consensus, delay, loss, loss_integration
-from vcmvsp.cosim.reproduction.figures.avoidance import potential_fields, gap_gauge, passages
 from tests.support.cosim.figures import made
+from vcmvsp.cosim.reproduction.figures.avoidance import gap_gauge, passages, potential_fields
+from vcmvsp.cosim.reproduction.figures.formation import consensus, delay, loss, loss_integration
 
 DELAYS_S = (0.5,)
 
@@ -27,7 +27,9 @@ def one_delay(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loss_integration, "PATHS", ("random",))
     monkeypatch.setattr(loss, "MANY", 20)
-    figure = made("loss", tmp_path, 2, [*loss_integration.ESTIMATORS, "straight"], followers=4, probabilities=(0.3,), straight=4)
+    figure = made(
+        "loss", tmp_path, 2, [*loss_integration.ESTIMATORS, "straight"], followers=4, probabilities=(0.3,), straight=4
+    )
     assert len(figure.rows) == 4 + 1 + 1  # each estimator, dr over hold, the closed form
 
 

@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
+from tests.support.cosim.command_line import Outcome, vcmvsp_command
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures.figure import Row
-from vcmvsp.cosim.reproduction.validation import CHECKS, chosen, document, check as kit, levels
-from vcmvsp.netsim.propagation.two_ray import Friis
+from vcmvsp.cosim.reproduction.validation import CHECKS, chosen, document, levels
+from vcmvsp.cosim.reproduction.validation import check as kit
 from vcmvsp.netsim.interfaces.layers import Floats
-from tests.support.cosim.command_line import Outcome, vcmvsp
+from vcmvsp.netsim.propagation.two_ray import Friis
 
 QUICK = (
     *("ticks", "draws", "path-loss", "walls", "shadowing", "success", "received", "air-time", "age", "dcf-b-50"),
@@ -21,7 +22,7 @@ QUICK = (
 
 def validated(folder: Path, *names: str) -> Outcome:
     only = [argument for name in names for argument in ("--only", name)]
-    return vcmvsp("validate", "--jobs", "1", "--out", str(folder), *only)
+    return vcmvsp_command("validate", "--jobs", "1", "--out", str(folder), *only)
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -103,6 +104,6 @@ def test_checks_in_processes_give_the_same() -> None:
     ],
 )
 def test_bad_arguments_end_before_the_first_check(arguments: tuple[str, ...], words: str) -> None:
-    given = vcmvsp("validate", *arguments)
+    given = vcmvsp_command("validate", *arguments)
     assert given.code == 2
     assert words in given.err

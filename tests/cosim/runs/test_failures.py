@@ -14,12 +14,12 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
-from tests.support.cosim.command_line import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import UNDRAWN
 
 AGENTS = '''
 import os, signal, sys, time
-from vcmvsp.cosim import Agent, Velocity
+from vcmvsp import Agent, Velocity
 
 class Failing(Agent):
     """Drives on, and at ``at`` seconds does what ``how`` says."""
@@ -153,7 +153,7 @@ def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
 def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None:
     scenario = write(tmp_path, "fine")
     settings = ("--agents", "process", "--set", "vehicle.car2.agent.at=soon")
-    done = vcmvsp("run", str(scenario), *settings, "--out", str(tmp_path / "out"))
+    done = vcmvsp_command("run", str(scenario), *settings, "--out", str(tmp_path / "out"))
     assert done.code == 2
     assert "vehicle.car2.agent.at: must be a number, not 'soon'" in done.err
     assert "--set vehicle.car2.agent.at=soon" in done.err

@@ -9,10 +9,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.runs.replay import beside, replay
-from tests.support.cosim.command_line import vcmvsp
 
 SAME = ("metrics.json", "states.parquet", "radio.parquet", "scenario.toml")
 SETTINGS: dict[str, Any] = {
@@ -21,7 +21,7 @@ SETTINGS: dict[str, Any] = {
     "physics.kind": "kinematic",
     "radio": {"preset": "wifi-b-1", "loss": {"kind": "bernoulli", "probability": 0.3}},
 }
-OWN = """from vcmvsp.cosim import Agent, Velocity
+OWN = """from vcmvsp import Agent, Velocity
 
 class Turn(Agent):
     period = 0.1
@@ -39,7 +39,7 @@ class Turn(Agent):
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a simulated run, with losses and a contended air."""
     folder = tmp_path_factory.mktemp("runs") / "first"
-    cosim.run("formation-circle", set=SETTINGS, out=folder)
+    vcmvsp.run("formation-circle", set=SETTINGS, out=folder)
     return folder
 
 
@@ -117,7 +117,7 @@ def test_classes_in_files_are_those_that_the_run_kept(tmp_path: Path) -> None:
         'name = "own"\nduration_s = 1.0\n[physics]\nkind = "kinematic"\n[[vehicle]]\nname = "car1"\nkind = "p2dx"\n'
         'agent = { kind = "turn.py:Turn" }\n'
     )
-    cosim.run(tmp_path / "own.toml", out=tmp_path / "run")
+    vcmvsp.run(tmp_path / "own.toml", out=tmp_path / "run")
     (tmp_path / "turn.py").write_text(OWN.replace("0.2", "0.9"))
     assert replay(tmp_path / "run", mcap=False).metrics["digest"] == digest(tmp_path / "run")
     changed = replay(tmp_path / "run", set={"vehicle.car1.agent.rate": 0.9}, mcap=False)
@@ -178,13 +178,13 @@ def real(tmp_path: Path) -> Path:
 
 def test_a_twin_takes_the_place_of_a_real_vehicle(real: Path) -> None:
     simulated = tomllib.loads(REAL.format(real=""))
-    assert replay(real, twin=True).metrics["digest"] == cosim.run(simulated).metrics["digest"]
+    assert replay(real, twin=True).metrics["digest"] == vcmvsp.run(simulated).metrics["digest"]
 
 
 def test_a_twin_may_be_changed(real: Path) -> None:
     changed = {"vehicle.car1.kind": "p2dx"}
     simulated = tomllib.loads(REAL.format(real=""))
-    assert replay(real, twin=True, set=changed).metrics["digest"] == cosim.run(simulated, set=changed).metrics["digest"]
+    assert replay(real, twin=True, set=changed).metrics["digest"] == vcmvsp.run(simulated, set=changed).metrics["digest"]
 
 
 def test_a_twin_goes_on_to_fuse(real: Path) -> None:
@@ -193,7 +193,7 @@ def test_a_twin_goes_on_to_fuse(real: Path) -> None:
     driven = same + 'driver = { kind = "bench" }\n'
     (real / "scenario.toml").write_text(REAL.format(real=driven))
     simulated = tomllib.loads(REAL.format(real=same))
-    assert replay(real, twin=True).metrics["digest"] == cosim.run(simulated).metrics["digest"]
+    assert replay(real, twin=True).metrics["digest"] == vcmvsp.run(simulated).metrics["digest"]
 
 
 def test_without_its_recording_a_real_vehicle_cannot_be_replayed(real: Path) -> None:
@@ -208,10 +208,10 @@ def test_it_goes_beside_the_run() -> None:
 
 def test_the_command(recorded: Path) -> None:
     recorded.with_name("first-replay").mkdir()
-    again = vcmvsp("replay", str(recorded), "--radio", "recorded", "--agents", "inprocess", "--json")
+    again = vcmvsp_command("replay", str(recorded), "--radio", "recorded", "--agents", "inprocess", "--json")
     assert again == (0, (recorded / "metrics.json").read_text(), "")
     assert files(recorded.with_name("first-replay-2")) == files(recorded)
-    nothing = vcmvsp("replay", str(recorded.parent))
+    nothing = vcmvsp_command("replay", str(recorded.parent))
     assert nothing.code == 2
     assert nothing.err.strip().count("\n") == 0
     assert "has no scenario.toml" in nothing.err

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog, read_inputs
 from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Fix, Odometry, VehicleState
 from vcmvsp.hardware.playback import Playback
 

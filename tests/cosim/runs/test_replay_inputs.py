@@ -18,10 +18,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from vcmvsp.cosim.util import codec
+from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog, read_inputs
 from vcmvsp.cosim.types import Fix, Later, Measured, Odometry, Scan, VehicleState, Velocity, frozen
+from vcmvsp.cosim.util import codec
 
 MS = 1_000_000
 numbers = st.floats(width=64)  # all of them: infinities, NaN, -0.0, the smallest
@@ -157,7 +158,7 @@ with open(sys.argv[1], "wb") as stream:
 
 def test_a_process_that_is_killed_takes_a_second_with_it(tmp_path: Path) -> None:
     path = tmp_path / "hardware.mcap"
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
         [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True, env=environment
     ) as writer:

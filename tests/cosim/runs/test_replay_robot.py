@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.paths import ROOT
 from vcmvsp.cosim.recording.external_inputs import read_inputs
 from vcmvsp.cosim.runs.replay import replay
 
-ROOT = Path(__file__).parents[2]
 SCENARIO = """
 name = "hybrid"
 duration_s = {duration}
@@ -47,7 +47,7 @@ def scenario(folder: Path, duration: float) -> Path:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run of 1.5 s."""
     folder = tmp_path_factory.mktemp("robot")
-    cosim.run(scenario(folder, 1.5), out=folder / "run")
+    vcmvsp.run(scenario(folder, 1.5), out=folder / "run")
     return folder / "run"
 
 
@@ -71,7 +71,16 @@ def test_its_twin_can_take_its_place(recorded: Path) -> None:
 
 
 def test_of_a_run_that_was_killed_what_was_written_is_replayed(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", str(scenario(tmp_path, 60.0)), "--out", str(tmp_path / "run"), "-q"]
+    command = [
+        sys.executable,
+        "-m",
+        "vcmvsp.cosim.cli.app",
+        "run",
+        str(scenario(tmp_path, 60.0)),
+        "--out",
+        str(tmp_path / "run"),
+        "-q",
+    ]
     path, told = tmp_path / "run" / "hardware.mcap", list[str]()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, env=environment, cwd=tmp_path) as process:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.cosim.command_line import two_cars, vcmvsp
+from tests.support.cosim.command_line import two_cars, vcmvsp_command
 
 
 def case(name: str, text: str | bytes, *words: str, sets: tuple[str, ...] = ()) -> Any:
@@ -26,8 +26,8 @@ def check_refused(folder: Path, text: str | bytes, sets: tuple[str, ...], words:
     (folder / "s.toml").write_bytes(text if isinstance(text, bytes) else text.encode())
     before = sorted(folder.iterdir())
     arguments = [argument for setting in sets for argument in ("--set", setting)]
-    check = vcmvsp("check", "s.toml", *arguments)
-    run = vcmvsp("run", "s.toml", *arguments, "--out", "out")
+    check = vcmvsp_command("check", "s.toml", *arguments)
+    run = vcmvsp_command("run", "s.toml", *arguments, "--out", "out")
     assert (check.code, check.out) == (2, ""), check
     assert run == check
     assert check.err.startswith("vcmvsp: ")
@@ -349,7 +349,7 @@ def test_a_file_of_another_shape_is_refused(
 
 
 AGENTS = '''
-from vcmvsp.cosim import Agent
+from vcmvsp import Agent
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 
 class Picky(Agent):
@@ -455,7 +455,12 @@ def test_a_setting_with_an_empty_part_of_a_key_is_refused(tmp_path: Path, settin
 def test_a_scenario_that_is_not_there_is_refused(tmp_path: Path, name: str, words: tuple[str, ...]) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder.toml").mkdir()
-    outcomes = [vcmvsp("check", name), vcmvsp("run", name, "--out", "out"), vcmvsp("run", name), vcmvsp("show", name)]
+    outcomes = [
+        vcmvsp_command("check", name),
+        vcmvsp_command("run", name, "--out", "out"),
+        vcmvsp_command("run", name),
+        vcmvsp_command("show", name),
+    ]
     assert len(set(outcomes)) == 1
     code, out, err = outcomes[0]
     assert (code, out, err.count("\n")) == (2, "", 1)

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.expand import repeated
 from vcmvsp.cosim.scenario.loader import load
-from vcmvsp.cosim.config.provenance import Source
 
 SWARM = {
     "name": "swarm",

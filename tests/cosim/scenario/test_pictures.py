@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
 
 LOOKER = """
 from dataclasses import dataclass
-from vcmvsp.cosim import Agent; from vcmvsp.cosim.config import registry
+from vcmvsp import Agent; from vcmvsp.cosim.config import registry
 
 class Looker(Agent):
     period = 0.5
@@ -68,7 +68,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_run_keeps_the_pictures_of_its_world_and_of_its_agents(folder: Path) -> None:
     first = folder / "first"
-    cosim.run(folder / "s.toml", out=first)
+    vcmvsp.run(folder / "s.toml", out=first)
     resolved = tomllib.loads((first / "scenario.toml").read_text())
     named = [each["picture"] for each in resolved["world"]["targets"]]
     assert named == ["own.png", "own-2.png", "alpha.png"]
@@ -83,7 +83,7 @@ def test_a_run_keeps_the_pictures_of_its_world_and_of_its_agents(folder: Path) -
     first.rename(moved)  # all that it needs is in it
     for name in ("pics", "more"):
         (folder / name).rename(folder / f"{name}-gone")
-    cosim.run(moved / "scenario.toml", out=folder / "again")
+    vcmvsp.run(moved / "scenario.toml", out=folder / "again")
     for name in ("run.mcap", "metrics.json", "scenario.toml"):
         assert (folder / "again" / name).read_bytes() == (moved / name).read_bytes(), name
 
@@ -100,4 +100,4 @@ def test_a_picture_beside_the_scenario_comes_before_one_that_comes_along(folder:
 def test_a_picture_that_is_nowhere_is_said_to_be_missing_beside_the_scenario(folder: Path) -> None:
     (folder / "pics" / "own.png").unlink()
     with pytest.raises(ScenarioError, match=f"there is no picture file {folder}/pics/own.png"):
-        cosim.run(folder / "s.toml")
+        vcmvsp.run(folder / "s.toml")

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.scenario import loader as scenarios
-from vcmvsp.cosim.errors import ScenarioError, UsageError
-from vcmvsp.cosim.scenario.loader import load, settings_of, value_of
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.scenario.loader import load, settings_of, value_of
 
 FILE = """# A scenario for these tests: short. More words.
 name = "lines"

@@ -15,11 +15,7 @@ import msgspec
 import pytest
 import zenoh
 
-from vcmvsp.cosim.security import authority, certificates, x509
-from vcmvsp.cosim.security.certificates import Bundle, Keys
-from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import tls_diagnosis, key_names, access_control
-from vcmvsp.cosim.transport.access_control import merge
+from tests.support.cosim.run_processes import reserved
 from tests.support.cosim.secure_hub import (
     PATIENCE_S,
     QUIET,
@@ -32,7 +28,12 @@ from tests.support.cosim.secure_hub import (
     start,
     until,
 )
-from tests.support.cosim.run_processes import reserved
+from tests.support.paths import ROOT
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.security import authority, certificates, x509
+from vcmvsp.cosim.security.certificates import Bundle, Keys
+from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
+from vcmvsp.cosim.transport.access_control import merge
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +188,7 @@ with zenoh.open(zenoh.Config.from_json5(json.dumps(security.merge(own, rules))))
 @contextlib.contextmanager
 def hub_process(*arguments: str, before: tuple[str, ...] = ()) -> Iterator["subprocess.Popen[str]"]:
     environment = {name: value for name, value in os.environ.items() if name != "RUST_LOG"}
-    environment["PYTHONPATH"] = str(Path(certificates.__file__).parent.parent)
+    environment["PYTHONPATH"] = str(ROOT)
     process = subprocess.Popen(
         [*before, sys.executable, "-c", HUB_PROCESS, *arguments], stdout=subprocess.PIPE, text=True, env=environment
     )

@@ -9,9 +9,6 @@ import msgspec
 import pytest
 import zenoh
 
-from vcmvsp.cosim.security import certificates
-from vcmvsp.cosim.security.certificates import Keys
-from vcmvsp.cosim.transport import key_names, access_control
 from tests.support.cosim.secure_hub import (
     PATIENCE_S,
     TOPIC,
@@ -27,6 +24,9 @@ from tests.support.cosim.secure_hub import (
     settle,
     until,
 )
+from vcmvsp.cosim.security import certificates
+from vcmvsp.cosim.security.certificates import Keys
+from vcmvsp.cosim.transport import access_control, key_names
 
 ALL = frozenset({"greeted", "answered", "alive", "hub seen", "told", "topics", "anna told", "anna sees hub"})
 

@@ -15,9 +15,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.security import authority, certificates, x509 as signing
+from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.errors import UsageError
-from tests.support.cosim.command_line import vcmvsp
+from vcmvsp.cosim.security import authority, certificates
+from vcmvsp.cosim.security import x509 as signing
 
 DAY = dt.timedelta(days=1)
 P_256 = bytes.fromhex("2a8648ce3d030107")  # the curve's identifier (RFC 5480, 2.1.1.1)
@@ -326,16 +327,16 @@ def test_a_damaged_index_is_one_error(shared: Path, tmp_path: Path, at_: int, co
 
 def test_the_command_line_from_init_to_revoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert vcmvsp("keys", "init", "--name", "10.0.0.5").code == 0
-    made = vcmvsp("keys", "vehicle", "car2")
+    assert vcmvsp_command("keys", "init", "--name", "10.0.0.5").code == 0
+    made = vcmvsp_command("keys", "vehicle", "car2")
     assert made.code == 0
     assert "vcmvsp agent --vehicle car2 --connect tls/HOST:PORT --keys car2.keys" in made.out
-    assert vcmvsp("keys", "vehicle", "car3", "car4", "--as", "laptop", "--days", "5").code == 0
+    assert vcmvsp_command("keys", "vehicle", "car3", "car4", "--as", "laptop", "--days", "5").code == 0
     (tmp_path / "stick").mkdir()
-    assert vcmvsp("keys", "observer", "anna", "--out", "stick").code == 0
+    assert vcmvsp_command("keys", "observer", "anna", "--out", "stick").code == 0
     assert (tmp_path / "stick" / "anna.keys").exists()
-    assert vcmvsp("keys", "revoke", "car2").code == 0
-    listed = vcmvsp("keys", "list", "--json")
+    assert vcmvsp_command("keys", "revoke", "car2").code == 0
+    listed = vcmvsp_command("keys", "list", "--json")
     rows = {row["name"]: (row["role"], row["for"], row["state"]) for row in json.loads(listed.out)}
     assert "10.0.0.5" in rows.pop("hub")[1]
     assert rows == {
@@ -343,9 +344,9 @@ def test_the_command_line_from_init_to_revoke(tmp_path: Path, monkeypatch: pytes
         "laptop": ("host", "car3, car4", "expires soon"),
         "anna": ("observer", "", "valid"),
     }
-    lines = vcmvsp("keys", "list").out.splitlines()
+    lines = vcmvsp_command("keys", "list").out.splitlines()
     assert [line.split()[0] for line in lines] == ["hub", "laptop", "anna", "car2"]
-    assert vcmvsp("keys", "hub", "--name", "10.0.0.6").code == 0
+    assert vcmvsp_command("keys", "hub", "--name", "10.0.0.6").code == 0
 
 
 @pytest.mark.parametrize(
@@ -368,7 +369,7 @@ def test_wrong_commands_are_one_line_and_change_nothing(
     monkeypatch.chdir(tmp_path)
     authority.init(Path("keys"))
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    outcome = vcmvsp("keys", *arguments)
+    outcome = vcmvsp_command("keys", *arguments)
     assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
     assert says in outcome.err
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

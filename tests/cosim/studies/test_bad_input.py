@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.command_line import two_cars, vcmvsp
+from tests.support.cosim.command_line import two_cars, vcmvsp_command
 from tests.support.cosim.studies import LOSS
 
 LOSSY = ("--vary", f"{LOSS}=0,0.5")
@@ -53,7 +53,7 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_bad_input_is_refused(tmp_path: Path, arguments: tuple[str, ...], words: list[str]) -> None:
     before = sorted(tmp_path.rglob("*"))
     out = () if "--out" in arguments or arguments[-1:] == ("--resume",) else ("--out", "new")
-    found = vcmvsp("study", "s.toml", *arguments, *out, "--quiet")
+    found = vcmvsp_command("study", "s.toml", *arguments, *out, "--quiet")
     assert (found.code, found.out) == (2, ""), found
     assert found.err.startswith("vcmvsp: ")
     assert found.err.count("\n") == 1, found.err
@@ -62,14 +62,14 @@ def test_bad_input_is_refused(tmp_path: Path, arguments: tuple[str, ...], words:
 
 
 def test_an_unknown_scenario_is_named() -> None:
-    found = vcmvsp("study", "formation-cirle", *LOSSY)
+    found = vcmvsp_command("study", "formation-cirle", *LOSSY)
     assert found.code == 2
     assert "did you mean 'formation-circle'?" in found.err
 
 
 def test_a_value_is_found_in_a_grid_of_thousands_of_points() -> None:
     grid = ("--vary", f"{LOSS}=0:0.99:0.01", "--vary", "agents.k1=0:1:0.01", "--vary", "agents.estimator=hold,hodl")
-    found = vcmvsp("study", "s.toml", *grid, "--out", "new")
+    found = vcmvsp_command("study", "s.toml", *grid, "--out", "new")
     assert found.code == 2
     assert "--vary agents.estimator=hodl" in found.err
 
@@ -78,26 +78,26 @@ def test_a_study_table_is_the_default(tmp_path: Path) -> None:
     (tmp_path / "t.toml").write_text(
         two_cars(tail=f'[study]\nvary = {{ "{LOSS}" = [0, 1] }}\nseeds = 2\nmetrics = ["radio.frames"]')
     )
-    found = vcmvsp("study", "t.toml", "--jobs", "1", "--quiet", "--json")
+    found = vcmvsp_command("study", "t.toml", "--jobs", "1", "--quiet", "--json")
     assert found.code == 0, found
     assert '"runs": 4' in found.out
     assert '"radio.frames": {' in found.out
     assert (tmp_path / "runs" / "t-study" / "study.parquet").exists()
-    again = vcmvsp("study", "t.toml", "--jobs", "1", "--quiet", "--json")
+    again = vcmvsp_command("study", "t.toml", "--jobs", "1", "--quiet", "--json")
     assert again.out == found.out.replace("runs/t-study", "runs/t-study-2")
 
 
 def test_without_a_folder_a_bad_study_makes_none(tmp_path: Path) -> None:
-    assert vcmvsp("study", "s.toml", "--vary", f"{LOSS}=0,2").code == 2
+    assert vcmvsp_command("study", "s.toml", "--vary", f"{LOSS}=0,2").code == 2
     assert not (tmp_path / "runs").exists()
 
 
 def test_a_study_of_which_every_run_failed_says_so(tmp_path: Path) -> None:
     (tmp_path / "no.py").write_text(
-        "from vcmvsp.cosim import Agent\nclass No(Agent):\n    def act(self, obs, radio):\n        1 / 0\n"
+        "from vcmvsp import Agent\nclass No(Agent):\n    def act(self, obs, radio):\n        1 / 0\n"
     )
     (tmp_path / "n.toml").write_text(two_cars(agent='kind = "no.py:No"'))
-    found = vcmvsp("study", "n.toml", *LOSSY, "--seeds", "1", "--jobs", "1", "--out", "o")
+    found = vcmvsp_command("study", "n.toml", *LOSSY, "--seeds", "1", "--jobs", "1", "--out", "o")
     assert found.code == 1
     assert "every run failed, the first with: agent no.py:No of vehicle car2" in found.err
     assert "ZeroDivisionError" in found.err

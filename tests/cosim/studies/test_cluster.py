@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from tests.support.cosim.studies import ESTIMATOR, LOSS, mine, two
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.studies import cluster as clusters
 from vcmvsp.cosim.studies.engine import study
-from tests.support.cosim.studies import ESTIMATOR, LOSS, mine, two
 
 VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
 pytestmark = pytest.mark.filterwarnings("ignore")  # those of the library are not ours to mend

@@ -17,15 +17,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.studies import two
 from vcmvsp.cosim.plots import study_plot
-from vcmvsp.cosim.tables.labels import label_of
 from vcmvsp.cosim.scenario.loader import settings_of
 from vcmvsp.cosim.studies.grid import vary_of
 from vcmvsp.cosim.studies.outputs import command_of, toml_of, write
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.summary import summarise
-from tests.support.cosim.studies import two
+from vcmvsp.cosim.tables.labels import label_of
 
 LOSS, DELAY, WHO, METRIC = "radio.loss.probability", "radio.delay.seconds", "agents.estimator", "formation.rms_m"
 
@@ -259,7 +259,7 @@ def test_a_scenario_that_has_no_name_has_no_command(tmp_path: Path) -> None:
     text = html.unescape((tmp_path / "report.html").read_text("utf-8"))
     assert "vcmvsp study" not in text
     assert "Again" not in text
-    cosim.study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / "whole")
+    vcmvsp.study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / "whole")
     assert "vcmvsp study" not in (tmp_path / "whole" / "report.html").read_text("utf-8")
 
 

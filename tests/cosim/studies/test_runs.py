@@ -1,4 +1,4 @@
-"""Studies through ``cosim.study``: what the rows are does not depend on how they were made."""
+"""Studies through ``vcmvsp.study``: what the rows are does not depend on how they were made."""
 
 import errno
 import functools
@@ -15,18 +15,18 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, two
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.errors import AgentError, FederateError, UsageError, VcmvspError
+from vcmvsp.cosim.processes.worker_pool import Pool, Worker
 from vcmvsp.cosim.studies import checks, rows
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.studies.plan import Plan
-from vcmvsp.cosim.processes.worker_pool import Pool, Worker
-from vcmvsp.cosim.terminal.study_progress import StudyProgress
 from vcmvsp.cosim.studies.rows import Row, encode, flat, packed, table_of
 from vcmvsp.cosim.studies.worker import DIED, Job, Work, failed, run_one, version
-from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, two
+from vcmvsp.cosim.terminal.study_progress import StudyProgress
 
 VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
 
@@ -45,7 +45,7 @@ def test_there_is_a_row_per_run_in_the_order_of_the_grid(table: pa.Table) -> Non
 
 def test_each_row_is_what_a_single_run_gives(table: pa.Table) -> None:
     for row in table.to_pylist()[::4]:
-        alone = flat(cosim.run(two(), seed=row["seed"], set={LOSS: row[LOSS], ESTIMATOR: row[ESTIMATOR]}).metrics)
+        alone = flat(vcmvsp.run(two(), seed=row["seed"], set={LOSS: row[LOSS], ESTIMATOR: row[ESTIMATOR]}).metrics)
         absent = {name for name in row if name not in alone} - {LOSS, ESTIMATOR, "error"}
         assert all(name.startswith("radio.losses.") and row[name] == 0 for name in absent)
         assert {name: row[name] for name in alone} == alone
@@ -66,7 +66,7 @@ def test_points_share_their_draws() -> None:
     delivered = []
     for probability, estimator in ((0.1, "hold"), (0.3, "hold"), (0.3, "dr")):
         settings = {"duration_s": 20.0, LOSS: probability, ESTIMATOR: estimator}
-        radio = cosim.run(two(), seed=3, set=settings, mcap=False).radio
+        radio = vcmvsp.run(two(), seed=3, set=settings, mcap=False).radio
         delivered.append({row[0] for row in columns(radio, "frame", "outcome") if row[1] == "received"})
     assert delivered[1] == delivered[2]
     assert delivered[1] < delivered[0]
@@ -83,7 +83,7 @@ def test_a_run_that_fails_is_a_row(tmp_path: Path) -> None:
     assert failed.num_columns > 20
     assert all(column.null_count == 2 for column in failed.columns)
     with pytest.raises(AgentError, match="not with"):
-        cosim.run(mine(tmp_path), seed=1, set={"vehicle.car1.agent.bad_seed": 1})
+        vcmvsp.run(mine(tmp_path), seed=1, set={"vehicle.car1.agent.bad_seed": 1})
 
 
 def test_losses_that_did_not_happen_are_none() -> None:
@@ -294,4 +294,4 @@ def test_a_file_that_changes_while_the_study_runs_makes_no_rows(tmp_path: Path) 
 )
 def test_words_in_place_of_lists_are_understood_or_named(given: dict[str, Any], says: str) -> None:
     with pytest.raises(UsageError, match=says):
-        cosim.study("study-delay", seeds=1, **given)
+        vcmvsp.study("study-delay", seeds=1, **given)

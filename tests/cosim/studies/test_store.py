@@ -13,18 +13,18 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, start, two
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.tables.schema import read_table
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies import rows
 from vcmvsp.cosim.studies import store as stores
-from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.studies.checks import examined
+from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import Store, so_far
 from vcmvsp.cosim.studies.worker import failed
-from tests.support.cosim.command_line import vcmvsp
-from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, start, two
+from vcmvsp.cosim.tables.schema import read_table
 
 NAP = "agents.nap_s"
 
@@ -332,7 +332,7 @@ def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(
     about = json.loads((tmp_path / "killed" / "about.json").read_text())
     assert 0 < about["runs_made"] < 18, err
     monkeypatch.chdir(tmp_path)
-    whole_out = vcmvsp("study", *ARGUMENTS, "--jobs", "1", "--out", "whole").out
+    whole_out = vcmvsp_command("study", *ARGUMENTS, "--jobs", "1", "--out", "whole").out
     names = {path.name for path in (tmp_path / "whole").iterdir()}
     assert {path.name for path in (tmp_path / "killed").iterdir()} == names
     for name in names - {"about.json"}:

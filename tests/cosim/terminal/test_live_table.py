@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.cosim.recordings import Pose, follows, frame, note, recorded, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.terminal.live_table import GAP, LiveTable
 from vcmvsp.cosim.types import Halted, Message, Presence, Reception, States, frozen
-from tests.support.cosim.recordings import Pose, follows, frame, note, recorded, states
 
 WIDE = 200
 

@@ -17,16 +17,16 @@ from typing import IO
 
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.terminal import progress
-from vcmvsp.cosim.cli.app import main
-from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.terminal.progress import Progress
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
-from vcmvsp.cosim.terminal.study_progress import StudyProgress
+import vcmvsp
 from tests.support.cosim.command_line import two_cars
 from tests.support.cosim.recordings import states
 from tests.support.cosim.studies import two
+from vcmvsp.cosim.cli.app import main
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.terminal import progress
+from vcmvsp.cosim.terminal.progress import Progress
+from vcmvsp.cosim.terminal.study_progress import StudyProgress
+from vcmvsp.cosim.util.stdout import stdout_to_stderr
 
 SEQUENCE = re.compile(rb"\x1b\[([0-9;?]*)([A-Za-z])")
 REAL = ("fixes", "gated", "limited_s", "frames_too_early")
@@ -288,7 +288,7 @@ def test_a_study_tells_within_which_bounds_its_first_metric_lies(terminal: Termi
 
 
 def test_what_a_run_tells_in_the_end_stands_in_columns() -> None:
-    result = cosim.run(tomllib.loads(two_cars()), mcap=False)
+    result = vcmvsp.run(tomllib.loads(two_cars()), mcap=False)
     result.metrics["safety"]["collisions"] = 2
     result.metrics["agents"]["car2"]["lost_s"] = 0.25
     result.metrics["hardware"] = {"a-vehicle-of-a-long-name": {**dict.fromkeys(REAL, 0), "age_s": {"p50": 0.01}, "stops": {}}}
@@ -302,13 +302,13 @@ def test_what_a_run_tells_in_the_end_stands_in_columns() -> None:
 
 
 def test_a_run_whose_frames_all_are_under_way_at_its_end_is_told_all_the_same() -> None:
-    result = cosim.run(two(duration_s=0.05, radio={"preset": "ideal", "delay": {"seconds": 0.3}}), mcap=False)
+    result = vcmvsp.run(two(duration_s=0.05, radio={"preset": "ideal", "delay": {"seconds": 0.3}}), mcap=False)
     assert "radio:     1 frames, all still under way\n" in progress.summary(result)
 
 
 def test_a_run_of_one_vehicle_with_routing_has_nobody_to_deliver_to() -> None:
     content = {**tomllib.loads(two_cars()), "routing": {"kind": "flooding"}}
-    told = progress.summary(cosim.run(content, mcap=False))
+    told = progress.summary(vcmvsp.run(content, mcap=False))
     assert "routing:   5 messages, 100.0 % delivered over 1.0 hops (1 at most), 5 frames passed on\n" in told
     content["vehicle"] = content["vehicle"][:1]
-    assert "routing:   5 messages, 0 frames passed on\n" in progress.summary(cosim.run(content, mcap=False))
+    assert "routing:   5 messages, 0 frames passed on\n" in progress.summary(vcmvsp.run(content, mcap=False))

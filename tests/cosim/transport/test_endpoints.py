@@ -5,11 +5,11 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.security.certificates import Keys
-from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport import tls_diagnosis, key_names, access_control
-from vcmvsp.cosim.transport.endpoints import endpoint_rules
 from tests.support.cosim.secure_hub import Hub, bundle, dial, issued, until
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.security.certificates import Keys
+from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
+from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
 names = st.from_regex(r"\A[A-Za-z0-9_-]{1,20}\Z")
 zids = st.from_regex(r"\A[0-9a-f]{1,32}\Z")

@@ -8,13 +8,14 @@ from typing import Any
 import pytest
 import zenoh
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.cosim.hosts.test_remote_hosts import SCENARIO
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.run_processes import Stage, ended
+from tests.support.docs.readme_pages import blocks_of
+from tests.support.paths import ROOT
 from vcmvsp.cosim.security import certificates
 from vcmvsp.cosim.transport import access_control
-from tests.support.cosim.command_line import vcmvsp
-from tests.support.cosim.run_processes import Stage, ended
-from tests.cosim.hosts.test_remote_hosts import SCENARIO
-from tests.support.docs.readme_pages import ROOT, blocks_of
 
 HOSTED = ("car2", "car3")
 
@@ -48,15 +49,15 @@ def test_a_router_between_a_run_and_its_hosts_changes_no_bit(stage: Stage) -> No
         assert code == 0, said
         assert [ended(host)[0] for host in hosts] == [0, 0]
         assert not router.is_closed()
-    alone = cosim.run(stage.folder / "far.toml", agents="inprocess", mcap=False).metrics["digest"]
+    alone = vcmvsp.run(stage.folder / "far.toml", agents="inprocess", mcap=False).metrics["digest"]
     assert digest_of(stage.out) == alone
 
 
 def test_with_certificates_a_router_is_no_way_in(stage: Stage) -> None:
     """Not even one with the run's own certificate for those who dial it, and theirs for the run."""
     keys = stage.folder / "keys"
-    assert vcmvsp("keys", "init", str(keys)).code == 0
-    assert vcmvsp("keys", "vehicle", *HOSTED, "--keys", str(keys), "--as", "both").code == 0
+    assert vcmvsp_command("keys", "init", str(keys)).code == 0
+    assert vcmvsp_command("keys", "vehicle", *HOSTED, "--keys", str(keys), "--as", "both").code == 0
     bundle = certificates.load_bundle(keys / "both.keys")
     run = stage.start("run", "far.toml", "--listen", f"tls/127.0.0.1:{stage.port}", "--keys", "keys", "--out", "out")
     beyond = stage.another_port()

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from vcmvsp.cosim import types
-from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import Quaternion
 from vcmvsp.cosim.types import AnyValue, Array, Vec3, Velocity
+from vcmvsp.cosim.util.codec import Decoder, encode
 
 FLOATS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 TEXT = st.text(max_size=8)

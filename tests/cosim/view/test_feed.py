@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp import cosim
-from vcmvsp.cosim.util import codec
-from vcmvsp.cosim.scenario import loader as scenarios
+import vcmvsp
+from tests.support.cosim.feeds import NAMES, Counted, Reader, at, frame_of, reception
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import (
     Changed,
     Contact,
@@ -32,11 +32,11 @@ from vcmvsp.cosim.types import (
     Velocity,
     frozen,
 )
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import PERIOD_S, READING_S
-from vcmvsp.cosim.view.scenery import scenery_of
 from vcmvsp.cosim.view.messages import End, Go, Order, Sensors, Shown
-from tests.support.cosim.feeds import NAMES, Counted, Reader, at, frame_of, reception
+from vcmvsp.cosim.view.scenery import scenery_of
 
 SCAN = Scan(ranges=frozen([1.0, 2.0], np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
 
@@ -222,7 +222,7 @@ def test_the_counts_are_those_of_the_recording_and_the_run_is_the_same(loss: flo
             reader.now_s += 0.01
             reader.read(100)
 
-        result = cosim.run("study-loss", set=changed, observe=observe, mcap=False)
+        result = vcmvsp.run("study-loss", set=changed, observe=observe, mcap=False)
         shown = reader.read_all()
     rows = result.radio.to_pylist()
     names = [craft.name for craft in parsed.vehicle]
@@ -235,7 +235,7 @@ def test_the_counts_are_those_of_the_recording_and_the_run_is_the_same(loss: flo
     assert counts(shown) == (sent.tolist(), received.tolist())
     assert shown.time_ns == 5 * SECOND_NS
     assert {*shown.places} == {"car2", "car3"}
-    assert cosim.run("study-loss", set=changed, mcap=False).metrics["digest"] == result.metrics["digest"]
+    assert vcmvsp.run("study-loss", set=changed, mcap=False).metrics["digest"] == result.metrics["digest"]
 
 
 def test_readings_are_worked_out_only_if_somebody_asks_and_then_in_turn(reader: Reader) -> None:

@@ -9,18 +9,18 @@ from typing import Any, Self
 import msgspec
 import pytest
 
-from vcmvsp import cosim
-from vcmvsp.cosim.util import codec
+import vcmvsp
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.clock import SECOND_NS, LiveClock, seconds_to_ns
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import Interrupted
 from vcmvsp.cosim.scenario.schema import Scenario
-from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.live.feed import Feed
 from vcmvsp.cosim.view.live.control import Live
-from vcmvsp.cosim.view.scenery import scenery_of
+from vcmvsp.cosim.view.live.feed import Feed
 from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage
+from vcmvsp.cosim.view.scenery import scenery_of
 
 PATIENCE_NS = 60 * SECOND_NS  # of the wall that moves
 
@@ -76,12 +76,12 @@ class Desk:
                 self._theirs.close()
 
 
-def run(acts: Mapping[float, Sequence[Order]], scenario: dict[str, Any] = SCENARIO, **more: Any) -> cosim.Result:
+def run(acts: Mapping[float, Sequence[Order]], scenario: dict[str, Any] = SCENARIO, **more: Any) -> vcmvsp.Result:
     with Desk(acts) as desk:
-        return cosim.run(scenario, view=desk, mcap=False, **more)  # type: ignore[arg-type]  # as much of it as is needed
+        return vcmvsp.run(scenario, view=desk, mcap=False, **more)  # type: ignore[arg-type]  # as much of it as is needed
 
 
-def done(result: cosim.Result) -> list[dict[str, Any]]:
+def done(result: vcmvsp.Result) -> list[dict[str, Any]]:
     """What the resolved scenario says was done."""
     found: list[dict[str, Any]] = tomllib.loads(result.scenario).get("intervention", [])
     return found
@@ -151,6 +151,6 @@ def test_what_cannot_be_done_is_not_done_and_the_run_goes_on(order: Order) -> No
 def test_what_was_ordered_at_any_instant_is_repeated_to_the_byte(when_s: float) -> None:
     live = run({when_s: [Halt(), Outage(for_s=0.3), Change(key="radio.loss.probability", value=0.9)]})
     assert len(done(live)) == 3
-    again = cosim.run(tomllib.loads(live.scenario), mcap=False)
+    again = vcmvsp.run(tomllib.loads(live.scenario), mcap=False)
     assert again.metrics == live.metrics
     assert again.scenario == live.scenario

@@ -9,11 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.view.player.playback import FASTEST, Player
-from vcmvsp.cosim.view.player.recording import Recording
-from vcmvsp.cosim.view.messages import Change, Go, Line, Seek, Sensors, Shown
 from tests.support.cosim.recorded_run import (
     END_NS,
     SENSORS,
@@ -25,6 +20,11 @@ from tests.support.cosim.recorded_run import (
     seen,
     told,
 )
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.view.messages import Change, Go, Line, Seek, Sensors, Shown
+from vcmvsp.cosim.view.player.playback import FASTEST, Player
+from vcmvsp.cosim.view.player.recording import Recording
 
 TIMES = st.integers(0, END_NS)
 

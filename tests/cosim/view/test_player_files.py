@@ -13,14 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.agent import AgentInfo
-from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.recording import Recorder, mcap_file
-from vcmvsp.cosim.types import Fix, Image, frozen
-from vcmvsp.cosim.view.player import mcap_index
-from vcmvsp.cosim.view.player.recording import Recording
 from tests.support.cosim import reconnaissance_recording
 from tests.support.cosim.recorded_run import (
     END_NS,
@@ -33,6 +25,14 @@ from tests.support.cosim.recorded_run import (
     told,
 )
 from tests.support.cosim.recordings import TENTH, note, states
+from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.recording import Recorder, mcap_file
+from vcmvsp.cosim.types import Fix, Image, frozen
+from vcmvsp.cosim.view.player import mcap_index
+from vcmvsp.cosim.view.player.recording import Recording
 
 NAMES = ("uav1", "uav2")
 TIMES = st.integers(0, 5 * SECOND_NS)

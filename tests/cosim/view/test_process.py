@@ -22,16 +22,17 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
-from vcmvsp.cosim.util import codec
+from tests.support.cosim import view_pages
+from tests.support.cosim.run_processes import reserved
+from tests.support.paths import ROOT
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.server_main import pump
-from vcmvsp.cosim.view.messages import Halt, Line, Pace, Shown
 from vcmvsp.cosim.view.live.server_process import Viewer
-from tests.support.cosim import view_pages
-from tests.support.cosim.run_processes import reserved
+from vcmvsp.cosim.view.messages import Halt, Line, Pace, Shown
 
 PATIENCE_S = 30.0
 SCENERY = view_pages.scenery()
@@ -47,7 +48,6 @@ CAMERA = {  # what a page says first
     "look_at": (0.0, 0.0, 0.0),
     "up_direction": (0.0, 0.0, 1.0),
 }
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def until(holds: Callable[[], Any]) -> Any:

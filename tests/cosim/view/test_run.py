@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from vcmvsp import cosim
-from vcmvsp.cosim.tables.schema import load
+import vcmvsp
 from tests.support.cosim.run_processes import UNDRAWN
 from tests.support.cosim.view_pages import browser, positions
+from vcmvsp.cosim.tables.schema import load
 
 WAIT_MS = 60_000
 PICTURES = "Array.from(document.images).map(image => image.src).filter(src => src.startsWith('blob:'))"
@@ -96,7 +96,7 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
     assert set(load(out).radio["outcome"].to_pylist()) == {"received", "outage"}
     resolved = tomllib.loads((out / "scenario.toml").read_text())
     assert [each["kind"] for each in resolved["intervention"]] == ["outage"]
-    again = cosim.run(out / "scenario.toml", set={"duration_s": json.loads((out / "metrics.json").read_text())["duration_s"]})
+    again = vcmvsp.run(out / "scenario.toml", set={"duration_s": json.loads((out / "metrics.json").read_text())["duration_s"]})
     assert _lost(again.radio) == _lost(load(out).radio)
 
 

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.util import codec
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
-from vcmvsp.cosim.view.scenery import scenery_of
 from vcmvsp.cosim.view.messages import Scenery
+from vcmvsp.cosim.view.scenery import scenery_of
 
 SOLIDS: list[dict[str, Any]] = [
     {"kind": "box", "center": [0.0, 0.0, 0.5], "size": [1.0, 1.0, 1.0], "color": [1, 0, 0]},

@@ -9,15 +9,15 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.cosim import view_pages
+from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking, scenery, shown, states
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, Sensors, Shown
 from vcmvsp.cosim.view.page.links import fresh_links
-from vcmvsp.cosim.view.page.style import LOST_RGB, TINY, linear, rotated, rssi_colors
-from vcmvsp.cosim.view.page.sensors import painted, points_of
 from vcmvsp.cosim.view.page.scene import MOST_COLORS, by_color
-from tests.support.cosim import view_pages
-from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking, scenery, shown, states
+from vcmvsp.cosim.view.page.sensors import painted, points_of
+from vcmvsp.cosim.view.page.style import LOST_RGB, TINY, linear, rotated, rssi_colors
 
 ANGLES = st.floats(-3.0, 3.0)
 METRES = st.floats(-50.0, 50.0)
@@ -69,7 +69,9 @@ def test_who_comes_late_in_a_long_run_is_told_no_more_than_who_comes_early() -> 
         kept = []
         for step in range(121):
             color = (step, 0, 0)
-            looked.show(0.1 * step, scans={"v1/ring": view_pages.scan(1.0 + step)}, images={"v1/down": view_pages.picture(color)})
+            looked.show(
+                0.1 * step, scans={"v1/ring": view_pages.scan(1.0 + step)}, images={"v1/down": view_pages.picture(color)}
+            )
             kept.append(len(looked.server._websock_server._broadcast_buffer.message_from_id))
         assert kept[60] == kept[120]
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import pytest
 import viser
 
+from tests.support.cosim.view_pages import LIVE, RECORDED, Looking, looking, scenery, shown
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Move, Order, Outage, Pace, Seek
-from tests.support.cosim.view_pages import LIVE, RECORDED, Looking, looking, scenery, shown
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.support.cosim.view_pages import Looking, browser, looking, picture, positions, scenery, shown
 from vcmvsp.cosim.types import Array, Mosaic
 from vcmvsp.cosim.view.messages import Outage, Sensors
-from tests.support.cosim.view_pages import Looking, browser, looking, picture, positions, scenery, shown
 
 PATIENCE_S = 30.0  # a browser that draws without a graphics card, on a machine that does other things
 

@@ -6,13 +6,13 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.cosim.view_pages import known_of, looking, scenery, shown
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Presence, RealStatus
 from vcmvsp.cosim.view.messages import Craft, Line, Pace, Shown
 from vcmvsp.cosim.view.page.charts import POINTS, History, round_above
-from vcmvsp.cosim.view.page.state import Known
 from vcmvsp.cosim.view.page.panel import log_page, run_page, vehicle_page
-from tests.support.cosim.view_pages import known_of, looking, scenery, shown
+from vcmvsp.cosim.view.page.state import Known
 
 
 def test_what_others_say_is_text_and_no_part_of_the_page() -> None:

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.cosim.view_pages import known_of, scenery, shown, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Follows, Presence
 from vcmvsp.cosim.view.messages import Line, Shown
 from vcmvsp.cosim.view.page.formation_slots import places_of
-from tests.support.cosim.view_pages import known_of, scenery, shown, states
 
 ANGLES = st.floats(-3.0, 3.0)
 Notes = dict[str, dict[str, float | str | bool]]

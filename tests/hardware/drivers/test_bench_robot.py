@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.drivers.base import Driver, LinkLost, Sample
+from vcmvsp.hardware.drivers.bench_robot import Bench
 
 MS = 1_000_000
 

@@ -8,9 +8,9 @@ from contextlib import suppress
 
 import pytest
 
+from tests.support.hardware.driver_runs import eventually
 from vcmvsp.hardware.drivers.base import LinkLost
 from vcmvsp.hardware.drivers.byte_link import Line, open_line
-from tests.support.hardware.driver_runs import eventually
 
 
 @pytest.fixture

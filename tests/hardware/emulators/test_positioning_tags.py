@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import serial  # type: ignore[import-untyped]
 
+from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.hardware.emulators.positioning.tags import (
@@ -22,7 +23,6 @@ from vcmvsp.hardware.emulators.positioning.tags import (
     ubisense_outlet,
 )
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
-from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 
 TRUE = (3.0, -2.0, 0.5)
 

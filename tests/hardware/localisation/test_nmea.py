@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.hardware.localisation.nmea import Reader
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
+from vcmvsp.hardware.localisation.nmea import Reader
 
 # The examples that every book has, 48 deg 07.038' N, 11 deg 31.000' E; their check sums are printed with them.
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"

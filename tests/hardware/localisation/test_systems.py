@@ -18,20 +18,19 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.cosim.run_processes import reserved
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.estimation.fusion import Fusion
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import Fix
 from vcmvsp.hardware.drivers.base import HandshakeError, PortError
-from vcmvsp.hardware.localisation import Located, dwm1001, pose_topic, ubisense
-from vcmvsp.hardware.localisation import port_source
+from vcmvsp.hardware.localisation import Located, dwm1001, port_source, pose_topic, ubisense
 from vcmvsp.hardware.localisation import source as sources_common
-from vcmvsp.cosim.estimation.fusion import Fusion
-from vcmvsp.hardware.localisation.world_transform import Placing, Posed
 from vcmvsp.hardware.localisation.pose_topic import ExternalPose
 from vcmvsp.hardware.localisation.systems import Dwm1001, Localisation, Nmea, Ubisense
-from tests.support.cosim.run_processes import reserved
+from vcmvsp.hardware.localisation.world_transform import Placing, Posed
 
 DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"

@@ -16,11 +16,11 @@ from typing import Any
 
 import pytest
 
+from tests.support.cosim.run_processes import reserved
 from vcmvsp.cosim.security import authority
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
-from tests.support.cosim.run_processes import reserved
 
 PATIENCE_S = 30.0  # whatever the machine does beside
 PROGRAM = """

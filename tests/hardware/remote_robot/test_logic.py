@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Odometry, Velocity
-from vcmvsp.hardware.drivers.bench_robot import Bench
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import Driver, LinkLost, Notice, Sample
+from vcmvsp.hardware.drivers.bench_robot import Bench
+from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.messages import Down, Up
 from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
 from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
 from vcmvsp.hardware.remote_robot.run_side.orders import Orders
 from vcmvsp.hardware.remote_robot.run_side.samples import Track
-from vcmvsp.hardware.remote_robot.messages import Down, Up
-from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 
 SECOND = 10**9
 AHEAD = Velocity(linear=(0.3, 0.0, 0.0))

@@ -10,17 +10,17 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
+from tests.hardware.remote_robot.test_driver import PATIENCE_S, until
+from tests.support.cosim.run_processes import reserved
 from vcmvsp.cosim.security import authority, certificates
-from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.transport import key_names, access_control
+from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.types import Odometry
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.remote_robot import messages
+from vcmvsp.hardware.remote_robot.messages import Hello, Up, Welcome
 from vcmvsp.hardware.remote_robot.run_side.admission import Admission
 from vcmvsp.hardware.remote_robot.run_side.listener import Door, Gone, Heard, Knock, News, Peer
-from vcmvsp.hardware.remote_robot.messages import Hello, Up, Welcome
-from tests.support.cosim.run_processes import reserved
-from tests.hardware.remote_robot.test_driver import PATIENCE_S, until
 
 HELLO = b"hello"
 ALL_GO = zenoh.CongestionControl.BLOCK  # of many at once, Zenoh else leaves out those that find no room

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
+from tests.support.hardware.supervised_flight import Flight, flown
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety import (
     AerialParameters,
@@ -21,8 +23,6 @@ from vcmvsp.hardware.safety import (
     TimeOuts,
 )
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
-from tests.support.hardware.supervised_flight import Flight, flown
-from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
 
 SECOND = 10**9
 PERIOD_NS = SECOND // 10

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.hardware.safety import Limits
-from tests.support.hardware.safety_sequences import FAULTS, Rehearsal, Stretch
 from tests.hardware.safety.test_ground_laws import FENCES, limits
+from tests.support.hardware.safety_sequences import FAULTS, Rehearsal, Stretch
+from vcmvsp.hardware.safety import Limits
 
 SEQUENCES = int(os.environ.get("VCMVSP_SEQUENCES", "150"))
 

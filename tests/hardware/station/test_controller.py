@@ -8,14 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.hardware.stations import mission
 from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
 from vcmvsp.cosim.types import Array, Fix, Odometry, Vec3, VehicleState, Velocity
-from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.drivers.base import ORIGIN, Notice, Sample
-from vcmvsp.hardware.station.safety_factory import others_at
+from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.station.controller import Onboard
 from vcmvsp.hardware.station.messages import Mission, Order, Part, Report
-from tests.support.hardware.stations import mission
+from vcmvsp.hardware.station.safety_factory import others_at
 
 MS = 1_000_000
 TURN_MS = 20

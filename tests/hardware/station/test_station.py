@@ -16,19 +16,20 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty
-from vcmvsp.hardware.drivers.base import DriverError
-from vcmvsp.hardware.station.process_client import Station
-from vcmvsp.hardware.station.messages import Mission, Part, Report
 from tests.support.hardware.driver_runs import eventually
 from tests.support.hardware.stations import BENCH, driven, mission
 from tests.support.netsim.gateway_context import free_ports
+from tests.support.paths import ROOT
+from vcmvsp.hardware.drivers.arcos.command_numbers import Command
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
+from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty
+from vcmvsp.hardware.station.messages import Mission, Part, Report
+from vcmvsp.hardware.station.process_client import Station
 
 PATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=60.0)  # it is not the robot's own watchdog that stops it
-HERE = Path(__file__).parents[2]
+HERE = ROOT
 
 
 @pytest.fixture(autouse=True)
@@ -109,7 +110,9 @@ def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path
 
 def test_positions_of_a_tag_are_fused() -> None:
     port = free_ports(1)
-    tag = Part(group="localisation", kind="vcmvsp.hardware.localisation.systems:Ubisense", params={"listen": f"udp://127.0.0.1:{port}"})
+    tag = Part(
+        group="localisation", kind="vcmvsp.hardware.localisation.systems:Ubisense", params={"listen": f"udp://127.0.0.1:{port}"}
+    )
     told = msgspec.structs.replace(mission(), localisation=tag, fusion={"start_sigma_m": 0.5, "noise": {"turn": 0.02}})
     with driven(told) as run, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as engine:
 

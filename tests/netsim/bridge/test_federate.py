@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.types import Array, Datagrams, Message, Reception, States, Traffic
-from vcmvsp.netsim.bridge.process import messages
-from vcmvsp.netsim.bridge.gateways.base import LARGEST
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.federate import AGAIN_NS, BEHIND_NS, PATIENCE_NS, Bridge
+from vcmvsp.netsim.bridge.gateways.base import LARGEST
+from vcmvsp.netsim.bridge.process import messages
 
 MS = 1_000_000
 RUN = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("a", "b"))
@@ -163,7 +163,10 @@ class Levels:
 
 def test_what_an_agent_says_that_no_datagram_holds_is_counted() -> None:
     bridge, process, _ = made(agents=True)
-    process.says = [messages.Counted(counts={"a": {"of the process": 1}}), messages.Counted(counts={"b": {"of the process": 2}})]
+    process.says = [
+        messages.Counted(counts={"a": {"of the process": 1}}),
+        messages.Counted(counts={"b": {"of the process": 2}}),
+    ]
     bridge.poll(MS)
     for size in (LARGEST, LARGEST + 1, LARGEST + 2):
         message = Message(sender="a", body=bytes(size), size_bytes=4)

@@ -13,17 +13,16 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-import vcmvsp.netsim.bridge
-from vcmvsp import netsim
-from vcmvsp.cosim.config import builtin_kinds
-from vcmvsp.netsim.bridge.gateways.base import Door
 from tests.support.cosim.run_processes import UNDRAWN
 from tests.support.netsim.bridge_runs import BridgeRun, running
 from tests.support.netsim.gateway_context import TestHall, free_ports
+from tests.support.paths import ROOT
+from vcmvsp.cosim.config import builtin_kinds
+from vcmvsp.netsim.bridge.gateways.base import Door
 
-(HOME,) = netsim.bridge.__path__
-README = (Path(HOME) / "README.md").read_text(encoding="utf-8")
-FRONT = (Path(HOME).parents[1] / "README.md").read_text(encoding="utf-8")
+HOME = ROOT / "netsim" / "bridge"
+README = (HOME / "README.md").read_text(encoding="utf-8")
+FRONT = (HOME.parents[1] / "README.md").read_text(encoding="utf-8")
 
 
 def block(language: str, words: str, page: str = README) -> str:
@@ -46,7 +45,7 @@ def test_the_worked_example(tmp_path: Path) -> None:
         (tmp_path / name).write_text(at_ports(first, text))
     (command,) = re.findall(r"^    vcmvsp (run .*?) +#", README, re.MULTILINE)
     shorter = [*command.split(), "--set", "duration_s=3.0"]
-    environment = {**os.environ, "PYTHONPATH": str(Path(HOME).parents[1])}
+    environment = {**os.environ, "PYTHONPATH": str(HOME.parents[1])}
 
     def start(*arguments: str, **streams: int) -> "subprocess.Popen[str]":
         return subprocess.Popen([sys.executable, *arguments], cwd=tmp_path, env=environment, encoding="utf-8", **streams)  # type: ignore[call-overload,no-any-return]
@@ -114,7 +113,7 @@ def test_every_door_has_its_part() -> None:
     for kind in builtin_kinds.KINDS["door"]:
         assert f"`[bridge.{kind}]`" in README
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", README):
-        assert (Path(HOME) / target).exists(), target
+        assert (HOME / target).exists(), target
     headings = {
         re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in re.findall(r"^## (.*)$", README, re.MULTILINE)
     }

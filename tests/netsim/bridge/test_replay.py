@@ -12,11 +12,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.cosim.recording.external_inputs import read_inputs
 from vcmvsp.cosim.runs.replay import replay
 from vcmvsp.cosim.types import Datagrams
-from tests.support.netsim.gateway_context import free_ports
 
 SAME = ("radio.parquet", "states.parquet", "metrics.json")
 SETTINGS: dict[str, Any] = {"duration_s": 1.5, "seed": 3, "physics.kind": "kinematic"}
@@ -53,7 +53,7 @@ def programs(first_port: int) -> Iterator[None]:
 def test_a_run_with_programs_is_made_again_to_the_byte_and_what_it_leaves_fits_together(channel: str, tmp_path: Path) -> None:
     first_port, folder = free_ports(300), tmp_path / "run"
     with programs(first_port):
-        run = cosim.run(
+        run = vcmvsp.run(
             "formation-circle", set={**SETTINGS, **CHANNELS[channel], "bridge.udp.first_port": first_port}, out=folder
         )
     again = replay(folder, out=tmp_path / "again")

@@ -14,12 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.clock import SECOND_NS, WallClock
-from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.federate import Event, Prompted, Releasable, RunInfo, Slot, Step
-from vcmvsp.cosim.types import Message, Reception
-from vcmvsp.netsim.bridge.process.messages import DoorSpec
 from tests.support.netsim.bridge_runs import (
     BROADCAST,
     BridgeRun,
@@ -30,6 +24,13 @@ from tests.support.netsim.bridge_runs import (
     what_is_there,
 )
 from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
+from tests.support.paths import ROOT
+from vcmvsp.cosim.clock import SECOND_NS, WallClock
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.federate import Event, Prompted, Releasable, RunInfo, Slot, Step
+from vcmvsp.cosim.types import Message, Reception
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.netsim.bridge.process.messages import DoorSpec
 
 MS = 1_000_000
 
@@ -184,7 +185,7 @@ def test_when_the_run_is_killed_the_process_ends_and_ports_are_free() -> None:
         run.go()
         print(run.bridge._process.pid, flush=True)
     """)
-    root = Path(__file__).parents[2]
+    root = ROOT
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=root) as run:
         assert run.stdout is not None
         pid = int(run.stdout.readline())

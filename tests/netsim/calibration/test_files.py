@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.config.binding import call
-from vcmvsp.netsim.calibration.fit import Calibration, Links, calibrate_command, read_links
-from vcmvsp.netsim.calibration.result import Estimate
-from vcmvsp.netsim.calibration.design_matrix import sample
-from vcmvsp.netsim.propagation.fading import Nakagami
-from vcmvsp.netsim.propagation.walls import FixedWalls
-from vcmvsp.netsim.propagation.path_loss import LogDistance
-from vcmvsp.netsim.propagation.shadowing import Shadowing
-from vcmvsp.physics.line_of_sight.sightline import Sightline
 from tests.support.netsim.links import Line, even_uniforms, linked_frame
 from tests.support.netsim.measured_links import BOXES, mean_of, points, tour
+from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.netsim.calibration.design_matrix import sample
+from vcmvsp.netsim.calibration.fit import Calibration, Links, calibrate_command, read_links
+from vcmvsp.netsim.calibration.result import Estimate
+from vcmvsp.netsim.propagation.fading import Nakagami
+from vcmvsp.netsim.propagation.path_loss import LogDistance
+from vcmvsp.netsim.propagation.shadowing import Shadowing
+from vcmvsp.netsim.propagation.walls import FixedWalls
+from vcmvsp.physics.line_of_sight.sightline import Sightline
 
 
 def test_a_long_log_is_sampled_evenly_and_in_neighbours() -> None:

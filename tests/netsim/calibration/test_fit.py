@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.errors import UsageError
-from vcmvsp.netsim.calibration.fit import Links, fit
-from vcmvsp.netsim.propagation.walls import FixedWalls
-from vcmvsp.netsim.propagation.shadowing import Shadowing
-from vcmvsp.physics.line_of_sight.sightline import Sightline
 from tests.support.netsim.links import Line
 from tests.support.netsim.measured_links import BOXES, links, mean_of, normal_score, points, shadows, tour
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.netsim.calibration.fit import Links, fit
+from vcmvsp.netsim.propagation.shadowing import Shadowing
+from vcmvsp.netsim.propagation.walls import FixedWalls
+from vcmvsp.physics.line_of_sight.sightline import Sightline
 
 SEEDS = range(4)
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from tests.support.netsim.measured_links import mean_of, points, shadows
 from vcmvsp.netsim.calibration.censored import below
 from vcmvsp.netsim.calibration.covariance import Survey, covariance
 from vcmvsp.netsim.calibration.likelihood import log_likelihood, restricted
 from vcmvsp.netsim.propagation.shadowing import Shadowing
-from tests.support.netsim.measured_links import mean_of, points, shadows
 
 
 @pytest.mark.parametrize(("correlation", "error"), [(0.0, 1e-12), (0.5, 0.002), (0.9, 0.031), (0.99, 0.085), (-0.4, 0.0005)])

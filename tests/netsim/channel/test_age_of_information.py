@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.support.netsim.channels import make_channel, make_frame, send
 from vcmvsp.cosim.rng import key64, link_uniform
 from vcmvsp.netsim.impairments.delay import FixedDelay
-from vcmvsp.netsim.interfaces.link_draws import LOSS_SLOT
 from vcmvsp.netsim.impairments.loss import Bernoulli
-from tests.support.netsim.channels import make_channel, make_frame, send
+from vcmvsp.netsim.interfaces.link_draws import LOSS_SLOT
 
 T = 100_000_000  # ns
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.netsim.evaluation.broadcast_trial import Broadcasts, run
 from tests.support.netsim.channels import make_channel
+from vcmvsp.netsim.evaluation.broadcast_trial import Broadcasts, run
 
 
 def plan(count: int, side_m: float, rate_hz: float = 20.0) -> Broadcasts:

@@ -4,14 +4,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.netsim.channels import make_channel, one, send
 from vcmvsp.cosim.types import Array, FrameReport, Message
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import NoDelay
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Paths
 from vcmvsp.netsim.impairments.loss import NoLoss
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Paths
 from vcmvsp.netsim.phy.standards import Dsss
 from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
-from tests.support.netsim.channels import make_channel, one, send
 
 
 def broadcast(channel: Channel, sender: str, places: dict[str, tuple[float, float, float]], sent_ns: int = 0) -> FrameReport:

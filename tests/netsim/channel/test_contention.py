@@ -7,23 +7,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.codec import encode
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.types import FrameReport, Message, Reception, States
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.reception import UNDER_WAY
+from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.netsim.impairments.delay import NoDelay
+from vcmvsp.netsim.impairments.loss import NoLoss
+from vcmvsp.netsim.interfaces.layers import Floats, Phy
+from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.mac.csma154.parameters import Csma154
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
-from vcmvsp.netsim.impairments.delay import NoDelay
-from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.netsim.interfaces.layers import Floats, Phy
-from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.mac.ideal import Mac
-from vcmvsp.netsim.channel.reception import UNDER_WAY
-from vcmvsp.netsim.phy.standards import Dsss, Ieee802154
 from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.phy.standards import Dsss, Ieee802154
 from vcmvsp.netsim.propagation.path_loss import LogDistance
-from vcmvsp.netsim.interfaces.radio import Radio
-from tests.support.netsim.channels import make_channel
 
 MS = 1_000_000
 NAMES = tuple(f"car{i}" for i in range(6))

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.types import FrameReport, Message
-from vcmvsp.netsim.channel.channel import Channel
 from tests.support.netsim.channels import make_channel
+from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.netsim.channel.channel import Channel
 
 NAMES = tuple(f"car{number}" for number in range(7))
 TABLES: dict[str, dict[str, Any]] = {

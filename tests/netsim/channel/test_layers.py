@@ -8,11 +8,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.codec import encode
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.interfaces.layers import Floats
-from tests.support.netsim.channels import make_channel
 
 MS = 1_000_000
 NAMES = tuple(f"car{i}" for i in range(5))

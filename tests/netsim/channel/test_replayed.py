@@ -11,12 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.replayed import RecordedChannel
-from tests.support.netsim.channels import make_channel
 
 MS = 1_000_000
 NAMES = ("a", "b", "c")

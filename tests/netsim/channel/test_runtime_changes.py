@@ -11,23 +11,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.codec import encode
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probability, States
-from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
-from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss
-from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
+from vcmvsp.netsim.channel.replayed import RecordedChannel
 from vcmvsp.netsim.channel.runtime_changes import Operated
+from vcmvsp.netsim.federate import RadioFederate
+from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
+from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
+from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
+from vcmvsp.netsim.impairments.random_delay import GammaDelay, UniformDelay
+from vcmvsp.netsim.impairments.script import Script
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss
 from vcmvsp.netsim.phy.standards import Dsss
 from vcmvsp.netsim.propagation.path_loss import LogDistance
-from vcmvsp.netsim.impairments.random_delay import GammaDelay, UniformDelay
-from vcmvsp.netsim.channel.replayed import RecordedChannel
-from vcmvsp.netsim.impairments.script import Script
-from tests.support.netsim.channels import make_channel
 
 MS = 1_000_000
 NAMES = ("car1", "car2", "car3", "base")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.support.netsim.channels import make_channel, one
 from vcmvsp.cosim.types import Message
 from vcmvsp.netsim.interfaces.layers import Floats
-from tests.support.netsim.channels import make_channel, one
 
 AIR_NS = 1_280_000  # 100 bytes at 1 Mbit/s
 

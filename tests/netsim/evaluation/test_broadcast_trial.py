@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import FrameReport
 from vcmvsp.netsim.evaluation import broadcast_trial
-from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.evaluation.row_file import RowFile
 from vcmvsp.netsim.evaluation.tally import Delays
-from tests.support.netsim.channels import make_channel
+from vcmvsp.netsim.interfaces.layers import Floats
 
 
 @pytest.fixture(autouse=True)

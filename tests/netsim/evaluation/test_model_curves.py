@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.netsim.phy.error_rate import DsssErrors, OqpskErrors
-from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
-from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
-from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.evaluation.model_curves import error_rate, grid, mean_levels, packet_errors
 from vcmvsp.netsim.evaluation.positions_file import read_positions
+from vcmvsp.netsim.phy.error_rate import DsssErrors, OqpskErrors
+from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
+from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
+from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 # --- positions --------------------------------------------------------------------------------------------------------------
 

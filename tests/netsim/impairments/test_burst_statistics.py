@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
-from vcmvsp.netsim.impairments.burst_statistics import Bursts
-from vcmvsp.netsim.interfaces.layers import Bools
 from tests.support.netsim.links import many_frame
+from vcmvsp.netsim.impairments.burst_statistics import Bursts
+from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
+from vcmvsp.netsim.interfaces.layers import Bools
 
 LINKS = 2000
 

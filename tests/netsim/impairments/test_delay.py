@@ -3,12 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.channels import make_channel, make_frame, send
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.phy.standards import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
-from tests.support.netsim.channels import make_channel, make_frame, send
 
 
 def test_a_frame_without_delay_arrives_when_it_ends() -> None:

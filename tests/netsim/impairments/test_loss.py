@@ -3,16 +3,16 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tests.support.netsim.channels import make_frame
 from vcmvsp.cosim.rng import key64, link_uniform
 from vcmvsp.cosim.types import Message
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
-from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Links
 from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
+from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Links
+from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
 from vcmvsp.netsim.phy.standards import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
-from tests.support.netsim.channels import make_frame
 
 FRAMES = np.arange(100_000, dtype=np.uint64)[:, None]
 LINKS = np.array([key64(7, f"radio/car1/car{i}") for i in range(2, 10)], np.uint64)

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.testing import check_channel
-from vcmvsp.netsim.interfaces.layers import Delay, Floats
-from vcmvsp.netsim.impairments.random_delay import EmpiricalDelay, GammaDelay, NormalDelay, UniformDelay
 from tests.support.netsim.channels import make_frame
 from tests.support.netsim.links import even_uniforms
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.testing import check_channel
+from vcmvsp.netsim.impairments.random_delay import EmpiricalDelay, GammaDelay, NormalDelay, UniformDelay
+from vcmvsp.netsim.interfaces.layers import Delay, Floats
 
 EVEN = even_uniforms(200_000)
 MEASURED = EmpiricalDelay(((0.0, 0.002), (0.5, 0.004), (0.99, 0.03), (1.0, 0.2)))

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
 from vcmvsp.netsim.impairments.script import Change, Script
+from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
 
 CARS = ("car1", "car2", "car3", "base")
 MS = 1_000_000

@@ -14,8 +14,8 @@ from pyarrow import parquet
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
 from vcmvsp.netsim.impairments.trace import Trace
+from vcmvsp.netsim.interfaces.layers import Frame, Links, Paths
 
 MS = 1_000_000
 NOISE = -94.0

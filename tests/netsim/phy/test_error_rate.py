@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.error_rate_curves import array, sinr_for
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.phy.error_rate import DsssErrors, ErrorRate, OqpskErrors, biorthogonal_error
 from vcmvsp.netsim.phy.error_rate_ofdm import MODES, OfdmErrors
-from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.phy.noise import ThermalNoise
-from tests.support.netsim.error_rate_curves import array, sinr_for
 
 DSSS = [DsssErrors(rate) for rate in (1e6, 2e6, 5.5e6, 11e6)]
 OFDM = [OfdmErrors(rate, model=model) for rate in MODES for model in ("table", "yans", "nist")]

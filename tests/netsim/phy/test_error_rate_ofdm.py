@@ -2,9 +2,9 @@
 
 import pytest
 
+from tests.support.netsim.error_rate_curves import array, sinr_for
 from vcmvsp.netsim.phy.error_rate import DsssErrors, ErrorRate, OqpskErrors
 from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
-from tests.support.netsim.error_rate_curves import array, sinr_for
 
 # SINR in dB for 10, 50 and 90 % success, by size in bytes: ns-3.44 TableBasedErrorRateModel, which has one table below 400.
 NS3_TABLE_DB = {

@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
+from tests.support.netsim.channels import send
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import NoDelay
-from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.phy.standards import Dsss
-from vcmvsp.netsim.propagation.path_loss import LogDistance
+from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.radio import Radio
-from tests.support.netsim.channels import send
+from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
+from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 
 def bodies(foot: Floats, radius_m: float = 0.5, height_m: float = 1.0) -> Bodies:

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.propagation.two_ray import Friis
 from vcmvsp.netsim.interfaces.layers import PathLoss, Paths
 from vcmvsp.netsim.presets import preset
 from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
+from vcmvsp.netsim.propagation.two_ray import Friis
 
 coordinate = st.floats(-2000.0, 2000.0)
 point = st.tuples(coordinate, coordinate, coordinate)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.links import Line, each_alone
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.shadowing import Shadowing
-from tests.support.netsim.links import Line, each_alone
 
 LAYER = Shadowing(sigma_db=4.0, correlation_distance_m=10.0)
 coordinate = st.floats(-2000.0, 2000.0)

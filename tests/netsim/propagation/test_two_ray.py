@@ -8,10 +8,10 @@ import pytest
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.testing import check_channel
-from vcmvsp.netsim.propagation.two_ray import Friis, TwoRayGround
 from vcmvsp.netsim.interfaces.layers import Paths
-from vcmvsp.netsim.propagation.walls import ItuWalls
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
+from vcmvsp.netsim.propagation.two_ray import Friis, TwoRayGround
+from vcmvsp.netsim.propagation.walls import ItuWalls
 
 DISTANCES = (1.0, 2.5, 10.0, 47.0, 100.0, 239.9, 500.0, 1234.5, 2000.0)
 

@@ -6,8 +6,8 @@ import pytest
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, PathLoss, Paths
-from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, FixedWalls, ItuWalls, slab_loss_db
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, LogDistance
+from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, FixedWalls, ItuWalls, slab_loss_db
 from vcmvsp.physics.line_of_sight.sightline import Sightline
 from vcmvsp.physics.world.solids import Box
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import shortest_path
 
+from tests.support.netsim.routing_runs import HOP_NS, line, run, says
 from vcmvsp.cosim.rng import stream
 from vcmvsp.netsim.routing.distance_vector import ENTRY_BYTES, SPREAD, DistanceVector, Vectors
 from vcmvsp.netsim.routing.router import HEADER_BYTES, Update
-from tests.support.netsim.routing_runs import HOP_NS, line, run, says
 
 PERIOD_NS = 1_000_000_000
 Graph = NDArray[np.bool_]

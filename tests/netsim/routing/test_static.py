@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
+from tests.support.netsim.routing_runs import line, names, run, says
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.routing.static import Static
-from tests.support.netsim.routing_runs import line, names, run, says
 
 FOUR = names(4)
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.netsim.routing_runs import MS, line, run, says
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.netsim.routing.router import BROADCAST, Router, Update
-from tests.support.netsim.routing_runs import MS, line, run, says
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,17 @@ from typing import Any
 import pytest
 import tomli_w
 
-from vcmvsp import cosim
-from vcmvsp.cosim.runs.api import check
+import vcmvsp
+from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, dialled, idle, played, scenario
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.runs.api import check
 from vcmvsp.cosim.scenario.schema import SocketsTable
 from vcmvsp.cosim.sockets import connect
 from vcmvsp.cosim.sockets.messages import VERSION, Hello, framed
 from vcmvsp.cosim.testing import check_federate
 from vcmvsp.cosim.types import Message, Reception
 from vcmvsp.netsim.sockets.federate import Programs
-from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, dialled, idle, played, scenario
 
 
 def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,7 +46,7 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
     thread = threading.Thread(target=come)
     thread.start()
     with pytest.raises(FederateError, match=r"no program has come for b, c within 60 s \(sockets.join_timeout_s\).*connect\("):
-        cosim.run(content, mcap=False, tell=tell)
+        vcmvsp.run(content, mcap=False, tell=tell)
     thread.join(PATIENCE_S)
     assert told[1:] == ["the program of a has come; still waiting for: b, c", "let down"]
     assert not (tmp_path / "s").exists()
@@ -77,7 +77,7 @@ def test_who_is_not_wanted_is_told_why(tmp_path: Path) -> None:
             threads[1].start()
 
     threads[0].start()
-    cosim.run(content, mcap=False, tell=tell)
+    vcmvsp.run(content, mcap=False, tell=tell)
     for thread in threads:
         thread.join(PATIENCE_S)
     assert "there is no vehicle 'xxx" in words[0] or "unknown vehicle 'xxx" in words[0]
@@ -104,7 +104,7 @@ def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: P
                 threading.Thread(target=come, args=[vehicle], daemon=True).start()
 
     threading.Thread(target=early, daemon=True).start()
-    result = cosim.run(content, mcap=False, tell=tell)
+    result = vcmvsp.run(content, mcap=False, tell=tell)
     assert told[2] == "the program of a has left; waiting for another"
     assert result.about["simulated_s"] == 1.0
 
@@ -183,12 +183,12 @@ def test_an_endpoint_that_is_taken_is_said_in_one_line_and_one_that_was_left_beh
         with pytest.raises(
             ScenarioError, match=f"sockets.listen: cannot listen on {listen}: .*another run may have it: give another endpoint"
         ):
-            cosim.run(scenario(tmp_path, "a", sockets={"listen": listen}), mcap=False)
+            vcmvsp.run(scenario(tmp_path, "a", sockets={"listen": listen}), mcap=False)
     (tmp_path / "s").write_text("a file of mine")
     with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on .*/none/s: No such file or directory; give"):
-        cosim.run(scenario(tmp_path / "none", "a"), mcap=False)
+        vcmvsp.run(scenario(tmp_path / "none", "a"), mcap=False)
     with pytest.raises(ScenarioError, match=r"sockets\.listen: cannot listen on"):
-        cosim.run(scenario(tmp_path, "a"), mcap=False)
+        vcmvsp.run(scenario(tmp_path, "a"), mcap=False)
     assert (tmp_path / "s").read_text() == "a file of mine"
     (tmp_path / "s").unlink()
     with socket.socket(socket.AF_UNIX) as dead:
@@ -210,7 +210,7 @@ def test_over_tcp_on_any_port(tmp_path: Path) -> None:
         with connect(name, endpoint) as end:
             play(end)
 
-    cosim.run(scenario(tmp_path, "a", "b", sockets={"listen": "tcp/127.0.0.1:0"}), mcap=False, tell=tell)
+    vcmvsp.run(scenario(tmp_path, "a", "b", sockets={"listen": "tcp/127.0.0.1:0"}), mcap=False, tell=tell)
     for thread in ends:
         thread.join(PATIENCE_S)
     assert heard == 10 * [(b"here", "a")]
@@ -226,7 +226,10 @@ def test_ctrl_c_ends_a_run_that_waits_for_a_program(tmp_path: Path, hangs: bool)
             end.recv(1 << 16)
 
     run = subprocess.Popen(
-        [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", "s.toml", "--out", "out"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", "s.toml", "--out", "out"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         while not (tmp_path / "s").exists():

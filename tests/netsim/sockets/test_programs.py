@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, idle, played, scenario
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.sockets import Socket
 from vcmvsp.cosim.sockets.messages import MOST_UP, VERSION, Hello, Send, Wait, framed
 from vcmvsp.cosim.types import Note
-from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, idle, played, scenario
 
 
 def notes_of(events: list[Any]) -> list[tuple[str, int, dict[str, Any]]]:
@@ -236,7 +236,7 @@ def test_a_program_that_hangs_ends_the_run_with_its_name(tmp_path: Path) -> None
 
 
 SPEAKER = '''
-from vcmvsp.cosim import Agent
+from vcmvsp import Agent
 
 class Speaker(Agent):
     """Says bytes and a mapping in turn; notes what it hears."""

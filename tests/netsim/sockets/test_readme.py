@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 
-import vcmvsp.netsim.sockets
-from vcmvsp import netsim
 from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.paths import ROOT
 
-(HOME,) = netsim.sockets.__path__
-README = (Path(HOME) / "README.md").read_text(encoding="utf-8")
+HOME = ROOT / "netsim" / "sockets"
+README = (HOME / "README.md").read_text(encoding="utf-8")
 
 
 def blocks(language: str) -> list[str]:
@@ -29,7 +28,7 @@ def test_the_worked_example(tmp_path: Path, order: tuple[str, ...]) -> None:
     listen = f"unix/{tmp_path}/s"
     run = [*UNDRAWN, "run", "sockets.toml", "--out", "out", "--set", f"sockets.listen={listen}"]
     commands = {"run": run, "ping": ["ping.py"], "pong": ["pong.py"]}
-    environment = {**os.environ, "VCMVSP_SOCKETS": listen, "PYTHONPATH": str(Path(HOME).parents[1])}
+    environment = {**os.environ, "VCMVSP_SOCKETS": listen, "PYTHONPATH": str(HOME.parents[1])}
     started = {}
     try:
         for name in order:

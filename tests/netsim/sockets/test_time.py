@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from vcmvsp.cosim.sockets import RunOver, Socket
 from tests.support.netsim.socket_programs import Play, idle, played, scenario
+from vcmvsp.cosim.sockets import RunOver, Socket
 
 MS = 1_000_000
 LOSSY = {"preset": "wifi-b-1", "loss": {"probability": 0.3}, "delay": {"seconds": 0.01, "jitter_s": 0.003}}

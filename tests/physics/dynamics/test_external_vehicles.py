@@ -8,27 +8,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.channels import make_channel
+from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import FrameReport, Later, Message, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.dynamics.external_vehicles import Reflected
-from vcmvsp.physics.sensors.positioning_system import Positioning
-from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.world.scene import Hull, rotations
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.imu import InertialUnit
 from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
+from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.range_scanner import RangeScanner
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.vehicles.models import P2DX, Lag
+from vcmvsp.physics.world.scene import Hull, rotations
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
-from tests.support.netsim.channels import make_channel
-from tests.support.physics.external_vehicles import TENTH, Courses, run, spec, straight, values
-from tests.support.physics.physics_stepper import stepped
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 SETTLES = {KinematicPhysics: 2e-6, BulletPhysics: 3e-4}  # m, how far a simulated robot may roll as it settles on its wheels

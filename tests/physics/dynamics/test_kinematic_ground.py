@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.step_responses import overshoot, servo_step
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import arc, wrap
-from vcmvsp.physics.federate import KinematicPhysics
 from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
+from vcmvsp.physics.federate import KinematicPhysics
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
-from tests.support.step_responses import overshoot, servo_step
 
 speeds = st.floats(-2.0, 2.0)
 rates = st.floats(-3.0, 3.0)

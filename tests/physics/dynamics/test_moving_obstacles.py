@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Contact, Later
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.vehicles.models import AmigoBot, VehicleSpec
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Moving, World
-from tests.support.physics.physics_stepper import stepped
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])
 CART = Moving(

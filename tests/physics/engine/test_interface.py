@@ -8,13 +8,13 @@ import pytest
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
-from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
+from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
+from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
 from vcmvsp.physics.engine.interface import Engine, Motion, Touch, gathered, still
 from vcmvsp.physics.federate import Physics
-from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, VehicleSpec
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.world import World
 
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.physics.random_worlds import L_SHAPE, Floats, solids
 from vcmvsp.physics.raycast.caster import FLOOR, Caster, caster_of
 from vcmvsp.physics.world.shapes import Shapes, shapes_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
 from vcmvsp.physics.world.world import World
-from tests.support.physics.random_worlds import L_SHAPE, Floats, solids
 
 WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0))
 INF = math.inf

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from tests.support.physics.random_worlds import Floats, attitudes, cast_bodies, hulls, scene
 from vcmvsp.physics.world.scene import Hull, Scene
 from vcmvsp.physics.world.world import World
-from tests.support.physics.random_worlds import Floats, attitudes, cast_bodies, hulls, scene
 
 INF = math.inf
 BOX = Hull(size=(2.0, 1.0, 0.5), offset=(0.5, 0.0, 0.25))

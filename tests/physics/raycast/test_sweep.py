@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.support.physics.random_worlds import Floats, attitudes, beams, cast_bodies, hulls, scene, solids
 from vcmvsp.physics.raycast.caster import Caster, caster_of
 from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.raycast.sweep import sweep
@@ -12,7 +13,6 @@ from vcmvsp.physics.sensors.range_scanner import RangeScanner, fan_of, true_rang
 from vcmvsp.physics.world.scene import Hull, Scene
 from vcmvsp.physics.world.solids import Box, Mesh
 from vcmvsp.physics.world.world import World
-from tests.support.physics.random_worlds import Floats, attitudes, beams, cast_bodies, hulls, scene, solids
 
 
 def sensors_of(rng: np.random.Generator, count: int, pitches: tuple[float, ...]) -> list[RangeScanner]:

@@ -4,11 +4,11 @@ import numpy as np
 import pybullet
 import pytest
 
-from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder
-from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.world import World
 from tests.physics.render.test_depth import a_color, towards
+from vcmvsp.physics.render.renderer import render
+from vcmvsp.physics.render.view import View
+from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder
+from vcmvsp.physics.world.world import World
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 120.0
 

@@ -6,15 +6,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tests.support.physics import ray_renderer as oracle
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render import renderer
-from vcmvsp.physics.render import large_faces
+from vcmvsp.physics.render import large_faces, renderer
 from vcmvsp.physics.render.renderer import render
+from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.scene import Hull, Scene
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
-from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.world import World
-from tests.support.physics import ray_renderer as oracle
 
 Rng = np.random.Generator
 

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.physics.render.test_depth import a_rotation, towards
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.floor import Ground, Mark
-from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.floor_and_sky import SKY
+from vcmvsp.physics.render.renderer import render
+from vcmvsp.physics.render.view import View
+from vcmvsp.physics.world.floor import Ground, Mark
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.targets import Target, placed
-from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.world import World
-from tests.physics.render.test_depth import a_rotation, towards
 
 
 def meets(view: View) -> tuple[Array, Array]:

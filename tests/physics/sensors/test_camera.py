@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.sensor_scenes import scene_of
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Image
-from vcmvsp.physics.sensors.camera import LOWEST_M, Camera, NadirCamera
 from vcmvsp.physics.render.floor_and_sky import SKY
+from vcmvsp.physics.sensors.camera import LOWEST_M, Camera, NadirCamera
 from vcmvsp.physics.world.scene import Hull, Scene
 from vcmvsp.physics.world.solids import Box, Prism
 from vcmvsp.physics.world.world import Light, World
-from tests.support.physics.sensor_scenes import scene_of
 
 RED, GREEN = (220, 30, 30), (30, 200, 40)
 RNG = np.random.default_rng(0)

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.sensors.gps import Gps
-from tests.support.physics.sensor_scenes import readings, scene_of, still
 
 
 def errors(sensor: Gps, count: int, name: str = "car0/gps", hz: float = 5.0) -> Array:

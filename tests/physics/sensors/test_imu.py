@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array
+from vcmvsp.physics.sensors.imu import InertialUnit
 from vcmvsp.physics.sensors.noise import Noise
 from vcmvsp.physics.world.scene import rotations
-from vcmvsp.physics.sensors.imu import InertialUnit
-from tests.support.physics.sensor_scenes import readings, scene_of, still
 
 EXACT = InertialUnit(accelerometer_density=0.0, accelerometer=Noise(), gyroscope_density=0.0, gyroscope=Noise())
 G = 9.81

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
-from tests.support.physics.sensor_scenes import readings, scene_of, still
 
 PLACES = [(0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (0.0, 0.0, 12.0), (30.0, 0.0, 0.0)]
 

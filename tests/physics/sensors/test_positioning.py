@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.sensor_scenes import readings, scene_of
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Fix, VehicleState
-from vcmvsp.physics.sensors.positioning_system import Positioning
 from vcmvsp.physics.sensors.positioning import PositioningSensor
-from tests.support.physics.sensor_scenes import readings, scene_of
+from vcmvsp.physics.sensors.positioning_system import Positioning
 
 TRUTH = VehicleState(position=(3.0, -4.0, 0.0), attitude=quaternion_from_yaw(3.1))
 

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.physics.random_worlds import Floats, attitudes, hulls, scene, solids
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Scan
 from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring
 from vcmvsp.physics.world.scene import Hull, Scene
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
-from tests.support.physics.random_worlds import Floats, attitudes, hulls, scene, solids
 
 FULL = 6.2832
 # A room of 8 x 6 m around the origin, walls 3 m high.

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.random_worlds import Floats, scene
 from vcmvsp.cosim.rng import stream
 from vcmvsp.physics.sensors.range_scanner import RangeScanner, Ring
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
-from tests.support.physics.random_worlds import Floats, scene
 
 # All beams of a scanner at the origin meet the wall at 4 m, nearly at right angles.
 WALL = scene(World(solids=(Box(center=(4.5, 0.0, 0.5), size=(1.0, 9.0, 2.0)),)), [(0.0, 0.0, 0.5)])

@@ -10,15 +10,15 @@ from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
-from vcmvsp.physics.sensors.noise import Noise
-from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.altimeter import Altimeter
 from vcmvsp.physics.sensors.bumper import Bumper
 from vcmvsp.physics.sensors.gps import Gps
 from vcmvsp.physics.sensors.imu import InertialUnit
+from vcmvsp.physics.sensors.noise import Noise
+from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
 MODEL = P2DX()

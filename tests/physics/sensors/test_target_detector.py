@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.physics.sensor_scenes import readings, scene_of
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Looks
@@ -14,7 +15,6 @@ from vcmvsp.physics.sensors.target_detector import TargetSensor
 from vcmvsp.physics.world.targets import Target
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds import Empty
-from tests.support.physics.sensor_scenes import readings, scene_of
 
 
 def look(sensor: TargetSensor, world: World, *place: float, seed: int = 1, t: float = 0.0) -> Looks:
@@ -99,14 +99,14 @@ def test_it_serves_in_runs_and_a_seed_says_all(kind: str) -> None:
     def run(seed: int) -> list[Looks]:
         seen: list[Looks] = []
 
-        class Hover(cosim.Agent):
+        class Hover(vcmvsp.Agent):
             period = 0.5
 
-            def act(self, obs: cosim.Observation, radio: cosim.Radio) -> cosim.Velocity:
+            def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> vcmvsp.Velocity:
                 looks = obs.readings["detector"]
                 assert isinstance(looks, Looks)
                 seen.extend([looks] if looks.time_ns == obs.time_ns else [])
-                return cosim.Velocity(linear=(1.0, 0.0, 0.0))
+                return vcmvsp.Velocity(linear=(1.0, 0.0, 0.0))
 
         scenario = {
             "name": "looks",
@@ -118,7 +118,7 @@ def test_it_serves_in_runs_and_a_seed_says_all(kind: str) -> None:
                 {"name": "uav", "kind": "point", "position": [0, 0, 9], "sensors": {"detector": {"kind": "target_sensor"}}}
             ],
         }
-        cosim.run(scenario, agents={"uav": Hover()})
+        vcmvsp.run(scenario, agents={"uav": Hover()})
         return seen
 
     once, again, other = run(1), run(1), run(2)

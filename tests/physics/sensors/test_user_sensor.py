@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from vcmvsp.cosim.config import registry, binding
-from vcmvsp.cosim.util.codec import Decoder, encode
+from tests.support.physics.sensor_scenes import scene_of
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Measured
-from vcmvsp.physics.sensors import sensor as module
+from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.physics.sensor_scheduler import Instruments
-from tests.support.physics.sensor_scenes import scene_of
+from vcmvsp.physics.sensors import sensor as module
 
 IMPORTS = """\
 from dataclasses import dataclass

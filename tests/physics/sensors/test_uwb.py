@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
@@ -13,7 +14,6 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.sensors.uwb import Uwb
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
-from tests.support.physics.sensor_scenes import readings, scene_of, still
 
 WALL = World(solids=(Box(center=(0.0, 5.1, 1.0), size=(20.0, 0.2, 4.0)),))  # its face at y = 5
 SQUARE = ((-5.0, -5.0, 1.0), (5.0, -5.0, 1.0), (5.0, 5.0, 1.0), (-5.0, 5.0, 1.0))

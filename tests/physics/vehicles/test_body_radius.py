@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from vcmvsp.physics.world.scene import Hull
 from vcmvsp.physics.vehicles.models import Point, body_of
+from vcmvsp.physics.world.scene import Hull
 
 
 @pytest.mark.parametrize(

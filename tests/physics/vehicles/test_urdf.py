@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
-from vcmvsp.physics.world.solids import Box
-from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
 from vcmvsp.physics.vehicles.models import Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
 # A robot of a user's own, in less than 30 lines.

@@ -10,23 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.physics.render.test_depth import a_rotation, towards
+from tests.support.physics.sensor_scenes import scene_of
 from vcmvsp.agents.reconnaissance.recognition import Detector
 from vcmvsp.agents.reconnaissance.recognition import Target as Wanted
 from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.config.registry import SHIPPED
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.world_picture import draw_world, extent, png
 from vcmvsp.physics.importers import File
 from vcmvsp.physics.render.renderer import render
+from vcmvsp.physics.render.view import View
+from vcmvsp.physics.render.world_picture import draw_world, extent, png
 from vcmvsp.physics.world.scene import Hull
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.targets import PlacedTarget, Target, placed
-from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds import Empty, RecreationCentre, Urban
-from tests.support.physics.sensor_scenes import scene_of
-from tests.physics.render.test_depth import a_rotation, towards
 
 NORTH_UP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # straight down, the upper edge of the picture north
 NAMES = ("alpha", "bravo", "charlie")

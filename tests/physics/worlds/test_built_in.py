@@ -12,11 +12,11 @@ import pytest
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
+from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.world.overlap import Blocking
 from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism, rectangle
 from vcmvsp.physics.world.targets import Target
-from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
 from vcmvsp.physics.worlds import (
     Boxes,

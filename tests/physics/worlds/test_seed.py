@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from vcmvsp import cosim
-from vcmvsp.cosim.config import factory
+import vcmvsp
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.config import factory
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.physics.world.targets import Target
 from vcmvsp.physics.worlds import RecreationCentre, Urban
 
@@ -39,7 +39,7 @@ def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) ->
     with Assembly(*scenarios.load(scenario)) as assembly:
         assert assembly.world.solids == world.solids
         assert [each.place(0.0) for each in assembly.world.targets] == [each.place(0.0) for each in world.targets]
-    cosim.run(scenario, out=tmp_path / "run")
+    vcmvsp.run(scenario, out=tmp_path / "run")
     assert {"alpha.png", "bravo.png"} <= {path.name for path in (tmp_path / "run").iterdir()}
     kept, _ = worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {})
     assert kept.solids == world.solids

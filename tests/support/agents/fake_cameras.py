@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from vcmvsp.agents.reconnaissance.roster import Roster
+from tests.support.agents.aerial_loop import BODY, T, Uav
 from vcmvsp.agents.reconnaissance.ground_point import nadir_of
+from vcmvsp.agents.reconnaissance.roster import Roster
 from vcmvsp.agents.reconnaissance.track import Track
 from vcmvsp.agents.reconnaissance.watch import Around, Frame, Watching
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Image, Sighting, Waypoint
-from tests.support.agents.aerial_loop import BODY, T, Uav
 
 T_NS = round(T * 1e9)
 

@@ -2,11 +2,11 @@
 
 from typing import Any
 
+from tests.support.agents.agent_loop import observe, received
 from vcmvsp.agents.formation import LeaderFollower
 from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.types import Message, Reception, Velocity
-from tests.support.agents.agent_loop import observe, received
 
 CARS = ("car1", "car2", "car3", "car4")
 TICK_NS = 100_000_000

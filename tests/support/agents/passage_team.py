@@ -7,16 +7,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from tests.support.agents.agent_loop import observe
+from tests.support.agents.formation_member import TICK_NS, says
 from vcmvsp.agents.formation import Trajectory
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.formation.reports.received import Listening
-from vcmvsp.agents.formation.team.passage import Lookout
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
+from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.team.passage import Lookout
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Readings, Reception, Scan, Velocity
-from tests.support.agents.agent_loop import observe
-from tests.support.agents.formation_member import TICK_NS, says
 
 CARS = ("car1", "car2", "car3")
 AMIGO = Body(width_m=0.28, radius_m=0.22)

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from tests.support.agents.agent_loop import received
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.cosim.agent import Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Looks, Message, Reception, Vec3, VehicleState, Velocity
-from tests.support.agents.agent_loop import received
 
 T = 0.1
 S = 1_000_000_000

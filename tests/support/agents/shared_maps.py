@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from tests.support.agents.area_search import over_the_air
 from vcmvsp.agents.reconnaissance import Grid, Rectangle, Sensor, exchange
 from vcmvsp.agents.reconnaissance.exchange import Exchange, Kind
 from vcmvsp.agents.reconnaissance.ledger import Ledger
 from vcmvsp.cosim.types import Array
-from tests.support.agents.area_search import over_the_air
 
 SMALL = Grid(Rectangle(0.0, 0.0, 19.0, 7.0), 1.0)  # more than a tile, and no multiple of one
 SENSOR = Sensor(0.9, 0.2)

@@ -16,7 +16,7 @@ class Outcome(NamedTuple):
     err: str
 
 
-def vcmvsp(*arguments: str) -> Outcome:
+def vcmvsp_command(*arguments: str) -> Outcome:
     """Run one command. What is no `SystemExit` would be a traceback on a terminal, and is raised."""
     out, err, code = io.StringIO(), io.StringIO(), None
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp.cosim.recording import mcap_file
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="vcmvsp-exports-")
@@ -76,7 +76,7 @@ def run_of(name: str) -> Path:
     folder = Path(_FOLDER.name) / name.replace(" ", "-")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mcap_file, "CHUNK_BYTES", 1 << 18)  # so that such a short one has several
-        cosim.run(scenario, set=settings, agents="inprocess", out=folder)
+        vcmvsp.run(scenario, set=settings, agents="inprocess", out=folder)
     return folder
 
 

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from tests.support.cosim.recordings import frame, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Later, Message, Reading, Reception, frozen
@@ -14,7 +15,6 @@ from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.feed import PERIOD_S, Feed
 from vcmvsp.cosim.view.live.server_main import merged
 from vcmvsp.cosim.view.messages import Craft, Obstacle, Pace, Scenery, Shown
-from tests.support.cosim.recordings import frame, states
 
 NAMES = ("a", "b", "c")
 NOTHING = frozen(np.zeros((0, 3)))

@@ -8,6 +8,7 @@ from functools import cache
 import cv2
 import numpy as np
 
+from tests.support.cosim.recordings import TENTH, note, states
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, RunInfo
@@ -15,7 +16,6 @@ from vcmvsp.cosim.recording import Recorder
 from vcmvsp.cosim.types import Looks, Mosaic, ProbabilityMap, Sighting, Sightings, frozen
 from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import World
-from tests.support.cosim.recordings import TENTH, note, states
 
 SIDE_M, CELL_M = 40.0, 2.0
 CELLS = round(SIDE_M / CELL_M)

@@ -8,9 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import (
     Array,
@@ -29,6 +28,7 @@ from vcmvsp.cosim.types import (
     Sightings,
     States,
 )
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.view.messages import Shown
 
 SCENARIO: dict[str, Any] = {
@@ -104,7 +104,7 @@ def looked_on(folder: Path) -> Run:
         value = event.value.get() if isinstance(event.value, Later) else event.value
         events.append(Event(event.key, event.time_ns, value))
 
-    cosim.run(SCENARIO, out=folder, observe=look)
+    vcmvsp.run(SCENARIO, out=folder, observe=look)
     return Run(folder, events)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 VCMVSP = [sys.executable, "-m", "vcmvsp.cosim.cli.app"]
-UNDRAWN = ["-P", str(Path(__file__).with_name("undrawn.py"))]
+UNDRAWN = ["-P", str(Path(__file__).with_name("run_without_figures.py"))]
 
 
 @contextlib.contextmanager

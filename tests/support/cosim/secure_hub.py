@@ -16,7 +16,7 @@ from zenoh.handlers import Callback
 
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Bundle, Keys
-from vcmvsp.cosim.transport import key_names, access_control
+from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.access_control import merge
 from vcmvsp.cosim.transport.zenoh_session import COMMON
 

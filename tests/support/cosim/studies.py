@@ -32,7 +32,7 @@ def two(**more: Any) -> dict[str, Any]:
 AGENT = """
 import os
 import time
-from vcmvsp.cosim import Agent, Velocity
+from vcmvsp import Agent, Velocity
 
 
 class Mine(Agent):

@@ -2,13 +2,13 @@
 
 import re
 from functools import cache
-from pathlib import Path
 
-from vcmvsp import cosim
-from vcmvsp.cosim.terminal import progress
+import vcmvsp
+from tests.support.paths import SCENARIOS
 from vcmvsp.cosim.scenario import loader
+from vcmvsp.cosim.terminal import progress
 
-FOLDER = Path(__file__).parent.parent / "scenarios"
+FOLDER = SCENARIOS
 TEXT = (FOLDER / "README.md").read_text("utf-8")
 
 
@@ -17,11 +17,11 @@ def section(name: str) -> str:
 
 
 @cache
-def made(name: str) -> cosim.Result:
+def made(name: str) -> vcmvsp.Result:
     """A built-in scenario as its command has it, but for what would make it unlike itself each time."""
     (changed,) = re.findall(rf"^    vcmvsp run {name}((?: --set \S+)*)$", section(name), re.MULTILINE) or [""]
     settings = loader.settings_of(changed.split()[1::2])
-    return cosim.run(name, set={**loader.load(name)[0].twins, **settings}, mcap=False)
+    return vcmvsp.run(name, set={**loader.load(name)[0].twins, **settings}, mcap=False)
 
 
 def assert_printed(name: str) -> None:

@@ -10,10 +10,11 @@ from typing import Any
 
 import typer
 
+from tests.support.docs.readme_pages import program_of
+from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import app as cli
-from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.reproduction.figures import NAMES
-from tests.support.docs.readme_pages import ROOT, program_of
+from vcmvsp.cosim.scenario import loader
 
 TARGETS = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

@@ -2,8 +2,8 @@
 
 import re
 
-from vcmvsp.cosim.scenario import loader
 from tests.support.docs.readme_pages import COMMANDS
+from vcmvsp.cosim.scenario import loader
 
 GALLERY = "tests/docs/test_gallery.py::test_a_built_in_scenario_prints_what_its_gallery_says"
 SEARCHES = "tests/agents/reconnaissance/test_gallery.py::test_a_scenario_of_reconnaissance_prints_what_its_gallery_says"
@@ -108,10 +108,16 @@ SHOWN = {
     ("README.md", "formation-circle: 3 agents"): "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
     ("README.md", "class KeepGap"): "tests/docs/test_readme.py::test_the_twenty_lines_keep_the_gap",
     ("README.md", "where are you?"): TEN_LINES,
-    ("README.md", "r = cosim.run("): "tests/docs/test_readme.py::test_the_lines_for_python_run",
-    ("agents/README.md", "class Waltz"): "tests/agents/formation/leaders/test_trajectory.py::test_the_leader_of_the_readme_works",
+    ("README.md", "r = vcmvsp.run("): "tests/docs/test_readme.py::test_the_lines_for_python_run",
+    (
+        "agents/README.md",
+        "class Waltz",
+    ): "tests/agents/formation/leaders/test_trajectory.py::test_the_leader_of_the_readme_works",
     ("agents/README.md", "class Advance"): "tests/agents/test_readme.py::test_it_flies_east_until_something_is_near",
-    ("agents/README.md", "class Cautious"): "tests/agents/formation/reports/test_prediction.py::test_the_estimator_of_the_readme_works",
+    (
+        "agents/README.md",
+        "class Cautious",
+    ): "tests/agents/formation/reports/test_prediction.py::test_the_estimator_of_the_readme_works",
     ("agents/README.md", "class Stop"): "tests/agents/test_readme.py::test_its_own_way_around_things_stops_before_them",
     ("cosim/README.md", "check_federate("): "tests/docs/test_blocks.py::test_the_federate_of_ones_own",
     ("cosim/README.md", "SLURMCluster("): "tests/docs/test_blocks.py::test_the_call_of_a_study_on_slurm_is_one_of_ours",

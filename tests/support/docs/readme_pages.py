@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[2]
+from tests.support.paths import ROOT
+
 PARTS = ("agents", "cosim", "hardware", "netsim", "physics", "scenarios")
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text("utf-8")

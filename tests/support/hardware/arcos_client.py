@@ -1,11 +1,11 @@
 """A client of an emulated robot, without a line between them and without a clock."""
 
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.device import Device
-from vcmvsp.hardware.emulators.arcos.motion import Pose
 from vcmvsp.hardware.drivers.arcos.packet import Reader, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.emulators.arcos.motion import Pose
 
 AMIGO = ROBOTS["amigo"]
 SECOND = 1_000_000_000

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
+from tests.support.hardware.supervised_flight import flown
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety import (
     AerialParameters,
@@ -24,8 +26,6 @@ from vcmvsp.hardware.safety import (
     TimeOuts,
 )
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
-from tests.support.hardware.supervised_flight import flown
-from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
 
 SECOND = 10**9
 PERIOD_NS = SECOND // 10

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from vcmvsp.cosim.types import Array, Velocity
-from vcmvsp.hardware.station.process_client import Station
 from vcmvsp.hardware.station.messages import Mission, Order, Part, Report, Safety
+from vcmvsp.hardware.station.process_client import Station
 
 BENCH = Part(
     group="driver",

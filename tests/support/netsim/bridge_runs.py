@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from tests.support.netsim.channels import make_channel
+from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
 from vcmvsp.cosim.clock import SECOND_NS, Clock, WallClock
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
@@ -16,8 +18,6 @@ from vcmvsp.cosim.types import Array, Datagrams, FrameReport, States, Traffic
 from vcmvsp.netsim.bridge.federate import Bridge
 from vcmvsp.netsim.bridge.process.messages import DoorSpec
 from vcmvsp.netsim.federate import RadioFederate
-from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
-from tests.support.netsim.channels import make_channel
 
 BROADCAST, RECEIVE = 0, 99  # of a vehicle's block of ports
 

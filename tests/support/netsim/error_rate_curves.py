@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.phy.error_rate import ErrorRate
 
 
 def sinr_for(errors: ErrorRate, bits: int, success: float) -> float:

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
+from tests.support.netsim.links import Line
 from vcmvsp.netsim.calibration.fit import Links
 from vcmvsp.netsim.calibration.result import Estimate
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.physics.world.solids import Box
-from tests.support.netsim.links import Line
 
 BOXES = (
     Box(center=(50.0, 25.0, 5.0), size=(0.2, 50.0, 10.0), material="concrete"),

@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed, States, Traffic
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.routing.router import Routing
-from tests.support.netsim.channels import make_channel
 
 MS = 1_000_000
 AIR_NS = 1_280_000  # of 100 B by wifi-b-1

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from vcmvsp import cosim
+import vcmvsp
 from vcmvsp.cosim.runs.result import Result
 from vcmvsp.cosim.sockets import Socket, connect
 from vcmvsp.cosim.sockets.messages import MOST_DOWN, VERSION, Hello, Stream
@@ -50,7 +50,7 @@ def played(content: Mapping[str, Any], plays: Mapping[str, Play], **options: Any
     for thread in threads:
         thread.start()
     try:
-        return cosim.run(content, **options)
+        return vcmvsp.run(content, **options)
     finally:
         for thread in threads:
             thread.join(PATIENCE_S)

@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator, Sequence
 
 import pytest
 
-from vcmvsp.netsim.bridge.gateways.ip import run_networks, namespaces
-from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall
+from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
+from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 
 RUN = f"test{os.getpid()}"
 

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.physics.federate import Physics
 from vcmvsp.physics.vehicles.models import P2DX, Vehicle, VehicleSpec
-from tests.support.physics.physics_stepper import stepped
 
 TENTH = (Instants(Ticks.every(0.1)),)
 Course = Callable[[float], VehicleState]

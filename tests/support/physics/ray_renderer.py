@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.render.renderer import NEAREST_M
 from vcmvsp.physics.render.floor_and_sky import SKY
+from vcmvsp.physics.render.renderer import NEAREST_M
+from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.scene import Hull, Scene
 from vcmvsp.physics.world.solids import Cylinder, Mesh, color_of
-from vcmvsp.physics.render.view import View
 from vcmvsp.physics.world.world import World
 
 

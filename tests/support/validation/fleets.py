@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp import cosim
+import vcmvsp
+from tests.support.agents.agent_loop import formation_error
+from tests.support.cosim.command_line import contents
 from vcmvsp.cosim.reproduction.figures import scenarios
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     AHEAD,
@@ -25,8 +27,6 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     V,
     W,
 )
-from tests.support.agents.agent_loop import formation_error
-from tests.support.cosim.command_line import contents
 
 __all__ = ["AHEAD", "K1", "LEFT", "LEFT_BEHIND", "NEVER_LOST", "RIGHT_BEHIND", "R", "T", "V", "W", "fleet", "lossy"]
 
@@ -43,7 +43,7 @@ def lossy(probability: float = 0.0, delay_s: float = 0.0, jitter_s: float = 0.0)
     return {**radio, "delay": {**radio["delay"], "jitter_s": jitter_s}}
 
 
-def poses(result: cosim.Result) -> tuple[Floats, Floats]:
+def poses(result: vcmvsp.Result) -> tuple[Floats, Floats]:
     """Recorded times (m,) in s and the true poses (m, vehicles, 3): x m, y m, yaw rad."""
     states = result.states.to_pandas()
     n = states.vehicle.nunique()
@@ -52,7 +52,7 @@ def poses(result: cosim.Result) -> tuple[Floats, Floats]:
     return states.time_ns.to_numpy()[::n] / 1e9, columns
 
 
-def errors(result: cosim.Result) -> tuple[Floats, Floats]:
+def errors(result: vcmvsp.Result) -> tuple[Floats, Floats]:
     """Recorded times (m,) in s and z (m, followers, 2) in m, each in its follower's frame.
 
     Computed here from true poses and the last place of each follower: not by the platform's own metrics.

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp import cosim
-from vcmvsp.agents.formation.team.shape import slots
-from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
+import vcmvsp
 from tests.support.agents.agent_loop import formation_error
 from tests.support.validation.fleets import Floats, Table, poses
+from vcmvsp.agents.formation.team.shape import slots
+from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
 
 COLUMN = {"shape": "column", "topology": "chain", "spacing": 0.8}
 
@@ -54,7 +54,7 @@ def team(
     }
 
 
-def link_errors(result: cosim.Result) -> tuple[Floats, dict[str, Floats]]:
+def link_errors(result: vcmvsp.Result) -> tuple[Floats, dict[str, Floats]]:
     """Recorded times (m,) in s and |z| (m,) in m of every follower against the parent it then had; NaN where it led.
 
     Computed here from true poses and the recorded places: not by the platform's own metrics.
@@ -74,12 +74,12 @@ def link_errors(result: cosim.Result) -> tuple[Floats, dict[str, Floats]]:
     return times, errors
 
 
-def rms_of_links(result: cosim.Result) -> list[float]:
+def rms_of_links(result: vcmvsp.Result) -> list[float]:
     """RMS of |z| over the window of the metrics, m, by follower."""
     return [each["rms_m"] for each in result.metrics["formation"]["per_follower"].values()]
 
 
-def parents_of(result: cosim.Result) -> Mapping[str, list[tuple[float, str | None]]]:
+def parents_of(result: vcmvsp.Result) -> Mapping[str, list[tuple[float, str | None]]]:
     """Whom each follower has followed, since when in s."""
     followed: dict[str, list[tuple[float, str | None]]] = {}
     for placed in result.follows:
@@ -97,7 +97,7 @@ def neighbours_only(count: int, probability: float = 0.0) -> dict[str, Any]:
     }
 
 
-def swing(result: cosim.Result, omega: float) -> Floats:
+def swing(result: vcmvsp.Result, omega: float) -> Floats:
     """Complex amplitudes (vehicles,) of the way along x at ``omega``, rad/s, m, over its last whole period."""
     times, moved = poses(result)
     last = times >= times[-1] - math.tau / omega

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry, binding
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
 from vcmvsp.cosim.reproduction.figures.figure import Job
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T
-from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array, Velocity
 
 HERE = "vcmvsp.cosim.reproduction.figures.avoidance.gap_gauge"

@@ -3,8 +3,8 @@
 An AmigoBot that follows needs 0.4 m: twice what it is told to keep away from everything. It takes the door nearest in bearing
 to its leader, of those that are wide enough; where its leader is behind it, the gap at that border of what it sees. It is the
 method alone that is shown: no limit of the speed near obstacles (``level`` 1). How wide doors look is asked by
-`cosim.reproduction.figures.avoidance.gap_gauge`. Doors are not wider for being crossed at an angle: from further aside, one that is just wide enough is
-touched.
+`cosim.reproduction.figures.avoidance.gap_gauge`. Doors are not wider for being crossed at an angle: from further aside, one
+that is just wide enough is touched.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.reproduction.figures.avoidance.gap_gauge import (
     ENOUGH_M,
     NARROW_M,
@@ -24,6 +24,7 @@ from vcmvsp.cosim.reproduction.figures.avoidance.gap_gauge import (
     four_doors,
     random_doors,
 )
+from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -36,8 +37,7 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     at_most,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
-from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 BODY_M = 0.18  # radius of an AmigoBot

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.formation import formation_errors
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -25,8 +25,8 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     at_least,
     at_most,
 )
-from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.metrics.formation import formation_errors
+from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.types import Array
 
 SCENARIO = "lab-formation"

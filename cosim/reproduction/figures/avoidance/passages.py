@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.formation import formation_errors
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -30,8 +31,7 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     relative,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import V, lossy, settling_s
-from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.metrics.formation import formation_errors
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 SPACING, COLUMN, PASSAGE = 1.0, 0.8, 0.9  # m

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -28,7 +28,7 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     at_most,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T, V
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 HALF_M = 0.25  # of the pillar's edge

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry, binding
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -32,7 +32,7 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     at_most,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array, Positive, Velocity
 
 SPEEDS = (1.0, 2.0, 3.0)  # m/s

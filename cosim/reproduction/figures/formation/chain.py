@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -21,6 +20,7 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     relative,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import K1, UNLIMITED, fleet, lossy, rms, tracks
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 LAG_S, DELAY_S, OMEGA = 0.5, 0.3, 0.8

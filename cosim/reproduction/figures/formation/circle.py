@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, at_most
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     AHEAD,
@@ -23,6 +22,7 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     track,
     tracks,
 )
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 NAMES = ("leader", "follower 1", "follower 2")

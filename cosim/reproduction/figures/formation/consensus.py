@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -26,7 +26,7 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     relative,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 
 GRAPHS: Mapping[str, int] = {"complete": 5, "star": 5, "ring": 6, "path": 5}  # graph -> members; kappa is 1 1/s throughout

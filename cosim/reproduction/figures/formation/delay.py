@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from vcmvsp.cosim.reproduction.figures.formation import loss_integration
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -14,6 +13,7 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     at_most,
     relative,
 )
+from vcmvsp.cosim.reproduction.figures.formation import loss_integration
 from vcmvsp.cosim.reproduction.figures.formation.loss import TITLES, by_estimator, integrated, team
 from vcmvsp.cosim.reproduction.figures.scenarios import ASIDE, TRIANGLE, R, T, V, W, fleet, rms
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.runs.api import Result
-from vcmvsp.cosim.reproduction.figures.formation import loss_integration
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, at_most, relative
+from vcmvsp.cosim.reproduction.figures.formation import loss_integration
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     K1,
     LEFT_BEHIND,
@@ -24,6 +23,7 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     rms,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio
+from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Array
 
@@ -51,7 +51,12 @@ def loss(
         probabilities: of loss.
         straight: followers on the straight line; what is expected is a mean, which they must be enough for.
     """
-    cases = [(path, p, estimator) for path in loss_integration.PATHS for p in probabilities for estimator in loss_integration.ESTIMATORS]
+    cases = [
+        (path, p, estimator)
+        for path in loss_integration.PATHS
+        for p in probabilities
+        for estimator in loss_integration.ESTIMATORS
+    ]
     curved = [team(path, radio(p), followers if p else 2, (estimator,)) for path, p, estimator in cases]
     seen = runner([*curved, *(_straight(p, straight * (1 + (p >= RARE)) if p else 2) for p in probabilities)])
     measured = {case: root_mean_square(each.rms) for case, each in zip(cases, seen, strict=False)}
@@ -110,7 +115,8 @@ def integrated(path: str, each: Team) -> dict[str, float]:
     parts = np.split(each.missed, len(each.estimators), axis=1)
     age = np.full(parts[0].shape[1], each.age)
     return {
-        name: root_mean_square(loss_integration.errors(path, name, part, age)) for name, part in zip(each.estimators, parts, strict=True)
+        name: root_mean_square(loss_integration.errors(path, name, part, age))
+        for name, part in zip(each.estimators, parts, strict=True)
     }
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.registry import find
 from vcmvsp.cosim.types import NonNegative, Velocity, Waypoint
 

@@ -14,14 +14,6 @@ from functools import partial
 import numpy as np
 
 from vcmvsp.cosim.config import registry
-from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
-    CELL_M,
-    EDGE_M,
-    SURE,
-    Searched,
-    places,
-    searched,
-)
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -32,6 +24,14 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     absolute,
     at_most,
     relative,
+)
+from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
+    CELL_M,
+    EDGE_M,
+    SURE,
+    Searched,
+    places,
+    searched,
 )
 from vcmvsp.cosim.types import Array, ProbabilityMap
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.assembly.federates import Assembly
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
 from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array, Note, ProbabilityMap, States
 
 EDGE_M, CELL_M, REACH_M, SPEED = 100.0, 2.0, 8.0, 4.0

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from vcmvsp.cosim.analysis.recognition import Rates
+from vcmvsp.cosim.analysis.snapshots import Snapshots
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo, Row, Runner, absolute
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
@@ -24,8 +26,6 @@ from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     together,
     town,
 )
-from vcmvsp.cosim.analysis.recognition import Rates
-from vcmvsp.cosim.analysis.snapshots import Snapshots
 
 HEIGHTS = (10.0, 15.0, 20.0, 30.0, 40.0)  # m
 FRAMES = 60  # at each height

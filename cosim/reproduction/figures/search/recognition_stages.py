@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import (
     Curve,
     Figure,
@@ -21,7 +22,6 @@ from vcmvsp.cosim.reproduction.figures.figure import (
     relative,
 )
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import KINDS, SIZE_M, box, made_up, target
-from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
 HEIGHTS = (10.0, 20.0, 30.0, 40.0)  # m

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.runs.api import Result
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, at_least
 from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, at_least
+from vcmvsp.cosim.runs.api import Result
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.types import Array
 
 SCENARIO = "recon-urban"

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry
-from vcmvsp.cosim.reproduction.figures.figure import Curve
-from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.analysis.recognition import Rates
 from vcmvsp.cosim.analysis.snapshots import Snapshots
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.reproduction.figures.figure import Curve
 
 NEAR = 0.25  # sides: a detection that is so near to a target's middle is right
 SIZE_M = 2.0

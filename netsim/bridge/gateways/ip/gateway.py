@@ -13,8 +13,8 @@ from typing import Annotated
 
 import msgspec
 
-from vcmvsp.netsim.bridge.gateways.ip import interfaces, run_networks, namespaces
 from vcmvsp.netsim.bridge.gateways.base import LARGEST, DoorError, Hall, check_names
+from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.addresses import (
     LEAST_MTU6,
     Directory,
@@ -110,7 +110,9 @@ class Ip:
         try:
             self._lease = run_networks.Lease(hall.run)
             pid = os.getpid()
-            network = run_networks.Network(run=hall.run, pid=pid, started=run_networks.started(pid), spaces=tuple(spaces.values()))
+            network = run_networks.Network(
+                run=hall.run, pid=pid, started=run_networks.started(pid), spaces=tuple(spaces.values())
+            )
             self._lease.tell(network)
             for row, space in spaces.items():
                 self._make(row, space)

@@ -20,7 +20,8 @@ from typing import NoReturn
 import msgspec
 
 from vcmvsp.cosim.types import Value
-from vcmvsp.netsim.bridge.gateways.ip import interfaces as ip_links, namespaces
+from vcmvsp.netsim.bridge.gateways.ip import interfaces as ip_links
+from vcmvsp.netsim.bridge.gateways.ip import namespaces
 from vcmvsp.netsim.bridge.gateways.ip.interfaces import Port
 
 FOLDER = Path("/run/vcmvsp-net")

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.aerial_loop import BODY, T, Uav, fly, ring
 from vcmvsp.agents.avoidance import PotentialField
 from vcmvsp.agents.formation.aerial.flight import Airborne
 from vcmvsp.agents.formation.aerial.route import AerialRoute
@@ -17,7 +18,6 @@ from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Vec3
-from tests.support.agents.aerial_loop import BODY, T, Uav, fly, ring
 
 SPEEDS = st.floats(-3.0, 3.0)
 POINTS = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.5, 3))

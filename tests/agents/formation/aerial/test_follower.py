@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.aerial_loop import BODY, Drifter, T, Uav, fly, ring
+from tests.support.agents.agent_loop import received
 from vcmvsp.agents.avoidance import PotentialField
 from vcmvsp.agents.formation.aerial.follower import AerialFollower
 from vcmvsp.agents.formation.aerial.route import AerialRoute
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
+from vcmvsp.agents.formation.reports.sending import Sending
+from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.cosim.agent import Agent, Body, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Message, Reception, Vec3
-from tests.support.agents.aerial_loop import BODY, Drifter, T, Uav, fly, ring
-from tests.support.agents.agent_loop import received
 
 SPEEDS = st.floats(-3.0, 3.0)
 POINTS = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.5, 3))

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.runs.api import run
-from vcmvsp.cosim.reproduction.figures.avoidance import potential_fields
-from vcmvsp.cosim.reproduction.figures.files import write
-from vcmvsp.cosim.reproduction.figures.figure import Figure, Runner
+from tests.support.paths import SCENARIOS
 from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.reproduction.figures.avoidance import potential_fields
+from vcmvsp.cosim.reproduction.figures.figure import Figure, Runner
+from vcmvsp.cosim.reproduction.figures.files import write
+from vcmvsp.cosim.runs.api import run
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 BODY_M = 0.267  # of a quadrotor: from its centre to the tips of its propellers
 
 

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.agents.agent_loop import Pose, drive
+from tests.support.step_responses import overshoot, servo_step, settling_s
 from vcmvsp.agents.formation import LeaderFollower, LeaderState, Trajectory
 from vcmvsp.agents.formation.followers.control_law import Demand, Place, formation_law
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
-from tests.support.agents.agent_loop import Pose, drive
-from tests.support.step_responses import overshoot, servo_step, settling_s
 
 L, LEFT = math.cos(math.radians(30.0)), 0.5  # the standard triangle: 1 m at +-30 degrees
 V, W, R = 0.3, 0.15, 2.0

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents.formation_member import TICK_NS, Seat, says
 from vcmvsp.agents.formation import LeaderFollower
 from vcmvsp.agents.formation.followers.feed_forward import Feed
 from vcmvsp.cosim.types import Reception
-from tests.support.agents.formation_member import TICK_NS, Seat, says
 
 
 def speed(feed: Feed, *heard: Reception, **params: Any) -> float:

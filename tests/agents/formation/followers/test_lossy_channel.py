@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from tests.support.agents.agent_loop import Drive, Lost, drive
 from vcmvsp.agents.formation import LeaderFollower, Trajectory
 from vcmvsp.cosim.rng import stream
-from tests.support.agents.agent_loop import Drive, Lost, drive
 
 V, W, R, T, K1 = 0.3, 0.15, 2.0, 0.1, 0.8
 LEFT = 0.5

@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents.agent_loop import received
+from tests.support.agents.formation_member import COLUMN, Seat, member, says
 from vcmvsp.agents.formation import LeaderFollower
 from vcmvsp.agents.formation.reports.received import heartbeat_for
 from vcmvsp.agents.formation.reports.sending import Sending
-from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message
-from tests.support.agents.agent_loop import received
-from tests.support.agents.formation_member import COLUMN, Seat, member, says
 
 # --- its place ---
 

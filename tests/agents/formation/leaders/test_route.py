@@ -10,9 +10,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.agent_loop import Floats, Pose, Vehicle, observe
 from vcmvsp.agents.formation.leaders.route import Point, Route
 from vcmvsp.cosim.agent import Radio, VehicleInfo
-from tests.support.agents.agent_loop import Floats, Pose, Vehicle, observe
 
 T = 0.1
 

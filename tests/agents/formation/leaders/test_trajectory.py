@@ -1,21 +1,21 @@
 import math
-from pathlib import Path as FilePath
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+from tests.support.agents.agent_loop import Floats, Pose, observe, received
+from tests.support.paths import ROOT
 from vcmvsp.agents.formation import LeaderFollower, Trajectory
-from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
+from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
+from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc
-from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.types import Message
-from tests.support.agents.agent_loop import Floats, Pose, observe, received
 
 
 def commands(agent: Trajectory, duration_s: float, period_s: float = 0.1) -> Floats:
@@ -164,7 +164,7 @@ def test_a_leader_of_ones_own_says_how_it_moves_and_no_more() -> None:
 
 
 def test_the_leader_of_the_readme_works() -> None:
-    readme = (FilePath(__file__).parents[2] / "agents" / "README.md").read_text(encoding="utf-8")
+    readme = (ROOT / "agents" / "README.md").read_text(encoding="utf-8")
     names: dict[str, Any] = {}
     exec(next(block for block in readme.split("```python\n") if "class Waltz" in block).split("```")[0], names)
     told = reports(names["Waltz"](), 1.0)

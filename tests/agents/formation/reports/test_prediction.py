@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,12 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.paths import ROOT
 from vcmvsp.agents.formation import DeadReckoning, Hold, LeaderFollower, LeaderState, Report
 from vcmvsp.agents.formation.reports.prediction import Acceleration, Plan, estimator_of
 from vcmvsp.agents.formation.reports.report import accelerations, lead_of, plan_of
+from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc
-from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.types import Positive
 
 STATES = st.builds(
@@ -315,7 +315,7 @@ def test_a_bad_estimator_is_named_with_its_key(estimator: Any, says: str) -> Non
 
 
 def test_the_estimator_of_the_readme_works() -> None:
-    blocks = (Path(__file__).parents[2] / "agents" / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
+    blocks = (ROOT / "agents" / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
     names: dict[str, Any] = {}
     exec(next(block for block in blocks if "class Cautious" in block).split("```")[0], names)
     follower = LeaderFollower("lead", estimator=names["Cautious"]())

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.agents.agent_loop import observe, received
 from vcmvsp.agents.formation import Hold, LeaderFollower, Trajectory
 from vcmvsp.agents.formation.reports.received import Listening
 from vcmvsp.cosim.agent import Radio, VehicleInfo
-from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.config.registry import find
 from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.config.registry import find
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message, Reception, Velocity
-from tests.support.agents.agent_loop import observe, received
 
 TICK_NS = 100_000_000
 POSE = (-1.0, -0.4, 0.1)

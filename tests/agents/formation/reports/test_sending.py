@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.agents.agent_loop import Drive, drive, observe, received
 from vcmvsp.agents.formation import LeaderFollower, Trajectory
-from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator, Hold
 from vcmvsp.agents.formation.reports.report import LeaderState, Report
 from vcmvsp.agents.formation.reports.sending import REMEMBERED, Reporter, Sending, acknowledge
+from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Message, Reception
-from tests.support.agents.agent_loop import Drive, drive, observe, received
 
 NAMES = ("leader", "f0", "f1")
 NEEDED = Sending(when="needed")

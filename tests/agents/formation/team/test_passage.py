@@ -9,14 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from vcmvsp.agents.formation.team.formation import Formation, Passage
-from vcmvsp.agents.formation.reports.received import Listening
-from vcmvsp.agents.formation.team.passage import Lookout
-from vcmvsp.agents.formation.team.passage_policy import AllClear, Policy, policy_of
-from vcmvsp.agents.formation.reports.prediction import DeadReckoning
-from vcmvsp.agents.formation.team.team import Team
-from vcmvsp.cosim.agent import Body, Observation
-from vcmvsp.cosim.types import Message, Readings, Scan
+from tests.support.agents.agent_loop import observe, received
+from tests.support.agents.formation_member import TICK_NS, says
 from tests.support.agents.passage_team import (
     BEAMS,
     CARS,
@@ -31,8 +25,14 @@ from tests.support.agents.passage_team import (
     scan,
     sees,
 )
-from tests.support.agents.agent_loop import observe, received
-from tests.support.agents.formation_member import TICK_NS, says
+from vcmvsp.agents.formation.reports.prediction import DeadReckoning
+from vcmvsp.agents.formation.reports.received import Listening
+from vcmvsp.agents.formation.team.formation import Formation, Passage
+from vcmvsp.agents.formation.team.passage import Lookout
+from vcmvsp.agents.formation.team.passage_policy import AllClear, Policy, policy_of
+from vcmvsp.agents.formation.team.team import Team
+from vcmvsp.cosim.agent import Body, Observation
+from vcmvsp.cosim.types import Message, Readings, Scan
 
 # --- the lane ---
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.motion import Motion
+from vcmvsp.hardware.drivers.arcos.command_schedule import Steering, speeds
 from vcmvsp.hardware.drivers.arcos.packet import Reader, parse_command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.arcos.command_schedule import Steering, speeds
+from vcmvsp.hardware.emulators.arcos.motion import Motion
 
 AMIGO = ROBOTS["amigo"]
 MS = 1_000_000

@@ -14,14 +14,15 @@ from typing import Any
 import msgspec
 import pytest
 
+from tests.support.cosim.run_processes import reserved
+from tests.support.hardware import driver_runs
+from tests.support.hardware.driver_runs import drive, eventually, rest
+from tests.support.paths import ROOT
 from vcmvsp.cosim.types import Vec3, Velocity
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.arcos.packet import command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
-from vcmvsp.hardware.emulators.arcos.serial_line import Faults
 from vcmvsp.hardware.drivers.base import (
     ORIGIN,
     Driver,
@@ -32,9 +33,9 @@ from vcmvsp.hardware.drivers.base import (
     PortError,
     Sample,
 )
-from tests.support.cosim.run_processes import reserved
-from tests.support.hardware import driver_runs
-from tests.support.hardware.driver_runs import drive, eventually, rest
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.emulators.arcos.serial_line import Faults
+from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.usefixtures("steady")
 IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # more than what the driver waits for commands
@@ -345,5 +346,5 @@ def test_what_was_not_opened() -> None:
 def test_a_process_that_forgets_to_close_ends_and_its_robot_stops() -> None:
     code = "import sys; from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver; ArcosDriver(sys.argv[1]).open()"
     with serve_pty(Device(IMPATIENT)) as served:
-        subprocess.run([sys.executable, "-c", code, served.url], check=True, timeout=30, cwd=Path(__file__).parents[2])
+        subprocess.run([sys.executable, "-c", code, served.url], check=True, timeout=30, cwd=ROOT)
         eventually(lambda: served.device.watchdog_stopped)

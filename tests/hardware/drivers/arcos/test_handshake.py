@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.rng import stream
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.drivers.arcos.handshake import Handshake, Settings
 from vcmvsp.hardware.drivers.arcos.packet import Reader, command, frame, parse_command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
 from vcmvsp.hardware.drivers.base import HandshakeError
+from vcmvsp.hardware.emulators.arcos.device import Device
+from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
 
 MS = 1_000_000
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap, yaw_of
 from vcmvsp.cosim.types import Array, VehicleState, Velocity
 from vcmvsp.hardware.drivers.mavlink.codec import Sender, mavlink
+from vcmvsp.hardware.drivers.mavlink.command_schedule import setpoint
 from vcmvsp.hardware.drivers.mavlink.coordinate_frames import (
     attitude_from_euler,
     body_flipped,
@@ -19,7 +20,6 @@ from vcmvsp.hardware.drivers.mavlink.coordinate_frames import (
     yaw_flipped,
 )
 from vcmvsp.hardware.emulators.mavlink.motion import GRAVITY, Motion
-from vcmvsp.hardware.drivers.mavlink.command_schedule import setpoint
 
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])

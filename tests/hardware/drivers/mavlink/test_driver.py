@@ -9,8 +9,12 @@ from typing import Any
 
 import pytest
 
-from vcmvsp.cosim.errors import ScenarioError
+from tests.support.cosim.run_processes import reserved
+from tests.support.hardware import driver_runs
+from tests.support.hardware.driver_runs import eventually, fly, rest
+from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.cosim.config.binding import call
+from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Vec3, Velocity
 from vcmvsp.hardware.drivers.base import ORIGIN, Driver, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.drivers.mavlink.codec import mavlink
@@ -19,10 +23,6 @@ from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_ud
 from vcmvsp.hardware.emulators.mavlink.telemetry import SITE
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 from vcmvsp.hardware.station.process_client import READY_S
-from tests.support.cosim.run_processes import reserved
-from tests.support.hardware import driver_runs
-from tests.support.hardware.driver_runs import eventually, fly, rest
-from tests.support.netsim.gateway_context import free_ports
 
 pytestmark = pytest.mark.usefixtures("steady")
 FLYING = (0.0, 0.0, 10.0, 0.0)

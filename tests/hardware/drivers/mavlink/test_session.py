@@ -10,10 +10,10 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Message, Reader, Sender, mavlink
-from vcmvsp.hardware.drivers.mavlink.vehicle_search import Search
-from vcmvsp.hardware.drivers.mavlink.session import Orders, Pilot
-from vcmvsp.hardware.emulators.mavlink.telemetry import TICK_NS
 from vcmvsp.hardware.drivers.mavlink.samples import ATTITUDE_NS, Track
+from vcmvsp.hardware.drivers.mavlink.session import Orders, Pilot
+from vcmvsp.hardware.drivers.mavlink.vehicle_search import Search
+from vcmvsp.hardware.emulators.mavlink.telemetry import TICK_NS
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 
 SECOND = 1_000_000_000

@@ -10,19 +10,19 @@ from typing import Any
 import msgspec
 import pytest
 
+from tests.support.cosim.run_processes import reserved
+from tests.support.hardware import driver_runs
+from tests.support.hardware.driver_runs import drive, eventually, rest
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.drivers.ros2 import node
-from vcmvsp.hardware.drivers.ros2.driver import WAITING, Ros2Driver
-from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, RmwZenoh
 from vcmvsp.hardware.drivers.ros2.cdr_messages import TWIST, Twist, encode_odometry, encode_twist
-from vcmvsp.hardware.emulators.ros2.robot import Ros2Robot
+from vcmvsp.hardware.drivers.ros2.driver import WAITING, Ros2Driver
 from vcmvsp.hardware.drivers.ros2.node import Heard, Node
-from tests.support.cosim.run_processes import reserved
-from tests.support.hardware import driver_runs
-from tests.support.hardware.driver_runs import drive, eventually, rest
+from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, RmwZenoh
+from vcmvsp.hardware.emulators.ros2.robot import Ros2Robot
 
 pytestmark = pytest.mark.usefixtures("steady")
 START = (1.0, 2.0, 0.5)

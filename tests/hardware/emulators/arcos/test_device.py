@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.hardware.arcos_client import AMIGO, SECOND, Client
 from vcmvsp.hardware.drivers.arcos.command_numbers import CONFIG_PACKET, Command
 from vcmvsp.hardware.drivers.arcos.config_packet import decode_config
-from vcmvsp.hardware.emulators.arcos.device import GAP_NS, Device
-from vcmvsp.hardware.emulators.arcos.motion import Pose
 from vcmvsp.hardware.drivers.arcos.packet import HEADER, command, frame
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.arcos.sip import MOVING, STOPPED
-from tests.support.hardware.arcos_client import AMIGO, SECOND, Client
+from vcmvsp.hardware.emulators.arcos.device import GAP_NS, Device
+from vcmvsp.hardware.emulators.arcos.motion import Pose
 
 
 @pytest.fixture

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.hardware.arcos_client import AMIGO, Client
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.arcos.sip import COUNT_MASK, STOPPED
-from tests.support.hardware.arcos_client import AMIGO, Client
+from vcmvsp.hardware.emulators.arcos.device import Device
 
 
 @pytest.fixture

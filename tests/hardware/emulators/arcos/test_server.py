@@ -10,15 +10,15 @@ import serial  # type: ignore[import-untyped]
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 from vcmvsp.cosim.rng import stream
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.drivers.arcos.packet import Reader, command, frame
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
 from vcmvsp.hardware.drivers.arcos.sip import decode, is_sip
+from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults, Wire
-from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
+from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp
 
 AMIGO = ROBOTS["amigo"]
 MS = 1_000_000

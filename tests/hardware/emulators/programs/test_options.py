@@ -11,8 +11,8 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.packet import command
 from vcmvsp.hardware.emulators.programs import options
-from vcmvsp.hardware.emulators.programs.options import PtyPort, RobotOptions, TcpPort, UdpAddress
 from vcmvsp.hardware.emulators.programs.arcos import device_of, parameters
+from vcmvsp.hardware.emulators.programs.options import PtyPort, RobotOptions, TcpPort, UdpAddress
 
 NUMBERS = st.floats(-1e6, 1e6)
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim import Observation, Odometry, Radio, VehicleState, quaternion_from_yaw
-from vcmvsp.cosim.scenario import loader
+from vcmvsp import Observation, Odometry, Radio, VehicleState, quaternion_from_yaw
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.types import Measured, Scan
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
-from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.drivers.arcos.packet import command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
+from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.programs.arcos import KINDS
 from vcmvsp.hardware.emulators.programs.scenario import (
     BLOCKED_S,

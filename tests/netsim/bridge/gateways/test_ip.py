@@ -17,12 +17,6 @@ from typing import Any
 
 import pytest
 
-from vcmvsp.cosim.config import binding
-from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.bridge.gateways.ip import interfaces, run_networks, namespaces
-from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
-from vcmvsp.netsim.bridge.gateways.ip.gateway import NO_ROOM, Ip
-from vcmvsp.netsim.bridge.gateways.ip.addresses import MEMBERSHIP, NO_ADDRESS
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, until
 from tests.support.netsim.vehicle_namespaces import (
     RUN,
@@ -35,6 +29,13 @@ from tests.support.netsim.vehicle_namespaces import (
     space,
     udp,
 )
+from tests.support.paths import ROOT
+from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
+from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_networks
+from vcmvsp.netsim.bridge.gateways.ip.addresses import MEMBERSHIP, NO_ADDRESS
+from vcmvsp.netsim.bridge.gateways.ip.gateway import NO_ROOM, Ip
 
 pytestmark = needs_spaces
 
@@ -473,7 +474,7 @@ asyncio.run(body())
 @pytest.mark.parametrize("cleared_by", ["net down", "the next run"])
 def test_what_a_killed_run_has_left_is_cleared_away(cleared_by: str) -> None:
     run = f"{RUN}k"
-    text = KILLED.format(root=str(Path(__file__).parents[2]), run=run)
+    text = KILLED.format(root=str(ROOT), run=run)
     with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "open\n"

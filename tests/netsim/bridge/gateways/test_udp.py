@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
 from vcmvsp.netsim.bridge.gateways.udp.gateway import Udp
 from vcmvsp.netsim.bridge.gateways.udp.ports import PortPlan, Ports
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
 
 NAMES = ("a", "b", "c")
 

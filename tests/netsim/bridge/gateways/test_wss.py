@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, DoorError
 from vcmvsp.netsim.bridge.gateways.wss.gateway import MOST_GUESTS, Wss
 from vcmvsp.netsim.bridge.gateways.wss.messages import LONGEST_LINE, parse
 from vcmvsp.netsim.bridge.gateways.wss.stream import WINDOW, Stream, Window
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
 
 CARS = "car1", "car2", "car3"
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]

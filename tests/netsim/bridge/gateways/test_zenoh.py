@@ -15,10 +15,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from zenoh.handlers import Callback
 
+from tests.support.netsim.gateway_context import TestHall, free_ports, until
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, DoorError
 from vcmvsp.netsim.bridge.gateways.zenoh import BACKLOG, HEARD, NO_ROOM, TOO_LONG, Inbox, Publication, ZenohDoor
-from tests.support.netsim.gateway_context import TestHall, free_ports, until
 
 CARS = "car1", "car2", "car3"
 READY, LAST = "test/ready", "test/last"

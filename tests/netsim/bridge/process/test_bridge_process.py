@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.util.codec import encode
-from vcmvsp.cosim.errors import FederateError
-from vcmvsp.netsim.bridge.process import messages
-from vcmvsp.netsim.bridge.process_client import Beside
-from vcmvsp.netsim.bridge.process.bridge_process import Process
-from vcmvsp.netsim.bridge.process.datagram_store import BATCH_OF_ONE, MOST
 from tests.support.netsim.bridge_runs import wait_for
 from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
+from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.util.codec import encode
+from vcmvsp.netsim.bridge.process import messages
+from vcmvsp.netsim.bridge.process.bridge_process import Process
+from vcmvsp.netsim.bridge.process.datagram_store import BATCH_OF_ONE, MOST
+from vcmvsp.netsim.bridge.process_client import Beside
 
 VEHICLES = ("a", "b", "c")
 PROBE = """
@@ -119,7 +119,9 @@ def test_a_door_of_ones_own_hears_what_is_due_what_is_lost_and_how_strong_others
     started.append(process := Beside.start(opening(probe, folder=tmp_path, payloads=True)))
     assert process.wait_ready() == ("bridge.probe: probe is open",)
     heard = process.read()
-    while not any(isinstance(each, messages.Came) for each in heard) or not any(isinstance(each, messages.Asked) for each in heard):
+    while not any(isinstance(each, messages.Came) for each in heard) or not any(
+        isinstance(each, messages.Asked) for each in heard
+    ):
         select.select([process], [], [], 10.0)
         heard += process.read()
     (came,) = [each for each in heard if isinstance(each, messages.Came)]
@@ -152,7 +154,9 @@ def test_a_door_that_cannot_be_opened_ends_the_bridge_in_its_own_words(
     assert (tmp_path / "out.txt").read_text() == "closed\n"
 
 
-def test_doors_that_were_never_to_be_opened_are_not_closed(probe: messages.DoorSpec, tmp_path: Path, started: list[Beside]) -> None:
+def test_doors_that_were_never_to_be_opened_are_not_closed(
+    probe: messages.DoorSpec, tmp_path: Path, started: list[Beside]
+) -> None:
     second = messages.DoorSpec(name="second", kind="probe.py:Probe", params={"out": str(tmp_path / "second.txt")})
     probe.params["fails"] = "open"
     started.append(process := Beside.start(opening(probe, second, folder=tmp_path)))
@@ -229,7 +233,9 @@ def test_what_is_counted_for_many_vehicles_fits_into_messages() -> None:
 
     said = asyncio.run(trial())
     assert max(map(len, said)) < 100_000
-    assert sum(len(each.counts) for message in said if isinstance(each := messages.ups.decode(message), messages.Counted)) == 3000
+    assert (
+        sum(len(each.counts) for message in said if isinstance(each := messages.ups.decode(message), messages.Counted)) == 3000
+    )
 
 
 def test_so_does_one_that_fails_later(probe: messages.DoorSpec, tmp_path: Path, started: list[Beside]) -> None:

@@ -1,8 +1,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.bridge.process import datagram_store as stores
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
+from vcmvsp.netsim.bridge.process import datagram_store as stores
 from vcmvsp.netsim.bridge.process.datagram_store import (
     BATCH,
     BATCH_BYTES,

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.types import Array, Traffic, frozen
+from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.process import message_chunks
 
 ROOM = 200_000  # bytes of a message, as far as every Linux goes (`cosim.processes.local_link`)
@@ -53,5 +53,8 @@ def test_levels_come_row_by_row(vehicles: int, most: int) -> None:
 
 
 def test_the_longest_messages_fit() -> None:
-    assert all(len(encode(each)) < ROOM for each in message_chunks.due(2**62, *traffic(3 * message_chunks.MOST, 3 * message_chunks.MOST)))
+    assert all(
+        len(encode(each)) < ROOM
+        for each in message_chunks.due(2**62, *traffic(3 * message_chunks.MOST, 3 * message_chunks.MOST))
+    )
     assert all(len(encode(each)) < ROOM for each in message_chunks.levels(np.full((500, 500), -81.25)))

@@ -5,12 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
+from tests.support.netsim.csma154_runs import MS, NOISE_DBM, PHY, US, World, backoffs, keys, levels
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.mac.csma154.parameters import Csma154
 from vcmvsp.netsim.phy.error_rate import OqpskErrors
-from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.phy.standards import Dsss
-from tests.support.netsim.csma154_runs import MS, NOISE_DBM, PHY, US, World, backoffs, keys, levels
 
 
 def test_lone_sender_waits_for_backoff_assessment_and_turnaround() -> None:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.interfaces.medium import Decided, Fate
 from tests.support.netsim.csma154_runs import LOUD, MS, NOISE_DBM, SILENT, US, World, assessments, levels, same
+from vcmvsp.netsim.interfaces.medium import Decided, Fate
 
 
 def crowd(count: int, frames: int, seed: int, *, period_ns: int = 2 * MS) -> tuple[World, dict[int, Decided], list[int]]:

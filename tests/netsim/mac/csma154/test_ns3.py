@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.support.netsim.csma154_runs import MS, World
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Fate
-from tests.support.netsim.csma154_runs import MS, World
 
 
 def distances(places: Floats) -> Floats:

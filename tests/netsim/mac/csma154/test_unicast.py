@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from vcmvsp.netsim.phy.error_rate import OqpskErrors
-from vcmvsp.netsim.interfaces.medium import Fate
 from tests.support.netsim.csma154_runs import (
     MS,
     NOISE_DBM,
@@ -17,6 +15,8 @@ from tests.support.netsim.csma154_runs import (
     backoffs,
     levels,
 )
+from vcmvsp.netsim.interfaces.medium import Fate
+from vcmvsp.netsim.phy.error_rate import OqpskErrors
 
 
 def test_an_acknowledged_frame() -> None:

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.netsim.mac.dcf.parameters import Dcf
-from vcmvsp.netsim.interfaces.medium import Fate
-from vcmvsp.netsim.phy.standards import Dsss, Ieee802154
-from vcmvsp.netsim.phy.ofdm import Ofdm
-from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, frame, open_air, run
 from tests.support.netsim.channels import make_channel
+from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, frame, open_air, run
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.netsim.interfaces.medium import Fate
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.phy.standards import Dsss, Ieee802154
 
 AIR = 1280 * US
 SLOT, DIFS = 20 * US, 50 * US

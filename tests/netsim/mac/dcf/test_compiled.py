@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vcmvsp.netsim.mac.jit import cache
-from vcmvsp.netsim.mac.dcf import detection, backoff, events, kernels, queues
+from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
+from vcmvsp.netsim.mac.dcf import backoff, detection, events, kernels, queues
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import State
-from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
+from vcmvsp.netsim.mac.jit import cache
 
 TWICE = (kernels, backoff, queues)  # what is written as vectors and as loops
 LOOPS = {name: loop for each in TWICE for name, loop in vars(each).items() if name.endswith("_loop")}

@@ -8,12 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.mac.dcf import events
-from vcmvsp.netsim.mac.dcf.parameters import Dcf
-from vcmvsp.netsim.mac.dcf.state import Rules, State
-from vcmvsp.netsim.interfaces.medium import Decided, Fate
-from vcmvsp.netsim.phy.standards import Dsss
-from vcmvsp.netsim.phy.ofdm import Ofdm
 from tests.support.netsim.dcf_runs import (
     MS,
     PHYS,
@@ -27,6 +21,12 @@ from tests.support.netsim.dcf_runs import (
     run,
     square,
 )
+from vcmvsp.netsim.interfaces.medium import Decided, Fate
+from vcmvsp.netsim.mac.dcf import events
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.mac.dcf.state import Rules, State
+from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.phy.standards import Dsss
 
 
 @pytest.mark.parametrize("phy", PHYS, ids=str)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from tests.support.netsim.dcf_runs import MS, US, frame, open_air, run, square
 from vcmvsp.cosim.reproduction.validation.medium_access import EDGES_M, NS3, sending_chance
-from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Fate
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from tests.support.netsim.dcf_runs import MS, US, frame, open_air, run, square
+from vcmvsp.netsim.phy.standards import Dsss
 
 
 @pytest.mark.parametrize("count", [3, 10])

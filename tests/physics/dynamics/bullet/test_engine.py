@@ -14,8 +14,8 @@ from vcmvsp.cosim.types import Contact
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, DifferentialDrive, VehicleSpec
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
 Drive = Callable[..., Any]

@@ -5,21 +5,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.external_vehicles import TENTH, Course, Courses, run, spec, straight, values
+from tests.support.physics.physics_stepper import stepped
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
-from vcmvsp.physics.federate import BulletPhysics
 from vcmvsp.physics.dynamics.external_vehicles import Reflected
-from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.federate import BulletPhysics
 from vcmvsp.physics.sensors.bumper import Bumper
-from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Lag
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, World
-from tests.support.physics.external_vehicles import TENTH, Course, Courses, run, spec, straight, values
-from tests.support.physics.physics_stepper import stepped
 
 BACK = 0.5 * P2DX().length_m + P2DX().axle_ahead_m  # m, from the reference point
 FRONT = 0.5 * P2DX().length_m - P2DX().axle_ahead_m

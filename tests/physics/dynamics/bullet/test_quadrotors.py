@@ -14,11 +14,11 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
-from vcmvsp.physics.engine.interface import Motion, Touch
 from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.engine.interface import Motion, Touch
+from vcmvsp.physics.vehicles.models import P2DX, Vehicle
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism
-from vcmvsp.physics.vehicles.models import P2DX, Vehicle
 from vcmvsp.physics.world.world import Movable, Moving, World
 
 UAV = Quadrotor()
