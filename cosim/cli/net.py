@@ -144,7 +144,7 @@ def down_command(
 def _able() -> Any:
     """The part that knows networks, where this process has the rights that it needs."""
     networks = registry.piece("networks")
-    if lacks := networks.netns.missing():
+    if lacks := networks.namespaces.missing():
         raise UsageError(NEEDS.format(lacks))
     return networks
 

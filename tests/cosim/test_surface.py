@@ -88,7 +88,8 @@ def test_an_author_of_agents_needs_numpy_alone() -> None:
 
 
 def test_the_shipped_agents_load_no_other_part() -> None:
-    code = "from vcmvsp.agents.formation.followers import leader_follower; from vcmvsp.agents.formation.leaders import trajectory"
+    shipped = ("followers.leader_follower", "leaders.trajectory")
+    code = "; ".join(f"import vcmvsp.agents.formation.{module}" for module in shipped)
     assert modules_after(code) & (HEAVY | {"physics", "netsim", "hardware"}) == {"numpy"}
 
 

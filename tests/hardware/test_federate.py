@@ -328,8 +328,8 @@ def test_a_run_that_falls_behind_slips_or_stops_as_it_is_told(tmp_path: Path, la
 
 def test_a_run_that_is_killed_leaves_what_a_replay_needs(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps(scenario(duration_s=60.0)))
-    program = f"import cosim, json; vcmvsp.run(json.load(open('{tmp_path}/s.json')), out='{tmp_path}/run')"
-    child = subprocess.Popen([sys.executable, "-c", program], cwd=Path(vcmvsp.__file__).parent.parent)
+    program = f"import vcmvsp, json; vcmvsp.run(json.load(open('{tmp_path}/s.json')), out='{tmp_path}/run')"
+    child = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path)
     try:
         recording = tmp_path / "run" / "hardware.mcap"
         until = time.monotonic() + 60.0

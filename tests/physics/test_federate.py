@@ -341,7 +341,7 @@ QUIET = """
 import sys
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Instants, RunInfo
-from physics.federate import {kind}
+from vcmvsp.physics.federate import {kind}
 from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.scene import Hull

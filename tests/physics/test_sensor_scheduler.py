@@ -226,7 +226,7 @@ def test_a_sensor_that_fails_is_named() -> None:
         def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Any:
             return 3.0
 
-    with pytest.raises(FederateError, match=r"sensor car0/b \(Broken\): ZeroDivisionError: oh \(test_instruments.py line"):
+    with pytest.raises(FederateError, match=r"sensor car0/b \(Broken\): ZeroDivisionError: oh \(test_sensor_scheduler.py line"):
         run({"car0": {"b": Broken()}}, 0.1)
     with pytest.raises(FederateError, match=r"sensors car0/b, car1/b \(Silent\): measure must return a reading, not 3.0"):
         run({"car0": {"b": Silent()}, "car1": {"b": Silent()}}, 0.1)

@@ -188,7 +188,10 @@ def asked(*arguments: str, **variables: str) -> str:
 
 
 def test_it_loads_nothing_heavy() -> None:
-    code = f"import sys, cosim.cli\ntry: cosim.cli.main()\nfinally: print([each for each in {HEAVY} if sys.modules.get(each)])"
+    code = (
+        "import sys\nfrom vcmvsp.cosim.cli.app import main\n"
+        f"try: main()\nfinally: print([each for each in {HEAVY} if sys.modules.get(each)])"
+    )
     words = {"COMP_WORDS": "vcmvsp\nrun\nformation-circle\n--set\nradio.mac.a", "COMP_CWORD": "4"}
     out = asked("-c", code, _VCMVSP_COMPLETE="complete_bash", **words)
     assert out.splitlines() == ["radio.mac.attempts=", "radio.mac.acknowledge=", "[]"]

@@ -64,7 +64,7 @@ def test_files_beside_two_agents_do_not_mix_and_are_read_afresh(tmp_path: Path) 
         folder.mkdir()
         (folder / "gains.py").write_text(f"SPEED = {gain}")
         (folder / f"{vehicle['name']}.py").write_text(
-            "from gains import SPEED\nfrom cosim import Agent, Velocity\n"
+            "from gains import SPEED\nfrom vcmvsp import Agent, Velocity\n"
             "class A(Agent):\n    def act(self, obs, radio):\n        return Velocity(linear=(SPEED, 0.0, 0.0))\n"
         )
         vehicle["agent"] = {"kind": f"{folder}/{vehicle['name']}.py:A"}

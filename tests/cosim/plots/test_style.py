@@ -237,7 +237,7 @@ def test_legends_hide_nothing(name: str) -> None:
 def test_every_panel_of_the_thesis_figures_has_units() -> None:
     """As they are written, without making them, which takes minutes."""
     found: list[str] = []
-    for path in sorted(FIGURES.glob("*.py")):
+    for path in sorted(FIGURES.rglob("*.py")):
         for call in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Panel":
                 found += [

@@ -126,5 +126,6 @@ def test_whatever_a_run_says_a_program_gets_one_of_its_errors(pieces: list[bytes
 
 
 def test_a_program_loads_nothing_of_the_simulator() -> None:
-    code = "import sys, cosim.sockets; print([each for each in ('numpy', 'simpy', 'zenoh', 'pyarrow') if each in sys.modules])"
+    heavy = ("numpy", "simpy", "zenoh", "pyarrow")
+    code = f"import sys, vcmvsp.cosim.sockets; print([each for each in {heavy} if each in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

@@ -160,8 +160,8 @@ def test_a_port_that_is_taken_is_said() -> None:
 PARENT = """
 import contextlib
 from vcmvsp.cosim.view.live.server_process import Viewer
-from tests.cosim import viewing
-with Viewer.open(viewing.scenery(), port=0) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
+from tests.support.cosim import view_pages
+with Viewer.open(view_pages.scenery(), port=0) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
     print(viewer._process.pid, flush=True)
     viewer.stay()
 print("done", flush=True)

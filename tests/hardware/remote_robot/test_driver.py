@@ -357,8 +357,10 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
         assert robot.end() == 0
 
 
-def test_its_clock_may_say_anything(tmp_path: Path, port: int) -> None:
-    with program(tmp_path, port, shift_ns=-3600 * 10**9), driver(port) as made:
+@pytest.mark.parametrize("ahead_s", [None, 3600.0], ids=["just booted", "an hour ahead"])
+def test_its_clock_may_say_anything(tmp_path: Path, port: int, ahead_s: float | None) -> None:
+    shift_ns = 10**9 - time.monotonic_ns() if ahead_s is None else round(ahead_s * 1e9)
+    with program(tmp_path, port, shift_ns=shift_ns), driver(port) as made:
         samples: list[Sample] = []
         while len(samples) < 20:
             before_ns = time.monotonic_ns()

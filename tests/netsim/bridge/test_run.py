@@ -179,7 +179,7 @@ def test_that_the_process_is_gone_ends_the_run_with_its_name() -> None:
 def test_when_the_run_is_killed_the_process_ends_and_ports_are_free() -> None:
     first = free_ports(200)
     script = textwrap.dedent(f"""
-        from tests.netsim.bridge_runs import BridgeRun
+        from tests.support.netsim.bridge_runs import BridgeRun
         from vcmvsp.netsim.bridge.process.messages import DoorSpec
         run = BridgeRun("a", "b", doors=[DoorSpec(name="udp", kind="udp", params={{"first_port": {first}}})])
         run.go()

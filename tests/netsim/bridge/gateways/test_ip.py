@@ -459,7 +459,7 @@ KILLED = """
 import asyncio, sys
 sys.path.insert(0, {root!r})
 from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
-from tests.netsim.bridging import TestHall
+from tests.support.netsim.gateway_context import TestHall
 
 async def body():
     door = Ip(routes={{"car1": ("192.168.214.0/24",)}})
