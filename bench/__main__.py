@@ -38,7 +38,7 @@ from bench import (
 )
 from bench.measure import Row, in_turn, measured, table
 from bench.workloads import run_cpu_s, star
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
@@ -108,8 +108,8 @@ def _remote_host(scenario: dict[str, object]) -> Iterator[tuple[RemoteHost, list
     sizes: list[tuple[int, int]] = []
     scenario["agents"] = {"period_s": 0.1, "processes": 1}
     parsed, source = scenarios.load(scenario)
-    with Assembly(parsed, source, runs="process") as assembly:
-        host = next(each for each in assembly.federates if isinstance(each, RemoteHost))
+    with assemble(parsed, source, runs="process") as assembled:
+        host = next(each for each in assembled.federates if isinstance(each, RemoteHost))
         link, ask = host._crews[0].link, host.ask
         link_ask, link_answer = link.ask, link.answer
 
@@ -127,7 +127,7 @@ def _remote_host(scenario: dict[str, object]) -> Iterator[tuple[RemoteHost, list
             return answer
 
         host.ask, link.ask, link.answer = note_question, note_size, note_answer  # type: ignore[method-assign]
-        kernel = Kernel(assembly.run_info, assembly.federates)
+        kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()
         kernel.run(lambda _: None)
         del host.ask, link.ask, link.answer

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.measure import Row, peak_mib, table
-from bench.workloads import recorder_of
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -71,13 +70,13 @@ def costs(scenario: dict[str, Any]) -> dict[str, float]:
     begin = time.process_time()
     parsed, source = scenarios.load(scenario)
     spent = dict.fromkeys((*PARTS.values(), "recording"), 0.0)
-    with Assembly(parsed, source) as assembly:
-        kernel = Kernel(assembly.run_info, [_timed(each, spent) for each in assembly.federates])
+    with assemble(parsed, source) as assembled:
+        kernel = Kernel(assembled.info, [_timed(each, spent) for each in assembled.federates])
         kernel.start()
         stream, events = io.BytesIO(), 0
-        recorder = recorder_of(assembly, stream)
+        recorder = assembled.recorder(stream)
         found = {"start": time.process_time() - begin, "start_mib": peak_mib()}
-        counted_from = assembly.run_info.duration_ns // 4
+        counted_from = assembled.info.duration_ns // 4
         counts = False
 
         def on(event: Event) -> None:

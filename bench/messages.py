@@ -18,7 +18,7 @@ from bench.measure import Row, cpu, in_turn, missing, table
 from bench.peers.pace import MESSAGE
 from bench.workloads import Kept, run_cpu_s
 from vcmvsp.cosim.agent import Agent, Observation, Radio
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Message, Velocity
 from vcmvsp.netsim.federate import RadioFederate
@@ -95,9 +95,9 @@ def decisions(radio: dict[str, Any], what: str) -> Row:
 def sends(count: int, radio: dict[str, Any], ticks: int) -> Callable[[], float]:
     """Each call has all send so often, every time from other places, and gives the CPU seconds."""
     parsed, source = scenarios.load(talk(count, radio, 1.0))
-    with Assembly(parsed, source) as assembly:
-        (channel,) = (each._channel for each in assembly.federates if isinstance(each, RadioFederate))
-    names = assembly.run_info.vehicles
+    with assemble(parsed, source) as assembled:
+        (channel,) = (each._channel for each in assembled.federates if isinstance(each, RadioFederate))
+    names = assembled.info.vehicles
     messages = [Message(sender=name, body=MESSAGE.encode(), size_bytes=len(MESSAGE), to=None) for name in names]
     places = np.array([(3.0 * (n % 10), 3.0 * (n // 10), 0.0) for n in range(count)])
     tick = 0

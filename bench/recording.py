@@ -10,13 +10,11 @@ import io
 import platform
 import tracemalloc
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 from bench.growth import crowd
 from bench.measure import Row, cpu, in_turn, measured, table
-from bench.workloads import recorder_of
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.recorder import Recorder
@@ -43,12 +41,12 @@ def run_of(scenario: dict[str, Any]) -> Run:
     """A run whose events are kept rather than recorded."""
     parsed, source = scenarios.load(scenario)
     events: list[Event] = []
-    with Assembly(parsed, source) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
+    with assemble(parsed, source) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()
         kernel.run(events.append)
         kernel.close()
-        return Run(events, partial(recorder_of, assembly), kernel.now_ns)
+        return Run(events, assembled.recorder, kernel.now_ns)
 
 
 def recorded(run: Run, mcap: io.BytesIO | None) -> Recorder:
@@ -118,10 +116,10 @@ def _held(duration_s: float) -> tuple[int, int, int]:
     parsed, source = scenarios.load(
         {**crowd(HELD_VEHICLES, "kinematic", PRESET, duration_s), "record": {"period_s": duration_s}}
     )
-    with Assembly(parsed, source) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
+    with assemble(parsed, source) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()
-        recorder = recorder_of(assembly)
+        recorder = assembled.recorder(None)
         gc.collect()
         before, _ = tracemalloc.get_traced_memory()
         kernel.run(recorder.on)

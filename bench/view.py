@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Any
 
 from bench.measure import Row, in_turn, measured, table
-from bench.workloads import recorder_of, star
-from vcmvsp.cosim.assembly.federates import Assembly
+from bench.workloads import star
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -87,10 +87,10 @@ def _row(what: str, viewer: Viewer, clock: Callable[[], float]) -> Row:
 def _run_s(observe: Callable[[Event], None] | None, clock: Callable[[], float]) -> float:
     """One run in this process, without set-up and files."""
     parsed, source = scenarios.load(_scenario())
-    with Assembly(parsed, source) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
+    with assemble(parsed, source) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()
-        recorder = recorder_of(assembly)
+        recorder = assembled.recorder(None)
 
         def both(event: Event) -> None:
             recorder.on(event)

@@ -4,9 +4,8 @@ import io
 from typing import Any, Literal
 
 from bench.measure import cpu
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.kernel.kernel import Kernel
-from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.scenario import loader as scenarios
 
 Kept = Literal["mcap", "tables", "nothing"]
@@ -32,24 +31,13 @@ def star(vehicles: int, *, physics: str, duration_s: float) -> dict[str, Any]:
     }
 
 
-def recorder_of(assembly: Assembly, mcap: io.BytesIO | None = None) -> Recorder:
-    """What records a run of these, and writes the MCAP file there."""
-    return Recorder(
-        assembly.run_info,
-        record_ticks=assembly.record_ticks,
-        mcap=mcap,
-        agents=assembly.infos,
-        radius_m=assembly.radius_m,
-    )
-
-
 def run_cpu_s(scenario: dict[str, Any], kept: Kept = "mcap") -> float:
     """CPU seconds of one run in this process: kernel, radio, agents, physics and recording; neither set-up nor files."""
     parsed, source = scenarios.load(scenario)
-    with Assembly(parsed, source) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
+    with assemble(parsed, source) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()
-        recorder = recorder_of(assembly, io.BytesIO() if kept == "mcap" else None)
+        recorder = assembled.recorder(io.BytesIO() if kept == "mcap" else None)
 
         def work() -> None:
             kernel.run((lambda _: None) if kept == "nothing" else recorder.on)

@@ -16,7 +16,7 @@ at its next step, ``latest`` of which keys only the newest event does; ``wakes``
 event's own time, in its ``wake_slot``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from typing import Protocol, runtime_checkable
 
@@ -44,6 +44,10 @@ class Event(msgspec.Struct, frozen=True, array_like=True, gc=False):
     value: AnyValue
 
 
+Log = Callable[[str, int, AnyValue], None]
+"""Takes what a federate brought into the run from outside, for a replay: key, time (ns), value."""
+
+
 class Step(msgspec.Struct, frozen=True):
     """What a step gave: events (none earlier than now), and when to be stepped next (None: only when woken)."""
 
@@ -69,6 +73,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     instants: tuple[Instants, ...] = ()  # when states are needed
     wanted: tuple[str, ...] = ()  # keys of readings that are worked out on demand, and that will be asked for
     paced: bool = False  # by the wall clock: whoever has much to do until an instant may begin before
+    periods_s: Mapping[str, float] = {}  # of agents, by vehicle
 
 
 class Needed:

@@ -26,8 +26,8 @@ import numpy as np
 from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.federate import Event, Needed, RunInfo, Slot, Step
-from vcmvsp.cosim.types import AnyValue, Array, Halted, States, VehicleState
+from vcmvsp.cosim.federate import Event, Log, Needed, RunInfo, Slot, Step
+from vcmvsp.cosim.types import Array, Halted, States, VehicleState
 from vcmvsp.hardware.real_vehicle import Seat
 from vcmvsp.hardware.stations import Connections
 
@@ -37,9 +37,6 @@ HEARTBEAT = Ticks.every(0.05)
 KNOWN_S = 1.0  # other vehicles are taken to go on for so long
 MOST = 500  # others that a station is told of
 
-Log = Callable[[str, int, AnyValue], None]
-"""Takes what a replay needs: key, time, value."""
-
 
 class Hardware:
     """All real vehicles of a run.
@@ -47,7 +44,10 @@ class Hardware:
     Args:
         vehicles: what they are.
         run: name of the run.
+        clock: paces the run; its times are those of the robots.
+        radius_m: of all vehicles of the run, by name.
         tell: takes lines for the user.
+        log: takes what a replay needs: key, time, value.
         connect: to the robots; else they only stand where they start, as long as a scenario is being checked.
     """
 
@@ -56,14 +56,21 @@ class Hardware:
     wake_slot = Slot.APPLY
     latest: tuple[str, ...] = ("world/states",)
 
-    def __init__(self, vehicles: Sequence[RealVehicle], *, run: str, tell: Callable[[str], None], connect: bool) -> None:
+    def __init__(
+        self,
+        vehicles: Sequence[RealVehicle],
+        *,
+        run: str,
+        clock: WallClock,
+        radius_m: Mapping[str, float],
+        tell: Callable[[str], None],
+        log: Log,
+        connect: bool,
+    ) -> None:
         self.names = tuple(each.name for each in vehicles)
         self.reads = self.wakes = (*(f"{name}/command" for name in self.names), "operator/halted")
-        self.clock = WallClock()
-        self.log: Log = lambda *_: None
-        self.radius_m: Mapping[str, float] = {}  # of all vehicles; like the next, told by whoever knows
-        self.periods_s: Mapping[str, float] = {}  # of their agents
-        self._seats = {each.name: Seat(each, self.clock) for each in vehicles}
+        self._clock, self._radius_m, self._log = clock, radius_m, log
+        self._seats = {each.name: Seat(each, clock) for each in vehicles}
         self._run, self._tell, self._connect = run, tell, connect
         self._connections: Connections | None = None
         self._world: tuple[int, States] | None = None  # and when that was
@@ -73,9 +80,8 @@ class Hardware:
         """Connect to all robots at once; they stand still until their first command."""
         self._needed = Needed(run)
         if self._connect:
-            self._connections = Connections(
-                [seat.vehicle for seat in self._seats.values()], self._run, self._tell, self.periods_s
-            )
+            driven = [seat.vehicle for seat in self._seats.values()]
+            self._connections = Connections(driven, self._run, self._tell, run.periods_s)
             for name, station in self._connections.open().items():
                 self._seats[name].station = station
         return 0
@@ -95,7 +101,7 @@ class Hardware:
         elif any(seat.over for seat in self._seats.values()):  # raised at the next step, when this is recorded
             events = [event for seat in self._seats.values() for event in seat.last_words(now_ns)]
         for event in events:
-            self.log(event.key, event.time_ns, event.value)
+            self._log(event.key, event.time_ns, event.value)
         for name, seat in self._seats.items():
             seat.order(self._others(name))
         return Step(events, self._next(now_ns))
@@ -104,7 +110,7 @@ class Hardware:
         """How the vehicles move, for physics."""
         found = [seat.state(now_ns) for seat in self._seats.values()]
         for name, state in zip(self.names, found, strict=True):
-            self.log(f"{name}/reflected", now_ns, state)
+            self._log(f"{name}/reflected", now_ns, state)
         return found
 
     def release(self) -> None:
@@ -137,9 +143,9 @@ class Hardware:
         if self._world is None:
             return None
         seen_ns, world = self._world
-        age_s = min(max(0, self.clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS, KNOWN_S)
+        age_s = min(max(0, self._clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS, KNOWN_S)
         own = world.names.index(name)
         distance = np.linalg.norm(world.position - world.position[own], axis=1)
         rows = [row for row in np.argsort(distance, kind="stable")[: MOST + 1].tolist() if row != own]
-        radii = [self.radius_m.get(world.names[row], 0.0) for row in rows]
+        radii = [self._radius_m.get(world.names[row], 0.0) for row in rows]
         return np.column_stack([world.position[rows] + age_s * world.velocity[rows], world.velocity[rows], radii])

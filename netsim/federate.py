@@ -68,16 +68,21 @@ class RadioFederate:
     latest: tuple[str, ...] = ("world/states",)
     wakes: tuple[str, ...] = ("*/send", "bridge/sent")
 
-    def __init__(self, channel: Channel | RecordedChannel, handover_s: Seconds = 0.002, router: Routing | None = None) -> None:
-        self._channel, self._routing = channel, router
-        self.programs = False  # outside, who may send any number of frames: said by whoever lets them in
+    def __init__(
+        self,
+        channel: Channel | RecordedChannel,
+        handover_s: Seconds = 0.002,
+        router: Routing | None = None,
+        programs: bool = False,  # outside, that may send any number of frames
+    ) -> None:
+        self._channel, self._routing, self._programs = channel, router, programs
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
 
     def start(self, run: RunInfo) -> int | None:
         """Begin with an idle channel; nothing to do until a message is sent."""
         self._channel.start(run.seed)
         if run.paced:  # nothing that takes a second may come in between
-            self._channel.expect(MANY if self.programs else 0)
+            self._channel.expect(MANY if self._programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
         self._row = {name: row for row, name in enumerate(run.vehicles)}
         self._heard = {name: f"{name}/heard" for name in run.vehicles}  # keys of events
@@ -201,11 +206,11 @@ class RadioFederate:
                 at_ns = self._handed_over(event.value.sender, event.time_ns, alone=alone)
                 yield event.time_ns, event.value, at_ns - event.time_ns, None
             elif isinstance(event.value, Datagrams):
-                for number, sent_ns, message in self._programs(event.value):
+                for number, sent_ns, message in self._from_programs(event.value):
                     late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0  # the air of the past is taken
                     yield sent_ns, message, late_ns, number
 
-    def _programs(self, datagrams: Datagrams) -> Iterator[tuple[int, int, Message]]:
+    def _from_programs(self, datagrams: Datagrams) -> Iterator[tuple[int, int, Message]]:
         """Number, time (ns) and message of each datagram."""
         vehicles, payloads = self._vehicles, datagrams.payloads or itertools.repeat(b"")
         columns = (datagrams.number, datagrams.sender, datagrams.to, datagrams.size_bytes, datagrams.sent_ns)

@@ -2,8 +2,8 @@
 
 An algorithm is any agent. What it may have besides ``act``:
 
-``facts(obs)``           what it knows that the table asks for (`agents.reconnaissance.state_table.Facts`), before anybody
-decides ``stand_by(obs, radio)`` in place of ``act`` while it neither commands nor is the task
+``facts(obs)``           what the table asks for (`agents.reconnaissance.state_table.Facts`), before the table decides
+``stand_by(obs, radio)`` in place of ``act`` while it neither commands nor is the task
 ``begin(obs, place)``    it becomes the task; ``place``: of the target, m, world, or None
 ``end(obs)``             it is the task no more
 ``claim``                the target that it tracks (`agents.reconnaissance.roster.Claim`), or None

@@ -7,7 +7,7 @@ import numpy as np
 
 from bench.peers.pace import BEAMS, COMMAND, STATE, Options, Pace, busy, options
 from vcmvsp.cosim.agent import Agent, Observation, Radio
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -98,8 +98,8 @@ def main() -> None:
     wanted = options()
     pace = Pace(wanted)
     parsed, source = scenarios.load(scenario(wanted))
-    with Assembly(parsed, source) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
+    with assemble(parsed, source) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()
 
         def instant(_: int) -> None:

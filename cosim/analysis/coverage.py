@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.assembly import radio
+from vcmvsp.cosim.assembly import radio, worlds
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import binding, factory, registry
+from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics import motion
@@ -59,10 +59,10 @@ def site_of(parsed: Scenario, source: Source) -> Site:
     Raises:
         ScenarioError: they cannot be built.
     """
-    world, _ = factory.world_of(parsed.world, source, seed=parsed.seed)
-    built = radio.of_scenario(parsed, source, solids=world.solids)
+    world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
+    channel, radios, _ = radio.channel_of(parsed, source, solids=world.solids)
     places = {each.name: each.start[0] for each in parsed.vehicle}
-    return Site(built.channel, world.solids, built.radios, places)
+    return Site(channel, world.solids, radios, places)
 
 
 def coverage(

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.agent import Observation, VehicleInfo
+from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.errors import ScenarioError
@@ -84,7 +85,7 @@ class Snapshots:
         params = self._params(table_)
         search, self.table = _search_of(params)
         self._start_watch(table_, params["watching"], key)
-        self.world, _ = factory.world_of(parsed.world, self._source, seed=parsed.seed)
+        self.world, _ = worlds.build(parsed.world, self._source, seed=parsed.seed)
         self.height_m = self._height(height_m, search, table_, key)
         self.area = self._area(search)
         self.cell_m = float(self._said(search, "cell_m", Positive, CELL_M)) if cell_m is None else cell_m

@@ -18,7 +18,7 @@ class Placement:
         scenario: tells of them.
         source: where it was read from.
         fleet: their vehicles.
-        objects: agents that exist already, by vehicle; they run in this process.
+        objects: agents that exist already, by vehicle; they run in this process. Also an attribute.
         runs: where all run, whatever the scenario says; ``"encoded"`` is in this process behind the wire's bytes, ``"here"`` in
             this process as far as the scenario names their classes. None: where the scenario says.
 
@@ -34,7 +34,7 @@ class Placement:
     def __init__(
         self, scenario: Scenario, source: Source, fleet: Fleet, objects: Mapping[str, Agent], runs: str | None
     ) -> None:
-        self._scenario, self._source, self._fleet, self._objects = scenario, source, fleet, objects
+        self._scenario, self._source, self._fleet, self.objects = scenario, source, fleet, objects
         names = [each.name for each in scenario.vehicle]
         if unknown := [name for name in objects if name not in names]:
             raise ScenarioError(binding.unknown("vehicle", unknown[0], names), key="agents")
@@ -64,7 +64,7 @@ class Placement:
 
     def _place(self, vehicle: VehicleTable, runs: str | None) -> str | None:
         """Where a vehicle's agent runs; None: it has none, or ``here`` nobody knows what it is."""
-        if vehicle.name in self._objects:
+        if vehicle.name in self.objects:
             return "inprocess"
         if vehicle.agent is None:
             return None
@@ -78,11 +78,13 @@ class Placement:
         return (vehicle.agent and vehicle.agent.kind) or self._scenario.agents.defaults.get("kind", "")
 
     def _spec(self, vehicle: VehicleTable, where: str) -> AgentSpec:
+        from vcmvsp.physics.vehicles.models import body_of
+
         agents, own = self._scenario.agents, vehicle.agent
         fate = own or AgentTable()
         kind = self._kind(vehicle)
-        if vehicle.name in self._objects:
-            made = type(self._objects[vehicle.name])
+        if vehicle.name in self.objects:
+            made = type(self.objects[vehicle.name])
             key = f"vehicle.{vehicle.name}.agent.kind"
             meant = registry.target("agent", kind, key=key, origin=self._source) if kind else ""
             if meant.rpartition(":")[2] != made.__qualname__:
@@ -115,7 +117,7 @@ class Placement:
                 for name, each in sensors.items()
                 if (beside := math.hypot(*getattr(each, "position", (0.0, 0.0))[:2])) > 0.0
             },
-            body=registry.piece("vehicle body")(self._fleet.models[vehicle.name]),
+            body=body_of(self._fleet.models[vehicle.name]),
             fails_s=fate.fails_s,
             on_lost=fate.on_lost or agents.on_lost,
             hold_s=agents.hold_s if fate.hold_s is None else fate.hold_s,

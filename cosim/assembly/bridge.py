@@ -1,17 +1,25 @@
 """Programs outside that take part in a run: ``[bridge]`` and ``[sockets]`` checked, and handed to who knows sockets."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.clock import WallClock
+from vcmvsp.cosim.config import binding, builtin_kinds
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.federate import Federate
+from vcmvsp.cosim.federate import Log
+from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
+
+if TYPE_CHECKING:
+    from vcmvsp.netsim.bridge.federate import Bridge
+    from vcmvsp.netsim.bridge.playback import BridgePlayback
+    from vcmvsp.netsim.federate import RadioFederate
+    from vcmvsp.netsim.sockets.federate import Programs
 
 
 class DoorTable(msgspec.Struct, frozen=True):
@@ -20,6 +28,62 @@ class DoorTable(msgspec.Struct, frozen=True):
     name: str  # of its table, ``bridge.NAME``
     kind: str  # as it is written; default: the name
     params: dict[str, Any]  # complete
+
+
+class Exchange(NamedTuple):
+    """The federates that exchange messages with programs."""
+
+    programs: "Programs | None"  # that keep the run's own time
+    bridge: "Bridge | None"  # to programs at wall pace
+    playback: "BridgePlayback | None"  # of such programs in an earlier run
+
+
+def of_scenario(
+    scenario: Scenario,
+    source: Source,
+    resolution: Resolution,
+    *,
+    air: "RadioFederate",
+    clock: WallClock,
+    bridged: Sequence[Input] | None,
+    tell: Tell,
+    log: Log,
+    connect: bool,
+) -> Exchange:
+    """Build the federates of ``[sockets]`` and ``[bridge]``.
+
+    Args:
+        scenario, source, resolution: what is built, where it was read from, and what takes the complete tables.
+        air: the radio.
+        clock: paces the run.
+        bridged: what programs at wall pace handed over in an earlier run, instead of these programs.
+        tell: takes lines for the user.
+        log: takes what a replay needs.
+        connect: open the gateways; else nothing is, which serves to check the scenario.
+    """
+    from vcmvsp.netsim.bridge.federate import Bridge
+    from vcmvsp.netsim.bridge.playback import BridgePlayback
+
+    # Programs in simulated time speak anew in a replay.
+    programs = programs_of(scenario, source, resolution, tell=tell, connect=connect or bridged is not None)
+    doors = doors_of(scenario, source, resolution)
+    if bridged is not None:
+        return Exchange(programs, None, BridgePlayback(bridged))
+    if not doors:
+        return Exchange(programs, None, None)
+    bridge = Bridge(
+        doors,
+        run=scenario.name,
+        folder=str(source.folder.resolve()),
+        vehicles=[each.name for each in scenario.vehicle],
+        agents=scenario.bridge.agents,
+        air=air,
+        clock=clock,
+        tell=tell,
+        log=log,
+        connect=connect,
+    )
+    return Exchange(programs, bridge, None)
 
 
 def kind_of(name: str, content: Any) -> Any:
@@ -58,32 +122,8 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> list
     return found
 
 
-def bridge_of(
-    doors: Sequence[DoorTable], scenario: Scenario, source: Source, *, air: Any, tell: Tell, connect: bool
-) -> Federate:
-    """The federate that carries what programs send.
-
-    Args:
-        doors: of the scenario.
-        air: the radio.
-        tell: takes lines for the user.
-        connect: open the doors; else nothing is, which serves to check the scenario.
-    """
-    bridge: Federate = registry.piece("bridge")(
-        doors,
-        run=scenario.name,
-        folder=str(source.folder.resolve()),
-        vehicles=[each.name for each in scenario.vehicle],
-        agents=scenario.bridge.agents,
-        air=air,
-        tell=tell,
-        connect=connect,
-    )
-    return bridge
-
-
-def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, tell: Tell, connect: bool) -> list[Federate]:
-    """The federate that lets programs keep the run's own time, if any vehicle has one."""
+def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, tell: Tell, connect: bool) -> "Programs | None":
+    """The federate that lets programs keep the run's own time; None: no vehicle has one."""
     wanted, names, key = scenario.sockets, [each.name for each in scenario.vehicle], "sockets.vehicles"
     for name in wanted.vehicles:
         if name not in names:
@@ -91,9 +131,11 @@ def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, t
         if wanted.vehicles.count(name) > 1:
             raise ScenarioError(f"names {name} twice; each has one program", key=key, source=source.of(key))
     if not wanted.vehicles:
-        return []
+        return None
+    from vcmvsp.netsim.sockets.federate import Programs
+
     resolution.tables["sockets"] = binding.plain(wanted)
     try:
-        return [registry.piece("socket server")(wanted, names, tell=tell, connect=connect)]
+        return Programs(wanted, names, tell=tell, connect=connect)
     except ValueError as error:
         raise ScenarioError(str(error), key="sockets.listen", source=source.of("sockets.listen")) from error

@@ -1,61 +1,88 @@
 """From ``[radio]`` to a channel: a preset, and what is changed of its layers."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 
-from vcmvsp.cosim.config import binding, builtin_kinds, factory, registry
+from vcmvsp.cosim.assembly.resolved import Resolution
+from vcmvsp.cosim.config import binding, builtin_kinds, factory
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario
+from vcmvsp.cosim.util.text import Tell
+
+if TYPE_CHECKING:
+    from vcmvsp.netsim.channel.channel import Channel
+    from vcmvsp.netsim.federate import RadioFederate
+    from vcmvsp.netsim.interfaces.radio import Radio
+    from vcmvsp.physics.world.solids import AnySolid
 
 
-class Built(msgspec.Struct, frozen=True):
-    """The radio of a scenario."""
+def federate_of(
+    scenario: Scenario,
+    source: Source,
+    resolution: Resolution,
+    *,
+    solids: "Sequence[AnySolid]",
+    recorded: Path | None,
+    programs: bool,
+    tell: Tell,
+) -> "RadioFederate":
+    """The federate `radio` of a scenario.
 
-    federate: Any  # `netsim.federate.RadioFederate`
-    channel: Any  # `netsim.channel.channel.Channel`
-    radios: Mapping[str, Any]  # `netsim.interfaces.radio.Radio`, by vehicle
-    resolved: dict[str, dict[str, Any]]  # ``[radio]`` and, where somebody passes messages on, ``[routing]``: complete
+    Args:
+        scenario, source: what is built, and where it was read from.
+        resolution: takes ``[radio]`` and ``[routing]`` with everything filled in.
+        solids: what stands in the world.
+        recorded: ``radio.parquet`` of an earlier run, whose outcomes its frames have again.
+        programs: programs at wall pace may send any number of frames.
+        tell: takes lines for the user.
+    """
+    from vcmvsp.netsim.channel.replayed import RecordedChannel
+    from vcmvsp.netsim.federate import RadioFederate
+
+    portable, keep = resolution.portable, resolution.keep
+    channel, _, resolved = channel_of(scenario, source, solids=solids, portable=portable, keep=keep)
+    air = channel if recorded is None else RecordedChannel(channel, recorded, tell)
+    router = None
+    if scenario.routing:
+        router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
+    own = {name: value for name, value in scenario.radio.items() if name in _federate_keys()}
+    given = {"channel": air, "router": router, "programs": programs}
+    federate: RadioFederate = binding.call(RadioFederate, own, key="radio", origin=source, given=given)
+    resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}
+    return federate
 
 
-def of_scenario(
+def channel_of(
     scenario: Scenario,
     source: Source,
     *,
-    solids: Any,
+    solids: "Sequence[AnySolid]",
     portable: factory.Portable = str,
     keep: factory.Keep = factory.name_of,
-    recorded: Path | None = None,
-    tell: Callable[[str], None] = lambda _: None,
-) -> Built:
-    """Build the radio of a scenario.
+) -> "tuple[Channel, Mapping[str, Radio], dict[str, Any]]":
+    """The channel of a scenario, the radio of each vehicle, and the complete ``[radio]``; arguments as for `build`."""
+    from vcmvsp.netsim.interfaces.radio import Radio
 
-    Args:
-        scenario, source, solids, portable, keep: as for `build`.
-        recorded: ``radio.parquet`` of an earlier run: its frames fare as they did then.
-        tell: takes lines for the user.
-    """
-    kind, federate = registry.piece("vehicle radio"), registry.piece("radio")
-    radios = {
-        each.name: binding.call(kind, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle
+    radios: dict[str, Radio] = {
+        each.name: binding.call(Radio, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle
     }
-    keys = [name for name in binding.parameters(federate) if name not in ("channel", "router")]
-    own = {name: value for name, value in scenario.radio.items() if name in keys}
+    keys = _federate_keys()
     layers = {name: value for name, value in scenario.radio.items() if name not in keys}
     channel, resolved = build(
         layers, source, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
     )
-    air = channel if recorded is None else registry.piece("recorded radio")(channel, recorded, tell)
-    router, routing = None, dict[str, Any]()
-    if scenario.routing:
-        router, routing = factory.build("routing", scenario.routing, key="routing", source=source, portable=portable, keep=keep)
-    built = binding.call(federate, own, key="radio", origin=source, given={"channel": air, "router": router})
-    full = {**binding.complete(federate, own, without=("channel", "router")), **resolved}
-    return Built(built, channel, radios, {"radio": full, **({"routing": routing} if router is not None else {})})
+    return channel, radios, resolved
+
+
+def _federate_keys() -> list[str]:
+    """Keys of ``[radio]`` that are no layers of the channel."""
+    from vcmvsp.netsim.federate import RadioFederate
+
+    return [name for name in binding.parameters(RadioFederate) if name not in ("channel", "router", "programs")]
 
 
 def build(
@@ -63,13 +90,13 @@ def build(
     source: Source,
     *,
     key: str = "radio",
-    solids: Any = (),
-    radios: Mapping[str, Any] | None = None,
+    solids: "Sequence[AnySolid]" = (),
+    radios: "Mapping[str, Radio] | None" = None,
     vehicles: Sequence[str] = (),
     portable: factory.Portable = str,
     keep: factory.Keep = factory.name_of,
     also: Sequence[str] = (),
-) -> tuple[Any, dict[str, Any]]:
+) -> "tuple[Channel, dict[str, Any]]":
     """Build a channel.
 
     Args:
@@ -86,7 +113,10 @@ def build(
     Returns:
         The `netsim.channel.channel.Channel`, and the table with everything filled in.
     """
-    presets = registry.piece("radio presets")
+    from vcmvsp.netsim import presets
+    from vcmvsp.netsim.channel.channel import Channel
+    from vcmvsp.physics.line_of_sight.sightline import Sightline
+
     for name in radio:
         if name not in ("preset", *presets.LAYERS):
             where = binding.join(key, name)
@@ -97,7 +127,7 @@ def build(
         where = binding.join(key, "preset")
         raise ScenarioError(binding.unknown("preset", str(preset), presets.PRESETS), key=where, source=source.of(where))
     base, layers, resolved = presets.preset(preset), {}, {"preset": preset}
-    offered = {"sightline": registry.piece("sightline")(solids)}
+    offered: dict[str, Any] = {"sightline": Sightline(solids)}
     for name in presets.LAYERS:
         where, own = binding.join(key, name), radio.get(name, {})
         if not isinstance(own, dict):
@@ -110,14 +140,13 @@ def build(
             offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
     _check_mac(layers, key, source)
     _check_names(layers, vehicles, key, source)
-    return registry.piece("channel")(**layers, radios=radios), resolved
+    return Channel(**layers, radios=radios), resolved
 
 
 def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
     """The preset's table with what is changed of it; another kind has a table of its own."""
-    if (
-        own and base["kind"] == "none" and len(builtin_kinds.KINDS[layer]) == 2
-    ):  # it can be left out, or be the one that there is
+    only_kind = len(builtin_kinds.KINDS[layer]) == 2  # besides "none"
+    if own and base["kind"] == "none" and only_kind:
         return {"kind": next(iter(builtin_kinds.KINDS[layer])), **own}
     return {**base, **own} if own.get("kind", base["kind"]) == base["kind"] else own
 

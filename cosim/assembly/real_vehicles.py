@@ -2,16 +2,23 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.scenario.schema import SIMULATED, SafetyTable, Scenario, VehicleTable
 from vcmvsp.cosim.types import Value, Vec3
+from vcmvsp.cosim.util.text import Tell
+
+if TYPE_CHECKING:
+    from vcmvsp.hardware.federate import Hardware
+    from vcmvsp.hardware.playback import Playback
+    from vcmvsp.physics.vehicles.models import Vehicle
 
 MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, of a robot among people unless somebody says otherwise; assumed
 ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that does not say its own: an AmigoBot's; assumed
@@ -41,7 +48,7 @@ class RealVehicle(Value, frozen=True, kw_only=True):
 
 
 def of_scenario(
-    scenario: Scenario, source: Source, resolution: Resolution, models: Mapping[str, Any]
+    scenario: Scenario, source: Source, resolution: Resolution, models: "Mapping[str, Vehicle]"
 ) -> tuple[RealVehicle, ...]:
     """Those vehicles of the scenario that have a driver, checked.
 
@@ -51,54 +58,75 @@ def of_scenario(
         resolution: takes the tables with everything filled in.
         models: what each vehicle is, by name (`physics.vehicles.models.Vehicle`).
     """
-    found = []
     for vehicle in scenario.vehicle:
         if vehicle.driver is None:
             _check_nothing_lost(vehicle, source)
-        if vehicle.driver is None or not vehicle.is_real:
-            continue
-        key = f"vehicle.{vehicle.name}"
-        model = models[vehicle.name]
-        flies = registry.piece("flies")(model)
-        build = _builder(vehicle.name, source, resolution, flies=flies)
-        kind, params = build("driver", vehicle.driver, f"{key}.driver")
-        tables: dict[str, Any] = {"driver": {"kind": kind, **params}}
-        where, known = None, dict[str, Any]()
-        if vehicle.localisation is not None and vehicle.localisation.get("kind") != SIMULATED:
-            where, known = build("localisation", vehicle.localisation, f"{key}.localisation")
-            tables["localisation"] = {"kind": where, **known}
-        position, yaw = vehicle.start
-        start = (position[0], position[1], yaw)
-        fusion = registry.piece("fusion")
-        binding.call(fusion, vehicle.fusion, key=f"{key}.fusion", origin=source, given={"start": start})
-        tables["fusion"] = binding.complete(fusion, vehicle.fusion, without=("start",))
-        safety = _safety(scenario.safety, vehicle, model, source)
-        tables["safety"] = binding.plain(safety)
-        resolution.real[vehicle.name] = tables
-        described = RealVehicle(
-            name=vehicle.name,
-            folder=str(source.folder.resolve()),
-            driver=vehicle.driver["kind"],
-            driver_params=params,
-            localisation=where and (vehicle.localisation or {})["kind"],
-            localisation_params=known,
-            fusion=tables["fusion"],
-            safety=safety,
-            pose_source=vehicle.pose_source,
-            start=start,
-            height_m=position[2],
-            flies=flies,
-            positioning=_twin(vehicle),
-            seed=scenario.seed,
-        )
-        try:
-            registry.piece("safety check")(described)
-        except ValueError as error:
-            at = f"{key}.safety" if "fence" in vehicle.safety else "safety"
-            raise ScenarioError(str(error), key=at, source=source.of(at)) from error
-        found.append(described)
+    real = [each for each in scenario.vehicle if each.is_real]
+    found = tuple(_described(each, scenario, source, resolution, models[each.name]) for each in real)
     _check_addresses(found, source)
-    return tuple(found)
+    return found
+
+
+def _described(
+    vehicle: VehicleTable, scenario: Scenario, source: Source, resolution: Resolution, model: "Vehicle"
+) -> RealVehicle:
+    """A real vehicle with its tables filled in and its safety checked."""
+    from vcmvsp.cosim.estimation.fusion import Fusion
+    from vcmvsp.hardware.stations import check_safety
+    from vcmvsp.physics.vehicles.models import flies
+
+    key, flying = f"vehicle.{vehicle.name}", flies(model)
+    build = _builder(vehicle.name, source, resolution, flies=flying)
+    driver_table = vehicle.driver or {}
+    kind, params = build("driver", driver_table, f"{key}.driver")
+    tables: dict[str, Any] = {"driver": {"kind": kind, **params}}
+    where, known = None, dict[str, Any]()
+    if vehicle.localisation is not None and vehicle.localisation.get("kind") != SIMULATED:
+        where, known = build("localisation", vehicle.localisation, f"{key}.localisation")
+        tables["localisation"] = {"kind": where, **known}
+    position, yaw = vehicle.start
+    start = (position[0], position[1], yaw)
+    binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=source, given={"start": start})
+    tables["fusion"] = binding.complete(Fusion, vehicle.fusion, without=("start",))
+    safety = _safety(scenario.safety, vehicle, model, source)
+    tables["safety"] = binding.plain(safety)
+    resolution.real[vehicle.name] = tables
+    described = RealVehicle(
+        name=vehicle.name,
+        folder=str(source.folder.resolve()),
+        driver=driver_table["kind"],
+        driver_params=params,
+        localisation=where and (vehicle.localisation or {})["kind"],
+        localisation_params=known,
+        fusion=tables["fusion"],
+        safety=safety,
+        pose_source=vehicle.pose_source,
+        start=start,
+        height_m=position[2],
+        flies=flying,
+        positioning=_twin(vehicle),
+        seed=scenario.seed,
+    )
+    try:
+        check_safety(described)
+    except ValueError as error:
+        at = f"{key}.safety" if "fence" in vehicle.safety else "safety"
+        raise ScenarioError(str(error), key=at, source=source.of(at)) from error
+    return described
+
+
+def drive(vehicles: Sequence[RealVehicle], **options: Any) -> "Hardware":
+    """The federate `hardware` that drives these vehicles; further arguments: those of `hardware.federate.Hardware`."""
+    from vcmvsp.hardware.federate import Hardware
+
+    return Hardware(vehicles, **options)
+
+
+def playback(scenario: Scenario, inputs: Sequence[Input], tell: Tell) -> "Playback | None":
+    """The federate `hardware` that repeats what real vehicles did in an earlier run; None: no vehicle is real."""
+    from vcmvsp.hardware.playback import Playback
+
+    return Playback(scenario.real, inputs, tell=tell) if scenario.real else None
 
 
 def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
@@ -141,7 +169,7 @@ def _check_nothing_lost(vehicle: VehicleTable, source: Source) -> None:
             raise ScenarioError(problem, key=key, source=source.of(key))
 
 
-def _safety(shared: SafetyTable, vehicle: VehicleTable, model: Any, source: Source) -> SafetyTable:
+def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source: Source) -> SafetyTable:
     """``[safety]``, what the vehicle has of its own, and what its kind knows."""
     key = f"vehicle.{vehicle.name}.safety"
     own = binding.call(SafetyTable, vehicle.safety, key=key, origin=source)
@@ -163,4 +191,6 @@ def _safety(shared: SafetyTable, vehicle: VehicleTable, model: Any, source: Sour
 def _twin(vehicle: VehicleTable) -> dict[str, Any] | None:
     if vehicle.positioning is None:
         return None
-    return binding.complete(registry.piece("positioning"), vehicle.positioning)
+    from vcmvsp.physics.sensors.positioning_system import Positioning
+
+    return binding.complete(Positioning, vehicle.positioning)

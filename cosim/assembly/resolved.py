@@ -124,7 +124,7 @@ class Resolution:
             shared["positioning"] = _sensor(shared["positioning"])
         shared.pop("sensors", None)  # each vehicle's own say it all
         if "radio" in shared:
-            shared["radio"] = binding.complete(registry.piece("vehicle radio"), shared["radio"])
+            shared["radio"] = _radio(shared["radio"])
         return shared
 
     def _vehicle(self, vehicle: VehicleTable, shared: Mapping[str, Any]) -> dict[str, Any]:
@@ -135,7 +135,7 @@ class Resolution:
             **_present(pose=vehicle.pose) or _present(position=vehicle.position, heading=vehicle.heading),
             pose_source=vehicle.pose_source,
             positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
-            radio=binding.complete(registry.piece("vehicle radio"), vehicle.radio),
+            radio=_radio(vehicle.radio),
             sensors=self.sensors[vehicle.name] or None,
         )
         full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})
@@ -183,7 +183,15 @@ class Resolution:
 
 
 def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:
-    return binding.complete(registry.piece("positioning"), content)
+    from vcmvsp.physics.sensors.positioning_system import Positioning
+
+    return binding.complete(Positioning, content)
+
+
+def _radio(content: Mapping[str, Any]) -> dict[str, Any]:
+    from vcmvsp.netsim.interfaces.radio import Radio
+
+    return binding.complete(Radio, content)
 
 
 def _present(**values: Any) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The vehicles of a scenario: what each is, what it carries, and what physics is told of them."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.agent import SHOWN
 from vcmvsp.cosim.assembly.resolved import Resolution
@@ -9,6 +9,10 @@ from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
+
+if TYPE_CHECKING:
+    from vcmvsp.physics.sensors.sensor import Sensor
+    from vcmvsp.physics.vehicles.models import Vehicle, VehicleSpec
 
 TOPICS = (
     *("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host", "real", "incident"),
@@ -37,13 +41,13 @@ class Fleet:
 
     def __init__(self, scenario: Scenario, source: Source, resolution: Resolution) -> None:
         self._scenario, self._source, self._resolution = scenario, source, resolution
-        self._classes: dict[str, Any] = {}  # of vehicles, by kind
-        self.models: Mapping[str, Any] = {each.name: self._model(each) for each in scenario.vehicle}
-        self.sensors: Mapping[str, Mapping[str, Any]] = {each.name: self._fit(each) for each in scenario.vehicle}
+        self._classes: dict[str, type[Vehicle]] = {}  # of vehicles, by kind
+        self.models: Mapping[str, Vehicle] = {each.name: self._model(each) for each in scenario.vehicle}
+        self.sensors: Mapping[str, Mapping[str, Sensor]] = {each.name: self._fit(each) for each in scenario.vehicle}
         self._check_defaults_taken()
         self._check_recorded()
 
-    def specs(self) -> list[Any]:
+    def specs(self) -> "list[VehicleSpec]":
         """What physics is told of each, in the scenario's order."""
         return [self._spec(each) for each in self._scenario.vehicle]
 
@@ -52,7 +56,7 @@ class Fleet:
         kept = self._scenario.record.sensors
         return {f"{v}/{s}" for v, fitted in self.sensors.items() for s in fitted if s in kept or "*" in kept}
 
-    def _class(self, vehicle: VehicleTable) -> Any:
+    def _class(self, vehicle: VehicleTable) -> "type[Vehicle]":
         """The class of a vehicle's kind, looked up once: a file is not executed again for every vehicle."""
         if vehicle.kind not in self._classes:
             key = f"vehicle.{vehicle.name}.kind"
@@ -67,13 +71,14 @@ class Fleet:
         params = self._source.kept(vehicle.params, f"vehicle.{vehicle.name}", known)
         return {n: v for n, v in params.items() if n in known or n not in defaults}
 
-    def _model(self, vehicle: VehicleTable) -> Any:
+    def _model(self, vehicle: VehicleTable) -> "Vehicle":
         key, kind = f"vehicle.{vehicle.name}", self._class(vehicle)
         own, also = factory.found(self._own(vehicle), self._source), {*binding.parameters(VehicleTable)} - {"params"}
         self._resolution.vehicles[vehicle.name] = factory.kept(binding.complete(kind, own), self._resolution.keep)
-        return binding.call(kind, own, key=key, origin=self._source, also=also)
+        model: Vehicle = binding.call(kind, own, key=key, origin=self._source, also=also)
+        return model
 
-    def _fit(self, vehicle: VehicleTable) -> dict[str, Any]:
+    def _fit(self, vehicle: VehicleTable) -> "dict[str, Sensor]":
         """The sensors of a vehicle, by name; those that ask for its wheels are told."""
         model = self.models[vehicle.name]
         wheels = {name: getattr(model, name) for name in ("wheel_radius_m", "track_m") if hasattr(model, name)}
@@ -87,16 +92,19 @@ class Fleet:
         self._resolution.sensors[vehicle.name] = tables
         return fitted
 
-    def _spec(self, vehicle: VehicleTable) -> Any:
+    def _spec(self, vehicle: VehicleTable) -> "VehicleSpec":
+        from vcmvsp.cosim.estimation.fusion import Fusion
+        from vcmvsp.physics.sensors.positioning_system import Positioning
+        from vcmvsp.physics.vehicles.models import VehicleSpec
+
         key, sensor, fusion = f"vehicle.{vehicle.name}", None, None
         if vehicle.positioning is not None:
-            positioning = registry.piece("positioning")
-            sensor = binding.call(positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
+            sensor = binding.call(Positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
         position, heading = vehicle.start
         if vehicle.pose_source == "fusion" and not vehicle.is_real:
-            kind, at = registry.piece("fusion"), {"start": (position[0], position[1], heading)}
-            fusion = binding.call(kind, vehicle.fusion, key=f"{key}.fusion", origin=self._source, given=at)
-            self._resolution.real[vehicle.name] = {"fusion": binding.complete(kind, vehicle.fusion, without=at)}
+            at = {"start": (position[0], position[1], heading)}
+            fusion = binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=self._source, given=at)
+            self._resolution.real[vehicle.name] = {"fusion": binding.complete(Fusion, vehicle.fusion, without=at)}
         simulated = self.sensors[vehicle.name]
         if vehicle.is_real:  # a real robot has its own
             simulated = {name: each for name, each in simulated.items() if name != "sonar"}
@@ -110,7 +118,8 @@ class Fleet:
             "fusion": fusion,
             "sensors": simulated,
         }
-        return binding.call(registry.piece("vehicle spec"), {}, key=key, origin=self._source, given=given)
+        spec: VehicleSpec = binding.call(VehicleSpec, {}, key=key, origin=self._source, given=given)
+        return spec
 
     def _check_defaults_taken(self) -> None:
         known = {key for each in self._scenario.vehicle for key in binding.parameters(self._class(each))}

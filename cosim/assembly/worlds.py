@@ -3,21 +3,24 @@
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import binding, builtin_kinds, factory, registry
+from vcmvsp.cosim.config import binding, builtin_kinds, factory
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.errors import ScenarioError, UsageError, place_of
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array
+
+if TYPE_CHECKING:
+    from vcmvsp.physics.world.world import World as World  # noqa: PLC0414  for packages above, which import no part
 
 FILES = {".toml": "file", ".yaml": "map", ".yml": "map", ".geojson": "geojson", ".json": "geojson"}
 MESHES = (".obj", ".stl", ".ply", ".glb", ".off")
 
 
-def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
+def world_of(what: str, settings: Mapping[str, Any]) -> "tuple[World, str]":
     """The world that a word names: a kind, ``module:Class``, a file (world, map, GeoJSON, mesh), or a scenario; and its name.
 
     Args:
@@ -36,11 +39,51 @@ def world_of(what: str, settings: Mapping[str, Any]) -> tuple[Any, str]:
     else:
         known = binding.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
         raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
-    world, _ = factory.world_of({**table_, **settings}, source, seed=seed)
+    world, _ = build({**table_, **settings}, source, seed=seed)
     return world, name
 
 
-def describe(world: Any, name: str) -> dict[str, Any]:
+def build(
+    table: Mapping[str, Any],
+    source: Source,
+    *,
+    seed: int = 0,
+    portable: factory.Portable = str,
+    keep: factory.Keep = factory.name_of,
+) -> "tuple[World, dict[str, Any]]":
+    """The world that a table ``[world]`` describes, and the table with all its defaults.
+
+    Args:
+        table: the table.
+        source, portable, keep: as for `cosim.config.factory.build`.
+        seed: of the run: that of a world whose own ``seed`` is None by default, and is not given.
+
+    Raises:
+        ScenarioError: it cannot be built; with its place in the scenario.
+    """
+    from vcmvsp.physics.world.world import World
+
+    content = {"kind": "empty", **table}
+    maker, resolved = factory.build(
+        "world", content, key="world", source=source, portable=portable, absent={"seed": seed}, keep=keep
+    )
+    try:
+        world = maker.build()
+    except ScenarioError as error:
+        if error.source:
+            raise  # in a file that the scenario names
+        where = binding.join("world", error.key)
+        raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
+    except Exception as error:
+        problem = f"{type(maker).__name__}.build raised {type(error).__name__}: {error}{place_of(error)}"
+        raise ScenarioError(problem, key="world", source=source.of("world")) from error
+    if not isinstance(world, World):
+        problem = f"{type(maker).__name__}.build must return a World, not {binding.show(world)}"
+        raise ScenarioError(problem, key="world", source=source.of("world"))
+    return world, resolved
+
+
+def describe(world: "World", name: str) -> dict[str, Any]:
     """What is in a world."""
     kinds = Counter(type(each).__name__.lower() for each in world.solids)
     materials = Counter(each.material for each in world.solids)
@@ -56,18 +99,19 @@ def describe(world: Any, name: str) -> dict[str, Any]:
     }
 
 
-def outlines(world: Any) -> list[Array]:
+def outlines(world: "World") -> list[Array]:
     """What stands in a world seen from above: outlines, (k, 2) m each, of its convex pieces; meshes by their triangles."""
     shapes = world.shapes
     return [*(corners for group in shapes.groups for corners in group.corners), *shapes.triangles[:, :, :2]]
 
 
-def draw(world: Any, target: Path) -> None:
+def draw(world: "World", target: Path) -> None:
     """Draw a world, from above and in perspective, into a PNG file."""
     if target.suffix.lower() != ".png":
         raise UsageError(f"--png {target}: the name must end in .png")
-    pictures = registry.piece("world pictures")
-    png: bytes = pictures.png(np.hstack(pictures.draw_world(world)))
+    from vcmvsp.physics.render import world_picture
+
+    png = world_picture.png(np.hstack(world_picture.draw_world(world)))
     try:
         target.write_bytes(png)
     except OSError as error:

@@ -63,9 +63,10 @@ def calibrate_command(
 
 def _sightline(world: str) -> Any:
     """What stands in the world of a scenario."""
-    from vcmvsp.cosim.config import factory, registry
+    from vcmvsp.cosim.assembly import worlds
+    from vcmvsp.cosim.config import registry
     from vcmvsp.cosim.scenario import loader
 
     parsed, source = loader.load(world)
-    built, _ = factory.world_of(parsed.world, source, seed=parsed.seed)
+    built, _ = worlds.build(parsed.world, source, seed=parsed.seed)
     return registry.piece("sightline")(built.solids)

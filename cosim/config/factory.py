@@ -6,7 +6,7 @@ from typing import Any
 
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.errors import ScenarioError
 
 Portable = Callable[[str], str]
 """From a kind to how the resolved scenario names it."""
@@ -69,34 +69,6 @@ def build(
     for path in getattr(built, "files", tuple)():  # those that its own files name
         keep(path)
     return built, {"kind": portable(kind), **kept(binding.complete(target, params, without=given), keep)}
-
-
-def world_of(
-    content: Mapping[str, Any], source: Source, *, seed: int = 0, portable: Portable = str, keep: Keep = name_of
-) -> tuple[Any, dict[str, Any]]:
-    """The world that a table ``[world]`` describes, and the table with all its defaults; arguments as for `build`.
-
-    Whatever goes wrong in building it is said with its place.
-
-    Args:
-        seed: of the run: that of a world whose own ``seed`` is None by default, and is not given.
-    """
-    key, content = "world", {"kind": "empty", **content}
-    maker, resolved = build(key, content, key=key, source=source, portable=portable, absent={"seed": seed}, keep=keep)
-    try:
-        world = maker.build()
-    except ScenarioError as error:
-        if error.source:
-            raise  # in a file that the scenario names
-        where = binding.join(key, error.key)
-        raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
-    except Exception as error:
-        problem = f"{type(maker).__name__}.build raised {type(error).__name__}: {error}{place_of(error)}"
-        raise ScenarioError(problem, key=key, source=source.of(key)) from error
-    if not isinstance(world, registry.piece("world")):
-        problem = f"{type(maker).__name__}.build must return a World, not {binding.show(world)}"
-        raise ScenarioError(problem, key=key, source=source.of(key))
-    return world, resolved
 
 
 def found(params: Mapping[str, Any], source: Source) -> dict[str, Any]:

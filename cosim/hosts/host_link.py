@@ -24,26 +24,46 @@ _SPARE = 10  # answers that may wait beyond those that were asked for: some are 
 _SLICE_S = 1.0  # after so long without an answer a question is asked again: a link that breaks may lose one in silence
 
 
+class LinkCallbacks(NamedTuple):
+    """What a link to a host asks and reports."""
+
+    why_lost: Callable[[], str] = lambda: ""
+    """Says how the host has ended; an empty answer: that is not known, and it may come back."""
+    noticed: Callable[[bool], None] = lambda _: None
+    """Called by Zenoh's thread, at once, when the host gets out of reach (False), and when it is back."""
+    released: Callable[[bool], None] = lambda _: None
+    """Releases whatever runs the host; told whether it has answered to the last."""
+
+
+QUIET = LinkCallbacks()
+
+
 class ZenohLink:
     """A `cosim.hosts.session.Link` to one host.
 
     Args:
         session: the hub's.
         key: under which the host is asked.
+        callbacks: what it asks and reports.
         stranger: it may flood the run with answers to nothing, which are then dropped; children of a run do not.
+        cut_deadline_s: for how long it may be out of reach, whatever it was asked.
 
     Attributes:
-        why_lost: says how the host has ended; an empty answer: that is not known, and it may come back.
-        noticed: told by Zenoh's thread, and at once, when the host is out of reach (False), and when it is back.
-        released: lets go of whatever runs the host; told whether it has answered to the last.
-        cut_deadline_s: for how long it may be out of reach, whatever it was asked.
         cuts_s: for how long it was out of reach, each time that the run waited for it.
     """
 
     leaving = False
     _closed = False
 
-    def __init__(self, session: zenoh.Session, key: str, *, stranger: bool = True) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        callbacks: LinkCallbacks = QUIET,
+        *,
+        stranger: bool = True,
+        cut_deadline_s: float = math.inf,
+    ) -> None:
         self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
         self._open: deque[_Question] = deque()
         self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -56,16 +76,13 @@ class ZenohLink:
         self._there = True
         self._cut: float | None = None  # since when nobody is there
         self._failed = False
-        self.why_lost: Callable[[], str] = lambda: ""
-        self.noticed: Callable[[bool], None] = lambda _: None
-        self.released: Callable[[bool], None] = lambda _: None
+        self._callbacks, self._cut_deadline_s = callbacks, cut_deadline_s
         self.cuts_s: list[float] = []
-        self.cut_deadline_s = math.inf
 
     def there(self, there: bool) -> None:
         """Told by Zenoh's thread whether the host can be reached."""
         self._news.put(there)
-        self.noticed(there)
+        self._callbacks.noticed(there)
 
     def _on_answer(self, sample: zenoh.Sample) -> None:
         if self._news.qsize() < len(self._open) + _SPARE:
@@ -86,7 +103,7 @@ class ZenohLink:
         while True:  # a question stays open if Ctrl-C ends the waiting
             now, oldest = time.monotonic(), self._open[0]
             waits_s = min(oldest.last - now, _SLICE_S if self._there else _RETRY_S)
-            if waits_s <= 0.0 or (not self._there and self._cut is not None and now - self._cut > self.cut_deadline_s):
+            if waits_s <= 0.0 or (not self._there and self._cut is not None and now - self._cut > self._cut_deadline_s):
                 return self._last_look(oldest)
             try:
                 answer = self._taken(self._news.get(timeout=waits_s))
@@ -113,7 +130,7 @@ class ZenohLink:
         answer = self.look()
         if answer is None:
             self._failed = True
-            deadline_s = oldest.deadline_s if self._there else min(oldest.deadline_s, self.cut_deadline_s)
+            deadline_s = oldest.deadline_s if self._there else min(oldest.deadline_s, self._cut_deadline_s)
             gone = "" if self._cut is None else ": it left the run, or is cut off from it"
             raise LateError(f"did not answer within the deadline of {deadline_s:g} s{gone}")
         return answer
@@ -124,7 +141,7 @@ class ZenohLink:
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
             self._farewell()
             self._hears.undeclare()  # type: ignore[no-untyped-call]
-        self.released(not self._failed)
+        self._callbacks.released(not self._failed)
 
     def _taken(self, news: "zenoh.Sample | bool") -> bytes | None:
         """The answer to the oldest question, if this is it."""
@@ -149,7 +166,7 @@ class ZenohLink:
         return content[protocol.number.size :]
 
     def _check_whether_ended(self) -> None:
-        if ended := self.why_lost():
+        if ended := self._callbacks.why_lost():
             self._failed = True
             raise LinkError(ended)
 

@@ -1,7 +1,9 @@
 """The run's end of Eclipse Zenoh: the kernel's session is a router-mode hub, hosts dial in as clients."""
 
 import contextlib
+import functools
 import json
+import math
 import queue
 import tempfile
 import time
@@ -14,7 +16,7 @@ from zenoh.handlers import Callback
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import answer_checks, protocol
-from vcmvsp.cosim.hosts.host_link import ZenohLink
+from vcmvsp.cosim.hosts.host_link import QUIET, LinkCallbacks, ZenohLink
 from vcmvsp.cosim.hosts.protocol import Machine
 from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.transport.zenoh_session import opened, threads
@@ -53,6 +55,7 @@ class Hub:
         keys: the certificates of those who may come; None: anybody may.
         children: names and passwords of those who may come, where they are this process's own; None: others may.
         patience_s: wall-clock seconds for which hosts are to wait for a run that they are cut off from.
+        cut_deadline_s: wall-clock seconds after which a host out of reach is given up.
 
     Raises:
         UsageError: nothing can listen there.
@@ -65,6 +68,7 @@ class Hub:
         *,
         children: Mapping[str, str] | None = None,
         patience_s: float = 2.0,
+        cut_deadline_s: float = math.inf,
     ) -> None:
         config = {"mode": "router", "listen": {"endpoints": [endpoint]}, **QUEUES}
         config["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
@@ -79,7 +83,7 @@ class Hub:
                 secure = access_control.merge(secure, access_control.children_security(children, Path(folder)))
             self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
-        self._keys, self._patience_s = keys, patience_s
+        self._keys, self._patience_s, self._cut_deadline_s = keys, patience_s, cut_deadline_s
         self._joins: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
         self._missing = True  # the run has no host yet for one of its agents, or has lost one
         self.gone: dict[Machine, float] = {}  # hosts whose token has gone, and when
@@ -114,11 +118,12 @@ class Hub:
             current = certificates.load(self._keys.folder)  # somebody may have been shut out since the run began to listen
             denied = access_control.admission(current, machine[0], hello.vehicles)
 
-        def answer(refused: str | None) -> ZenohLink | None:
-            self._reply(query, denied or refused)
-            return None if denied or refused else self._linked(machine, key)
+        def link(callbacks: LinkCallbacks) -> ZenohLink:
+            made = ZenohLink(self.session, key, callbacks, stranger=self._strangers, cut_deadline_s=self._cut_deadline_s)
+            self._links[machine] = made
+            return made
 
-        return Knock(hello, machine, denied, answer)
+        return Knock(hello, machine, denied, functools.partial(self._reply, query), link)
 
     def open(self) -> None:
         """Somebody is missing: let those who come wait to be heard (`next_hello`)."""
@@ -150,10 +155,6 @@ class Hub:
             self._send_away()
         elif there:
             link.repeat()
-
-    def _linked(self, machine: Machine, key: str) -> ZenohLink:
-        link = self._links[machine] = ZenohLink(self.session, key, stranger=self._strangers)
-        return link
 
     def _is_open(self) -> bool:
         """Whether somebody may be needed: who is out of reach may have been killed, and be back under another id."""
@@ -197,4 +198,11 @@ class Knock(NamedTuple):
     hello: protocol.Hello
     machine: Machine
     denied: str | None  # why its version or its certificate does not let it; None: they do
-    answer: Callable[[str | None], ZenohLink | None]  # with why it is refused, or None to let it in
+    reply: Callable[[str | None], None]  # the reason of a refusal, or None for welcome
+    link: Callable[[LinkCallbacks], ZenohLink]
+
+    def answer(self, refused: str | None, callbacks: LinkCallbacks = QUIET) -> ZenohLink | None:
+        """Let the host in, or tell it the reason of its refusal; the link to a host that was let in."""
+        why = self.denied or refused
+        self.reply(why)
+        return self.link(callbacks) if why is None else None

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
 POLL_S = 0.05
+GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
 MOST_TOLD = 100  # different reasons for which hosts were refused
 
 
@@ -60,7 +61,9 @@ class Entrance:
         self._refused: set[str] = set()  # what has been said of those who were refused
         certificates = self._certificates(agents.listen, specs)
         with contextlib.ExitStack() as stack:
-            self.hub = Hub(agents.listen, certificates, patience_s=patience_s(agents, specs))
+            self.hub = Hub(
+                agents.listen, certificates, patience_s=patience_s(agents, specs), cut_deadline_s=cut_deadline_s(agents)
+            )
             stack.callback(self.hub.close)
             self.topics = Topics(self.hub.session, about, certificates)
             stack.callback(self.topics.close)
@@ -93,7 +96,14 @@ class Entrance:
             if words not in self._refused and len(self._refused) < MOST_TOLD:
                 self._refused.add(words)
                 self._tell(words)
-        return knock.answer(refusal)
+        from vcmvsp.cosim.hosts.host_link import LinkCallbacks
+
+        who = ", ".join(knock.hello.vehicles)
+
+        def noticed(there: bool) -> None:
+            self.note(f"the host of {who} is {'back' if there else 'out of reach'}")
+
+        return knock.answer(refusal, LinkCallbacks(noticed=noticed))
 
     def _tell_news(self) -> None:
         """Tell what has happened as it happens, however long that takes: Zenoh's threads have other things to do."""
@@ -152,6 +162,11 @@ def knocking(
 def patience_s(agents: AgentsTable, specs: Sequence[AgentSpec]) -> float:
     """For how long a host waits for a run that it is cut off from: where it may come back, it had better be there."""
     return agents.deadline_s if all(map(indispensable, specs)) else max(agents.deadline_s, agents.join_timeout_s)
+
+
+def cut_deadline_s(agents: AgentsTable) -> float:
+    """For how long a host may be out of reach, whatever it was asked: building its agents takes long, a step does not."""
+    return max(agents.deadline_s, GONE_S)
 
 
 def indispensable(spec: AgentSpec) -> bool:

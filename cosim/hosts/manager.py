@@ -7,24 +7,25 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import AgentError, ScenarioError
 from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import admission
-from vcmvsp.cosim.hosts.listener import Entrance, indispensable, knocking, patience_s
+from vcmvsp.cosim.hosts.listener import Entrance, cut_deadline_s, indispensable, knocking, patience_s
 from vcmvsp.cosim.hosts.protocol import Built, Machine
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
-from vcmvsp.cosim.hosts.server import Desk, HostFederate
+from vcmvsp.cosim.hosts.server import BuildsHost, Desk, HostFederate
 from vcmvsp.cosim.hosts.session import Crew, Link, MemoryLink
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
+    from vcmvsp.cosim.hosts.event_publisher import Topics
     from vcmvsp.cosim.hosts.host_link import ZenohLink
 
 HOST_PROCESS = "vcmvsp.agents.host_process"
-GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
 
 
 class Hosts:
@@ -32,6 +33,9 @@ class Hosts:
 
     Args:
         agents: the scenario's ``[agents]``.
+        builder: makes the federate of agents that run in this process.
+        kinds: classes of agents that are objects instead of what the scenario names, by vehicle.
+        listen: endpoint for hosts and observers, instead of ``agents.listen``.
         tell: takes lines for the user, such as how to start a host by hand.
         keys: folder with the certificates of those who may come from elsewhere.
         insecure: let anybody come from elsewhere.
@@ -42,20 +46,25 @@ class Hosts:
     def __init__(
         self,
         agents: AgentsTable,
-        tell: Tell,
+        builder: BuildsHost,
         *,
+        tell: Tell,
+        kinds: Mapping[str, str] | None = None,
+        listen: str | None = None,
         keys: Path | None = None,
         insecure: bool = False,
         watch: Callable[[], str | None] | None = None,
         about: Mapping[str, Any] | None = None,
     ) -> None:
         self._about = {**(about or {}), "missing": self._absent}
-        self._agents, self._tell, self._keys, self._insecure, self._watch = agents, tell, keys, insecure, watch
+        self._agents = agents if listen is None else msgspec.structs.replace(agents, listen=listen)
+        self._builder, self._observed = builder, listen is not None
+        self._tell, self._keys, self._insecure, self._watch = tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
         self.entrance: Entrance | None = None  # where those who are elsewhere, or only watch, dial in
         self.federates: list[Federate] = []
         self.infos: list[AgentInfo] = []
-        self.kinds: dict[str, str] = {}  # vehicle -> class that a host brought along instead of the scenario's
+        self.kinds = dict(kinds or {})  # vehicle -> class instead of the scenario's, also of those that a host brought along
         self._links: list[tuple[str, ZenohLink]] = []
         self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
         self._specs: dict[str, AgentSpec] = {}  # of those, as their hosts have them
@@ -75,6 +84,29 @@ class Hosts:
                 cuts.setdefault(vehicles, []).extend(link.cuts_s)
         return cuts
 
+    def start(self, specs: Mapping[str, Sequence[AgentSpec]], objects: Mapping[str, Agent]) -> None:
+        """Start the hosts of all agents, or wait for them.
+
+        Args:
+            specs: the agents by where they run: ``inprocess``, ``encoded``, ``process`` or ``zenoh``.
+            objects: agents that exist already, by vehicle.
+        """
+        start: dict[str, Callable[[Sequence[AgentSpec]], None]] = {
+            "inprocess": lambda group: self.run_here(group, objects),
+            "encoded": self.run_encoded,
+            "process": self.run_in_processes,
+            "zenoh": self.await_by_hand,
+        }
+        for where, group in sorted(specs.items()):
+            start[where](group)
+        if self._observed and self.entrance is None:
+            self.listen()
+
+    @property
+    def topics(self) -> "Topics | None":
+        """Publishes events to observers on other machines; None: no machine can dial in."""
+        return None if self.entrance is None else self.entrance.topics
+
     def listen(self, specs: Sequence[AgentSpec] = ()) -> Entrance:
         """Let machines dial in that host these agents, or only watch."""
         self.entrance = Entrance(self._agents, specs, self._tell, keys=self._keys, insecure=self._insecure, about=self._about)
@@ -83,18 +115,18 @@ class Hosts:
 
     def run_here(self, specs: Sequence[AgentSpec], objects: Mapping[str, Agent]) -> None:
         """Host agents in this process."""
-        builder: Callable[..., HostFederate] = registry.piece("agent host")
-        self._add(builder("agents", specs, objects))
+        self._add(self._builder("agents", specs, objects))
 
     def run_encoded(self, specs: Sequence[AgentSpec]) -> None:
         """Host agents in this process, but behind the same bytes as over a wire (for tests of the wire)."""
-        desk = Desk(registry.piece("agent host"))
+        desk = Desk(self._builder)
         self._stack.callback(desk.close)
         crew = self._crew(MemoryLink(desk.handle), specs)
         self._add(RemoteHost("agents", [crew], [crew.build()]))
 
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn hosts, deal the agents out to them in order, and wait until all have joined."""
+        from vcmvsp.cosim.hosts.host_link import LinkCallbacks
         from vcmvsp.cosim.hosts.hub import Hub
         from vcmvsp.cosim.processes.child_process import HostProcess
 
@@ -102,7 +134,8 @@ class Hosts:
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
         # With passwords: whoever else is on this machine can neither ask the children anything nor answer in their place.
         passwords = {group[0].vehicle: token for token, group in groups.items()}
-        hub = Hub(children=passwords, patience_s=patience_s(self._agents, specs))
+        patient_s, cut_s = patience_s(self._agents, specs), cut_deadline_s(self._agents)
+        hub = Hub(children=passwords, patience_s=patient_s, cut_deadline_s=cut_s)
         self._stack.callback(hub.close)
         children: dict[str, HostProcess] = {}
         for token, group in groups.items():
@@ -111,9 +144,11 @@ class Hosts:
         links: dict[str, ZenohLink] = {}
         for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):
             token = knock.hello.token
-            if link := knock.answer(None if token in groups and token not in links else "this run starts its own hosts"):
-                link.why_lost = children[token].why_ended
-                link.released = children[token].close
+            if token not in groups or token in links:
+                knock.answer("this run starts its own hosts")
+                continue
+            child = children[token]
+            if link := knock.answer(None, LinkCallbacks(why_lost=child.why_ended, released=child.close)):
                 links[token] = link
         hub.shut()
         self._add_remote([(links[token], group) for token, group in groups.items()])
@@ -180,7 +215,7 @@ class Hosts:
                     self.kinds.pop(vehicle, None)
                     self._specs[vehicle] = self._wanted[vehicle]
         if late:  # what they will be is known without them: the scenario names their classes
-            local: Any = registry.piece("agent host")("late", late)
+            local = self._builder("late", late)
             self._add_host([], Built(local.agents, local.reads, local.latest), late)
 
     def _add_host(self, crews: Sequence[Crew], built: Built, missing: Sequence[AgentSpec] = ()) -> None:
@@ -196,9 +231,6 @@ class Hosts:
     def _crew_at(self, link: "ZenohLink", specs: Sequence[AgentSpec]) -> Crew:
         who = ", ".join(spec.vehicle for spec in specs)
         self._links.append((who, link))
-        link.cut_deadline_s = max(self._agents.deadline_s, GONE_S)
-        if (entrance := self.entrance) is not None:  # of a child that is gone, the run knows more
-            link.noticed = lambda there: entrance.note(f"the host of {who} is {'back' if there else 'out of reach'}")
         return self._crew(link, specs)
 
     def _add(self, host: HostFederate) -> None:

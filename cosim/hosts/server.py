@@ -1,10 +1,10 @@
 """A host of agents as it runs where the agents are: it answers the questions of `cosim.hosts.protocol`."""
 
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from vcmvsp.cosim.agent import AgentInfo, AgentSpec
+from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
 from vcmvsp.cosim.errors import FederateError, Interrupted, VcmvspError
 from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import protocol
@@ -13,8 +13,8 @@ from vcmvsp.cosim.hosts import protocol
 class BuildsHost(Protocol):
     """How a `Desk` makes its federate: `agents.federate.AgentHost`, without this module knowing that part."""
 
-    def __call__(self, name: str, specs: Sequence[AgentSpec]) -> "HostFederate":
-        """A federate with these agents."""
+    def __call__(self, name: str, specs: Sequence[AgentSpec], objects: Mapping[str, Agent] | None = None, /) -> "HostFederate":
+        """A federate with these agents; ``objects``: those that exist already, by vehicle."""
 
 
 class HostFederate(Federate, Protocol):

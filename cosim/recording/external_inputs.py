@@ -6,9 +6,8 @@ everything that they told is kept here, at its time and to the last bit, as Mess
 
 =======================  ==========================================================================================
 ``<vehicle>/<topic>``    an event that the vehicle gave: its estimate, odometry, fixes, readings, how it stands
-``<vehicle>/reflected``  how physics was told that it moves, at each instant that physics asked
-(`cosim.kernel.external_vehicles`) ``bridge/sent``          what programs handed to radios: numbers, sizes and times
-(`Datagrams`)
+``<vehicle>/reflected``  the motion that physics was given, at each instant that it asked (`cosim.federate.Outside`)
+``bridge/sent``          what programs handed to radios: numbers, sizes and times (`Datagrams`)
 =======================  ==========================================================================================
 """
 
@@ -51,19 +50,23 @@ MSGPACK = Form("msgpack", encode_into, schema_of)
 
 
 class InputLog:
-    """Writes the file as the run goes on: a crash takes the last second with it, and no more.
+    """Writes the file while the run goes on, from `open` on: a crash loses the last second at most."""
 
-    Args:
-        stream: an open binary stream, which stays its owner's; None: keep it in memory (`content`).
-    """
+    def __init__(self) -> None:
+        self._memory: io.BytesIO | None = None
+        self._log: McapLog | None = None
+        self._due_ns = LOST_NS
 
-    def __init__(self, stream: BinaryIO | None) -> None:
-        self._memory = io.BytesIO() if stream is None else None
-        self._log = McapLog(stream or self._memory, {"content": "inputs"}, MSGPACK)  # type: ignore[arg-type]  # one is there
-        self._due_ns, self._open = LOST_NS, True
+    def open(self, stream: BinaryIO | None = None) -> None:
+        """Begin to write into a binary stream, which the caller closes; None: into memory (`content`)."""
+        if stream is None:
+            stream = self._memory = io.BytesIO()
+        self._log = McapLog(stream, {"content": "inputs"}, MSGPACK)
 
     def on(self, key: str, time_ns: int, value: AnyValue) -> None:
-        """Keep a value; times never decrease."""
+        """Write a value, if the file is open; times never decrease."""
+        if self._log is None:
+            return
         if time_ns >= self._due_ns:
             self._log.flush()
             self._due_ns = time_ns + LOST_NS
@@ -71,9 +74,9 @@ class InputLog:
 
     def close(self) -> None:
         """Finish the file. May be called again."""
-        if self._open:
+        if self._log is not None:
             self._log.finish()
-            self._open = False
+            self._log = None
 
     @property
     def content(self) -> bytes:

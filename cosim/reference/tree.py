@@ -20,7 +20,7 @@ from vcmvsp.cosim.scenario.expand import Repeat
 from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, VehicleTable
 
 SCHEMA = "vcmvsp.reference/1"
-REST = ("defaults", "params", "doors", "channel", "router")  # what is no key of the table itself
+REST = ("defaults", "params", "doors", "channel", "router", "programs")  # what is no key of the table itself
 OF_ALL = ("world", "sensor")  # groups whose kinds have much in common: it is said once
 VEHICLE = "vehicle.NAME"
 DOORS = (*builtin_kinds.KINDS["door"],)

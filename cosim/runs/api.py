@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from vcmvsp.cosim.agent import Agent
-from vcmvsp.cosim.assembly.federates import Assembly
-from vcmvsp.cosim.clock import Clock, SimClock, WallClock
-from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.assembly import real_vehicles
+from vcmvsp.cosim.assembly.run import assemble, clock_of
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.kernel.event_bus import Observer
 from vcmvsp.cosim.kernel.kernel import Kernel
@@ -71,9 +71,8 @@ def run(
         progress: called with (now, end) in ns before every instant.
         tell: takes lines for the user.
         observe: called with every event at its own time, behind the recording. What it does changes nothing of the run.
-        view: where the run is shown while it goes on, and interfered with (`cosim.view.live.session.Viewing`); it then keeps
-        to the
-            wall clock, at speed 1 unless ``realtime`` says otherwise, until somebody there wants another.
+        view: shows the run while it goes on, and lets its user intervene (`cosim.view.live.session.Viewing`). The run then
+            keeps to the wall clock, at speed 1 unless ``realtime`` says otherwise, until the user there changes it.
         watch: asked while hosts are waited for; an answer is why there is no use in it. None: the user starts them, told how.
 
     Raises:
@@ -83,37 +82,36 @@ def run(
         UsageError: an argument is none of those, or there is a run in ``out`` already.
     """
     objects, runs = (None, agents) if agents is None or isinstance(agents, str) else (agents, None)
-    if runs is not None and runs not in (*get_args(Runs), "encoded"):  # the last as `Assembly` has it, for who tests the wire
+    if runs is not None and runs not in (*get_args(Runs), "encoded"):  # the last as `assemble` has it, for who tests the wire
         raise UsageError(f"agents: must be {binding.describe(Runs)}, not {runs!r}")
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
         raise UsageError("mcap = False: what is written into a folder includes the MCAP file")
     parsed, source = scenarios.load(scenario, settings=set, seed=seed)
     started, cpu = datetime.now(UTC), time.process_time()
+    replayed = None if playback is None else external_inputs.read_inputs(Path(playback) / external_inputs.FILE, tell=tell)
     try:
-        folder_of_keys = None if keys is None else Path(keys)
-        with Assembly(
+        with assemble(
             parsed,
             source,
+            clock=clock_of(parsed, realtime, replayed=replayed is not None),
             objects=objects,
             runs=runs,
             listen=listen,
-            keys=folder_of_keys,
+            keys=None if keys is None else Path(keys),
             insecure=insecure,
-            robots=playback is None,
-            **({} if playback is None else _played(Path(playback), parsed, tell)),
+            connect=replayed is None,
+            playback=None if replayed is None else real_vehicles.playback(parsed, replayed, tell),
+            bridged=replayed,
             recorded_radio=None if recorded_radio is None else Path(recorded_radio),
             tell=tell,
             watch=watch,
-        ) as assembly:
+        ) as assembled:
             if playback is not None:
-                assembly.keep(Path(playback) / external_inputs.FILE)  # so that a replay can be replayed
-            clock, live = _clock(assembly, realtime), None
-            if view is not None:
-                live = view.live(parsed, source, assembly, realtime or 1.0, paced=clock if assembly.outsiders else None)
-                clock = live.clock
-            observers = () if observe is None else (observe,)
-            simulation = Simulation(assembly, clock, folder, progress, tell, mcap=mcap, observers=observers, live=live)
+                assembled.keep(Path(playback) / external_inputs.FILE)  # so that a replay can be replayed
+            simulation = Simulation(
+                assembled, folder, mcap=mcap, progress=progress, tell=tell, observe=observe, view=view, speed=realtime
+            )
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
                 result = simulation.result(failure, started, time.process_time() - cpu)
@@ -125,27 +123,6 @@ def run(
     return result
 
 
-def _played(folder: Path, scenario: schema.Scenario, tell: Tell) -> dict[str, Any]:
-    """What real vehicles and programs did in the run that left this folder: what an `Assembly` takes in their place."""
-    given = external_inputs.read_inputs(folder / external_inputs.FILE, tell=tell)
-    robots = registry.piece("playback")(scenario.real, given, tell=tell) if scenario.real else None
-    return {"playback": robots, "bridged": given}
-
-
-def _clock(assembly: Assembly, realtime: float | None) -> Clock:
-    """What paces the run: the wall clock, where somebody wants it, or a real robot or a program is in it."""
-    robots, bridge = assembly.robots, assembly.bridge
-    if robots is not None and realtime not in (None, 1.0):
-        names = ", ".join(robots.names)
-        raise UsageError(f"--realtime {realtime:g}: real vehicles ({names}) keep to the wall clock, at speed 1")
-    if robots is None and bridge is None and realtime is None:
-        return SimClock()
-    clock: WallClock = WallClock(realtime or 1.0) if robots is None else robots.clock
-    if bridge is not None:
-        bridge.clock = clock
-    return clock
-
-
 def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | None = None) -> dict[str, Any]:  # noqa: A002
     """Build and start everything, run nothing, and give the resolved scenario.
 
@@ -155,11 +132,11 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
         ScenarioError: the scenario cannot be run as it is.
     """
     parsed, source = scenarios.load(scenario, settings=set)
-    with Assembly(parsed, source, runs="here") as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
-        assembly.start(kernel)
+    with assemble(parsed, source, runs="here") as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
+        assembled.start(kernel)
         kernel.close()
-        return assembly.resolved()
+        return assembled.resolved()
 
 
 def plot(run_dir: Path, out: Path, *, svg: bool = False) -> list[Path]:

@@ -7,7 +7,7 @@ import platform
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -17,13 +17,13 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from vcmvsp.cosim.assembly.federates import Assembly
-from vcmvsp.cosim.clock import SECOND_NS, Clock, seconds_to_ns
+from vcmvsp.cosim.assembly.run import AssembledRun
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, VcmvspError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.event_bus import Observer
 from vcmvsp.cosim.kernel.kernel import Kernel
-from vcmvsp.cosim.recording.external_inputs import FILE, InputLog
+from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.runs.result import Result
 from vcmvsp.cosim.tables.schema import write_table
@@ -32,7 +32,7 @@ from vcmvsp.cosim.util.files import Folder, finite
 from vcmvsp.cosim.util.text import Tell, plain
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.view.live.control import Live
+    from vcmvsp.cosim.view.live.session import Viewing
 
 Progress = Callable[[int, int], None]
 ABOUT_SCHEMA = "vcmvsp.about/1"
@@ -41,38 +41,48 @@ DELIVERIES = "bridge.parquet"
 
 
 class Simulation:
-    """One run: kernel and recording, from the first event to the files."""
+    """One run: kernel and recording, from the first event to the files.
+
+    Args:
+        run: the federates.
+        folder: takes the files; None: they stay in memory.
+        mcap: record ``run.mcap``.
+        progress: called with (now, end) in ns before every instant.
+        tell: takes lines for the user.
+        observe: called with every event, behind the recording.
+        view: shows the run, and lets its user intervene.
+        speed: of the view at first, simulated seconds per second.
+    """
 
     def __init__(
         self,
-        assembly: Assembly,
-        clock: Clock,
+        run: AssembledRun,
         folder: Folder | None,
-        progress: Progress | None,
-        tell: Tell,
         *,
         mcap: bool,
-        observers: Sequence[Observer] = (),
-        live: "Live | None" = None,
+        progress: Progress | None,
+        tell: Tell,
+        observe: Observer | None = None,
+        view: "Viewing | None" = None,
+        speed: float | None = None,
     ) -> None:
-        self._assembly, self._clock, self._folder = assembly, clock, folder
-        self._observers, self._live = (*observers, *(() if live is None else (live.on,))), live
-        self._progress, self._tell, self._over = progress, tell, False
-        self._resolved = assembly.resolved()  # before the run: what is wrong with it must not cost the run
-        run = msgspec.structs.replace(assembly.run_info, paced=clock.speed is not None)
-        self._kernel = Kernel(
-            run, assembly.federates, clock=clock, tolerance_ns=self._tolerance_ns(), strict=assembly.clock.late == "stop"
-        )
-        if live is not None:
-            live.stop, live.tell = self._stop, tell
+        self._run, self._folder, self._progress, self._tell, self._over = run, folder, progress, tell, False
+        self._live = None if view is None else view.live(run, speed or 1.0, stop=self._stop, tell=tell)
+        self._clock = run.clock if self._live is None else self._live.clock
+        topics, live = run.hosts.topics, self._live
+        onlookers = (topics.on if topics else None, observe, live.on if live else None)
+        self._observers = [each for each in onlookers if each is not None]
+        self._resolved = run.resolved()  # before the run: what is wrong with it must not cost the run
+        info = msgspec.structs.replace(run.info, paced=self._clock.speed is not None)
+        strict = run.scenario.clock.late == "stop"
+        self._kernel = Kernel(info, run.federates, clock=self._clock, tolerance_ns=self._tolerance_ns(), strict=strict)
         self._mcap = io.BytesIO() if mcap and folder is None else None
         self._recorder: Recorder | None = None
-        self._kept: InputLog | None = None
 
     def run(self) -> VcmvspError | None:
         """Run to the end; what goes wrong once the run has begun is returned, so that the recording can be kept."""
         kernel = self._kernel
-        self._assembly.start(kernel)
+        self._run.start(kernel)
         try:
             with self._recording() as recorder:
                 failure = self._go(recorder)
@@ -136,7 +146,7 @@ class Simulation:
 
     def _on_instant(self) -> Callable[[int], None] | None:
         """What is told of each instant before it begins: who shows how far the run is, and who listens to those who look on."""
-        progress, live, end_ns = self._progress, self._live, self._assembly.run_info.duration_ns
+        progress, live, end_ns = self._progress, self._live, self._run.info.duration_ns
         if live is None:
             return None if progress is None else lambda now: progress(now, end_ns)
 
@@ -149,8 +159,7 @@ class Simulation:
 
     def _observer(self, recorder: Recorder) -> Observer:
         """The recording, and behind it all others that look on."""
-        topics = self._assembly.topics
-        others = (*(() if topics is None else (topics.on,)), *self._observers)
+        others = self._observers
         if not others:
             return recorder.on
 
@@ -166,91 +175,74 @@ class Simulation:
         with contextlib.ExitStack() as stack:
             stream: BinaryIO | None = self._mcap
             if self._folder is not None:
-                stream = stack.enter_context((self._folder.claim() / "run.mcap").open("wb" if self._folder.force else "xb"))
+                stream = self._new_file(stack, self._folder.claim() / "run.mcap")
                 self._write_scenario(self._folder.path)
-            assembly = self._assembly
-            self._recorder = Recorder(
-                assembly.run_info,
-                record_ticks=assembly.record_ticks,
-                mcap=stream,
-                agents=assembly.infos,
-                radius_m=assembly.radius_m,
-                sensors=assembly.recorded_sensors,
-                world=assembly.world,
-                tell=lambda text: None if self._over else self._tell(text),
-            )
-            with self._inputs(stack):
-                yield self._recorder
+            self._recorder = self._run.recorder(stream, lambda text: None if self._over else self._tell(text))
+            if self._run.has_outside and stream is not None:
+                inputs = None if self._folder is None else self._new_file(stack, self._folder.path / FILE)
+                self._run.inputs.open(inputs)
+                stack.callback(self._run.inputs.close)
+            yield self._recorder
 
-    @contextlib.contextmanager
-    def _inputs(self, stack: contextlib.ExitStack) -> Iterator[None]:
-        """Keep what comes from outside, for a replay."""
-        outsiders = self._assembly.outsiders
-        if not outsiders or (self._folder is None and self._mcap is None):
-            yield
-            return
-        stream: BinaryIO | None = None
-        if self._folder is not None:
-            stream = stack.enter_context((self._folder.path / FILE).open("wb" if self._folder.force else "xb"))
-        self._kept = InputLog(stream)
-        for each in outsiders:
-            each.log = self._kept.on
-        try:
-            yield
-        finally:
-            self._kept.close()
+    def _new_file(self, stack: contextlib.ExitStack, path: Path) -> BinaryIO:
+        """A file that is open until the stack closes it; one that is there already is replaced only where the user says so."""
+        return stack.enter_context(path.open("wb" if self._folder and self._folder.force else "xb"))
 
     def _write_scenario(self, folder: Path) -> None:
         """Write the scenario and its files, for those who look at the recording of a run that goes on, or was killed."""
         (folder / "scenario.toml").write_text(tomli_w.dumps(self._resolved), "utf-8")
-        for name, content in self._assembly.files.items():
+        for name, content in self._run.files.items():
             (folder / name).write_bytes(content)
 
     def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> Result:
         """The result, written to the folder if there is one."""
-        assembly, recorder = self._assembly, self._recorder
+        run, recorder = self._run, self._recorder
         if recorder is None:
             raise failure or VcmvspError("the run did not begin")
-        resolved = assembly.resolved() if assembly.operator.done else self._resolved  # with what was done live
+        resolved = run.resolved() if run.operator.done else self._resolved  # with what was done live
         metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
-        wall_s = (datetime.now(UTC) - started).total_seconds()
-        about = {
+        files = dict(run.files)
+        if run.inputs.content:
+            files[FILE] = run.inputs.content
+        if run.bridge is not None:
+            table = io.BytesIO()
+            write_table(run.bridge.table(), table)
+            files[DELIVERIES] = table.getvalue()
+        about = self._about(failure, started, cpu_s)
+        result = Result(recorder, metrics, about, resolved, files, self._mcap, run.world)
+        if self._folder is not None:
+            result.write(self._folder.path)
+        return result
+
+    def _about(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> dict[str, Any]:
+        """``about.json``: what differs between two equal runs."""
+        run = self._run
+        return {
             "schema": ABOUT_SCHEMA,
             "started": started.isoformat(),
-            "wall_s": wall_s,
+            "wall_s": (datetime.now(UTC) - started).total_seconds(),
             "simulating_s": self._simulating_s,
             "cpu_s": cpu_s,
             "simulated_s": self._kernel.now_ns / 1e9,
-            "agents": assembly.where,
+            "agents": run.where,
             "lateness": self._lateness(),
-            "cuts_s": assembly.cuts_s,
-            **({} if assembly.bridge is None else {"bridge": assembly.bridge.lateness}),
+            "cuts_s": run.hosts.cuts_s,
+            **({} if run.bridge is None else {"bridge": run.bridge.lateness}),
             "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
             "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},
             "versions": _versions(),
         }
-        files = dict(assembly.files)
-        if self._kept is not None and self._folder is None:
-            files[FILE] = self._kept.content
-        if assembly.bridge is not None:
-            table = io.BytesIO()
-            write_table(assembly.bridge.table(), table)
-            files[DELIVERIES] = table.getvalue()
-        result = Result(recorder, metrics, about, resolved, files, self._mcap, assembly.world)
-        if self._folder is not None:
-            result.write(self._folder.path)
-        return result
 
     def _tolerance_ns(self) -> int | None:
         """How late an instant may begin on the wall clock; None: there is no such clock."""
         if self._clock.speed is None:
             return None
-        wanted = self._assembly.clock.tolerance_s
+        wanted = self._run.scenario.clock.tolerance_s
         return seconds_to_ns(self._period_s() if wanted is None else wanted)
 
     def _period_s(self) -> float:
         """Of the quickest agent, on the wall clock."""
-        periods = [float(info.ticks.period) / SECOND_NS for info in self._assembly.infos]
+        periods = [float(info.ticks.period) / SECOND_NS for info in self._run.agents]
         return min(periods, default=0.1) / (self._clock.speed or 1.0)
 
     def _lateness(self) -> dict[str, Any] | None:

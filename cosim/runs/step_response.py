@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.errors import UsageError
@@ -118,9 +118,9 @@ def drive(
         vehicle=tuple(msgspec.structs.replace(each, agent=None) for each in parsed.vehicle),
     )
     seen = _Seen(vehicle, flies=flies)
-    with Assembly(alone, source, objects={vehicle: Constant(given, period_s)}) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
-        assembly.start(kernel)
+    with assemble(alone, source, objects={vehicle: Constant(given, period_s)}) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
+        assembled.start(kernel)
         try:
             kernel.run(seen.on)
         finally:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.runs import api
@@ -79,11 +79,11 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
             raise UsageError("a study has no programs to talk to: leave [bridge] and [sockets] out")
         if parsed.real:
             raise UsageError(f"a study drives no real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
-        with Assembly(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembly:
-            assembly.resolved()  # only then are all files known
-            files = assembly.files
-            kernel = Kernel(assembly.run_info, assembly.federates)
-            assembly.start(kernel)
+        with assemble(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembled:
+            assembled.resolved()  # only then are all files known
+            files = assembled.files
+            kernel = Kernel(assembled.info, assembled.federates)
+            assembled.start(kernel)
             kernel.close()
     except ScenarioError as error:
         asked = re.match(r"--set (\S+)=", error.source)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.agent import AgentInfo
+from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.config.provenance import Source
@@ -39,7 +40,7 @@ def scenery_of(
         ScenarioError: the world, or the kind of a vehicle, cannot be built.
     """
     if world is None:
-        world, _ = factory.world_of(scenario.world, source, seed=scenario.seed)
+        world, _ = worlds.build(scenario.world, source, seed=scenario.seed)
     vertices, triangles = world.mesh()
     agents = {info.vehicle: info for info in infos}
     kinds: dict[str, Any] = {}  # a file is executed once, not for each vehicle

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
-from vcmvsp.cosim.types import AnyValue, Array, Datagrams, Reception, States, Traffic, frozen
+from vcmvsp.cosim.federate import Event, Log, RunInfo, Slot, Step
+from vcmvsp.cosim.types import Array, Datagrams, Reception, States, Traffic, frozen
 from vcmvsp.netsim.bridge.echoes import Echoes
 from vcmvsp.netsim.bridge.gateways.base import LARGEST
 from vcmvsp.netsim.bridge.lateness import Lateness
@@ -40,9 +40,6 @@ PATIENCE_NS = 100_000_000  # unless it has taken nothing for so long
 TOO_LONG = f"said by agents in more than {LARGEST} bytes"
 KILLED = "bridge: its process did not end by itself and was killed"
 _NETWORKS = ": 'vcmvsp net down' clears away what it leaves behind"
-
-Log = Callable[[str, int, AnyValue], None]
-"""Takes what a replay needs: key, time, value."""
 
 
 class Paced(Protocol):
@@ -88,7 +85,9 @@ class Bridge:
         vehicles: of the run, in its order.
         agents: whether agents hear programs, and programs agents.
         air: asked for levels where a door wants them.
+        clock: paces the run.
         tell: takes lines for the user.
+        log: takes what a replay needs: key, time, value.
         connect: open the doors; else nothing comes, as long as a scenario is being checked.
     """
 
@@ -106,13 +105,14 @@ class Bridge:
         vehicles: Sequence[str],
         agents: bool,
         air: Air,
+        clock: Paced,
         tell: Callable[[str], None],
+        log: Log,
         connect: bool,
     ) -> None:
         self.reads: tuple[str, ...] = ("radio/traffic", "*/heard") if agents else ("radio/traffic",)
         self.wakes: tuple[str, ...] = self.reads
-        self.clock: Paced | None = None  # whoever builds the run's says which
-        self.log: Log = lambda *_: None
+        self._clock, self._log = clock, log
         specs = tuple(wire.DoorSpec(name=each.name, kind=each.kind, params=each.params) for each in doors)
         self._opening = wire.Opening(run=run, folder=folder, vehicles=tuple(vehicles), doors=specs, payloads=agents)
         self._vehicles = tuple(vehicles)
@@ -185,7 +185,7 @@ class Bridge:
             events = [Event("bridge/sent", now_ns, self._datagrams(came)) for came in self._ripe]
             self._ripe = []
             for event in events:
-                self.log(event.key, event.time_ns, event.value)
+                self._log(event.key, event.time_ns, event.value)
             process.say(message_chunks.taken_over(self._taken))  # what comes meanwhile may be gathered
         if self._levels_due and self._states is not None:
             self._say_levels(process, self._states)
@@ -206,7 +206,7 @@ class Bridge:
     def _behind(self, now_ns: int) -> bool:
         """Whether the run is to catch up with the wall clock first: programs that say much must not hold it up."""
         wall_ns = time.monotonic_ns()
-        if wall_ns - self._paced.monotonic_ns(now_ns) > BEHIND_NS and wall_ns - self._took_ns < PATIENCE_NS:
+        if wall_ns - self._clock.monotonic_ns(now_ns) > BEHIND_NS and wall_ns - self._took_ns < PATIENCE_NS:
             return True
         self._took_ns = wall_ns
         return False
@@ -222,7 +222,7 @@ class Bridge:
         wishes += [wall_ns] if self._came else []  # it has caught up then
         if not wishes or now_ns >= self._end_ns:
             return None
-        again_ns = min(max(now_ns + 1, self._paced.logical_ns(min(wishes))), self._end_ns)
+        again_ns = min(max(now_ns + 1, self._clock.logical_ns(min(wishes))), self._end_ns)
         if not now_ns < self._again_ns <= again_ns:  # else that stays: each one that is asked for costs an instant
             self._again_ns = again_ns
         return self._again_ns
@@ -243,17 +243,12 @@ class Bridge:
             elif isinstance(message, wire.Asked):
                 self._wants_levels = True
 
-    @property
-    def _paced(self) -> Paced:
-        assert self.clock is not None  # noqa: S101  it is set before the run begins
-        return self.clock
-
     def _datagrams(self, came: wire.Came) -> Datagrams:
         """What came, in the run's time: within the run, and in order for each sender.
 
         Where the run is late, that is after now: taken for sent now, it would arrive before its time.
         """
-        logical_ns = self._paced.logical_ns
+        logical_ns = self._clock.logical_ns
         sent_ns = np.array([logical_ns(each) for each in came.came_ns.tolist()], np.int64).clip(0, self._end_ns - 1)
         for sender in np.unique(came.sender):
             own = came.sender == sender
@@ -273,7 +268,7 @@ class Bridge:
         )
 
     def _on_traffic(self, process: Beside, traffic: Traffic) -> None:
-        monotonic_ns = self._paced.monotonic_ns
+        monotonic_ns = self._clock.monotonic_ns
         at_ns = np.array([monotonic_ns(each) for each in traffic.arrival_ns.tolist()], np.int64)
         self._late.due(traffic, at_ns)
         if self._opening.payloads:
@@ -287,5 +282,5 @@ class Bridge:
             self._own_counts.setdefault(vehicle, Counter())[TOO_LONG] += 1
         elif payload is not None:
             sender, receiver = self._row[heard.message.sender], self._row[vehicle]
-            at_ns = self._paced.monotonic_ns(heard.received_ns)
+            at_ns = self._clock.monotonic_ns(heard.received_ns)
             process.say(wire.Spoken(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))

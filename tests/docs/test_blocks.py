@@ -22,7 +22,7 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.federate import RunInfo
 
 DO = (
-    "A block in a README that is neither a scenario nor for a shell is used by a test (`tests.support.docs.readme_pages.block`)."
+    "A block in a README that is neither a scenario nor for a shell is used by a test (`tests.support.docs.readme_pages`)."
     " Name it in SHOWN in tests/support/docs/readme_coverage.py, or say there why there can be none."
 )
 CARS = """

@@ -15,9 +15,9 @@ import pytest
 
 import vcmvsp
 from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
-from vcmvsp.cosim.federate import Event, Instants, RunInfo
+from vcmvsp.cosim.federate import Event, Instants, Log, RunInfo
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario.schema import SafetyTable
 from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
@@ -72,14 +72,15 @@ def vehicle(**changes: Any) -> RealVehicle:
     return RealVehicle(**{**given, **changes})
 
 
-def federate(*, period_ns: int = TENTH) -> tuple[Hardware, Station]:
+def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None) -> tuple[Hardware, Station]:
     """One that is connected to a station of ours, at time 0."""
-    made, station = Hardware((vehicle(),), run="test", tell=lambda _: None, connect=False), Station()
+    station, radius_m = Station(), {"car2": 0.3}
+    made = Hardware((vehicle(),), run="test", clock=WallClock(), radius_m=radius_m, tell=lambda _: None, log=log, connect=False)
     info = RunInfo(scenario="test", seed=0, duration_ns=10 * SECOND_NS, vehicles=("car1", "car2"), instants=(each(period_ns),))
     made.start(info)
     made._connect = True
     made._seats["car1"].station = station
-    made.clock.start()
+    made._clock.start()
     return made, station
 
 
@@ -119,10 +120,9 @@ def test_orders_are_said_again_at_every_heartbeat_and_at_every_command() -> None
 
 def test_a_station_is_told_where_the_others_are_now_and_not_where_they_were() -> None:
     made, station = federate()
-    made.radius_m = {"car2": 0.3}
-    seen_ns = made.clock.logical_ns(time.monotonic_ns()) - SECOND_NS // 2
+    seen_ns = made._clock.logical_ns(time.monotonic_ns()) - SECOND_NS // 2
     made.step(0, [world(seen_ns, x=2.0, v=-1.0)])
-    longest_s = (made.clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS
+    longest_s = (made._clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS
     others = station.heard[-1].others
     assert others is not None
     ((x, y, z, vx, vy, vz, radius),) = others.tolist()
@@ -135,9 +135,8 @@ def test_a_station_is_told_where_the_others_are_now_and_not_where_they_were() ->
 
 
 def test_events_are_given_at_the_instants_of_the_run_alone_and_logged() -> None:
-    made, station = federate()
     logged: list[tuple[str, int]] = []
-    made.log = lambda key, time_ns, _: logged.append((key, time_ns))
+    made, station = federate(log=lambda key, time_ns, _: logged.append((key, time_ns)))
     station.saying = [report()]
     keys = [event.key for event in made.step(0, ()).events]
     assert keys == ["car1/estimate", "car1/real"]

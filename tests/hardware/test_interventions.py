@@ -59,7 +59,7 @@ def test_the_command_is_as_old_as_that_of_the_agent_who_must_be_heard_all_the_sa
     given_ns = station.heard[-1].command_ns
     made.step(5 * TENTH, ())
     assert (station.heard[-1].command, station.heard[-1].command_ns) == (STILL, given_ns)
-    assert given_ns == made.clock.monotonic_ns(TENTH)
+    assert given_ns == made._clock.monotonic_ns(TENTH)
 
 
 def test_the_status_says_why_it_stands() -> None:

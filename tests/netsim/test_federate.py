@@ -143,8 +143,8 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
     monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.LOAD_AFTER", 10)
 
     def fates(*, paced: bool) -> list[tuple[str, ...]]:
-        radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
-        radio.programs = programs
+        channel = make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3})
+        radio = RadioFederate(channel, programs=programs)
         radio.start(msgspec.structs.replace(RUN, paced=paced))
         before = len(compiled)
         radio.step(0, [states(0, 0.0, 20.0, 60.0)])

@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Sequence
 
 from vcmvsp.cosim.assembly.interventions import Operator
-from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock, SimClock
+from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.scenario.schema import HaltTable, InterventionTable, MoveTable, OutageTable, SetTable
+from vcmvsp.cosim.util.text import Tell
 from vcmvsp.cosim.view.live.feed import Feed
 from vcmvsp.cosim.view.messages import Change, End, Go, Halt, Line, Move, Order, Outage, Pace
 
@@ -23,18 +24,26 @@ class Live:
     Args:
         feed: to the station.
         operator: who does what is asked for.
-
-    Attributes:
-        clock: what paces the run; one that is not a `LiveClock` cannot be held up.
+        clock: makes the clock that paces the run, given what it calls while it waits; one that is no `LiveClock` cannot be
+            held up.
         stop: ends the run, as Ctrl-C does.
         tell: takes lines for the user.
+
+    Attributes:
+        clock: paces the run.
     """
 
-    def __init__(self, feed: Feed, operator: Operator) -> None:
-        self._feed, self._operator = feed, operator
-        self.clock: Clock = SimClock()
-        self.stop: Callable[[], None] = lambda: None
-        self.tell: Callable[[str], None] = lambda _: None
+    def __init__(
+        self,
+        feed: Feed,
+        operator: Operator,
+        *,
+        clock: Callable[[Callable[[], None]], Clock],
+        stop: Callable[[], None],
+        tell: Tell,
+    ) -> None:
+        self._feed, self._operator, self._stop, self._tell = feed, operator, stop, tell
+        self.clock = clock(self.listen)
         self._now_ns, self._heard_ns, self._alone = 0, 0, False
 
     def on(self, event: Event) -> None:
@@ -58,7 +67,7 @@ class Live:
         self._feed.pace(self._pace())
         if not self._feed.open and not self._alone:
             self._alone = True
-            self.tell(f"the control station has gone{self._feed.problem and f': {self._feed.problem}'}; the run goes on")
+            self._tell(f"the control station has gone{self._feed.problem and f': {self._feed.problem}'}; the run goes on")
             if isinstance(self.clock, LiveClock) and self.clock.paused:  # nobody is left who could let it
                 self.clock.go(paused=False, speed=self.clock.speed)
 
@@ -72,7 +81,7 @@ class Live:
                 raise ValueError("robots and programs outside keep to the wall clock")  # noqa: TRY004  it is a wish, not a type
             self.clock.go(paused=order.paused, speed=_speed(order.speed), step_ns=max(0, order.step_ns))
         elif isinstance(order, End):
-            self.stop()
+            self._stop()
         elif (table := _intervention(order)) is not None:
             self._operator.ask(table)
 

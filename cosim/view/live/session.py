@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.clock import Clock, LiveClock
-from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.scenario.schema import Scenario
+from vcmvsp.cosim.util.text import Tell
 from vcmvsp.cosim.view.live.control import Live, may
 from vcmvsp.cosim.view.live.server_process import Viewer
 from vcmvsp.cosim.view.scenery import scenery_of
@@ -32,22 +31,18 @@ class Viewing:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def live(
-        self, scenario: Scenario, source: Source, assembly: Assembly, speed: float | None, *, paced: Clock | None = None
-    ) -> Live:
+    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> Live:
         """Open the page of a run.
 
         Args:
-            scenario: of the run.
-            source: where it was read from.
-            assembly: its federates.
-            speed: simulated seconds per second at first.
-            paced: what paces the run whatever somebody here wants, since robots or programs outside take part.
+            run: its federates.
+            speed: simulated seconds per second at first; robots and programs at wall pace keep to that of their clock.
+            stop: ends the run, as Ctrl-C does.
+            tell: takes lines for the user.
         """
-        world: Any = assembly.world
-        keys = assembly.air.adjustable()
-        allowed = may(movables=world.movables, keys=tuple(keys), held_up=paced is None)
-        scenery = scenery_of(scenario, source, world=world, infos=assembly.infos, live=True, may=allowed, keys=keys)
+        world, keys = run.world, run.radio.adjustable()
+        allowed = may(movables=world.movables, keys=tuple(keys), held_up=not run.has_outside)
+        scenery = scenery_of(run.scenario, run.source, world=world, infos=run.agents, live=True, may=allowed, keys=keys)
         self._viewer = Viewer.open(
             scenery,
             self._host,
@@ -56,9 +51,11 @@ class Viewing:
             targets={each.name: each.place for each in world.targets},
         )
         self._opened(self._viewer.url)
-        live = Live(self._viewer.feed, assembly.operator)
-        live.clock = LiveClock(speed, live.listen) if paced is None else paced
-        return live
+
+        def clock(listen: Callable[[], None]) -> Clock:
+            return run.clock if run.has_outside else LiveClock(speed, listen)
+
+        return Live(self._viewer.feed, run.operator, clock=clock, stop=stop, tell=tell)
 
     def stay(self) -> None:
         """Leave the page open until Ctrl-C is pressed."""

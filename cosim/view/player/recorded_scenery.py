@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.config import factory
+from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.view.messages import Craft, Scenery
@@ -42,7 +42,7 @@ def stage_of(path: Path, vehicles: Sequence[str]) -> Stage:
     scenario, source = scenarios.load(path)
     if tuple(each.name for each in scenario.vehicle) != tuple(vehicles):
         raise ValueError(f"{path} is of another run than the recording beside it")
-    world, _ = factory.world_of(scenario.world, source, seed=scenario.seed)
+    world, _ = worlds.build(scenario.world, source, seed=scenario.seed)
     return Stage(scenery_of(scenario, source, world=world, may=MAY), world)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import vcmvsp
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly import run as assembly
 from vcmvsp.cosim.assembly.interventions import Operator
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
@@ -112,13 +112,13 @@ def test_what_was_done_live_is_repeated_to_the_byte(preset: str, tmp_path: Path,
         50: HaltTable(at_s=0.0, vehicles=("car1",), halted=False),
     }
     seen: list[Operator] = []
-    built = Assembly._build_operator
+    built = assembly._operator
 
-    def build(self: Assembly, *parts: Any) -> Operator:
-        seen.append(built(self, *parts))
+    def build(*parts: Any) -> Operator:
+        seen.append(built(*parts))
         return seen[-1]
 
-    monkeypatch.setattr(Assembly, "_build_operator", build)
+    monkeypatch.setattr(assembly, "_operator", build)
     instants, settings = 0, {"radio.preset": preset}
 
     def progress(now_ns: int, end_ns: int) -> None:

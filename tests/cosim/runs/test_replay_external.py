@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog, read_inputs
-from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Fix, Odometry, VehicleState
 from vcmvsp.hardware.playback import Playback
@@ -88,25 +87,25 @@ class Robot:
         self._log.close()
 
 
+def opened_log() -> InputLog:
+    log = InputLog()
+    log.open()
+    return log
+
+
 def run(vehicles: Any, **changed: Any) -> tuple[bytes, str, list[Event]]:
     """``run.mcap``, the digest, and what the agents and the radio gave."""
     parsed, source = scenarios.load(SCENARIO, settings=changed)
     stream, events = io.BytesIO(), list[Event]()
-    with Assembly(parsed, source, playback=vehicles) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
-        recorder = Recorder(
-            assembly.run_info,
-            record_ticks=assembly.record_ticks,
-            mcap=stream,
-            agents=assembly.infos,
-            radius_m=assembly.radius_m,
-        )
+    with assemble(parsed, source, playback=vehicles) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
+        recorder = assembled.recorder(stream)
 
         def on(event: Event) -> None:
             recorder.on(event)
             events.append(event)
 
-        assembly.start(kernel)
+        assembled.start(kernel)
         try:
             kernel.run(on)
         finally:
@@ -122,7 +121,7 @@ Recorded = tuple[list[Input], tuple[bytes, str, list[Event]]]
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """What came from outside, out of the file, and what the run gave."""
-    log, path = InputLog(None), tmp_path_factory.mktemp("recorded") / "hardware.mcap"
+    log, path = opened_log(), tmp_path_factory.mktemp("recorded") / "hardware.mcap"
     given = run(Robot(log))
     path.write_bytes(log.content)
     return read_inputs(path), given
@@ -134,7 +133,7 @@ def of(events: Sequence[Event], prefix: str) -> list[Any]:
 
 def test_unchanged_it_is_the_same_run(recorded: Recorded) -> None:
     inputs, (mcap, digest, events) = recorded
-    assert run(Robot(InputLog(None)))[1] != digest  # no two runs of a robot are the same
+    assert run(Robot(opened_log()))[1] != digest  # no two runs of a robot are the same
     again = run(Playback(("car1",), inputs))
     assert again[1] == digest
     assert again[0] == mcap
@@ -142,7 +141,7 @@ def test_unchanged_it_is_the_same_run(recorded: Recorded) -> None:
 
 
 def test_without_bodies_too() -> None:
-    log = InputLog(None)
+    log = opened_log()
     first = run(Robot(log), **{"physics.kind": "kinematic"})
     with tempfile.NamedTemporaryFile() as file:
         file.write(log.content)

@@ -36,7 +36,8 @@ keys = st.sampled_from(["car1/estimate", "car1/reflected", "car2/sonar", "car2/f
 
 
 def written(inputs: list[Input]) -> bytes:
-    log = InputLog(None)
+    log = InputLog()
+    log.open()
     for each in inputs:
         log.on(*each)
     log.close()

@@ -17,7 +17,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, two
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.errors import AgentError, FederateError, UsageError, VcmvspError
 from vcmvsp.cosim.processes.worker_pool import Pool, Worker
 from vcmvsp.cosim.studies import checks, rows
@@ -258,10 +258,10 @@ def test_the_check_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_what_breaks_a_start_is_said_at_once_unless_it_is_an_agent(
     monkeypatch: pytest.MonkeyPatch, error: FederateError, shown: bool
 ) -> None:
-    def start(assembly: Assembly, kernel: Any) -> None:
+    def start(run: AssembledRun, kernel: Any) -> None:
         raise error
 
-    monkeypatch.setattr(Assembly, "start", start)
+    monkeypatch.setattr(AssembledRun, "start", start)
     if shown:
         assert study(two(), vary={LOSS: [0.0]}, seeds=1)["error"].to_pylist() == [None]  # workers start as ever
     else:

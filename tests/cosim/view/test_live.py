@@ -3,18 +3,16 @@
 import socket
 import struct
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import msgspec
 import pytest
 
 import vcmvsp
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.clock import SECOND_NS, LiveClock, seconds_to_ns
-from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import Interrupted
-from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.live.control import Live
@@ -58,11 +56,14 @@ class Desk:
         self._pipe.close()
         self._theirs.close()
 
-    def live(self, scenario: Scenario, source: Source, assembly: Assembly, speed: float | None, *, paced: None) -> Live:
-        scenery = scenery_of(scenario, source, world=assembly.world, live=True)
-        live = Live(Feed(self._pipe, scenery, clock=lambda: self.now_ns / SECOND_NS), assembly.operator)
-        live.clock = LiveClock(speed, live.listen, now=lambda: self.now_ns, sleep=self._sleep)
-        return live
+    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Callable[[str], None]) -> Live:
+        scenery = scenery_of(run.scenario, run.source, world=run.world, live=True)
+        feed = Feed(self._pipe, scenery, clock=lambda: self.now_ns / SECOND_NS)
+
+        def clock(listen: Callable[[], None]) -> LiveClock:
+            return LiveClock(speed, listen, now=lambda: self.now_ns, sleep=self._sleep)
+
+        return Live(feed, run.operator, clock=clock, stop=stop, tell=tell)
 
     def _sleep(self, seconds: float) -> None:
         self.now_ns += max(1, round(seconds * SECOND_NS))

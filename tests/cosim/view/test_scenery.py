@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
@@ -95,7 +95,7 @@ def test_what_agents_said_counts_more_than_what_the_scenario_says() -> None:
     assert (car.agent, car.period_s, car.flies, car.sensors) == ("patrol", 0.2, False, {"scan": "lms"})
     assert (uav.agent, uav.period_s, uav.flies, uav.sensors) == ("", None, True, {})
     parsed, source = scenarios.load("lab-patrol")  # its agents have periods of their own
-    with Assembly(parsed, source) as assembly:
-        told = scenery_of(parsed, source, world=assembly.world, infos=assembly.infos)
+    with assemble(parsed, source) as assembled:
+        told = scenery_of(parsed, source, world=assembled.world, infos=assembled.agents)
     assert scenery_of(parsed, source).vehicles[0].period_s is None
     assert told.vehicles[0].period_s == 0.1

@@ -1,6 +1,7 @@
 """The federate by itself: the test is the bridge process, the clock and the kernel."""
 
 import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -54,12 +55,35 @@ class Clock:
         return logical_ns // self.speed - self.ahead_ns
 
 
+def bridge_of(
+    vehicles: tuple[str, ...],
+    air: Any,
+    clock: Clock,
+    *,
+    doors: Sequence[messages.DoorSpec] = (),
+    agents: bool = False,
+    tell: Callable[[str], None] = print,
+) -> Bridge:
+    return Bridge(
+        doors,
+        run="test",
+        folder=".",
+        vehicles=vehicles,
+        agents=agents,
+        air=air,
+        clock=clock,
+        tell=tell,
+        log=lambda *_: None,
+        connect=False,
+    )
+
+
 def made(*, agents: bool = False) -> tuple[Bridge, Beside, Clock]:
     none: Any = None
-    bridge = Bridge([], run="test", folder=".", vehicles=("a", "b"), agents=agents, air=none, tell=print, connect=False)
+    bridge = bridge_of(("a", "b"), none, clock := Clock(), agents=agents)
     bridge.start(RUN)
     process: Any = Beside()
-    bridge._process, bridge.clock = process, (clock := Clock())
+    bridge._process = process
     return bridge, process, clock
 
 
@@ -136,10 +160,10 @@ def test_levels_of_many_vehicles_are_told_in_pieces_that_a_message_holds() -> No
     levels = np.arange(n * n, dtype=np.float64).reshape(n, n)
     air: Any = Levels(levels)
     names = tuple(f"v{k}" for k in range(n))
-    bridge = Bridge([], run="test", folder=".", vehicles=names, agents=False, air=air, tell=print, connect=False)
+    bridge = bridge_of(names, air, Clock())
     bridge.start(RUN)
     process: Any = Beside()
-    bridge._process, bridge.clock = process, Clock()
+    bridge._process = process
     process.says = [messages.Asked()]
     bridge.poll(MS)
     none = np.zeros((n, 3))
@@ -197,7 +221,7 @@ def test_a_process_that_had_to_be_killed_is_told_of_and_how_to_clear_up_behind_i
     none: Any = None
     told: list[str] = []
     doors = [messages.DoorSpec(name=kind, kind=kind, params={})]
-    bridge = Bridge(doors, run="test", folder=".", vehicles=("a", "b"), agents=False, air=none, tell=told.append, connect=False)
+    bridge = bridge_of(("a", "b"), none, Clock(), doors=doors, tell=told.append)
     process: Any = Beside()
     process.killed, process.close = killed, list
     bridge._process = process

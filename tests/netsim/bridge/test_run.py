@@ -99,13 +99,13 @@ def test_what_arrives_is_what_the_radio_says_datagram_by_datagram() -> None:
 def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_or_after_it_was_taken() -> None:
     clock = WallClock()
     run = BridgeRun("a", "b", clock=clock)
-    log, taken_ns = run.bridge.log, list[int]()
+    log, taken_ns = run.bridge._log, list[int]()
 
     def note(*what: Any) -> None:
         log(*what)
         taken_ns.append(clock.logical_ns(time.monotonic_ns()))  # of a run that is late, it is not what it takes for now
 
-    run.bridge.log = note
+    run.bridge._log = note
     with run.program(1) as b, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
 
         def early() -> None:

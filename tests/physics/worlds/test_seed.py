@@ -4,8 +4,7 @@ from pathlib import Path
 
 import vcmvsp
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.assembly.federates import Assembly
-from vcmvsp.cosim.config import factory
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.physics.world.targets import Target
@@ -14,14 +13,14 @@ from vcmvsp.physics.worlds import RecreationCentre, Urban
 
 def test_a_town_without_a_seed_of_its_own_has_that_of_the_run() -> None:
     source = Source("test", Path())
-    towns = {seed: factory.world_of({"kind": "urban", "targets": [{}]}, source, seed=seed) for seed in (1, 2)}
+    towns = {seed: worlds.build({"kind": "urban", "targets": [{}]}, source, seed=seed) for seed in (1, 2)}
     for seed, (world, resolved) in towns.items():
         assert world == Urban(seed=seed, targets=(Target(),)).build()
         assert "seed" not in resolved  # the resolved scenario has that of the run
-        assert factory.world_of({"kind": "urban", "seed": 2}, source, seed=seed)[1]["seed"] == 2
+        assert worlds.build({"kind": "urban", "seed": 2}, source, seed=seed)[1]["seed"] == 2
     assert towns[1][0].solids != towns[2][0].solids
     assert towns[1][0].targets != towns[2][0].targets
-    assert factory.world_of({"kind": "recreation-centre"}, source, seed=5)[0] == RecreationCentre().build()
+    assert worlds.build({"kind": "recreation-centre"}, source, seed=5)[0] == RecreationCentre().build()
 
 
 def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) -> None:
@@ -36,9 +35,9 @@ def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) ->
         "vehicle": [{"name": "uav", "kind": "point", "position": [0, 0, 40]}],
     }
     world = Urban(seed=7, targets=tuple(Target(name=each["name"]) for each in listed)).build()
-    with Assembly(*scenarios.load(scenario)) as assembly:
-        assert assembly.world.solids == world.solids
-        assert [each.place(0.0) for each in assembly.world.targets] == [each.place(0.0) for each in world.targets]
+    with assemble(*scenarios.load(scenario)) as assembled:
+        assert assembled.world.solids == world.solids
+        assert [each.place(0.0) for each in assembled.world.targets] == [each.place(0.0) for each in world.targets]
     vcmvsp.run(scenario, out=tmp_path / "run")
     assert {"alpha.png", "bravo.png"} <= {path.name for path in (tmp_path / "run").iterdir()}
     kept, _ = worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {})

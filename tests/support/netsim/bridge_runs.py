@@ -87,16 +87,27 @@ class BridgeRun:
         self.left = 0  # deliveries that are known to have left
         self.error: BaseException | None = None
         air = Air(make_channel(preset, vehicles=vehicles, **channel))
-        self.bridge = Bridge(
-            doors, run="test", folder=folder, vehicles=vehicles, agents=hear, air=air, tell=self.told.append, connect=connect
-        )
         clock = clock or WallClock()
-        self.bridge.clock = clock  # type: ignore[assignment]  # one that has these times
+        self.bridge = Bridge(
+            doors,
+            run="test",
+            folder=folder,
+            vehicles=vehicles,
+            agents=hear,
+            air=air,
+            clock=clock,  # type: ignore[arg-type]  # one that has these times
+            tell=self.told.append,
+            log=self.log,
+            connect=connect,
+        )
         self._went = self.bridge._late.went
         self.bridge._late.went = self._on_went  # type: ignore[method-assign]
-        self.bridge.log = lambda key, time_ns, value: self.logged.append((key, time_ns, value))
         info = RunInfo(scenario="test", seed=1, duration_ns=round(seconds * SECOND_NS), vehicles=vehicles, paced=True)
         self.kernel = Kernel(info, [Standing(), air, self.bridge, *agents], clock=clock)
+
+    def log(self, key: str, time_ns: int, value: Any) -> None:
+        """Keep what a replay would need."""
+        self.logged.append((key, time_ns, value))
 
     def go(self, before: Callable[[], object] = lambda: None) -> None:
         """Open all doors, do what is to be done ``before`` time 0, and begin."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.assembly.federates import Assembly
+from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
@@ -141,9 +141,9 @@ def searched(count: int, exchange: str, loss: float, seed: int, limit_s: float, 
     """What came of a search; with maps and tracks, if there are seconds at which maps are to be kept (then to the limit)."""
     parsed, source = scenarios.load(search(count, exchange, loss, seed, limit_s))
     watcher = Watcher(count, places(seed), keep_s)
-    with Assembly(parsed, source) as assembly:
-        kernel = Kernel(assembly.run_info, assembly.federates)
-        assembly.start(kernel)
+    with assemble(parsed, source) as assembled:
+        kernel = Kernel(assembled.info, assembled.federates)
+        assembled.start(kernel)
 
         def on_instant(now_ns: int) -> None:
             kernel.stop |= not keep_s and watcher.searched.done_s <= now_ns / 1e9

@@ -67,6 +67,7 @@ def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
     for seed, seen in zip(seeds, runs, strict=True):
         world, _ = worlds.world_of(SCENARIO, {"seed": seed})
         targets = {each.name: np.array([each.place(at_s) for at_s in seen.time_s]) for each in world.targets}
+        assert world.bounds is not None  # noqa: S101  towns have them
         west, south, east, north = world.bounds
         once_s = (east - west) * (north - south) / (len(NAMES) * SPEED * SEEN_M)
         away = {name: np.hypot(*np.moveaxis(seen.place - at[:, None], -1, 0)) for name, at in targets.items()}
@@ -98,7 +99,7 @@ def rows_of(case: str, seen: Scouted, once_s: float, away: dict[str, Array]) -> 
     return rows
 
 
-def _map(title: str, world: object, seen: Scouted, targets: dict[str, Array]) -> Panel:
+def _map(title: str, world: "worlds.World", seen: Scouted, targets: dict[str, Array]) -> Panel:
     """Buildings, targets, tracks with their ends."""
     closed = [np.vstack([each, each[:1]]) for each in worlds.outlines(world)]
     around = [Curve(each[:, 0], each[:, 1], style="thin") for each in closed]
