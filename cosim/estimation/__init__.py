@@ -1,1 +1,4 @@
-"""Pose and clock estimation shared by simulated and real robots."""
+"""Pose and clock estimation shared by simulated and real robots.
+
+Functions of measurements and times: no sensor, driver, socket or wall clock.
+"""

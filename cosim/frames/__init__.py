@@ -1,4 +1,7 @@
-"""Planar poses, quaternions and rotations. World is ENU, body is x forward, y left, z up; angles rad, counter-clockwise."""
+"""Planar poses, quaternions and rotations. World is ENU, body is x forward, y left, z up; angles rad, counter-clockwise.
+
+Pure functions: no other package of the platform is imported.
+"""
 
 import math
 

@@ -1,1 +1,4 @@
-"""Scenario files: tables, loading, expansion."""
+"""Scenario files: tables, loading, expansion.
+
+Nothing is built from them here, and no part is known.
+"""

@@ -1,5 +1,7 @@
 """Sockets in the time of the run: for programs that can wait, and whose traffic is then the same on any machine, at any speed.
 
+The program's side alone, which imports little: the run's side is `netsim.sockets`.
+
 ::
 
     from vcmvsp.cosim.sockets import connect

@@ -1,6 +1,7 @@
-"""Studies: a scenario run at every point of a grid, with the same seeds at each, and one table of what came out.
+"""Studies: a scenario run at every point of a grid, with the same seeds at each, and one table of the results.
 
-Start reading at `cosim.studies.engine`. ``grid`` says which values, ``plan`` which runs, ``examine`` what is wrong with them
-before the first one; ``worker`` is one run, ``pool`` and ``cluster`` are where runs happen, ``rows`` and ``store`` keep what
-they gave; ``summary`` and ``outputs`` draw it together.
+How one run is made is `cosim.runs`.
+
+Start reading at `engine`. `grid` holds the values, `plan` the runs, `checks` what is refused before the first one; `worker`
+is one run, on this machine or on a `cluster`; `rows` and `store` keep the results, `summary` and `outputs` present them.
 """

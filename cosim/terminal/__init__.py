@@ -1,1 +1,4 @@
-"""What a terminal shows during a run or a study: progress, summary, table of vehicles."""
+"""What a terminal shows during a run or a study: progress, summary, table of vehicles.
+
+Output alone: commands and options are `cosim.cli`.
+"""

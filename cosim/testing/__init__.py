@@ -1,5 +1,7 @@
 """Conformance checks for what others write: agents, channel layers, federates. One line in a test of theirs proves the laws.
 
+Nothing of the platform imports it.
+
 ::
 
     from vcmvsp.cosim.testing import check_agent, check_channel

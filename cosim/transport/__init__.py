@@ -1,1 +1,4 @@
-"""How a federate elsewhere is reached: one seam (`Link`: a question, an answer), in memory or over Eclipse Zenoh."""
+"""Eclipse Zenoh: sessions, key names, endpoints, access control, diagnosis of TLS.
+
+No messages: the protocol between a run and its hosts is `cosim.hosts`.
+"""

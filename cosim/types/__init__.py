@@ -1,6 +1,7 @@
 """The values that travel between federates: frozen, SI units, ENU world, quaternions (w, x, y, z).
 
-Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays.
+Small fixed vectors are tuples; scans, pictures and batches are read-only NumPy arrays. Values alone: whatever acts on them, or
+reads and writes them, is elsewhere.
 """
 
 from vcmvsp.cosim.types.agent_reports import Follows, Mosaic, Note, ProbabilityMap, Sighting, Sightings

@@ -1,4 +1,9 @@
-"""The control station: a run in the browser while it goes on, or a recorded one afterwards. Start reading in `shown`."""
+"""The control station: a run in the browser while it goes on, or a recorded one afterwards.
+
+It shows values and gives orders; it steps no federate and writes no file of a run.
+
+Start reading in `messages`.
+"""
 
 HOST, PORT = "127.0.0.1", 8080
 """Where the page is served, unless somebody says otherwise."""

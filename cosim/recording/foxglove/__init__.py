@@ -1,1 +1,4 @@
-"""Messages that Foxglove and Lichtblick draw."""
+"""Messages that Foxglove and Lichtblick draw.
+
+Conversion of values: no file is opened here.
+"""

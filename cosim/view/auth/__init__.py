@@ -1,1 +1,4 @@
-"""Access to the page: tokens, origins, allowed messages."""
+"""Access to the page: tokens, origins, allowed messages.
+
+Nothing of what the page shows.
+"""

@@ -1,1 +1,4 @@
-"""Figures of obstacle avoidance: potential fields, gaps, passages."""
+"""Figures of obstacle avoidance: potential fields, gaps, passages.
+
+No method: those are `agents.avoidance`.
+"""

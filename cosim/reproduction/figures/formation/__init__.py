@@ -1,1 +1,4 @@
-"""Figures of formations: circles, steps, delay, loss, chains, consensus."""
+"""Figures of formations: circles, steps, delay, loss, chains, consensus.
+
+No control law: those are `agents.formation`.
+"""

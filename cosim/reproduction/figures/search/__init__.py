@@ -1,1 +1,4 @@
-"""Figures of search: shared maps, recognition, reconnaissance."""
+"""Figures of search: shared maps, recognition, reconnaissance.
+
+No algorithm: those are `agents.reconnaissance`.
+"""
