@@ -11,7 +11,11 @@ from tests.support.paths import ROOT
 PARTS = ("agents", "cosim", "hardware", "netsim", "physics", "scenarios")
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text("utf-8")
-    for path in (ROOT / "README.md", *(page for part in PARTS for page in sorted((ROOT / part).rglob("README.md"))))
+    for path in (
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        *(page for part in PARTS for page in sorted((ROOT / part).rglob("README.md"))),
+    )
 }
 PROGRAMS = {
     "cc",
