@@ -1,0 +1,43 @@
+"""The map of the packages is that of the code, and the files that documents lead to exist."""
+
+import re
+
+import pytest
+
+from tests.support.docs import package_map
+from tests.support.paths import ROOT
+
+GUIDES = ("cosim/DESIGN.md", "CONTRIBUTING.md")
+FILE = re.compile(r"\w+(?:/[\w.]+)+/?")
+
+
+def files_in(text: str) -> set[str]:
+    """The files and folders, by their paths in the repository, that Mermaid blocks and spans in backquotes name."""
+    drawings = re.findall(r"```mermaid\n(.*?)```", text, re.DOTALL)
+    spans = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    found = {path for each in (*drawings, *spans) for path in FILE.findall(each)}
+    return {path for path in found if path.endswith((".py", ".md", ".toml", ".tsv", "/"))}
+
+
+def test_the_map_is_that_of_the_code() -> None:
+    page = package_map.PAGE.read_text("utf-8")
+    assert page == package_map.written(page), f"write it anew: {package_map.COMMAND}, or make docs"
+
+
+def test_arrows_that_others_stand_for_are_left_out() -> None:
+    graph = package_map.ImportGraph()
+    for importer, imported in ("ab", "bc", "ac", "cd", "ad"):
+        graph.add_import(importer=importer, imported=imported)
+    assert package_map.imports(package_map.reduced(graph)) == [("a", "b"), ("b", "c"), ("c", "d")]
+
+
+@pytest.mark.parametrize("page", GUIDES)
+def test_files_that_are_named_exist(page: str) -> None:
+    files = files_in((ROOT / page).read_text("utf-8"))
+    assert len(files) > 20
+    assert sorted(each for each in files if not (ROOT / each).exists()) == []
+
+
+def test_a_file_that_is_named_is_found() -> None:
+    text = '```mermaid\na["cosim/gone.py<br/>x"]\n```\nSee `netsim/gone/away.py`, `tests/x/`; not a/b.py, not `run/state`.\n'
+    assert files_in(text) == {"cosim/gone.py", "netsim/gone/away.py", "tests/x/"}
