@@ -1,6 +1,8 @@
 """Figures of Toh 2012 and further studies, redrawn from runs of the whole platform and compared with what must come out.
 
-``vcmvsp figure NAME`` makes one. Start reading in `cosim.reproduction.figures.figure`.
+``vcmvsp figure NAME`` makes one. Models, laws and agents that a scenario could name do not belong here.
+
+Start reading in `cosim.reproduction.figures.figure`.
 """
 
 import importlib
