@@ -149,7 +149,8 @@ import sys, time
 from vcmvsp.cosim.recording.external_inputs import InputLog
 from vcmvsp.cosim.types import VehicleState
 with open(sys.argv[1], "wb") as stream:
-    log = InputLog(stream)
+    log = InputLog()
+    log.open(stream)
     for k in range(60):
         log.on("car1/estimate", k * 100_000_000, VehicleState(position=(0.1 * k, 1 / 3, 0.0)))
     print("written", flush=True)
