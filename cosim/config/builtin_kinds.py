@@ -151,8 +151,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "avoidance": {},  # likewise
     "path_loss": {
         "log_distance": "vcmvsp.netsim.propagation.path_loss:LogDistance",
-        "friis": "vcmvsp.netsim.propagation.two_ray:Friis",
-        "two_ray_ground": "vcmvsp.netsim.propagation.two_ray:TwoRayGround",
+        "friis": "vcmvsp.netsim.propagation.path_loss:Friis",
+        "two_ray_ground": "vcmvsp.netsim.propagation.path_loss:TwoRayGround",
         "none": "vcmvsp.netsim.propagation.path_loss:NoPathLoss",
     },
     "walls": {

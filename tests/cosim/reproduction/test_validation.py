@@ -12,7 +12,7 @@ from vcmvsp.cosim.reproduction.figures.figure import Row
 from vcmvsp.cosim.reproduction.validation import CHECKS, chosen, document, levels
 from vcmvsp.cosim.reproduction.validation import check as kit
 from vcmvsp.netsim.interfaces.layers import Floats
-from vcmvsp.netsim.propagation.two_ray import Friis
+from vcmvsp.netsim.propagation.path_loss import Friis
 
 QUICK = (
     *("ticks", "draws", "path-loss", "walls", "shadowing", "success", "received", "air-time", "age", "dcf-b-50"),
