@@ -17,8 +17,8 @@ from vcmvsp.cosim.rng import key64
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Medium, Offered
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import Dsss
 
 ErrorModel = Literal["table", "yans", "nist"]
 

@@ -17,7 +17,7 @@ from bench.ns3 import program
 from vcmvsp.cosim.rng import key64
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered, Renew
 from vcmvsp.netsim.mac.csma154.parameters import Csma154
-from vcmvsp.netsim.phy.standards import Ieee802154
+from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 
 SOURCE = program.SOURCE.with_name("lrwpan.cc")
 LIBRARIES = ("lr-wpan", "core", "network", "propagation", "spectrum", "mobility", "antenna", "stats", "energy")

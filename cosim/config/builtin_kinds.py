@@ -171,10 +171,10 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "trace": {"trace": "vcmvsp.netsim.impairments.trace:Trace", "none": NOTHING},
     "jammer": {"jammer": "vcmvsp.netsim.impairments.jammer:Jammer", "none": NOTHING},
     "phy": {
-        "constant_rate": "vcmvsp.netsim.phy.standards:ConstantRate",
-        "dsss": "vcmvsp.netsim.phy.standards:Dsss",
+        "constant_rate": "vcmvsp.netsim.phy.constant_rate:ConstantRate",
+        "dsss": "vcmvsp.netsim.phy.dsss:Dsss",
         "ofdm": "vcmvsp.netsim.phy.ofdm:Ofdm",
-        "ieee802154": "vcmvsp.netsim.phy.standards:Ieee802154",
+        "ieee802154": "vcmvsp.netsim.phy.ieee802154:Ieee802154",
     },
     "mac": {
         "ideal": "vcmvsp.netsim.mac.ideal:Ideal",

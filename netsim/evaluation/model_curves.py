@@ -12,8 +12,10 @@ import numpy as np
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.channel.link_budget import Hearing
 from vcmvsp.netsim.interfaces.layers import Floats, PathLoss, Paths, Phy
-from vcmvsp.netsim.phy.error_rate import DsssErrors, ErrorRate, OqpskErrors
-from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
+from vcmvsp.netsim.phy.dsss import DsssErrors
+from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
+from vcmvsp.netsim.phy.ofdm import OfdmErrors
 
 POINTS = 1_000_000  # of a curve, at most
 OFDM_MODELS = ("table", "yans", "nist")

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Probability, Seconds
-from vcmvsp.netsim.interfaces.layers import Draw, Ints
-from vcmvsp.netsim.phy.standards import BitRate
+from vcmvsp.netsim.interfaces.layers import BitRate, Draw, Ints
 
 NEVER = -1  # instead of a time: lost, or no copy
 

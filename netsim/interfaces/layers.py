@@ -23,7 +23,7 @@ instead, of many frames at once, draws (..., n, 2).
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Protocol, Self, TypeVar
+from typing import Annotated, Protocol, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -35,6 +35,9 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 Keys = NDArray[np.uint64]
+BitRate = Annotated[float, msgspec.Meta(ge=1.0, le=1e15)]  # bit/s
+
+US = 1_000  # ns
 
 T = TypeVar("T", bound=np.generic)
 

@@ -18,7 +18,9 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
-from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
+from vcmvsp.netsim.phy.constant_rate import ConstantRate
+from vcmvsp.netsim.phy.dsss import Dsss
+from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
 from vcmvsp.physics.sensors.positioning_system import Positioning

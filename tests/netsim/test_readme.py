@@ -23,7 +23,7 @@ from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
 from vcmvsp.netsim.impairments.loss import Bernoulli
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.dsss import Dsss
 
 HOME = Path(netsim.__path__[0])
 README = (HOME / "README.md").read_text(encoding="utf-8")

@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.netsim.interfaces.layers import Floats, Keys, Phy
+from vcmvsp.netsim.interfaces.layers import US, Floats, Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
 from vcmvsp.netsim.mac.csma154.receivers import Air, Flight
 from vcmvsp.netsim.mac.csma154.sender import Doing, Radio
 from vcmvsp.netsim.phy.error_rate import ErrorRate
-from vcmvsp.netsim.phy.standards import US
 
 if TYPE_CHECKING:  # it is what opens a network
     from vcmvsp.netsim.mac.csma154.parameters import Csma154

@@ -11,7 +11,7 @@ from vcmvsp.netsim.interfaces.layers import Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Medium
 from vcmvsp.netsim.mac.csma154.events import Network
 from vcmvsp.netsim.mac.csma154.receivers import Air
-from vcmvsp.netsim.phy.error_rate import OqpskErrors
+from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 Exponent = Annotated[int, msgspec.Meta(ge=0, le=16)]
 Few = Annotated[int, msgspec.Meta(ge=0, le=28)]
@@ -64,7 +64,7 @@ class Csma154:
         """The air for ``count`` radios.
 
         Args:
-            phy: `netsim.phy.standards.Ieee802154`.
+            phy: `netsim.phy.ieee802154.Ieee802154`.
             count: n.
             keys: random keys of the radios, (n,): a backoff is a pure function of its radio's key and of its number.
             noise_mw: at every receiver.

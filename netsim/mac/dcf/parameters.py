@@ -9,11 +9,11 @@ import msgspec
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Count, Decibels, Period
-from vcmvsp.netsim.interfaces.layers import Keys, Phy
+from vcmvsp.netsim.interfaces.layers import US, Keys, Phy
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
 from vcmvsp.netsim.mac.dcf.state import Rules
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import US, Dsss
 
 DRAWS_IN_STORE = 64
 ACK_BYTES = 14 - 36  # its PSDU, as a payload that has the headers of data
@@ -46,7 +46,7 @@ Margin = Annotated[float, msgspec.Meta(ge=0.0, le=400.0)]  # dB
 class Dcf:
     """Radios share the air as IEEE 802.11 says: they listen before they send, back off, and collide.
 
-    The phy says which standard it is: `netsim.phy.standards.Dsss` is 802.11b, `netsim.phy.ofdm.Ofdm` 802.11a at 5 GHz and g at
+    The phy says which standard it is: `netsim.phy.dsss.Dsss` is 802.11b, `netsim.phy.ofdm.Ofdm` 802.11a at 5 GHz and g at
     2.4 GHz (ad hoc, no protection, long slots). None takes the standard's value. All defaults are those of ns-3.44.
     """
 

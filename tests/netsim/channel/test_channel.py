@@ -10,7 +10,7 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Paths
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
 
 

@@ -21,8 +21,9 @@ from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.mac.csma154.parameters import Csma154
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.ideal import Mac
+from vcmvsp.netsim.phy.dsss import Dsss
+from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import Dsss, Ieee802154
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 MS = 1_000_000

@@ -71,7 +71,7 @@ def test_a_jammer_spoils_what_it_drowns(preset: str, mac: str) -> None:
 
 def test_a_weak_jammer_costs_what_it_adds_to_the_noise() -> None:
     """Success over one link is that of the error rate at signal over noise and jammer."""
-    from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
+    from vcmvsp.netsim.phy.ofdm import OfdmErrors
 
     jammer = {"sources": [{"power_dbm": -5.0, "position": [0.0, 50.0, 0.0]}]}
     air = make_channel("wifi-g-54", jammer=jammer, phy={"tx_power_dbm": 0.0, "sensitivity_dbm": -100.0})

@@ -26,7 +26,7 @@ from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
 from vcmvsp.netsim.impairments.random_delay import GammaDelay, UniformDelay
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 MS = 1_000_000

@@ -9,10 +9,10 @@ import pytest
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.evaluation.model_curves import error_rate, grid, mean_levels, packet_errors
 from vcmvsp.netsim.evaluation.positions_file import read_positions
-from vcmvsp.netsim.phy.error_rate import DsssErrors, OqpskErrors
-from vcmvsp.netsim.phy.error_rate_ofdm import OfdmErrors
-from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
+from vcmvsp.netsim.phy.constant_rate import ConstantRate
+from vcmvsp.netsim.phy.dsss import Dsss, DsssErrors
+from vcmvsp.netsim.phy.ieee802154 import Ieee802154, OqpskErrors
+from vcmvsp.netsim.phy.ofdm import Ofdm, OfdmErrors
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 # --- positions --------------------------------------------------------------------------------------------------------------

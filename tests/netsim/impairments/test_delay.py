@@ -7,7 +7,7 @@ from tests.support.netsim.channels import make_channel, make_frame, send
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
 
 

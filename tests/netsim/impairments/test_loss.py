@@ -11,7 +11,7 @@ from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Links
 from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, LOSS_SLOT, LinkDraws
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import NoPathLoss
 
 FRAMES = np.arange(100_000, dtype=np.uint64)[:, None]

@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 
-from vcmvsp.netsim.phy.error_rate import DsssErrors, ErrorRate, OqpskErrors
-from vcmvsp.netsim.phy.error_rate_ofdm import MODES, OfdmErrors
+from vcmvsp.netsim.phy.dsss import DsssErrors
+from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.error_table import look_up, look_up_one, steps
+from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
+from vcmvsp.netsim.phy.ofdm import MODES, OfdmErrors
 
 MODELS: list[ErrorRate] = [
     *(DsssErrors(rate) for rate in (1e6, 2e6, 5.5e6, 11e6)),

@@ -11,7 +11,7 @@ from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.radio import Radio
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.body_shadowing import Bodies, through
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 

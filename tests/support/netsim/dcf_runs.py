@@ -9,8 +9,8 @@ from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Decided, Offered
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import Dsss
 
 STRONG = 1e-6  # mW: -60 dBm, 34 dB above the noise
 MS = 1_000_000  # ns

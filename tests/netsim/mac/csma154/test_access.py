@@ -9,8 +9,8 @@ from tests.support.netsim.csma154_runs import MS, NOISE_DBM, PHY, US, World, bac
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.mac.csma154.parameters import Csma154
-from vcmvsp.netsim.phy.error_rate import OqpskErrors
-from vcmvsp.netsim.phy.standards import Dsss
+from vcmvsp.netsim.phy.dsss import Dsss
+from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 
 def test_lone_sender_waits_for_backoff_assessment_and_turnaround() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.netsim.csma154_runs import MS, NOISE_DBM, PHY, SILENT, US, World, at, levels, line
 from vcmvsp.netsim.interfaces.medium import Fate
-from vcmvsp.netsim.phy.error_rate import OqpskErrors
+from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 
 def hidden(left_dbm: float, right_dbm: float, *, later_us: int, sizes: tuple[int, int], **mac: Any) -> tuple[World, int]:

@@ -16,7 +16,7 @@ from tests.support.netsim.csma154_runs import (
     levels,
 )
 from vcmvsp.netsim.interfaces.medium import Fate
-from vcmvsp.netsim.phy.error_rate import OqpskErrors
+from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 
 def test_an_acknowledged_frame() -> None:

@@ -8,8 +8,9 @@ from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, fram
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.phy.dsss import Dsss
+from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import Dsss, Ieee802154
 
 AIR = 1280 * US
 SLOT, DIFS = 20 * US, 50 * US

@@ -25,8 +25,8 @@ from vcmvsp.netsim.interfaces.medium import Decided, Fate
 from vcmvsp.netsim.mac.dcf import events
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import Rules, State
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import Dsss
 
 
 @pytest.mark.parametrize("phy", PHYS, ids=str)

@@ -6,8 +6,8 @@ import pytest
 from tests.support.netsim.dcf_runs import MS, STRONG, US, all_equal, frame, open_air, run
 from vcmvsp.netsim.interfaces.medium import Fate, Offered
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import Dsss
 
 AIR = 1280 * US
 SLOT, DIFS = 20 * US, 50 * US

@@ -8,8 +8,8 @@ from vcmvsp.cosim.reproduction.validation.medium_access import EDGES_M, NS3, sen
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
-from vcmvsp.netsim.phy.standards import Dsss
 
 
 @pytest.mark.parametrize("count", [3, 10])

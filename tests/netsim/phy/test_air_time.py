@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Phy
-from vcmvsp.netsim.phy.standards import ConstantRate, Dsss, Ieee802154
+from vcmvsp.netsim.phy.constant_rate import ConstantRate
+from vcmvsp.netsim.phy.dsss import Dsss
+from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 
 PHYS: list[Phy] = [ConstantRate(), ConstantRate(rate_bps=54e6, overhead_s=20e-6), Dsss(), Dsss(rate_bps=5.5e6), Ieee802154()]
 
