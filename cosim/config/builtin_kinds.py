@@ -184,7 +184,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "loss": {
         "bernoulli": "vcmvsp.netsim.impairments.loss:Bernoulli",
         "gilbert_elliott": "vcmvsp.netsim.impairments.gilbert_elliott:GilbertElliott",
-        "bursts": "vcmvsp.netsim.impairments.burst_statistics:Bursts",
+        "bursts": "vcmvsp.netsim.impairments.gilbert_elliott:Bursts",
         "none": "vcmvsp.netsim.impairments.loss:NoLoss",
     },
     "driver": {
@@ -215,10 +215,10 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "delivery": {"delivery": "vcmvsp.netsim.impairments.delivery:Delivery", "none": NOTHING},
     "delay": {
         "fixed": "vcmvsp.netsim.impairments.delay:FixedDelay",
-        "uniform": "vcmvsp.netsim.impairments.random_delay:UniformDelay",
-        "normal": "vcmvsp.netsim.impairments.random_delay:NormalDelay",
-        "gamma": "vcmvsp.netsim.impairments.random_delay:GammaDelay",
-        "empirical": "vcmvsp.netsim.impairments.random_delay:EmpiricalDelay",
+        "uniform": "vcmvsp.netsim.impairments.delay:UniformDelay",
+        "normal": "vcmvsp.netsim.impairments.delay:NormalDelay",
+        "gamma": "vcmvsp.netsim.impairments.delay:GammaDelay",
+        "empirical": "vcmvsp.netsim.impairments.delay:EmpiricalDelay",
         "none": "vcmvsp.netsim.impairments.delay:NoDelay",
     },
 }

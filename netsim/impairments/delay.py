@@ -1,13 +1,21 @@
-"""Delays beyond the time on the air: relays, gateways, operating systems."""
+"""Delays beyond the time on the air: relays, gateways, operating systems.
 
+They count from the sending, and no frame arrives before its end. Each frame and receiver has a delay of its own: frames with
+random delays may overtake each other.
+"""
+
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.cosim.types import Seconds
+from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Probability, Seconds
 from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Ints
+from vcmvsp.netsim.propagation.gamma_quantiles import gamma_quantile
 
 
 class NoDelay:
@@ -60,3 +68,85 @@ class FixedDelay:
     @cached_property
     def _jitter_ns(self) -> int:
         return seconds_to_ns(self.jitter_s)
+
+
+@dataclass(frozen=True)
+class UniformDelay:
+    """Anything between two bounds, equally likely."""
+
+    from_s: Seconds  # shortest
+    to_s: Seconds  # longest
+
+    def __post_init__(self) -> None:
+        if self.to_s < self.from_s:
+            raise ScenarioError(f"must not be less than from_s = {self.from_s:g}, not {self.to_s:g}", key="to_s")
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Earliest reception, counted from the sending, (n,) whole ns."""
+        return _whole_ns(self.from_s + (self.to_s - self.from_s) * draw()[..., 0])
+
+
+@dataclass(frozen=True)
+class NormalDelay:
+    """Normal; what is drawn below zero, or before the frame's end, becomes the frame's end."""
+
+    mean_s: Seconds  # mean
+    sigma_s: Seconds  # standard deviation
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Earliest reception, counted from the sending, (n,) whole ns."""
+        uniforms = draw()
+        # Box and Muller: two uniforms make a normal number.
+        normal = np.sqrt(-2.0 * np.log1p(-uniforms[..., 0])) * np.cos(2.0 * math.pi * uniforms[..., 1])
+        return _whole_ns(np.maximum(self.mean_s + self.sigma_s * normal, 0.0))
+
+
+@dataclass(frozen=True)
+class GammaDelay:
+    """A fixed part and a gamma distributed one: never early, sometimes very late, as behind queues.
+
+    Mean and standard deviation are those of the gamma distributed part, whose shape is ``(mean_s / sigma_s)^2``, from 0.1 to
+    1000; where they are equal it is exponential.
+    """
+
+    mean_s: Seconds  # mean of the random part
+    sigma_s: Seconds  # standard deviation of the random part
+    fixed_s: Seconds = 0.0  # a part that is always there
+
+    def __post_init__(self) -> None:
+        if not 0.1 * self.sigma_s**2 <= self.mean_s**2 <= 1000.0 * self.sigma_s**2 or not self.sigma_s:
+            problem = f"must be between 1/32 and 3 times mean_s = {self.mean_s:g} and not zero, not {self.sigma_s:g}"
+            raise ScenarioError(problem, key="sigma_s")
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Earliest reception, counted from the sending, (n,) whole ns."""
+        p = np.maximum(draw()[..., 0], 2.0**-54)
+        quantile = gamma_quantile((self.mean_s / self.sigma_s) ** 2, np.log(p) - np.log1p(-p))
+        return _whole_ns(self.fixed_s + self.mean_s * quantile)
+
+
+@dataclass(frozen=True)
+class EmpiricalDelay:
+    """As measured: ``quantiles`` are pairs (probability, seconds) from 0 to 1, straight lines between them.
+
+    ``quantiles = [[0, 0.002], [0.5, 0.004], [0.99, 0.03], [1, 0.2]]``: half of all frames take 2 to 4 ms.
+    """
+
+    quantiles: tuple[tuple[Probability, Seconds], ...]  # pairs [probability, s] that rise from 0 to 1, linear in between
+
+    def __post_init__(self) -> None:
+        probabilities, seconds = ([pair[k] for pair in self.quantiles] for k in (0, 1))
+        rising = all(a < b for a, b in pairwise(probabilities)) and seconds == sorted(seconds)
+        if len(self.quantiles) < 2 or probabilities[0] != 0.0 or probabilities[-1] != 1.0 or not rising:
+            problem = "must be pairs (probability, seconds) that rise from probability 0 to probability 1"
+            raise ScenarioError(problem, key="quantiles")
+
+    def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
+        """Earliest reception, counted from the sending, (n,) whole ns."""
+        probabilities, seconds = np.array(self.quantiles).T
+        return _whole_ns(np.interp(draw()[..., 0], probabilities, seconds))
+
+
+def _whole_ns(seconds: Floats) -> Ints:
+    whole: Ints = np.rint(seconds * SECOND_NS).astype(np.int64)
+    return whole

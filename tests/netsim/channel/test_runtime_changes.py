@@ -20,10 +20,9 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.replayed import RecordedChannel
 from vcmvsp.netsim.channel.runtime_changes import Operated
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
+from vcmvsp.netsim.impairments.delay import FixedDelay, GammaDelay, NoDelay, UniformDelay
 from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
 from vcmvsp.netsim.impairments.loss import Bernoulli, NoLoss
-from vcmvsp.netsim.impairments.random_delay import GammaDelay, UniformDelay
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Frame, Loss
 from vcmvsp.netsim.phy.dsss import Dsss
