@@ -1,9 +1,9 @@
 """How likely measured levels are, and the parameters that make them most likely.
 
 Rows are not taken as independent. All of them have one joint likelihood: of the received ones a normal density, of the lost
-ones, given those, the probability of being below the sensitivity (J. Tobin, Econometrica 26, 1958; correlated:
-`netsim.calibration.censored`). Pairwise composite likelihood would save the n^3 operations, but it wastes information, and its
-standard errors need independent replicates of the whole field, which no survey has.
+ones, given those, the probability of being below the sensitivity (J. Tobin, Econometrica 26, 1958; correlated: `below`).
+Pairwise composite likelihood would save the n^3 operations, but it wastes information, and its standard errors need
+independent replicates of the whole field, which no survey has.
 
 The covariance is fitted by restricted likelihood (H. Patterson, R. Thompson, Biometrika 58, 1971), where the coefficients beta
 of the mean are integrated out: otherwise sigma would be too small by what the mean has taken up.
@@ -12,9 +12,9 @@ of the mean are integrated out: otherwise sigma would be too small by what the m
 import math
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
-from vcmvsp.netsim.calibration.censored import below
 from vcmvsp.netsim.calibration.covariance import WITH_FADING, Survey, covariance
 from vcmvsp.netsim.interfaces.layers import Floats
 
@@ -23,6 +23,10 @@ from vcmvsp.netsim.interfaces.layers import Floats
 _LOGIT, _LOGIT_SIGMA = -2.0, 2.0
 _STEP = 1e-3  # of finite differences in the parameters, which are logarithms
 _TOLD = 1e-2  # least curvature by which a parameter counts as told: a standard error of a factor e^10
+
+_TOLERANCE = 1e-7  # of the log probability of lost rows, between two sweeps
+_SWEEPS = 300
+_FAINT = 1e-10  # least precision of a site, in units of the prior's
 
 
 class Point(NamedTuple):
@@ -157,3 +161,86 @@ class _Received:
         self.across: Floats = solve_triangular(factor, total[np.ix_(seen, lost)], lower=True)
         self.expected: Floats = X[lost] @ beta + self.across.T @ residual  # of the lost rows
         self.left: Floats = total[np.ix_(lost, lost)] - self.across.T @ self.across  # their covariance
+
+
+class Censored(msgspec.Struct, frozen=True):
+    """What being below the bound says of m values.
+
+    ``level`` and ``variance`` are the sites: the m measurements with noise that say the same about the values as being below
+    the bound does. Whoever takes them for measurements has the gradient of ``log_probability`` (Seeger 2005).
+    """
+
+    log_probability: float
+    level: Floats  # (m,)
+    variance: Floats  # (m,)
+
+
+def below(mean: Floats, covariance: Floats, bound: float) -> Censored:
+    """Log probability that all values of a normal vector are less than ``bound``.
+
+    Expectation propagation (T. Minka, UAI 2001; for the form in cavities C. Rasmussen and C. Williams, Gaussian Processes for
+    Machine Learning, 2006, section 3.6; for boxes J. Cunningham, P. Hennig, S. Lacoste-Julien, arXiv:1111.6832): each
+    one-sided bound is replaced by the normal factor that leaves mean and variance of its value right, given the other
+    factors. Exact for independent values. All factors are renewed at once; a step that would leave a factor without a proper
+    remainder is halved, and steps that go to and fro are shortened.
+
+    Args:
+        mean: (m,).
+        covariance: (m, m), positive definite.
+        bound: the same for all.
+    """
+    from scipy.linalg import solve_triangular
+
+    mean = mean - bound  # counted from there, no digits are lost
+    count, prior = len(mean), np.diagonal(covariance)
+    precision, shift = np.zeros(count), np.zeros(count)  # of the sites; shift = precision x level
+    toward_precision, toward_shift, step, last = np.zeros(count), np.zeros(count), 1.0, -math.inf
+    most, change = 1.0, 0.0
+    for _ in range(_SWEEPS):
+        new_precision, new_shift = precision + step * toward_precision, shift + step * toward_shift
+        root = np.sqrt(new_precision)
+        factor = np.linalg.cholesky(np.eye(count) + root[:, None] * covariance * root)
+        half = solve_triangular(factor, root[:, None] * covariance, lower=True)
+        variance = prior - (half * half).sum(axis=0)
+        if (variance <= 0.0).any() or (variance * new_precision >= 1.0 - 1e-9).any():
+            step *= 0.5
+            continue
+        precision, shift, step = new_precision, new_shift, min(most, 1.5 * step)
+
+        unscaled = mean + covariance @ shift
+        posterior = unscaled - half.T @ solve_triangular(factor, root * unscaled, lower=True)
+        cavity_variance = 1.0 / (1.0 / variance - precision)
+        cavity = cavity_variance * (posterior / variance - shift)
+        log_mass, tilted, tilted_variance = _truncated(cavity, cavity_variance)
+
+        local = log_mass + _log_partition(cavity, cavity_variance) - _log_partition(posterior, variance)
+        joint = 0.5 * ((shift - precision * posterior) @ mean + posterior @ shift) - np.log(np.diagonal(factor)).sum()
+        total = float(local.sum() + joint)
+        if total - last < 0.0 < change:  # to and fro
+            most *= 0.7
+        change, last = total - last, total
+        if abs(change) < _TOLERANCE:
+            break
+        toward_precision = np.maximum(1.0 / tilted_variance - 1.0 / cavity_variance, _FAINT / prior) - precision
+        toward_shift = tilted / tilted_variance - cavity / cavity_variance - shift
+    precision = np.maximum(precision, _FAINT / prior)
+    return Censored(last, bound + shift / precision, 1.0 / precision)
+
+
+def _log_partition(mean: Floats, variance: Floats) -> Floats:
+    """Of a normal density in natural parameters, without constants."""
+    partition: Floats = 0.5 * mean * mean / variance + 0.5 * np.log(variance)
+    return partition
+
+
+def _truncated(mean: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:
+    """Log mass below 0, mean and variance of normal values there, each (m,)."""
+    from scipy.special import erfcx, log_ndtr
+
+    sigma = np.sqrt(variance)
+    h = -mean / sigma
+    ratio = math.sqrt(2.0 / math.pi) / erfcx(-h / math.sqrt(2.0))  # density / mass at h (inverse Mills ratio)
+    far = h < -50.0  # where the difference would lose its digits
+    left = np.where(far, 1.0 / np.where(far, h, 1.0) ** 2, 1.0 - ratio * (ratio + h))
+    log_mass: Floats = log_ndtr(h)
+    return log_mass, mean - sigma * ratio, np.maximum(variance * left, 1e-12 * variance)
