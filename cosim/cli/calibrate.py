@@ -44,21 +44,33 @@ def calibrate_command(
             raise UsageError(f"{option} {value}: must be a finite number")
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
-    fitting = registry.piece("calibration").calibrate_command
-    calibration = fitting(
+    fitting = registry.piece("calibration")
+    sightline = None if world is None else _sightline(world)
+    log, calibration = fitting.calibrate_file(
         links,
         tx_power_dbm=tx_power,
         reference_distance_m=reference_distance,
         sensitivity_dbm=sensitivity,
-        sightline=None if world is None else _sightline(world),
-        out=out,
+        sightline=sightline,
     )
+    if out is not None:
+        write_calibration(out, calibration, fitting.figure_data(log, calibration, sightline))
     if json:
         sys.stdout.write(to_json({**msgspec.to_builtins(calibration), "radio": calibration.table()}))
         return
     sys.stdout.write(f"{calibration.summary()}\n\n{calibration.toml()}")
     for name in ("radio.toml", "calibration.png") if out is not None else ():
         sys.stdout.write(f"{Path(out or '') / name}\n")
+
+
+def write_calibration(folder: Path, calibration: Any, figure_data: Any) -> None:
+    """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
+    from vcmvsp.cosim.plots.calibration_plot import draw_calibration
+    from vcmvsp.cosim.plots.run_plots import save_png
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "radio.toml").write_text(calibration.toml(), "utf-8")
+    save_png(draw_calibration(**figure_data._asdict()), folder / "calibration.png")
 
 
 def _sightline(world: str) -> Any:

@@ -1,7 +1,7 @@
-"""A calibration as a picture: what is drawn."""
+"""Data of the calibration figure: levels over distance, and the correlation of neighbouring rows."""
 
 import math
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,11 +17,25 @@ _PARTS = 24  # intervals of displacement
 _PAIRS = 30  # that an interval needs to be shown
 
 
-def draw(links: Links, calibration: Calibration, sightline: Sightline | None, path: Path) -> None:
-    """Write the figure `cosim.plots.calibration_plot.draw_calibration` of a log as PNG."""
-    from vcmvsp.cosim.plots.calibration_plot import draw_calibration
-    from vcmvsp.cosim.plots.run_plots import save_png
+class FigureData(NamedTuple):
+    """Arguments of `cosim.plots.calibration_plot.draw_calibration`, which says what each is."""
 
+    distance_m: Floats
+    level_dbm: Floats
+    line_m: Floats
+    line_dbm: Floats
+    sigma_db: float
+    sensitivity_dbm: float | None
+    walls: bool
+    moved_m: Floats
+    correlation: Floats
+    curve_m: Floats
+    curve: Floats
+    correlation_distance_m: float | None
+
+
+def figure_data(links: Links, calibration: Calibration, sightline: Sightline | None) -> FigureData:
+    """Measured levels without their walls, fitted line, measured and fitted correlation."""
     shown = links.only(sample(links, _ROWS))
     design, materials = design_of(shown, calibration.reference_distance_m, sightline)
     losses = [calibration.walls_db[name].value if name in calibration.walls_db else 0.0 for name in materials]
@@ -37,7 +51,7 @@ def draw(links: Links, calibration: Calibration, sightline: Sightline | None, pa
     share = (fading / calibration.deviation_db) ** 2
     along = np.geomspace(max(1e-3, shown.distance_m.min()), shown.distance_m.max(), 200)
     decades = np.log10(np.maximum(along / calibration.reference_distance_m, 1.0))
-    figure = draw_calibration(
+    return FigureData(
         distance_m=shown.distance_m,
         level_dbm=open_air,
         line_m=along,
@@ -51,7 +65,6 @@ def draw(links: Links, calibration: Calibration, sightline: Sightline | None, pa
         curve=(1.0 - share) * np.exp(-curve_m / reach.value) if reach is not None else np.zeros(0),
         correlation_distance_m=None if reach is None else reach.value,
     )
-    save_png(figure, path)
 
 
 def _correlogram(links: Links, residual: Floats, far_m: float) -> tuple[Floats, Floats]:

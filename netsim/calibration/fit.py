@@ -16,13 +16,14 @@ from threadpoolctl import threadpool_limits
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.calibration.covariance import CORRELATED, INDEPENDENT, WITH_FADING, Survey, spreads
 from vcmvsp.netsim.calibration.design_matrix import design_of, require_told, sample
+from vcmvsp.netsim.calibration.figure_data import figure_data
 from vcmvsp.netsim.calibration.likelihood import Fitted, aic_of, climb, log_likelihood, maximise, restricted
 from vcmvsp.netsim.calibration.measurement_log import Links, read_links
 from vcmvsp.netsim.calibration.result import Calibration, Estimate
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
 
-__all__ = ["Calibration", "Estimate", "Links", "calibrate_command", "fit", "read_links"]
+__all__ = ["Calibration", "Estimate", "Links", "calibrate_file", "figure_data", "fit", "read_links"]
 
 MOST_ROWS = 1000  # that are fitted: the work grows with the third power
 MODELS = {INDEPENDENT: "independent", CORRELATED: "correlated", WITH_FADING: "correlated, fading"}
@@ -120,16 +121,15 @@ def fit(
     )
 
 
-def calibrate_command(
+def calibrate_file(
     path: Path,
     *,
     tx_power_dbm: float = 0.0,
     reference_distance_m: float = 1.0,
     sensitivity_dbm: float | None = None,
     sightline: Sightline | None = None,
-    out: Path | None = None,
-) -> Calibration:
-    """`fit` a log; into the directory ``out`` go ``radio.toml`` and ``calibration.png``. See `Calibration.summary`."""
+) -> tuple[Links, Calibration]:
+    """The rows of a log file and their `fit`; errors name the file."""
     links = read_links(path)
     try:
         calibration = fit(
@@ -141,13 +141,7 @@ def calibrate_command(
         )
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
-    if out is not None:
-        from vcmvsp.netsim.calibration.figure_data import draw
-
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "radio.toml").write_text(calibration.toml(), "utf-8")
-        draw(links, calibration, sightline, out / "calibration.png")
-    return calibration
+    return links, calibration
 
 
 def _models(survey: Survey, scouts: Survey) -> dict[int, Fitted]:

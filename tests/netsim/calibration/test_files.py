@@ -9,10 +9,11 @@ import pytest
 
 from tests.support.netsim.links import Line, even_uniforms, linked_frame
 from tests.support.netsim.measured_links import BOXES, mean_of, points, tour
+from vcmvsp.cosim.cli.calibrate import write_calibration
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.netsim.calibration.design_matrix import sample
-from vcmvsp.netsim.calibration.fit import Calibration, Links, calibrate_command, read_links
+from vcmvsp.netsim.calibration.fit import Calibration, Links, calibrate_file, figure_data, read_links
 from vcmvsp.netsim.calibration.result import Estimate
 from vcmvsp.netsim.propagation.fading import Nakagami
 from vcmvsp.netsim.propagation.path_loss import LogDistance
@@ -133,7 +134,7 @@ def test_a_log_is_read_whatever_the_order_of_columns_and_times(tmp_path: Path) -
 def test_bad_logs_are_refused_by_file_and_line(lines: list[str], header: str, message: str, tmp_path: Path) -> None:
     path = write(tmp_path, *lines, header=header)
     with pytest.raises(UsageError, match=message) as raised:
-        calibrate_command(path)
+        calibrate_file(path)
     assert str(raised.value).startswith(str(path))
 
 
@@ -153,8 +154,12 @@ def test_the_command_writes_a_table_and_a_picture_twice_the_same(tmp_path: Path)
     level = mean_of(np.zeros((120, 3)), b) + rng.normal(0.0, 3.0, 120)
     rows = [f"0,0,0,0,{x},{y},{z},{'' if v < -95 else v}" for (x, y, z), v in zip(b.tolist(), level.tolist(), strict=True)]
     path = write(tmp_path, *rows)
-    first = calibrate_command(path, out=tmp_path / "one", sightline=Sightline(BOXES))
-    assert calibrate_command(path, out=tmp_path / "two", sightline=Sightline(BOXES)) == first
+    walls = Sightline(BOXES)
+    links, first = calibrate_file(path, sightline=walls)
+    again, second = calibrate_file(path, sightline=walls)
+    assert second == first
+    write_calibration(tmp_path / "one", first, figure_data(links, first, walls))
+    write_calibration(tmp_path / "two", second, figure_data(again, second, walls))
     for name in ("radio.toml", "calibration.png"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     assert tomllib.loads((tmp_path / "one" / "radio.toml").read_text())["radio"] == first.table()
