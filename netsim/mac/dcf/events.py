@@ -7,10 +7,11 @@ frame waits or not. A frame that finds the medium idle and no backoff left waits
 Written for NumPy and for compilation alike, see `netsim.mac.jit.cache`: what changes is in the arrays of a `State`.
 """
 
+from vcmvsp.netsim.interfaces.layers import Floats, Ints
+from vcmvsp.netsim.interfaces.medium import Codes
 from vcmvsp.netsim.mac.dcf.backoff import back_off, count_down, defer_one, doze, draw, request, sense, wait
-from vcmvsp.netsim.mac.dcf.detection import detect, put_on_air, settle, take_off_air
-from vcmvsp.netsim.mac.dcf.kernels import copy, soonest
 from vcmvsp.netsim.mac.dcf.queues import decide, enqueue, expire, insert, leave, next_decision
+from vcmvsp.netsim.mac.dcf.receivers import detect, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.state import (
     ACK,
     ACKNOWLEDGEMENT,
@@ -249,3 +250,28 @@ def give_up(s: State, rules: Rules, i: int, now: int) -> None:
         insert(s, i, f, NOBODY, s.head[i])
     heard_until_now = s.idle_ns[i] == now - PAYLOAD_OVER_NS
     release(s, rules, i, now, now if heard_until_now else now + rules.difs_ns)  # else the wait was a busy time
+
+
+def soonest(times: Ints) -> int:
+    """Where the least of some times is, the first of equal ones."""
+    return int(times.argmin())
+
+
+def soonest_loop(times: Ints) -> int:
+    """See `soonest`."""
+    first = 0
+    for k in range(1, len(times)):
+        if times[k] < times[first]:
+            first = k
+    return first
+
+
+def copy(values: Floats | Codes, to: Floats | Codes) -> None:
+    """Put values in the place of others, (n,)."""
+    to[:] = values
+
+
+def copy_loop(values: Floats | Codes, to: Floats | Codes) -> None:
+    """See `copy`."""
+    for j in range(len(to)):
+        to[j] = values[j]

@@ -42,13 +42,8 @@ PER_FRAME = (
     *("attempts", "row", "began_ns", "told", "outcome", "least_there", "patiences"),
 )
 CORE = (
-    *(
-        "vcmvsp.netsim.phy.error_table",
-        "vcmvsp.netsim.mac.dcf.interference",
-        "vcmvsp.netsim.mac.dcf.backoff",
-        "vcmvsp.netsim.mac.dcf.kernels",
-    ),
-    *("vcmvsp.netsim.mac.dcf.detection", "vcmvsp.netsim.mac.dcf.queues", "vcmvsp.netsim.mac.dcf.events"),
+    "vcmvsp.netsim.phy.error_table",
+    *(f"vcmvsp.netsim.mac.dcf.{name}" for name in ("backoff", "receivers", "queues", "events")),
 )
 
 

@@ -1,1 +1,1 @@
-"""Compilation of the DCF kernels to machine code."""
+"""Compilation of the core of DCF to machine code, with its cache; no radio model in here."""

@@ -1,0 +1,380 @@
+"""What radios receive: preamble detection, physical-layer capture, interference, carrier sense.
+
+After ns-3.44 (``PhyEntity``, ``InterferenceHelper``, ``ThresholdPreambleDetectionModel``):
+
+- A radio that is neither sending nor receiving notices a frame `detect_ns` after its start, if the frame is then the strongest
+  of those that it hears begin, strong enough, and by `preamble_snr` above noise and interference. It receives it to its end;
+  what else begins meanwhile is interference. Only a header that cannot be decoded sets it free earlier, or a stronger frame
+  that captures it (`captures`).
+- The medium is busy while the radio sends or receives, and while the sum of all powers is at least `busy_mw`, found out when
+  it fails to detect a frame, and at the end of one that it received. Of frames that began while it was sending and go on
+  behind it, it learns at its own end; of those that began before, only if the sum is `energy_mw`.
+
+Powers are added in the order in which frames began: the same to the last bit at one radio or at all. What is done at all
+radios alike is written twice, with vectors for NumPy, and as loops, which are quicker when compiled: compiled code calls
+``f_loop`` for ``f`` (see `netsim.mac.jit.cache`). Both do the same operations on the same numbers in the same order, and leave
+the same bits behind; but a loop leaves out what changes nothing at a radio.
+"""
+
+import numpy as np
+
+from vcmvsp.netsim.interfaces.layers import Floats, Ints
+from vcmvsp.netsim.mac.dcf.backoff import defer, defer_one
+from vcmvsp.netsim.mac.dcf.state import (
+    COLLISION,
+    EIFS_OVER,
+    ERROR,
+    HEADER,
+    NEVER,
+    NOBODY,
+    ON_AIR,
+    PAYLOAD_OVER_NS,
+    RECEIVED,
+    TIMEOUT,
+    TRANSMITTING,
+    UNDETECTED,
+    Rules,
+    State,
+)
+from vcmvsp.netsim.phy.error_table import between, look_up_one, places
+
+
+def put_on_air(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
+    """Radio i starts to send; its level and patience are in `State`."""
+    settle(s, rules, now)
+    count = s.counts[ON_AIR]
+    for at in range(count):
+        other = s.air[at]
+        s.shared[other] = True
+        if s.pending[other, i] or s.lock[i] == other:  # it stops listening
+            s.pending[other, i] = False
+            s.deaf[other, i] = True
+    hear_begin(s, rules, i, now)
+    s.shared[i] = count > 0
+    s.detected[i] = False
+    s.start_ns[i] = now
+    s.settled_ns[i] = now
+    s.end_ns[i] = now + air_ns
+    s.air[count] = i
+    s.counts[ON_AIR] = count + 1
+
+
+def detect(s: State, rules: Rules, i: int) -> None:
+    """Preamble detection of radio i's frame at all radios; see `notice`."""
+    s.detected[i] = True
+    notice(s, rules, i)
+
+
+def take_off_air(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
+    """The frame of radio i ends; in `State.busy`: the end of the busy time that its receivers then know of.
+
+    For radios that decoded it, that is ``reserved_ns`` at least.
+    """
+    settle(s, rules, now)
+    judge(s, rules, i, now)
+    count = s.counts[ON_AIR] - 1
+    found = False
+    for at in range(count):
+        found = found or s.air[at] == i
+        if found:
+            s.air[at] = s.air[at + 1]
+    s.counts[ON_AIR] = count
+    let_go(s, rules, i, now, reserved_ns)
+    if count > 0:
+        began = s.start_ns[s.air[count - 1]] > s.start_ns[i]  # something, while it was sending
+        order_by_end(s)
+        s.busy[i] = energy_end_at(s, rules.busy_mw if began else rules.energy_mw, i)
+
+
+def settle(s: State, rules: Rules, now: int) -> None:
+    """Add the hazard of all frames on the air up to now, before the set of frames changes."""
+    for at in range(s.counts[ON_AIR]):
+        i = s.air[at]
+        since = s.settled_ns[i]
+        if since < now:
+            begin, header_end = s.start_ns[i] + rules.preamble_ns, s.start_ns[i] + rules.header_end_ns
+            header_ns = max(min(now, header_end) - max(since, begin), 0)
+            suffer(s, rules, i, header_ns, max(now - max(since, header_end), 0), header_ns > 0 and now >= header_end)
+            s.settled_ns[i] = now
+
+
+def hear_begin(s: State, rules: Rules, i: int, now: int) -> None:
+    """Start of radio i's frame at all radios: free ones wait for its preamble; some receivers drop the frame that they receive.
+
+    They do if the new frame captures them, or if the header of the old one could not be decoded.
+    """
+    sending, level = s.end_ns > now, s.level[i]
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        held = s.lock == other
+        if captures(s, rules, other, now):
+            s.lock[held & (level >= rules.capture * s.level[other])] = NOBODY
+        if now >= s.start_ns[other] + rules.header_end_ns:
+            s.lock[held & s.spoiled[other]] = NOBODY
+    s.lock[i] = NOBODY
+    s.pending[i] = ~sending & (s.lock == NOBODY)
+    s.pending[i, i] = False
+    s.deaf[i] = sending
+    s.spoiled[i] = False
+    s.hazard[i] = 0.0
+    s.least[i] = np.inf
+    level[level < rules.faintest_mw] = 0.0
+    level[i] = 0.0
+
+
+def hear_begin_loop(s: State, rules: Rules, i: int, now: int) -> None:
+    """See `hear_begin`."""
+    lock, level, pending, deaf, spoiled = s.lock, s.level[i], s.pending[i], s.deaf[i], s.spoiled[i]
+    hazard, least, end_ns = s.hazard[i], s.least[i], s.end_ns
+    lock[i] = NOBODY
+    for j in range(len(lock)):
+        held = lock[j]
+        if held != NOBODY:
+            capture = captures(s, rules, held, now) and level[j] >= rules.capture * s.level[held, j]
+            if capture or (now >= s.start_ns[held] + rules.header_end_ns and s.spoiled[held, j]):
+                lock[j] = NOBODY
+        deaf[j] = end_ns[j] > now
+        pending[j] = not deaf[j] and lock[j] == NOBODY
+        spoiled[j] = False
+        hazard[j] = 0.0
+        least[j] = np.inf
+        if level[j] < rules.faintest_mw:
+            level[j] = 0.0
+    pending[i] = False
+    level[i] = 0.0
+
+
+def captures(s: State, rules: Rules, other: int, now: int) -> bool:
+    """Whether a frame that begins now, if strong enough, captures the receivers of radio other's frame."""
+    within = now <= s.start_ns[other] + rules.detect_ns + rules.capture_ns
+    return bool(rules.capture_ns > 0 and s.detected[other] and within)
+
+
+def notice(s: State, rules: Rules, i: int) -> None:
+    """Which radios detect the frame of radio i; in `State.busy`: the end of the busy time, as known now."""
+    level, strongest, busy = s.level[i], s.pending[i].copy(), s.busy
+    busy[:] = 0
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        if other != i:
+            strongest &= ~(s.pending[other] & (s.level[other] > level))
+    power = interference(s, rules, i)
+    noticed = strongest & (level >= s.sensitivity_mw) & (level >= rules.preamble_snr * power)
+    s.lock[noticed] = i
+    np.putmask(s.header_ns, noticed, np.maximum(s.idle_ns, s.start_ns[i] + rules.header_end_ns))
+    s.pending[i] = False
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        if other != i:
+            s.pending[other] &= ~noticed
+    busy[noticed] = s.end_ns[i]
+    missed = strongest & ~noticed
+    if np.count_nonzero(missed):
+        order_by_end(s)
+        np.putmask(busy, missed, energy_end(s, rules.busy_mw))
+
+
+def notice_loop(s: State, rules: Rules, i: int) -> None:
+    """See `notice`."""
+    lock, level, pending, sensitivity_mw = s.lock, s.level[i], s.pending[i], s.sensitivity_mw
+    count, busy = s.counts[ON_AIR], s.busy
+    order_by_end(s)
+    for j in range(len(lock)):
+        busy[j] = 0
+        if not pending[j]:
+            continue
+        strongest, power = True, rules.noise_mw
+        for at in range(count):
+            other = s.air[at]
+            if other != i:
+                power += s.level[other, j]
+                strongest = strongest and not (s.pending[other, j] and s.level[other, j] > level[j])
+        pending[j] = False
+        if not strongest:
+            continue
+        if level[j] >= sensitivity_mw[j] and level[j] >= rules.preamble_snr * power:
+            lock[j], busy[j] = i, s.end_ns[i]
+            s.header_ns[j] = max(s.idle_ns[j], s.start_ns[i] + rules.header_end_ns)
+            for at in range(count):
+                s.pending[s.air[at], j] = False
+        else:
+            busy[j] = energy_end_at(s, rules.busy_mw, j)
+
+
+def suffer(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
+    """Add hazard to the frame of radio i, for parts of its header and payload, at the SINR of now; keep the least SINR."""
+    sinr, least = s.level[i] / interference(s, rules, i), s.least[i]
+    np.minimum(least, sinr, out=least)
+    if header_ns == 0 and payload_ns == 0:
+        return
+    receiving = s.lock == i if s.detected[i] else np.ones(len(least), np.bool_)
+    step, part = places(sinr)
+    hazard = s.hazard[i].copy()
+    if header_ns > 0:
+        hazard += rules.header_bits_per_ns * header_ns * between(s.tables[HEADER], step, part)
+        if header_ends:
+            s.spoiled[i] = receiving & (hazard >= s.patience[i])
+    if payload_ns > 0:
+        hazard += s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part)
+    np.putmask(s.hazard[i], receiving, hazard)
+
+
+def suffer_loop(s: State, rules: Rules, i: int, header_ns: int, payload_ns: int, header_ends: bool) -> None:
+    """See `suffer`."""
+    lock, level, least, hazard, patience = s.lock, s.level[i], s.least[i], s.hazard[i], s.patience[i]
+    header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
+    header_bits, payload_bits = rules.header_bits_per_ns * header_ns, s.payload_bits_per_ns[i] * payload_ns
+    alone, undetected = s.counts[ON_AIR] == 1, not s.detected[i]
+    for j in range(len(lock)):
+        sinr = level[j] / (rules.noise_mw if alone else interference_at(s, rules, i, j))
+        least[j] = min(least[j], sinr)
+        receiving = undetected or lock[j] == i
+        if receiving and header_ns > 0:
+            hazard[j] += header_bits * look_up_one(header_table, sinr)
+        if header_ends:
+            s.spoiled[i, j] = receiving and hazard[j] >= patience[j]
+        if receiving and payload_ns > 0:
+            hazard[j] += payload_bits * look_up_one(table, sinr)
+
+
+def judge(s: State, rules: Rules, i: int, now: int) -> None:
+    """Say for each radio whether it received the frame of radio i, which ends now; and if not, why not."""
+    fate, level, alone = s.fate[i], s.level[i], s.hazard[i] < s.patience[i]
+    ok = (s.lock == i) & alone
+    if np.count_nonzero(ok) == len(ok) - 1:  # most often
+        fate[:] = RECEIVED
+        fate[i] = TRANSMITTING
+        return
+    if s.shared[i]:  # what would have become of it with nothing else on the air?
+        step, part = places(level / rules.noise_mw)
+        header = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns) * between(s.tables[HEADER], step, part)
+        payload_ns = now - s.start_ns[i] - rules.header_end_ns
+        alone = header + s.payload_bits_per_ns[i] * payload_ns * between(s.tables[s.curve[i]], step, part) < s.patience[i]
+    fate[:] = ERROR
+    fate[alone] = COLLISION
+    fate[s.deaf[i]] = TRANSMITTING
+    fate[(level < s.sensitivity_mw) | (level < rules.preamble_snr * rules.noise_mw)] = UNDETECTED
+    fate[ok] = RECEIVED
+    fate[i] = TRANSMITTING
+
+
+def judge_loop(s: State, rules: Rules, i: int, now: int) -> None:
+    """See `judge`."""
+    lock, level, hazard, patience, fate, deaf = s.lock, s.level[i], s.hazard[i], s.patience[i], s.fate[i], s.deaf[i]
+    header_table, table = s.tables[HEADER], s.tables[s.curve[i]]
+    header_bits = rules.header_bits_per_ns * (rules.header_end_ns - rules.preamble_ns)
+    payload_bits = s.payload_bits_per_ns[i] * (now - s.start_ns[i] - rules.header_end_ns)
+    for j in range(len(lock)):
+        survived = hazard[j] < patience[j]
+        if survived and lock[j] == i:
+            fate[j] = RECEIVED
+        elif level[j] < s.sensitivity_mw[j] or level[j] < rules.preamble_snr * rules.noise_mw:
+            fate[j] = UNDETECTED
+        elif deaf[j]:
+            fate[j] = TRANSMITTING
+        else:
+            if s.shared[i]:
+                snr = level[j] / rules.noise_mw
+                suffered = header_bits * look_up_one(header_table, snr) + payload_bits * look_up_one(table, snr)
+                survived = suffered < patience[j]
+            fate[j] = COLLISION if survived else ERROR
+    fate[i] = TRANSMITTING
+
+
+def let_go(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
+    """Free the receivers of radio i's frame, which has ended; in `State.busy`: the end of the busy time.
+
+    That is ``reserved_ns`` at least where the frame was decoded. A receiver that waits for an acknowledgement, and began to
+    receive this frame before its timeout, stops waiting (IEEE 802.11-2016, 10.3.2.11), unless this was the acknowledgement.
+    """
+    payload_ns = s.start_ns[i] + rules.header_end_ns
+    held = s.lock == i
+    heard = held & ~s.spoiled[i]
+    received = s.fate[i] == RECEIVED
+    lost, busy = heard & ~received, s.busy
+    timeout = s.due[TIMEOUT * len(held) :]
+    if timeout[timeout.argmin()] < NEVER:
+        timeout[heard & (timeout < NEVER) & (timeout >= payload_ns)] = now + PAYLOAD_OVER_NS
+    s.eifs_ns[heard] = 0
+    if np.count_nonzero(lost):
+        s.eifs_ns[lost] = s.counts[EIFS_OVER] = now + rules.eifs_ns
+    if s.counts[EIFS_OVER] > now:
+        defer(s, rules, heard)
+    s.lock[held] = NOBODY
+    busy[:] = 0
+    busy[received] = reserved_ns
+    if s.counts[ON_AIR] > 0:
+        order_by_end(s)
+        np.putmask(busy, held, np.maximum(busy, energy_end(s, rules.busy_mw)))
+
+
+def let_go_loop(s: State, rules: Rules, i: int, now: int, reserved_ns: int) -> None:
+    """See `let_go`."""
+    lock, eifs_ns, fate, busy, others = s.lock, s.eifs_ns, s.fate[i], s.busy, s.counts[ON_AIR] > 0
+    order_by_end(s)
+    timeout, payload_ns = s.due[TIMEOUT * len(s.lock) :], s.start_ns[i] + rules.header_end_ns
+    for j in range(len(lock)):
+        busy[j] = reserved_ns if fate[j] == RECEIVED else 0
+        if lock[j] == i:
+            lock[j] = NOBODY
+            if not s.spoiled[i, j]:
+                if payload_ns <= timeout[j] < NEVER:
+                    timeout[j] = now + PAYLOAD_OVER_NS
+                eifs_ns[j] = 0
+                if fate[j] != RECEIVED:
+                    eifs_ns[j] = s.counts[EIFS_OVER] = now + rules.eifs_ns
+                defer_one(s, rules, j)
+            if others:
+                busy[j] = max(busy[j], energy_end_at(s, rules.busy_mw, j))
+
+
+def interference(s: State, rules: Rules, i: int) -> Floats | float:
+    """Noise and the power of everything but the frame of radio i, (n,) mW; a number if there is nothing else."""
+    total: Floats | float = rules.noise_mw
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        if other != i:
+            total = total + s.level[other]
+    return total
+
+
+def interference_at(s: State, rules: Rules, i: int, j: int) -> float:
+    """The same at radio j."""
+    total = rules.noise_mw
+    for at in range(s.counts[ON_AIR]):
+        other = s.air[at]
+        if other != i:
+            total += s.level[other, j]
+    return total
+
+
+def order_by_end(s: State) -> None:
+    """Sort the senders on the air into `State.order`: the last to end first; of equal ends the first to start."""
+    order = s.order
+    for at in range(s.counts[ON_AIR]):
+        i, to = s.air[at], at
+        while to > 0 and s.end_ns[order[to - 1]] < s.end_ns[i]:
+            order[to] = order[to - 1]
+            to -= 1
+        order[to] = i
+
+
+def energy_end(s: State, threshold_mw: float) -> Ints:
+    """When the sum of the powers on the air, in `State.order`, falls below the threshold, (n,) ns; 0 where it is below."""
+    until = np.zeros(len(s.lock), np.int64)
+    total = np.zeros(len(s.lock))
+    for i in s.order[: s.counts[ON_AIR]]:
+        total += s.level[i]
+        until[(total >= threshold_mw) & (until == 0)] = s.end_ns[i]
+    return until
+
+
+def energy_end_at(s: State, threshold_mw: float, j: int) -> int:
+    """The same at radio j."""
+    total = 0.0
+    for at in range(s.counts[ON_AIR]):
+        i = s.order[at]
+        total += s.level[i, j]
+        if total >= threshold_mw:
+            return int(s.end_ns[i])
+    return 0
