@@ -13,19 +13,14 @@ import heapq
 from collections import deque
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.netsim.interfaces.layers import US, Floats, Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
 from vcmvsp.netsim.mac.csma154.receivers import Air, Flight
-from vcmvsp.netsim.mac.csma154.sender import Doing, Radio
+from vcmvsp.netsim.mac.csma154.sender import Doing, Radio, Rules
 from vcmvsp.netsim.phy.error_rate import ErrorRate
-
-if TYPE_CHECKING:  # it is what opens a network
-    from vcmvsp.netsim.mac.csma154.parameters import Csma154
 
 TURNAROUND_NS = 192 * US  # aTurnaroundTime, 12 symbols
 ACK_NS = 352 * US  # an acknowledgement on the air: 11 bytes
@@ -48,9 +43,8 @@ class _Kind(IntEnum):
 class Network:
     """The `netsim.interfaces.medium.Medium`: an event queue over the radios' state machines."""
 
-    def __init__(self, rules: "Csma154", air: Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
+    def __init__(self, rules: Rules, air: Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
         self._rules, self._air, self._phy, self._errors = rules, air, phy, errors
-        self._lifetime_ns = None if rules.lifetime_s is None else seconds_to_ns(rules.lifetime_s)
         self._radios = [Radio(row, keys[row : row + 1], rules) for row in range(len(keys))]
         self._events: list[tuple[int, _Kind, int, Radio, int]] = []  # heap: time, kind, running number, radio, its stamp
         self._offers: deque[Offered] = deque()
@@ -137,7 +131,7 @@ class Network:
         """Turn to the next frame of the queue, if there is one."""
         while radio.queue:
             frame = heapq.heappop(radio.queue)[2]
-            if self._lifetime_ns is not None and now_ns - frame.time_ns > self._lifetime_ns:
+            if self._rules.lifetime_ns is not None and now_ns - frame.time_ns > self._rules.lifetime_ns:
                 self._never(now_ns, frame, Fate.EXPIRED)
                 continue
             radio.frame, radio.air_ns = frame, self._phy.air_time_ns(frame.size_bytes)

@@ -5,12 +5,14 @@ from typing import Annotated
 
 import msgspec
 
+from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Decibels, Seconds
 from vcmvsp.netsim.interfaces.layers import Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Medium
 from vcmvsp.netsim.mac.csma154.events import Network
 from vcmvsp.netsim.mac.csma154.receivers import Air
+from vcmvsp.netsim.mac.csma154.sender import Rules
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
 Exponent = Annotated[int, msgspec.Meta(ge=0, le=16)]
@@ -82,4 +84,13 @@ class Csma154:
             busy_dbm=phy.sensitivity_dbm + self.cca_above_sensitivity_db,
             forgetful=self.forget_interference,
         )
-        return Network(self, air, phy, errors, keys)
+        rules = Rules(
+            min_be=self.min_be,
+            max_be=self.max_be,
+            max_backoffs=self.max_backoffs,
+            acknowledge=self.acknowledge,
+            max_retries=self.max_retries,
+            queue_frames=self.queue_frames,
+            lifetime_ns=None if self.lifetime_s is None else seconds_to_ns(self.lifetime_s),
+        )
+        return Network(rules, air, phy, errors, keys)

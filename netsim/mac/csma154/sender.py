@@ -1,8 +1,8 @@
-"""One IEEE 802.15.4 sender: what it is at, and its random numbers."""
+"""One IEEE 802.15.4 sender: the rules of access, its state, and its random numbers."""
 
 import math
 from enum import Enum, auto
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,13 +12,22 @@ from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
 from vcmvsp.netsim.interfaces.medium import Codes, Offered
 from vcmvsp.netsim.mac.csma154.receivers import Flight
 
-if TYPE_CHECKING:  # it is what opens the network of radios
-    from vcmvsp.netsim.mac.csma154.parameters import Csma154
-
 UNIT_NS = 320_000  # aUnitBackoffPeriod, 20 symbols
 CCA_NS = 128_000  # 8 symbols
 
 _BLOCK = 16  # contentions planned at once
+
+
+class Rules(NamedTuple):
+    """The parameters of `netsim.mac.csma154.parameters.Csma154` that senders go by."""
+
+    min_be: int
+    max_be: int
+    max_backoffs: int
+    acknowledge: bool
+    max_retries: int
+    queue_frames: int | None
+    lifetime_ns: int | None
 
 
 class Doing(Enum):
@@ -35,7 +44,7 @@ class Doing(Enum):
 class Radio:
     """One sender: its queue, the frame it is at, and how far it has come with it."""
 
-    def __init__(self, row: int, key: Keys, rules: "Csma154") -> None:
+    def __init__(self, row: int, key: Keys, rules: Rules) -> None:
         self.row = row
         self.doing = Doing.NOTHING
         self.stamp = 0  # events of earlier stamps are cancelled
