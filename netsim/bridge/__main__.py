@@ -11,7 +11,7 @@ from pathlib import Path
 
 from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.netsim.bridge.process.bridge_process import Process
-from vcmvsp.netsim.bridge.process.event_loop import new_loop
+from vcmvsp.netsim.bridge.process.pacer import new_loop
 
 NICE = -5  # where the system allows it: datagrams leave at their time while the run computes
 

@@ -24,8 +24,7 @@ from vcmvsp.cosim.types import Array, Datagrams, Reception, States, Traffic, fro
 from vcmvsp.netsim.bridge.echoes import Echoes
 from vcmvsp.netsim.bridge.gateways.base import LARGEST
 from vcmvsp.netsim.bridge.lateness import Lateness
-from vcmvsp.netsim.bridge.process import message_chunks
-from vcmvsp.netsim.bridge.process import messages as wire
+from vcmvsp.netsim.bridge.process import messages
 from vcmvsp.netsim.bridge.process_client import Beside
 
 if TYPE_CHECKING:
@@ -113,14 +112,14 @@ class Bridge:
         self.reads: tuple[str, ...] = ("radio/traffic", "*/heard") if agents else ("radio/traffic",)
         self.wakes: tuple[str, ...] = self.reads
         self._clock, self._log = clock, log
-        specs = tuple(wire.DoorSpec(name=each.name, kind=each.kind, params=each.params) for each in doors)
-        self._opening = wire.Opening(run=run, folder=folder, vehicles=tuple(vehicles), doors=specs, payloads=agents)
+        specs = tuple(messages.DoorSpec(name=each.name, kind=each.kind, params=each.params) for each in doors)
+        self._opening = messages.Opening(run=run, folder=folder, vehicles=tuple(vehicles), doors=specs, payloads=agents)
         self._vehicles = tuple(vehicles)
         self._row = {name: row for row, name in enumerate(vehicles)}
         self._air, self._tell, self._connect = air, tell, connect
         self._process: Beside | None = None
-        self._came: list[wire.Came] = []  # that waits, as the run is behind
-        self._ripe: list[wire.Came] = []  # for the radio, in this instant
+        self._came: list[messages.Came] = []  # that waits, as the run is behind
+        self._ripe: list[messages.Came] = []  # for the radio, in this instant
         self._took_ns = 0  # when there was some
         self._again_ns = 0  # the next instant of its own
         self._taken = 0
@@ -186,7 +185,7 @@ class Bridge:
             self._ripe = []
             for event in events:
                 self._log(event.key, event.time_ns, event.value)
-            process.say(message_chunks.taken_over(self._taken))  # what comes meanwhile may be gathered
+            process.say(messages.taken_over(self._taken))  # what comes meanwhile may be gathered
         if self._levels_due and self._states is not None:
             self._say_levels(process, self._states)
         return Step(events, self._next(process, now_ns))
@@ -229,21 +228,21 @@ class Bridge:
 
     def _say_levels(self, process: Beside, states: States) -> None:
         self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
-        for each in message_chunks.levels(self._air.levels_dbm(states)):
+        for each in messages.levels_in_chunks(self._air.levels_dbm(states)):
             process.say(each)
 
-    def _hear(self, messages: Sequence[wire.Up]) -> None:
-        for message in messages:
-            if isinstance(message, wire.Came):
+    def _hear(self, received: Sequence[messages.Up]) -> None:
+        for message in received:
+            if isinstance(message, messages.Came):
                 self._came.append(message)
-            elif isinstance(message, wire.Went):
+            elif isinstance(message, messages.Went):
                 self._late.went(message.due, message.went_ns)
-            elif isinstance(message, wire.Counted):
+            elif isinstance(message, messages.Counted):
                 self._counts |= message.counts
-            elif isinstance(message, wire.Asked):
+            elif isinstance(message, messages.Asked):
                 self._wants_levels = True
 
-    def _datagrams(self, came: wire.Came) -> Datagrams:
+    def _datagrams(self, came: messages.Came) -> Datagrams:
         """What came, in the run's time: within the run, and in order for each sender.
 
         Where the run is late, that is after now: taken for sent now, it would arrive before its time.
@@ -273,7 +272,7 @@ class Bridge:
         self._late.due(traffic, at_ns)
         if self._opening.payloads:
             self._echoes.decided(traffic)
-        for each in message_chunks.due(self._taken, traffic, at_ns):
+        for each in messages.due_in_chunks(self._taken, traffic, at_ns):
             process.say(each)
 
     def _on_heard(self, process: Beside, vehicle: str, heard: Reception) -> None:
@@ -283,4 +282,4 @@ class Bridge:
         elif payload is not None:
             sender, receiver = self._row[heard.message.sender], self._row[vehicle]
             at_ns = self._clock.monotonic_ns(heard.received_ns)
-            process.say(wire.Spoken(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))
+            process.say(messages.Spoken(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))

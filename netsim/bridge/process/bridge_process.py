@@ -22,7 +22,7 @@ from vcmvsp.cosim.errors import ScenarioError, place_of
 from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import Door, DoorError
-from vcmvsp.netsim.bridge.process import messages as wire
+from vcmvsp.netsim.bridge.process import messages
 from vcmvsp.netsim.bridge.process.datagram_store import Store
 from vcmvsp.netsim.bridge.process.gateway_context import OpenHall
 from vcmvsp.netsim.bridge.process.pacer import Delivery, Pacer
@@ -61,11 +61,11 @@ class Process:
         except Exception as error:
             problem = _words(error)
         if problem:
-            self._say(wire.Failed(problem=problem))
+            self._say(messages.Failed(problem=problem))
         self._say_the_rest()
         return 3 if problem else 0
 
-    async def _go_through(self, opening: wire.Opening) -> str:
+    async def _go_through(self, opening: messages.Opening) -> str:
         """From opening the doors to closing them; why it ends."""
         self._loop.set_exception_handler(self._on_exception)
         self._loop.add_signal_handler(signal.SIGTERM, self._end, "it was told to end (SIGTERM)")
@@ -80,10 +80,10 @@ class Process:
 
     # The beginning
 
-    def _opening(self) -> wire.Opening:
+    def _opening(self) -> messages.Opening:
         self._link.wait(OPENING_S)
-        messages = self._link.receive()
-        if not messages or not isinstance(opening := wire.downs.decode(messages[0]), wire.Opening):
+        received = self._link.receive()
+        if not received or not isinstance(opening := messages.downs.decode(received[0]), messages.Opening):
             raise DoorError("nobody told the bridge's process what to open: it is started by runs")
         self._store = Store(len(opening.vehicles), payloads=opening.payloads)
         self._hall = OpenHall(
@@ -91,11 +91,11 @@ class Process:
         )
         self._pacer = Pacer(self._loop, self._deliver)
         self._payloads = opening.payloads
-        for message in messages[1:]:
-            self._obey(wire.downs.decode(message))
+        for message in received[1:]:
+            self._obey(messages.downs.decode(message))
         return opening
 
-    async def _open(self, opening: wire.Opening) -> None:
+    async def _open(self, opening: messages.Opening) -> None:
         """Open all doors, unless the run ends before."""
         folder = Path(opening.folder)
         with registry.looking_in(folder):
@@ -118,7 +118,7 @@ class Process:
                 raise DoorError(f"bridge.{name}: {error}") from error
             except Exception as error:
                 raise DoorError(f"bridge.{name}: {_words(error)}") from error
-        self._say(wire.Ready(lines=tuple(lines)))
+        self._say(messages.Ready(lines=tuple(lines)))
         self._report()
 
     # From programs to the run
@@ -131,7 +131,7 @@ class Process:
     def _on_wanted(self) -> None:
         if not self._asked:
             self._asked = True
-            self._say(wire.Asked())
+            self._say(messages.Asked())
 
     def _flush(self) -> None:
         """Give the run what is new, unless it has not taken yet what it was given."""
@@ -147,7 +147,7 @@ class Process:
             for kept in (store[number],)
         ]
         number, door, sender, to, size, came_ns = np.array(rows, np.int64).T
-        came = wire.Came(
+        came = messages.Came(
             number=number,
             door=door.astype(np.int32),
             sender=sender.astype(np.int32),
@@ -158,7 +158,7 @@ class Process:
         )
         self._say(came)
 
-    def _say(self, message: wire.Up) -> None:
+    def _say(self, message: messages.Up) -> None:
         self._unsaid.append(encode(message))
         if len(self._unsaid) == 1:
             self._go_on_saying()
@@ -180,22 +180,22 @@ class Process:
 
     def _hear(self) -> None:
         for message in self._link.receive():
-            self._obey(wire.downs.decode(message))
+            self._obey(messages.downs.decode(message))
         if self._link.ended:
             self._end("")
 
-    def _obey(self, message: wire.Down) -> None:
-        if isinstance(message, wire.Due):
+    def _obey(self, message: messages.Down) -> None:
+        if isinstance(message, messages.Due):
             self._on_due(message)
-        elif isinstance(message, wire.Spoken):
+        elif isinstance(message, messages.Spoken):
             self._pacer.put(Delivery(message.at_ns, self._store.speak(message.sender, message.payload), -1, message.receiver))
             self._pacer.arm()
-        elif isinstance(message, wire.Levels):
+        elif isinstance(message, messages.Levels):
             self._hall.tell_levels(message.first, message.dbm)
-        elif isinstance(message, wire.Leave):
+        elif isinstance(message, messages.Leave):
             self._end("")
 
-    def _on_due(self, due: wire.Due) -> None:
+    def _on_due(self, due: messages.Due) -> None:
         store, put, row = self._store, self._pacer.put, self._due
         for number, receiver, at_ns in zip(due.number.tolist(), due.receiver.tolist(), due.at_ns.tolist(), strict=True):
             store.due(number)
@@ -239,7 +239,7 @@ class Process:
         if self._went:
             due, went_ns = np.array(self._went, np.int64).T
             self._went.clear()
-            self._say(wire.Went(due=due, went_ns=went_ns))
+            self._say(messages.Went(due=due, went_ns=went_ns))
 
     def _report(self) -> None:
         """Say again and again what was delivered and counted, to a run that reads: what it is told later says more."""
@@ -252,7 +252,7 @@ class Process:
         counts, changed = self._hall.counts, list(self._hall.counted)
         self._hall.counted.clear()
         for first in range(0, len(changed), COUNTED_MOST):
-            self._say(wire.Counted(counts={name: dict(counts[name]) for name in changed[first : first + COUNTED_MOST]}))
+            self._say(messages.Counted(counts={name: dict(counts[name]) for name in changed[first : first + COUNTED_MOST]}))
 
     # The end
 
@@ -286,7 +286,7 @@ class Process:
         self._link.close()
 
 
-def _built(spec: wire.DoorSpec, folder: Path) -> Door:
+def _built(spec: messages.DoorSpec, folder: Path) -> Door:
     kind = registry.find("door", spec.kind, folder=folder, key=f"bridge.{spec.name}.kind")
     door: Door = binding.call(kind, spec.params, key=f"bridge.{spec.name}")
     return door

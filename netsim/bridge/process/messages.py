@@ -1,9 +1,18 @@
-"""What a run and its bridge process say to each other. Times are of this machine's monotonic clock, ns; rows are vehicles'."""
+"""Messages between a run and its bridge process; long ones go in chunks. Times are of this machine's monotonic clock, ns; rows are vehicles'."""
 
+from collections.abc import Iterator
 from typing import Any
 
-from vcmvsp.cosim.types import Array, Value
+import numpy as np
+
+from vcmvsp.cosim.types import Array, Traffic, Value, frozen
 from vcmvsp.cosim.util.codec import Decoder
+
+MOST_DUE = 5000  # deliveries in a message, and numbers of those that are settled
+MOST_LEVELS = 10_000  # in a message, if no row alone is longer
+
+_NONE = np.zeros(0, np.int64)
+_NO = slice(0)
 
 
 class DoorSpec(Value, frozen=True, kw_only=True):
@@ -99,3 +108,35 @@ Up = Ready | Came | Went | Asked | Counted | Failed
 Down = Opening | Due | Spoken | Levels | Leave
 ups: Decoder[Up] = Decoder(Up)
 downs: Decoder[Down] = Decoder(Down)
+
+
+def taken_over(taken: int) -> Due:
+    """Only how many datagrams were taken so far."""
+    return Due(taken=taken, number=_NONE, receiver=_NONE, at_ns=_NONE, settled=_NONE)
+
+
+def due_in_chunks(taken: int, traffic: Traffic, at_ns: Array) -> Iterator[Due]:
+    """All that arrives, then all that is settled, in messages of limited length.
+
+    Args:
+        taken: datagrams that were taken so far.
+        traffic: n deliveries, and numbers that are settled.
+        at_ns: when each delivery is due, (n,) ns on this machine's monotonic clock.
+    """
+    deliveries, settled = _parts(len(traffic.number)), _parts(len(traffic.settled))
+    together = (deliveries[-1], settled[0])
+    for some, done in [*((each, _NO) for each in deliveries[:-1]), together, *((_NO, each) for each in settled[1:])]:
+        number, receiver = traffic.number[some], traffic.receiver[some]
+        yield Due(taken=taken, number=number, receiver=receiver, at_ns=at_ns[some], settled=traffic.settled[done])
+
+
+def levels_in_chunks(dbm: Array) -> Iterator[Levels]:
+    """Mean levels, (n, n) dBm: of the row's radio at the column's; as many rows a message as fit."""
+    rows = max(1, MOST_LEVELS // len(dbm))
+    for first in range(0, len(dbm), rows):
+        yield Levels(first=first, dbm=frozen(dbm[first : first + rows], np.float64))
+
+
+def _parts(count: int) -> list[slice]:
+    """Slices of at most `MOST_DUE` of so many rows: one, at least."""
+    return [slice(first, first + MOST_DUE) for first in range(0, max(count, 1), MOST_DUE)]

@@ -1,12 +1,14 @@
-"""What is due, in the order of its times, each at its time."""
+"""Deliveries at their times, on an event loop with timers of microseconds."""
 
 import asyncio
 import heapq
+import selectors
 import time
 from collections.abc import Callable
 from typing import NamedTuple
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.util.polling import readable
 
 AT_ONCE = 200  # deliveries, before others have their turn
 
@@ -62,3 +64,19 @@ class Pacer:
                 leave(heapq.heappop(heap))
         finally:
             self.arm()
+
+
+class FineSelector(selectors.EpollSelector):
+    """An ``EpollSelector`` with waits in microseconds: the original waits for whole milliseconds."""
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait for readiness, at most ``timeout`` s (None: as long as it takes)."""
+        if timeout is not None and timeout > 0.0:
+            readable([self.fileno()], timeout)  # its own descriptor is readable when something is ready
+            timeout = 0.0
+        return super().select(timeout)
+
+
+def new_loop() -> asyncio.AbstractEventLoop:
+    """An event loop with a `FineSelector`; the caller closes it."""
+    return asyncio.SelectorEventLoop(FineSelector())

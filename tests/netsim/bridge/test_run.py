@@ -315,7 +315,7 @@ def test_levels_are_told_while_a_door_asks(tmp_path: Path) -> None:
 
 
 def test_a_run_of_many_messages_is_said_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcmvsp.netsim.bridge.process.message_chunks.MOST", 3)
+    monkeypatch.setattr("vcmvsp.netsim.bridge.process.messages.MOST_DUE", 3)
     names = [f"v{k}" for k in range(8)]
     run = BridgeRun(*names)
     with run.program(3) as heard, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:

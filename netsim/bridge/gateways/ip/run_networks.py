@@ -20,8 +20,7 @@ from typing import NoReturn
 import msgspec
 
 from vcmvsp.cosim.types import Value
-from vcmvsp.netsim.bridge.gateways.ip import interfaces as ip_links
-from vcmvsp.netsim.bridge.gateways.ip import namespaces
+from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces
 from vcmvsp.netsim.bridge.gateways.ip.interfaces import Port
 
 FOLDER = Path("/run/vcmvsp-net")
@@ -196,7 +195,7 @@ def _check_routes(network: Network) -> None:
     others = [each for each in networks() if each.alive and each.run != network.run]
     for run, vehicle, port in ((each.run, space.vehicle, space.port) for each in others for space in each.spaces):
         for own in (each.port for each in network.spaces):
-            if own is not None and port is not None and (same := ip_links.in_common(own, port)):
+            if own is not None and port is not None and (same := interfaces.in_common(own, port)):
                 has = f"{same} goes through {vehicle} of the run {run} on this machine"
                 raise Taken(f"routes: what comes {has}: end that run, or give this one another network")
 
@@ -279,8 +278,8 @@ def _clear(folder: Path) -> None:
 
 def _clear_space(space: Space) -> None:
     if (port := space.port) is not None:
-        namespaces.in_thread(functools.partial(ip_links.close_port, port))
+        namespaces.in_thread(functools.partial(interfaces.close_port, port))
     if (namespaces.NAMES / space.namespace).exists():
         with contextlib.suppress(OSError):  # the file is there, but not bound to a namespace: we died between the two
-            namespaces.inside(space.namespace, ip_links.drop_radio)
+            namespaces.inside(space.namespace, interfaces.drop_radio)
         namespaces.remove(space.namespace)

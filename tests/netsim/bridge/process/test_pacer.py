@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.netsim.bridge.process.event_loop import new_loop
-from vcmvsp.netsim.bridge.process.pacer import Delivery, Pacer
+from vcmvsp.netsim.bridge.process.pacer import Delivery, Pacer, new_loop
 
 
 class Turning:

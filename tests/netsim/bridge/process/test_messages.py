@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Array, Traffic, frozen
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.netsim.bridge.process import message_chunks
+from vcmvsp.netsim.bridge.process import messages
 
 ROOM = 200_000  # bytes of a message, as far as every Linux goes (`cosim.processes.local_link`)
 
@@ -30,8 +30,8 @@ def traffic(deliveries: int, settled: int) -> tuple[Traffic, Array]:
 @given(deliveries=st.integers(0, 20), settled=st.integers(0, 20), most=st.integers(1, 8))
 def test_deliveries_come_whole_and_before_what_is_settled(deliveries: int, settled: int, most: int) -> None:
     told, at_ns = traffic(deliveries, settled)
-    with mock.patch.object(message_chunks, "MOST", most):
-        said = list(message_chunks.due(42, told, at_ns))
+    with mock.patch.object(messages, "MOST_DUE", most):
+        said = list(messages.due_in_chunks(42, told, at_ns))
     assert np.concatenate([each.number for each in said]).tolist() == told.number.tolist()
     assert np.concatenate([each.receiver for each in said]).tolist() == told.receiver.tolist()
     assert np.concatenate([each.at_ns for each in said]).tolist() == at_ns.tolist()
@@ -45,8 +45,8 @@ def test_deliveries_come_whole_and_before_what_is_settled(deliveries: int, settl
 @given(vehicles=st.integers(1, 60), most=st.integers(1, 100))
 def test_levels_come_row_by_row(vehicles: int, most: int) -> None:
     dbm = np.arange(vehicles * vehicles, dtype=np.float64).reshape(vehicles, vehicles)
-    with mock.patch.object(message_chunks, "MOST_LEVELS", most):
-        said = list(message_chunks.levels(dbm))
+    with mock.patch.object(messages, "MOST_LEVELS", most):
+        said = list(messages.levels_in_chunks(dbm))
     assert [each.first for each in said] == np.cumsum([0, *(len(each.dbm) for each in said[:-1])]).tolist()
     assert np.concatenate([each.dbm for each in said]).tolist() == dbm.tolist()
     assert all(each.dbm.size <= max(most, vehicles) for each in said)
@@ -55,6 +55,6 @@ def test_levels_come_row_by_row(vehicles: int, most: int) -> None:
 def test_the_longest_messages_fit() -> None:
     assert all(
         len(encode(each)) < ROOM
-        for each in message_chunks.due(2**62, *traffic(3 * message_chunks.MOST, 3 * message_chunks.MOST))
+        for each in messages.due_in_chunks(2**62, *traffic(3 * messages.MOST_DUE, 3 * messages.MOST_DUE))
     )
-    assert all(len(encode(each)) < ROOM for each in message_chunks.levels(np.full((500, 500), -81.25)))
+    assert all(len(encode(each)) < ROOM for each in messages.levels_in_chunks(np.full((500, 500), -81.25)))
