@@ -1,4 +1,7 @@
-"""Messages between a run and its bridge process; long ones go in chunks. Times are of this machine's monotonic clock, ns; rows are vehicles'."""
+"""Messages between a run and its bridge process; long ones go in chunks.
+
+Times are of this machine's monotonic clock, ns; rows are vehicles'.
+"""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,7 @@
 """IP: each vehicle is a machine of its own, and whatever runs on it speaks over its radio, unchanged.
 
-A vehicle has a network namespace of Linux with one interface, `interfaces.RADIO`, a TUN device: what the kernel sends there comes
-to this door as an IP packet, and what the radio receives is written there. One hop on the air is one hop of IP.
+A vehicle has a network namespace of Linux with one TUN interface, `interfaces.RADIO`: what the kernel sends there comes to this
+door as an IP packet, and what the radio receives is written there. One hop on the air is one hop of IP.
 """
 
 import asyncio

@@ -99,11 +99,11 @@ class Lease:
             NameTaken: somebody else has made a namespace or an interface of such a name.
             Taken: the networks behind its vehicles are behind those of another run.
         """
-        interfaces = {name for _, name in socket.if_nameindex()}
+        present = {name for _, name in socket.if_nameindex()}
         for each in network.spaces:
             if (namespaces.NAMES / each.namespace).exists():
                 raise NameTaken("network namespace", each.namespace, "ip netns delete")
-            if each.port is not None and each.port.interface in interfaces:
+            if each.port is not None and each.port.interface in present:
                 raise NameTaken("network interface", each.port.interface, "ip link delete")
         lines = [f"{address}\t{each.vehicle}" for each in network.spaces for address in each.addresses]
         usual = HOSTS.read_text("utf-8", "replace") if HOSTS.exists() else ""
