@@ -1,1 +1,1 @@
-"""Programs as they are on the emulated network: what they send crosses the channel and leaves at its time (README.md)."""
+"""Programs as they are on the emulated network (README.md): the federate and the run's side. No sockets of programs here."""

@@ -1,1 +1,1 @@
-"""Channel parameters from measured links."""
+"""Channel parameters from measured links. No drawing, no files but the log that is read."""

@@ -1,1 +1,1 @@
-"""Loss, delay, rate limits, jammers, scripted changes and traces on top of reception."""
+"""Layers on top of reception: loss, delay, rate limit, jammers, scripted changes, traces. Nothing of standards or access."""

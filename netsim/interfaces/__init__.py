@@ -1,1 +1,1 @@
-"""Protocols of channel layers and media, the vehicle radio, random draws per link."""
+"""Protocols of channel layers and media, a vehicle's radio, random numbers per link. No model, no other room of netsim."""

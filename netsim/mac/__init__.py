@@ -1,1 +1,1 @@
-"""Medium access."""
+"""Medium access: who sends when, and which frames collide. Nothing of levels, which `netsim.channel` gives."""

@@ -1,1 +1,1 @@
-"""Path loss, walls, body shadowing, shadowing and fading."""
+"""Models of the received level: path loss, walls, body shadowing, shadowing, fading. Nothing of standards or access."""

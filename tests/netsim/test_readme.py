@@ -77,5 +77,5 @@ def test_every_outcome_is_explained(tmp_path: Path) -> None:
 def test_what_it_points_to_is_there() -> None:
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", README):
         assert (HOME / target).exists(), target
-    for name in re.findall(r"`(\w+\.py)`", README):
+    for name in re.findall(r"`([\w/]+\.py)`", README):
         assert name == "my_models.py" or (HOME / name).exists(), name

@@ -1,1 +1,1 @@
-"""The bridge process beside the run."""
+"""The bridge process beside the run, and the messages between both. Nothing of the channel."""

@@ -1,1 +1,1 @@
-"""Compilation of the core of DCF to machine code, with its cache; no radio model in here."""
+"""Compilation of the core of DCF to machine code, with its cache. No radio model."""

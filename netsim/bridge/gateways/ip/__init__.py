@@ -1,1 +1,1 @@
-"""Linux network namespaces, one for each vehicle."""
+"""Vehicles as network namespaces of Linux. Only `interfaces` speaks netlink."""
