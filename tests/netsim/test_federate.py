@@ -128,7 +128,7 @@ def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
         return events.run
 
     patch.setattr("vcmvsp.netsim.mac.dcf.medium.available", lambda: True)
-    patch.setattr("vcmvsp.netsim.mac.dcf.medium.loaded", lambda *_: False)
+    patch.setattr("vcmvsp.netsim.mac.dcf.medium.is_loaded", lambda *_: False)
     patch.setattr("vcmvsp.netsim.mac.dcf.medium.Compiled", load)
 
 
@@ -167,7 +167,7 @@ def test_what_compiled_code_pays_for_is_seen_from_how_soon_the_first_frames_come
     loaded_at: list[int] = []
     fates: list[list[tuple[str, ...]]] = []
     code_is_had(monkeypatch, lambda: loaded_at.append(len(fates[-1])))
-    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.at_hand", lambda *_: True)
+    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.is_cached", lambda *_: True)
     monkeypatch.setattr("vcmvsp.netsim.federate.TELLING", 5)
     for duration_s in (seconds, 1):
         radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))

@@ -32,7 +32,7 @@ from vcmvsp.netsim.mac.dcf.state import (
     State,
     new_state,
 )
-from vcmvsp.netsim.mac.jit.cache import Compiled, at_hand, available, loaded, looped
+from vcmvsp.netsim.mac.jit.cache import Compiled, available, is_cached, is_loaded, looped
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 
 LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
@@ -88,7 +88,7 @@ class DcfMedium:
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
         self._state.over_ns[:] = rules.difs_ns + self._state.slots * rules.slot_ns
         self._state.drawn[:] = 1
-        seen = self._faster_at is not None and loaded(CORE, "run", self._state, self._rules)  # by an earlier run
+        seen = self._faster_at is not None and is_loaded(CORE, "run", self._state, self._rules)  # by an earlier run
         if (compile_core or seen) and count:
             self._go_faster(COMPILE_AFTER)
 
@@ -274,7 +274,7 @@ class DcfMedium:
     def _go_faster(self, frames: int) -> None:
         """The same state goes on at another speed, where that pays for so many frames; else later."""
         core = CORE, "run", self._state, self._rules
-        if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and at_hand(*core)):
+        if frames >= COMPILE_AFTER or (frames >= LOAD_AFTER and is_cached(*core)):
             self._run, self._faster_at = Compiled(*core), None
         else:
             self._faster_at = COMPILE_AFTER

@@ -3,8 +3,7 @@
 The functions are written in the part of NumPy that numba compiles, and do the same operations in the same order either way:
 what they compute is the same to the last bit. `VCMVSP_COMPILED=0` in the environment turns compilation off.
 
-What has been compiled is kept in the user's cache folder, under a digest of all that it depends on: a change makes it compile
-anew.
+Compiled code is kept in the user's cache folder, under a digest of all that it depends on: after a change it is compiled anew.
 """
 
 import contextlib
@@ -44,7 +43,7 @@ class Compiled:
 
     def __init__(self, names: tuple[str, ...], entry: str, first: Any, second: Any) -> None:
         self._first, self._second = Block(first), Block(second)
-        self._function = _loaded(names, entry, self._first.layout, self._second.layout)
+        self._function = _shared(names, entry, self._first.layout, self._second.layout)
 
     def __call__(self, first: Any, second: Any, number: int) -> int:
         """Call it. Of tuples that are those of the call before nothing is copied."""
@@ -55,17 +54,17 @@ class Compiled:
         return self._function(self._first.address, self._second.address, number)
 
 
-def at_hand(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
-    """Whether what `Compiled` gives for these arguments was compiled before, and is loaded in no time."""
-    return _kept(_path(names, entry, Block(first).layout, Block(second).layout)) is not None
+def is_cached(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
+    """Whether the function that `Compiled` gives for these arguments is in the cache folder: it loads in no time."""
+    return _read_code(_path(names, entry, Block(first).layout, Block(second).layout)) is not None
 
 
-def loaded(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
-    """Whether this process has loaded already what `Compiled` gives for these arguments."""
+def is_loaded(names: tuple[str, ...], entry: str, first: Any, second: Any) -> bool:
+    """Whether this process has already loaded the function that `Compiled` gives for these arguments."""
     return (names, entry, Block(first).layout, Block(second).layout) in _functions
 
 
-def _loaded(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Callable[[int, int, int], int]:
+def _shared(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Callable[[int, int, int], int]:
     key = names, entry, first, second
     if key not in _functions:
         _functions[key] = _function(*key)
@@ -74,12 +73,12 @@ def _loaded(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -
 
 def _function(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Callable[[int, int, int], int]:
     path = _path(names, entry, first, second)
-    code = _kept(path)
+    code = _read_code(path)
     if code is None:
         make: Any = importlib.import_module("vcmvsp.netsim.mac.jit.compiler")
-        modules = [_load(name, "compiled") for name in names]
+        modules = [_copy_of(name, "compiled") for name in names]
         code = make.machine_code(_linked(modules, entry, make.compiled), first, second)
-        _keep(path, code)
+        _write_code(path, code)
     function: Callable[[int, int, int], int] = importlib.import_module("vcmvsp.netsim.mac.jit.loader").Loaded(code)
     return function
 
@@ -87,7 +86,7 @@ def _function(names: tuple[str, ...], entry: str, first: Layout, second: Layout)
 @cache
 def looped(names: tuple[str, ...], entry: str) -> Callable[..., int]:
     """The function of the same loops that `Compiled` compiles, as they are: for arrays of a few numbers quicker than NumPy."""
-    return _linked([_load(name, "looped") for name in names], entry, lambda source: source)
+    return _linked([_copy_of(name, "looped") for name in names], entry, lambda source: source)
 
 
 def _linked(modules: list[ModuleType], entry: str, make: Callable[[FunctionType], Any]) -> Callable[..., int]:
@@ -103,7 +102,7 @@ def _linked(modules: list[ModuleType], entry: str, make: Callable[[FunctionType]
     return function
 
 
-def _load(name: str, purpose: str) -> ModuleType:
+def _copy_of(name: str, purpose: str) -> ModuleType:
     """Another copy of a module, under a name of its own."""
     original = importlib.import_module(name)
     spec = importlib.util.spec_from_file_location(f"{name}__{purpose}", str(original.__file__))
@@ -115,11 +114,11 @@ def _load(name: str, purpose: str) -> ModuleType:
     return module
 
 
-# --- what has been compiled is kept ---
+# --- files of compiled code ---
 
 
 def _path(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> Path:
-    """Where it is kept: under a digest of the sources, the numbers in them that come from elsewhere, compiler and computer."""
+    """Its file, named by a digest of the sources, the numbers that they import, compiler and computer."""
     digest = hashlib.blake2b(digest_size=16)
     modules = [importlib.import_module(name) for name in names]
     for module in modules:
@@ -132,8 +131,8 @@ def _path(names: tuple[str, ...], entry: str, first: Layout, second: Layout) -> 
     return folder / f"{digest.hexdigest()}.code"
 
 
-def _kept(path: Path) -> bytes | None:
-    """Code that is kept there, and whole."""
+def _read_code(path: Path) -> bytes | None:
+    """The code in a file; None if there is none, or not all of it."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -142,8 +141,8 @@ def _kept(path: Path) -> bytes | None:
     return code if digest == _digest(code) else None
 
 
-def _keep(path: Path, code: bytes) -> None:
-    """Keep code there, if possible: for whoever looks, whole or not at all."""
+def _write_code(path: Path, code: bytes) -> None:
+    """Write code to a file, if possible; other processes see all of it or nothing."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:

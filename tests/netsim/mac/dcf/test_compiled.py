@@ -70,10 +70,10 @@ def test_compilation_can_be_turned_off(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_code_is_kept_whole_or_not_at_all(tmp_path: Path) -> None:
     path, code = tmp_path / "folder" / "it.code", bytes(range(256)) * 100
-    assert cache._kept(path) is None
-    cache._keep(path, code)
-    assert cache._kept(path) == code
+    assert cache._read_code(path) is None
+    cache._write_code(path, code)
+    assert cache._read_code(path) == code
     assert [each.name for each in path.parent.iterdir()] == ["it.code"]
     path.write_bytes(path.read_bytes()[:-1])
-    assert cache._kept(path) is None
-    cache._keep(path / "not a folder", code)  # it goes on without
+    assert cache._read_code(path) is None
+    cache._write_code(path / "not a folder", code)  # it goes on without
