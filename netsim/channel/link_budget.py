@@ -32,7 +32,7 @@ class Budgets:
     def __init__(
         self,
         path_loss: PathLoss,
-        walls: Any,
+        walls: PathLoss | None,
         shadowing: PathLoss | None,
         phy: Phy,
         radios: Mapping[str, Radio],

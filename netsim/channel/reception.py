@@ -1,9 +1,8 @@
 """From what a radio receives to what arrives: jammers, losses, delays, and the report of it all."""
 
-from typing import Any
-
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import FrameReport, frozen
 from vcmvsp.netsim.channel.frames import Chorus, Sent
@@ -11,7 +10,7 @@ from vcmvsp.netsim.channel.link_budget import Hearing
 from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Bools, Delay, Floats, Frame, Ints, Loss, sealed
+from vcmvsp.netsim.interfaces.layers import Bools, Delay, Floats, Frame, Ints, Loss, T, sealed
 from vcmvsp.netsim.interfaces.link_draws import (
     DELAY_SLOT,
     DELIVERY_SLOT,
@@ -70,7 +69,7 @@ class Outcomes:
         outages: Script | None = None,
     ) -> None:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
-        losses: list[tuple[Any, int]] = [(outages, SCRIPT_SLOT)]  # first: whatever else would be lost then, is lost by that
+        losses: list[tuple[Loss | None, int]] = [(outages, SCRIPT_SLOT)]  # first: they decide before all others
         losses += [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
         self._losses = [(layer, _by_draws(layer, "lost"), slot) for layer, slot in losses if layer is not None]
         self._delay_ns_by: Make | None = _by_draws(delay, "delay_ns")
@@ -101,7 +100,7 @@ class Outcomes:
         for index, (_, lost_by, slot) in enumerate(self._losses):
             assert lost_by is not None  # noqa: S101  see by_draws
             code = np.where((code == 0) & chorus.made(slot, lost_by), np.uint8(_JAMMED + 1 + index), code)
-        arrival: Any = np.array(chorus.end_ns)[:, None]
+        arrival: Ints = np.array(chorus.end_ns)[:, None]
         if self._delay_ns_by is not None:
             arrival = np.maximum(chorus.sent_ns + chorus.made(DELAY_SLOT, self._delay_ns_by), arrival)
         arrival = sealed(np.where(code == 0, arrival, -1))
@@ -249,12 +248,12 @@ class Outcomes:
         return self._trace.traced(frame)
 
 
-def _by_draws(layer: Any, verb: str) -> Make | None:
+def _by_draws(layer: object, verb: str) -> Make | None:
     """What a layer answers for many frames at once; None: nothing, or a class derived from the one that does has the verb."""
     own = vars(type(layer))
     made: Make | None = getattr(layer, f"{verb}_by") if verb in own and f"{verb}_by" in own else None
     return made
 
 
-def _part(values: Any, to: slice) -> Any:
+def _part(values: NDArray[T] | None, to: slice) -> NDArray[T] | None:
     return None if values is None else frozen(values[to])

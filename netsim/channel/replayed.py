@@ -121,7 +121,7 @@ class RecordedChannel:
             return self._channel.send(sent_ns, message, names, position, handover_ns=handover_ns)
         return [self._recorded.report(rows, self._channel.skip(message.sender), message, sent_ns)]
 
-    def send_all(self, *_: Any) -> None:
+    def send_all(self, *_: object) -> None:
         """One by one."""
 
     def expect(self, frames: int) -> None:

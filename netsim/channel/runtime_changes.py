@@ -95,7 +95,7 @@ class Operated:
         return {**layers, name: new}
 
 
-def _numbers(layer: Any) -> dict[str, float]:
+def _numbers(layer: object) -> dict[str, float]:
     """The parameters of a layer that are numbers."""
     if not dataclasses.is_dataclass(layer):
         return {}

@@ -11,7 +11,6 @@ Each hop is a frame like any other: it contends, collides, is lost, delayed and 
 import heapq
 from collections.abc import Callable, Sequence
 from numbers import Integral
-from typing import Any
 
 import msgspec
 
@@ -44,7 +43,7 @@ class Packet(msgspec.Struct):
     message: Message
     sent_ns: int
     datagram: int | None = None  # its number, of one that a program has sent
-    update: Any = None  # of routes: its content
+    update: object = None  # of routes: its content
     open: int = 0  # frames, arrivals and waits
     told: bool = False  # when it arrives, of a datagram to one vehicle
     under_way: bool = False  # when the run ends
@@ -177,7 +176,7 @@ class Network:
         handover_ns: int = 0,
         *,
         datagram: int | None = None,
-        update: Any = None,
+        update: object = None,
     ) -> list[FrameReport]:
         packet = Packet(origin, self._numbers[origin], to, message, sent_ns, datagram, update)
         self._numbers[origin] += 1

@@ -5,7 +5,6 @@ are decided are taken out again.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -33,7 +32,9 @@ from vcmvsp.netsim.mac.dcf.state import (
     new_state,
 )
 from vcmvsp.netsim.mac.jit.cache import Compiled, available, is_cached, is_loaded, looped
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.phy.ofdm import Ofdm
 
 LOAD_AFTER = 400  # frames: what they take longer without compiled code, 0.1 ms each of 3 to 50 radios, is what it takes to load
 COMPILE_AFTER = 5000  # the same, where it must be compiled first: once for each computer
@@ -65,7 +66,7 @@ class DcfMedium:
     def __init__(
         self,
         rules: Rules,
-        phy: Any,
+        phy: Dsss | Ofdm,
         keys: Keys,
         curves: tuple[ErrorRate, ErrorRate],
         sensitivity_mw: float,

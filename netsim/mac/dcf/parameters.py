@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 
@@ -67,29 +67,22 @@ class Dcf:
         if self.cw_min is not None and self.cw_min > self.cw_max:
             raise ScenarioError(f"must not be more than cw_max = {self.cw_max}, not {self.cw_min}", key="cw_min")
 
-    def open(self, phy: Any, count: int, keys: Keys, noise_mw: float, *, compile_core: bool | None = None) -> DcfMedium:
+    def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float, *, compile_core: bool | None = None) -> DcfMedium:
         """The air for ``count`` radios whose random keys are (count,): backoff k of a radio depends on its key and k alone.
 
         ``compile_core``, which changes no result: whether compiled code does the work; None: for many frames, where it can be.
         """
-        control = ack_phy(phy, self.standard(phy))
+        if not isinstance(phy, Dsss | Ofdm):
+            name = type(phy).__name__
+            raise ScenarioError(f"dcf is IEEE 802.11: it goes with the phys dsss and ofdm, not with {name}", key="mac")
+        control = ack_phy(phy, standard_of(phy))
         curves = phy.errors.header[0], control.errors.payload(ACK_BYTES)[0]
         sensitivity_mw = milliwatts(phy.sensitivity_dbm)
         return DcfMedium(self.rules(phy, noise_mw), phy, keys[:count], curves, sensitivity_mw, compile_core=compile_core)
 
-    def standard(self, phy: Phy) -> Standard:
-        """Of a phy."""
-        if isinstance(phy, Dsss):
-            return B
-        if isinstance(phy, Ofdm):
-            return A if phy.band == "5GHz" else G
-        raise ScenarioError(
-            f"dcf is IEEE 802.11: it goes with the phys dsss and ofdm, not with {type(phy).__name__}", key="mac"
-        )
-
-    def rules(self, phy: Any, noise_mw: float) -> Rules:
+    def rules(self, phy: Dsss | Ofdm, noise_mw: float) -> Rules:
         """Everything in nanoseconds, milliwatts and ratios."""
-        standard = self.standard(phy)
+        standard = standard_of(phy)
         cw_min = standard.cw_min if self.cw_min is None else self.cw_min
         if cw_min > self.cw_max:
             raise ScenarioError(f"cw_max = {self.cw_max} is less than the standard's cw_min, {cw_min}", key="mac.cw_max")
@@ -126,7 +119,14 @@ class Dcf:
         )
 
 
-def ack_phy(phy: Any, standard: Standard) -> Any:
+def standard_of(phy: Dsss | Ofdm) -> Standard:
+    """802.11b, or a or g by the band."""
+    if isinstance(phy, Dsss):
+        return B
+    return A if phy.band == "5GHz" else G
+
+
+def ack_phy(phy: Dsss | Ofdm, standard: Standard) -> Dsss | Ofdm:
     """The phy at the rate of acknowledgements: the highest mandatory one that is not above that of the data."""
     rate = max(each for each in standard.ack_rates_bps if each <= phy.rate_bps)
     return replace(phy, rate_bps=rate)
