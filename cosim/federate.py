@@ -23,7 +23,7 @@ from typing import Protocol, runtime_checkable
 import msgspec
 
 from vcmvsp.cosim.clock import Ticks
-from vcmvsp.cosim.types import AnyValue
+from vcmvsp.cosim.types import AnyValue, VehicleState
 
 
 class Slot(IntEnum):
@@ -164,3 +164,24 @@ class RemoteFederate(Federate, Releasable, Protocol):
 
     def answer(self) -> Sequence[Event]:
         """Wait for the answer to the oldest open question."""
+
+
+class ExternalMotion(Protocol):
+    """Motion of vehicles that physics does not move: real robots, or a recording of them.
+
+    They are bodies of infinite mass in the world: other bodies collide with them, scanners and cameras see them, the radio uses
+    their positions; nothing that happens in the simulation moves them.
+    """
+
+    names: tuple[str, ...]  # of the vehicles, in the scenario's order
+
+    def states(self, now_ns: int) -> Sequence[VehicleState]:
+        """States at this instant, in the order of ``names``: asked after the federate of these vehicles has stepped.
+
+        The times asked for never decrease, and the same time gives the same states. Between two instants physics extrapolates
+        with the velocities of the earlier one.
+        """
+
+
+class ExternalVehicles(Federate, ExternalMotion, Protocol):
+    """The federate of such vehicles: publishes their estimates and readings, takes their commands."""

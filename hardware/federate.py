@@ -14,7 +14,7 @@ Events of a real vehicle, at the instants at which physics publishes those of si
 Commands go to the robot at once, and so does ``operator/halted`` (`Halted`): while a vehicle is halted, its robot is told zero
 velocity in place of what its agent commands, and all rules of safety go on; let go, it follows the newest command.
 
-Physics shows the vehicle where `states` says that it is (`cosim.kernel.external_vehicles`).
+Physics shows the vehicle where `states` says that it is (`cosim.federate.ExternalMotion`).
 """
 
 import contextlib

@@ -16,7 +16,7 @@ from vcmvsp.hardware.drivers.base import ORIGIN
 
 
 class Playback:
-    """The federate ``hardware`` (`cosim.kernel.external_vehicles.Vehicles`) from ``hardware.mcap``. Commands move nothing.
+    """The federate ``hardware`` (`cosim.federate.ExternalVehicles`) from ``hardware.mcap``. Commands move nothing.
 
     Each event is given again at its time. Physics is told at each instant what it was told then; between two of these, where
     it asks because a period was changed, in a straight line from the one to the other: both are known, which is better than

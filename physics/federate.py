@@ -18,7 +18,7 @@ Published at every instant that somebody asked for (`RunInfo.instants`, the star
 
 and what sensors say, at their own ticks: ``<vehicle>/fix`` of a positioning sensor, ``<vehicle>/<sensor>`` of all others.
 
-Vehicles that something else moves (`cosim.kernel.external_vehicles`) are in all of this, but for ``estimate``, ``odometry``
+Vehicles that something else moves (`cosim.federate.ExternalMotion`) are in all of this, but for ``estimate``, ``odometry``
 and ``fix``: these are published by whoever moves them.
 """
 
@@ -30,8 +30,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.federate import Event, Instants, Needed, RunInfo, Slot, Step
-from vcmvsp.cosim.kernel.external_vehicles import Outside
+from vcmvsp.cosim.federate import Event, ExternalMotion, Instants, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
 from vcmvsp.physics.bodiless_engines import riders
 from vcmvsp.physics.dynamics.external_vehicles import Reflected, check_shown
@@ -91,7 +90,7 @@ class Physics:
         rate_hz: Rate = 120.0,
         iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
         gravity: NonNegative = 9.81,
-        outside: Outside | None = None,
+        outside: ExternalMotion | None = None,
     ) -> None:
         self.rate_hz, self.iterations, self.gravity = rate_hz, iterations, gravity
         self.world, self.vehicles = world, tuple(vehicles)

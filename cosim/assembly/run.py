@@ -23,7 +23,7 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.federate import Federate, Instants, RunInfo
 from vcmvsp.cosim.hosts.manager import Hosts
-from vcmvsp.cosim.kernel.external_vehicles import Vehicles
+from vcmvsp.cosim.federate import Vehicles
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog
 from vcmvsp.cosim.recording.recorder import Recorder

@@ -1,4 +1,4 @@
-"""Vehicles that something else than physics moves (`cosim.kernel.external_vehicles`), as rows of an engine.
+"""Vehicles that something else than physics moves (`cosim.federate.ExternalMotion`), as rows of an engine.
 
 They are asked for at every instant at which physics looks, once. From there on they go straight on as fast as they went, and go
 on turning about the vertical, until they are asked for again; nothing in the simulation changes that.
@@ -10,7 +10,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.kernel.external_vehicles import Outside
+from vcmvsp.cosim.federate import ExternalMotion
 from vcmvsp.cosim.types import Array, Vec3, VehicleState
 from vcmvsp.physics.engine.interface import Bodiless, Motion, side_by_side, still
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
@@ -28,7 +28,7 @@ class Reflected(Bodiless):
         vehicles: those of them that are named there, in the scenario's order; where they are before anybody was asked.
     """
 
-    def __init__(self, outside: Outside, vehicles: Sequence[VehicleSpec]) -> None:
+    def __init__(self, outside: ExternalMotion, vehicles: Sequence[VehicleSpec]) -> None:
         self._outside, self.names = outside, tuple(spec.name for spec in vehicles)
         if self.names != tuple(outside.names):
             raise ValueError(f"of vehicles moved from outside, {outside.names}, the run has {self.names}, in this order")
