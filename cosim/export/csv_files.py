@@ -20,7 +20,7 @@ from pyarrow import csv as arrow_csv
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.foxglove.messages import PoseInFrame
-from vcmvsp.cosim.recording.mcap_file import Recorded
+from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, read_table
 from vcmvsp.cosim.types import FrameReport, Imu, Odometry, VehicleState, Velocity, Waypoint

@@ -38,7 +38,7 @@ from vcmvsp.cosim.export import ros_messages as ros
 from vcmvsp.cosim.export.ros_markers import markers
 from vcmvsp.cosim.recording.foxglove import messages
 from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid
-from vcmvsp.cosim.recording.mcap_file import Recorded
+from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.recording.run_mcap import CALIBRATION
 from vcmvsp.cosim.types import Imu, Odometry, VehicleState, Velocity, Waypoint

@@ -20,8 +20,8 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.recording.encoding import Form, Schema
-from vcmvsp.cosim.recording.mcap_file import McapLog, messages
+from vcmvsp.cosim.recording.mcap_reader import messages
+from vcmvsp.cosim.recording.mcap_writer import Form, McapLog, Schema
 from vcmvsp.cosim.types import AnyValue, Later
 from vcmvsp.cosim.util.codec import Decoder, encode
 
@@ -40,7 +40,7 @@ def schema_of(kind: type) -> Schema:
     return Schema(f"vcmvsp.{kind.__name__}", "x-text", text.encode())
 
 
-def encode_into(value: AnyValue, buffer: bytearray, place: int) -> None:
+def encode_into(value: object, buffer: bytearray, place: int) -> None:
     """Have the buffer end with the value's bytes, which begin at or behind its present end."""
     data = encode(value)
     buffer += bytes(place - len(buffer)) + data
@@ -109,7 +109,7 @@ def read_inputs(path: str | Path, *, tell: Callable[[str], None] = lambda _: Non
     return inputs
 
 
-def _words(hint: Any) -> str:
+def _words(hint: object) -> str:
     """A type as it is written."""
     if "ndarray" in str(hint):
         return "array" if get_origin(hint) is np.ndarray else "array | None"

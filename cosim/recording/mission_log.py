@@ -14,7 +14,7 @@ import numpy as np
 
 from vcmvsp.cosim.metrics import Mission
 from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid, ImageAnnotations
-from vcmvsp.cosim.recording.mcap_file import messages
+from vcmvsp.cosim.recording.mcap_reader import messages
 from vcmvsp.cosim.recording.recorded_run import Noted
 from vcmvsp.cosim.types import Array, Mosaic, Presence, ProbabilityMap, Sightings
 

@@ -13,7 +13,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.foxglove import agent_displays, messages
-from vcmvsp.cosim.recording.mcap_file import Recorded, about, contents
+from vcmvsp.cosim.recording.mcap_reader import Recorded, about, contents
 from vcmvsp.cosim.types import (
     Array,
     FrameReport,

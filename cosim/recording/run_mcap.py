@@ -15,7 +15,7 @@ from vcmvsp.cosim.recording.accumulators import vehicle_of
 from vcmvsp.cosim.recording.foxglove import messages
 from vcmvsp.cosim.recording.foxglove.agent_displays import messages_of
 from vcmvsp.cosim.recording.foxglove.messages import FrameTransform, Quaternion, Vector3
-from vcmvsp.cosim.recording.mcap_file import McapLog
+from vcmvsp.cosim.recording.mcap_writer import McapLog
 from vcmvsp.cosim.recording.scene import moving_frames, scene, solids
 from vcmvsp.cosim.tables.schema import NOT_LOST
 from vcmvsp.cosim.types import (

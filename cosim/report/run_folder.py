@@ -13,7 +13,7 @@ from vcmvsp.cosim.analysis.links import NUMBERS
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.foxglove.messages import LEVELS
-from vcmvsp.cosim.recording.mcap_file import about, messages, of_topic
+from vcmvsp.cosim.recording.mcap_reader import about, messages, of_topic
 from vcmvsp.cosim.report.link_counts import Links, links_of
 from vcmvsp.cosim.tables.schema import Recording, load_tables
 

@@ -2,7 +2,7 @@
 
 A file is read through once, chunk by chunk, and checked. What stays in memory is where each message lies (16 bytes) and the
 last few chunks; the messages themselves, pictures say, are read when they are asked for. The layout is that of the MCAP
-specification (https://mcap.dev/spec), as `cosim.recording.mcap_file` writes it.
+specification (https://mcap.dev/spec), as `cosim.recording.mcap_writer` writes it.
 """
 
 import os

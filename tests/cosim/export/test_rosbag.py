@@ -20,7 +20,7 @@ from vcmvsp.cosim.export.formats import export
 from vcmvsp.cosim.export.rosbag import ros_name, write_bag
 from vcmvsp.cosim.frames import product
 from vcmvsp.cosim.recording import recorded_run
-from vcmvsp.cosim.recording.mcap_file import messages
+from vcmvsp.cosim.recording.mcap_reader import messages
 
 RERUN = Path(sys.executable).with_name("rerun")
 RUNS = ("lab-patrol", "recon-team", "a crossing cart", "a tag and late sensors")

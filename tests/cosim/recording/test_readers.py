@@ -20,7 +20,8 @@ from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.recording import scene
 from vcmvsp.cosim.recording.foxglove import messages as foxglove
 from vcmvsp.cosim.recording.foxglove.schemas import FRAME, schema_of
-from vcmvsp.cosim.recording.mcap_file import McapLog, about, contents, messages, of_topic
+from vcmvsp.cosim.recording.mcap_reader import about, contents, messages, of_topic
+from vcmvsp.cosim.recording.mcap_writer import McapLog
 from vcmvsp.cosim.types import FrameReport, Note
 
 RERUN = Path(sys.executable).with_name("rerun")

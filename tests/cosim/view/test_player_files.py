@@ -29,7 +29,7 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.recording import Recorder, mcap_file
+from vcmvsp.cosim.recording import Recorder, mcap_writer
 from vcmvsp.cosim.types import Fix, Image, frozen
 from vcmvsp.cosim.view.player import mcap_index
 from vcmvsp.cosim.view.player.recording import Recording
@@ -49,7 +49,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A reconnaissance of five seconds; its file is made of many small chunks."""
     folder = tmp_path_factory.mktemp("mission")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mcap_file, "CHUNK_BYTES", 4096)
+        patch.setattr(mcap_writer, "CHUNK_BYTES", 4096)
         _, stream = reconnaissance_recording.recorded(NAMES, 5.0)
     (folder / "run.mcap").write_bytes(stream.getvalue())
     return Run(folder, list(reconnaissance_recording.events(NAMES, 5.0)))

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from vcmvsp.cosim.recording import mcap_file
+from vcmvsp.cosim.recording import mcap_writer
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="vcmvsp-exports-")
 ALL = {"record.sensors": ["*"]}
@@ -75,7 +75,7 @@ def run_of(name: str) -> Path:
     scenario, settings = RUNS[name]
     folder = Path(_FOLDER.name) / name.replace(" ", "-")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mcap_file, "CHUNK_BYTES", 1 << 18)  # so that such a short one has several
+        patch.setattr(mcap_writer, "CHUNK_BYTES", 1 << 18)  # so that such a short one has several
         vcmvsp.run(scenario, set=settings, agents="inprocess", out=folder)
     return folder
 
