@@ -21,9 +21,9 @@ from vcmvsp.cosim.assembly.vehicles import Fleet
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, seconds_to_ns
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, VcmvspError
-from vcmvsp.cosim.federate import Federate, Instants, RunInfo
+from vcmvsp.cosim.federate import ExternalVehicles, Federate, Instants, RunInfo
 from vcmvsp.cosim.hosts.manager import Hosts
-from vcmvsp.cosim.federate import Vehicles
+
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog
 from vcmvsp.cosim.recording.recorder import Recorder
@@ -138,7 +138,7 @@ def assemble(
     keys: Path | None = None,
     insecure: bool = False,
     connect: bool = False,
-    playback: Vehicles | None = None,
+    playback: ExternalVehicles | None = None,
     bridged: Sequence[Input] | None = None,
     recorded_radio: Path | None = None,
     tell: Tell = lambda _: None,

@@ -66,7 +66,7 @@ def calibrate_command(
 def write_calibration(folder: Path, calibration: Any, figure_data: Any) -> None:
     """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
     from vcmvsp.cosim.plots.calibration_plot import draw_calibration
-    from vcmvsp.cosim.plots.run_plots import save_png
+    from vcmvsp.cosim.plots.files import save_png
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "radio.toml").write_text(calibration.toml(), "utf-8")

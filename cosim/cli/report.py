@@ -39,7 +39,7 @@ def report_command(
 
 
 def _of_run(folder: Path, out: Path | None) -> Path:
-    from vcmvsp.cosim.plots import run_plots
+    from vcmvsp.cosim.plots import files
     from vcmvsp.cosim.report import run_page
     from vcmvsp.cosim.runs.result import figures_again
 
@@ -47,4 +47,4 @@ def _of_run(folder: Path, out: Path | None) -> Path:
         figures = figures_again(folder)
     except UsageError:  # its tables are not there, or damaged: the page says so
         figures = {}
-    return run_page.write(folder, {name: run_plots.svg(figure) for name, figure in figures.items()}, out)
+    return run_page.write(folder, {name: files.svg(figure) for name, figure in figures.items()}, out)

@@ -1,23 +1,12 @@
-"""The figures of a run, from its tables alone: `trajectory` seen from above and `formation_error` over time.
+"""The figures of a run, from its tables alone: `trajectory` seen from above and `formation_error` over time."""
 
-How any figure becomes a file is here, too. Figure objects are used and no global state, and the same run gives the same bytes.
-"""
-
-import re
 from collections.abc import Sequence
-from io import StringIO
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.collections import Collection, PolyCollection, QuadMesh
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import PlaceHolderLayoutEngine
-from matplotlib.lines import Line2D
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics import (
@@ -30,7 +19,7 @@ from vcmvsp.cosim.metrics import (
     motion,
     unreached_s,
 )
-from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, SVG, line_of, style, styled
+from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, line_of, styled
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import NOT_LOST, Placement
 from vcmvsp.cosim.types import Array
@@ -38,8 +27,6 @@ from vcmvsp.cosim.util.palette import color_of
 
 SNAPSHOTS = 5  # instants at which the formation is drawn, start and end among them
 NAMED = 8  # rows of lost messages, each a line of text high: more of them have no names
-DENSE = 1000  # marks of a curve, or pieces of a collection: more than this are a picture within a drawing
-FINE = 100  # cells of a grid, likewise: between finer ones seams would show
 
 
 @styled
@@ -109,39 +96,6 @@ def formation_error(states: pa.Table, radio: pa.Table, follows: Sequence[Placeme
     else:
         above.annotate("no vehicle follows another", (0.5, 0.5), xycoords="axes fraction", ha="center")
     return figure
-
-
-def save_png(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG: no date, no library version inside."""
-    with style():
-        canvas = _laid_out(figure)
-        canvas.print_png(str(path), metadata={"Software": None})
-
-
-def save_svg(figure: Figure, path: str | Path) -> None:
-    """Write a figure as SVG: the same bytes for the same figure."""
-    Path(path).write_text(svg(figure), "utf-8")
-
-
-def svg(figure: Figure) -> str:
-    """A figure as the text of an SVG file: the same for the same figure, text as text, of dense parts a picture."""
-    with style(SVG):
-        _laid_out(figure)
-        _make_light(figure)
-        stream = StringIO()
-        dpi, figure.dpi = figure.dpi, SVG["savefig.dpi"]  # as savefig does, which draws everything twice
-        canvas: Any = FigureCanvasSVG(figure)
-        canvas.print_svg(stream, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-        figure.dpi = dpi
-    return _PATH.sub(_shorter, stream.getvalue())
-
-
-def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write ``stem``.png and ``stem``.svg."""
-    png, drawing = (stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg"))
-    save_png(figure, png)
-    save_svg(figure, drawing)
-    return [png, drawing]
 
 
 def draw_vehicle(axes: Axes, pose: tuple[float, float, float], color: str, size: float) -> None:
@@ -230,37 +184,3 @@ def _legend(axes: Axes) -> None:
     axes.legend(handles[:18], labels[:18], ncols=6, **ABOVE)
     if len(labels) > 18:
         axes.set_title(f"and {len(labels) - 18} more", loc="right", fontsize="small")
-
-
-def _laid_out(figure: Figure) -> Any:
-    """A canvas for a figure that is drawn in the style of now, its layout worked out once: then nothing is left to chance."""
-    canvas: Any = FigureCanvasAgg(figure)
-    engine = figure.get_layout_engine()
-    if engine is not None and not isinstance(engine, PlaceHolderLayoutEngine):
-        engine.execute(figure)
-        figure.set_layout_engine("none")
-        for axes in figure.axes:  # the last bit of a position differs from time to time
-            left, bottom, width, height = (round(edge, 6) for edge in axes.get_position().bounds)
-            axes.set_position((left, bottom, width, height))
-    for line in figure.findobj(Line2D):
-        line.recache(always=True)
-    return canvas
-
-
-def _make_light(figure: Figure) -> None:
-    """Let what is dense be a picture within a drawing."""
-    for line in figure.findobj(Line2D):
-        line.set_rasterized(np.size(line.get_xdata()) > DENSE and line.get_marker() not in ("", "None"))
-    for collection in figure.findobj(Collection):
-        most = FINE if isinstance(collection, QuadMesh) else DENSE
-        collection.set_rasterized(len(collection.get_paths()) > most)
-
-
-_PATH = re.compile(r'(<path [^>]*?\bd=")([^"]*)')
-_NUMBER = re.compile(r"-?\d+\.\d{3,}")
-
-
-def _shorter(found: re.Match[str]) -> str:
-    """A path with coordinates to the hundredth of a point."""
-    numbers = _NUMBER.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), found[2])
-    return f"{found[1]}{numbers}"

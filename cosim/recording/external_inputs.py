@@ -6,7 +6,7 @@ everything that they told is kept here, at its time and to the last bit, as Mess
 
 =======================  ==========================================================================================
 ``<vehicle>/<topic>``    an event that the vehicle gave: its estimate, odometry, fixes, readings, how it stands
-``<vehicle>/reflected``  the motion that physics was given, at each instant that it asked (`cosim.federate.Outside`)
+``<vehicle>/reflected``  the motion that physics was given, at each instant that it asked (`cosim.federate.ExternalMotion`)
 ``bridge/sent``          what programs handed to radios: numbers, sizes and times (`Datagrams`)
 =======================  ==========================================================================================
 """

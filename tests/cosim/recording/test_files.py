@@ -29,6 +29,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.plots import run_plots
+from vcmvsp.cosim.plots.files import save_png
 from vcmvsp.cosim.recording import Recorder, load
 from vcmvsp.cosim.recording.foxglove.schemas import schema_of
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, write_table
@@ -311,8 +312,8 @@ def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> 
         folder.mkdir()
         recorder = recorded(stream)
         recorder.write_tables(folder)
-        run_plots.save_png(run_plots.trajectory(recorder.states, recorder.follows), folder / "t.png")
-        run_plots.save_png(
+        save_png(run_plots.trajectory(recorder.states, recorder.follows), folder / "t.png")
+        save_png(
             run_plots.formation_error(recorder.states, recorder.radio, recorder.follows, window=(0.5, None)), folder / "e.png"
         )
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -414,9 +415,9 @@ def test_trajectory_draws_the_recorded_positions() -> None:
 
 def test_figures_ignore_the_users_style(tmp_path: Path) -> None:
     run = recorded(None)
-    run_plots.save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "plain.png")
+    save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "plain.png")
     with mpl.rc_context({"axes.facecolor": "red", "font.size": 20, "savefig.dpi": 30}):
-        run_plots.save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "styled.png")
+        save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "styled.png")
         assert mpl.rcParams["font.size"] == 20
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "styled.png").read_bytes()
 
