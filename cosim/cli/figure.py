@@ -42,7 +42,7 @@ def figure_command(
     from vcmvsp.cosim.processes.worker_pool import cores
     from vcmvsp.cosim.reproduction.figures import files
     from vcmvsp.cosim.reproduction.figures.figure import Runner
-    from vcmvsp.cosim.terminal.study_progress import StudyProgress
+    from vcmvsp.cosim.terminal.progress import StudyProgress
 
     try:
         with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:

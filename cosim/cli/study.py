@@ -51,7 +51,7 @@ def study_command(
     from vcmvsp.cosim.scenario import loader as scenarios
     from vcmvsp.cosim.studies import engine, grid
     from vcmvsp.cosim.studies.summary import rows, summarise
-    from vcmvsp.cosim.terminal.study_progress import StudyProgress
+    from vcmvsp.cosim.terminal.progress import StudyProgress
     from vcmvsp.cosim.util.files import to_json
     from vcmvsp.cosim.util.stdout import stdout_to_stderr
 

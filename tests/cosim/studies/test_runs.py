@@ -26,7 +26,7 @@ from vcmvsp.cosim.studies.engine import study
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.rows import Row, encode, flat, packed, table_of
 from vcmvsp.cosim.studies.worker import DIED, Job, Work, failed, run_one, version
-from vcmvsp.cosim.terminal.study_progress import StudyProgress
+from vcmvsp.cosim.terminal.progress import StudyProgress
 
 VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
 

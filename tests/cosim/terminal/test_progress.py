@@ -24,8 +24,7 @@ from tests.support.cosim.studies import two
 from vcmvsp.cosim.cli.app import main
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.terminal import progress
-from vcmvsp.cosim.terminal.progress import Progress
-from vcmvsp.cosim.terminal.study_progress import StudyProgress
+from vcmvsp.cosim.terminal.progress import Progress, StudyProgress
 from vcmvsp.cosim.util.stdout import stdout_to_stderr
 
 SEQUENCE = re.compile(rb"\x1b\[([0-9;?]*)([A-Za-z])")
