@@ -10,7 +10,7 @@ from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics import SETTLED_M
 from vcmvsp.cosim.metrics.window import window_ns
-from vcmvsp.cosim.report.theory_table import NORMAL_95, Expected, Seen
+from vcmvsp.cosim.report.law import NORMAL_95, Expected, MeasuredRun
 from vcmvsp.cosim.tables.schema import Placement
 
 _SETTLED = 5.0  # time constants of the follower after which its start counts no more
@@ -18,25 +18,25 @@ _ROOM = 1.5  # times the leader's speed: what followers must be able to go, so t
 _LISTED = 8  # followers
 
 
-def laws(seen: Seen) -> Iterator[Expected]:
+def laws(run: MeasuredRun) -> Iterator[Expected]:
     """Those that the scenario's followers obey."""
-    followers = [each for each in seen.steady if seen.agent(each.vehicle).get("kind") == "leader_follower"]
-    faulty = any(any(each.values()) for each in seen.metrics["agents"].values())
-    if not followers or len(followers) < len(seen.steady) or faulty:
+    followers = [each for each in run.steady if run.agent(each.vehicle).get("kind") == "leader_follower"]
+    faulty = any(any(each.values()) for each in run.metrics["agents"].values())
+    if not followers or len(followers) < len(run.steady) or faulty:
         return
-    yield from _straight(seen, followers)
+    yield from _straight(run, followers)
     for each in followers[:_LISTED]:
-        yield from _circle(seen, each)
+        yield from _circle(run, each)
 
 
-def _straight(seen: Seen, followers: list[Placement]) -> Iterator[Expected]:
+def _straight(run: MeasuredRun, followers: list[Placement]) -> Iterator[Expected]:
     """Followers that take each message as it is lag behind by speed times age."""
     leaders, team = {str(each.follows.leader) for each in followers}, [each.vehicle for each in followers]
     first = leaders.pop()
-    agents, leader = [seen.agent(name) for name in team], seen.agent(first)
+    agents, leader = [run.agent(name) for name in team], run.agent(first)
     gains = {float(agent["k1"]) for agent in agents}
     periods = {float(agent["period_s"]) for agent in (leader, *agents)}
-    delay, loss = seen.radio["delay"], seen.radio["loss"]
+    delay, loss = run.radio["delay"], run.radio["loss"]
     simple = (
         not leaders
         and len(gains) == len(periods) == 1
@@ -44,33 +44,33 @@ def _straight(seen: Seen, followers: list[Placement]) -> Iterator[Expected]:
         and "sending" not in leader
         and all((agent.get("estimator"), agent.get("feed")) == ("hold", "parent") for agent in agents)
         and not any("avoidance" in agent or agent["latency_s"] for agent in agents)
-        and all(_moves_freely(seen, name, _ROOM * float(leader["speed"])) for name in (first, *team))
+        and all(_moves_freely(run, name, _ROOM * float(leader["speed"])) for name in (first, *team))
         and (delay["kind"], delay.get("jitter_s")) == ("fixed", 0.0)
         and loss["kind"] == "bernoulli"
         and loss["probability"] < 1.0
-        and set(seen.links.losses) <= {"random loss"}
+        and set(run.links.losses) <= {"random loss"}
     )
-    gain, period, (begin, end) = gains.pop(), periods.pop(), seen.window
-    if not simple or not 0.0 < gain * period < 2.0 or begin < _SETTLED / gain or seen.metrics["formation"]["rms_m"] is None:
+    gain, period, (begin, end) = gains.pop(), periods.pop(), run.window
+    if not simple or not 0.0 < gain * period < 2.0 or begin < _SETTLED / gain or run.metrics["formation"]["rms_m"] is None:
         return
     p, speed = float(loss["probability"]), float(leader["speed"])
     age = period * max(1, math.ceil(float(delay["seconds"]) / period - 1e-6))
     mean, rms = closed_forms.lag_behind(speed, gain, period, age, p)
-    lasted = min(math.inf if end is None else end, seen.metrics["duration_s"]) - begin
+    lasted = min(math.inf if end is None else end, run.metrics["duration_s"]) - begin
     # The age at ticks has the variance T^2 p / (1 - p)^2 and from tick to tick the correlation p.
     ticks = max(1.0, lasted / period) * len(followers)
     spread = NORMAL_95 * speed * period * math.sqrt(p * (1.0 + p) / (1.0 - p) ** 3 / ticks) or None
-    found = seen.metrics["formation"]
+    found = run.metrics["formation"]
     holds = f"straight at {speed:g} m/s, estimator hold, messages usable after {age:g} s; bodies with inertia differ a little"
     yield Expected("formation error, mean", mean, found["mean_m"], "v (d + T p / (1 - p))", holds, "m", spread)
     yield Expected("formation error, RMS", rms, found["rms_m"], "the same, and its variance", "as above", "m", spread)
 
 
-def _circle(seen: Seen, placed: Placement) -> Iterator[Expected]:
+def _circle(run: MeasuredRun, placed: Placement) -> Iterator[Expected]:
     """A follower that keeps its place beside a leader on a circle is on a circle of its own."""
     name, at = placed.vehicle, placed.follows
-    leader = seen.agent(str(at.leader))
-    own = seen.metrics["formation"]["per_follower"].get(name)
+    leader = run.agent(str(at.leader))
+    own = run.metrics["formation"]["per_follower"].get(name)
     (ahead, aside), rate = at.slot, float(leader.get("yaw_rate") or 0.0)
     kept = own is not None and own["rms_m"] is not None and own["rms_m"] < SETTLED_M
     if not _drives(leader, "circle") or not kept or not rate:
@@ -79,7 +79,7 @@ def _circle(seen: Seen, placed: Placement) -> Iterator[Expected]:
         return
     speed = float(leader["speed"])
     _, distance, own_speed = closed_forms.circle(speed / abs(rate), speed, -math.copysign(aside, aside * rate), -ahead)
-    measured = _measured(seen, name, str(at.leader))
+    measured = _measured(run, name, str(at.leader))
     if measured is None:
         return
     holds = f"{at.leader} drives a circle of {speed / abs(rate):g} m, and {name} is less than 5 cm off its place"
@@ -88,10 +88,10 @@ def _circle(seen: Seen, placed: Placement) -> Iterator[Expected]:
     yield Expected(f"speed of {name}, mean", own_speed, measured[1], "w sqrt((R + L')² - L²)", "as above", "m/s")
 
 
-def _moves_freely(seen: Seen, vehicle: str, speed: float) -> bool:
+def _moves_freely(run: MeasuredRun, vehicle: str, speed: float) -> bool:
     """Whether a vehicle is simulated, knows where it is, and may be so fast (m/s)."""
-    own = seen.vehicle(vehicle)
-    limits = [table.get("max_speed", math.inf) for table in (own, seen.agent(vehicle))]
+    own = run.vehicle(vehicle)
+    limits = [table.get("max_speed", math.inf) for table in (own, run.agent(vehicle))]
     return "driver" not in own and own["pose_source"] == "truth" and speed <= min(limits)
 
 
@@ -101,13 +101,13 @@ def _drives(leader: Mapping[str, Any], path: str) -> bool:
     return kept and float(leader["speed"]) > 0.0
 
 
-def _measured(seen: Seen, name: str, leader: str) -> tuple[float, float] | None:
+def _measured(run: MeasuredRun, name: str, leader: str) -> tuple[float, float] | None:
     """Mean distance (m) of two vehicles and mean speed (m/s) of the first, in the window."""
-    begin, end = window_ns(seen.window)
-    inside = (seen.moved.time_ns >= begin) & (seen.moved.time_ns <= end)
-    times = seen.moved.time_ns[inside] / SECOND_NS
+    begin, end = window_ns(run.window)
+    inside = (run.moved.time_ns >= begin) & (run.moved.time_ns <= end)
+    times = run.moved.time_ns[inside] / SECOND_NS
     if len(times) < 2:
         return None
-    own, other = (seen.moved.position[:2, inside, seen.moved.column(each)] for each in (name, leader))
+    own, other = (run.moved.position[:2, inside, run.moved.column(each)] for each in (name, leader))
     way = float(np.hypot(*np.diff(own, axis=1)).sum())
     return float(np.hypot(*(own - other)).mean()), way / float(times[-1] - times[0])

@@ -12,7 +12,7 @@ import numpy as np
 
 from vcmvsp.cosim.analysis.links import RECEIVED
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.report.theory_table import NORMAL_95, Expected, Seen
+from vcmvsp.cosim.report.law import NORMAL_95, Expected, MeasuredRun
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Array
 
@@ -22,21 +22,21 @@ _EVEN = 0.001  # share of a period by which the sending of a vehicle may be off
 _LONGEST = 100_000  # periods: the sums over G end there
 
 
-def laws(seen: Seen) -> Iterator[Expected]:
+def laws(run: MeasuredRun) -> Iterator[Expected]:
     """Those that the scenario's radio obeys."""
-    yield from _losses(seen)
-    yield from _delay(seen)
-    if "routing" not in seen.scenario:  # messages that are passed on have more than one chance
-        yield from _age(seen)
+    yield from _losses(run)
+    yield from _delay(run)
+    if "routing" not in run.scenario:  # messages that are passed on have more than one chance
+        yield from _age(run)
 
 
-def _losses(seen: Seen) -> Iterator[Expected]:
-    loss = seen.radio["loss"]
+def _losses(run: MeasuredRun) -> Iterator[Expected]:
+    loss = run.radio["loss"]
     cause = CAUSES.get(loss["kind"])
-    if cause is None or any(seen.radio[layer]["kind"] != "none" for layer in _BEHIND):
+    if cause is None or any(run.radio[layer]["kind"] != "none" for layer in _BEHIND):
         return
-    lost = seen.links.losses.get(cause, np.zeros_like(seen.links.sent))
-    passed = int(np.count_nonzero(_received(seen)))  # also those that arrive after the end
+    lost = run.links.losses.get(cause, np.zeros_like(run.links.sent))
+    passed = int(np.count_nonzero(_received(run)))  # also those that arrive after the end
     n = passed + int(lost.sum())
     if not n:
         return
@@ -52,10 +52,10 @@ def _losses(seen: Seen) -> Iterator[Expected]:
     to_bad, to_good, bad, good = (float(loss[key]) for key in ("to_bad_per_s", "to_good_per_s", "bad_loss", "good_loss"))
     rate, share = to_bad + to_good, to_bad / (to_bad + to_good)
     p = share * bad + (1.0 - share) * good
-    times = rate * float(seen.metrics["duration_s"])  # how often the state is drawn anew
+    times = rate * float(run.metrics["duration_s"])  # how often the state is drawn anew
     states = share * (1.0 - share) * (bad - good) ** 2 * 2.0 / times * (1.0 - (1.0 - math.exp(-times)) / times)
     frames = (share * bad * (1.0 - bad) + (1.0 - share) * good * (1.0 - good)) / n
-    reached = seen.links.received + lost
+    reached = run.links.received + lost
     uneven = float(((reached / reached.sum()) ** 2).sum())  # 1 over the number of links, where all carry as much
     yield Expected(
         "share of frames lost in bursts",
@@ -68,28 +68,28 @@ def _losses(seen: Seen) -> Iterator[Expected]:
     )
 
 
-def _delay(seen: Seen) -> Iterator[Expected]:
-    bounds, measured = _bounds_s(seen), seen.metrics["radio"]["delay_s"]["mean"]
+def _delay(run: MeasuredRun) -> Iterator[Expected]:
+    bounds, measured = _bounds_s(run), run.metrics["radio"]["delay_s"]["mean"]
     if bounds is None or measured is None:
         return
     low, high = bounds
-    spread = NORMAL_95 * (high - low) / math.sqrt(12.0 * int(seen.links.received.sum()))
+    spread = NORMAL_95 * (high - low) / math.sqrt(12.0 * int(run.links.received.sum()))
     law = "seconds" if low == high else "the middle of the range"
     yield Expected("delay, mean", 0.5 * (low + high), measured, law, "no frame waits so long for the air", "s", spread or None)
 
 
-def _age(seen: Seen) -> Iterator[Expected]:
-    period_s, ages, d = _sending_period_s(seen), seen.metrics["radio"]["age_s"], seen.metrics["radio"]["delay_s"]["mean"]
-    loss, links = seen.radio["loss"], _counted(seen)
+def _age(run: MeasuredRun) -> Iterator[Expected]:
+    period_s, ages, d = _sending_period_s(run), run.metrics["radio"]["age_s"], run.metrics["radio"]["delay_s"]["mean"]
+    loss, links = run.radio["loss"], _counted(run)
     if period_s is None or d is None or loss["kind"] not in ("bernoulli", "none") or ages.get("time_average") is None:
         return
     p = float(loss.get("probability", 0.0))
-    others = sum(int(lost[links].sum()) for cause, lost in seen.links.losses.items() if cause != CAUSES["bernoulli"])
-    range_s = _range_s(seen)
+    others = sum(int(lost[links].sum()) for cause, lost in run.links.losses.items() if cause != CAUSES["bernoulli"])
+    range_s = _range_s(run)
     if others or p >= 1.0 or range_s is None or range_s[1] - range_s[0] > period_s:  # messages may overtake each other
         return
-    begin, end = seen.window
-    lasted = min(math.inf if end is None else end, seen.metrics["duration_s"]) - begin
+    begin, end = run.window
+    lasted = min(math.inf if end is None else end, run.metrics["duration_s"]) - begin
     n = max(1.0, lasted / period_s * (1.0 - p)) * int(links.sum())  # receptions in the window, about
     mean_gap, area_sd, gap_sd = _renewal(p)
     holds = f"each sends every {period_s:g} s, and only chance takes messages; d is the measured mean delay"
@@ -112,12 +112,12 @@ def _renewal(p: float) -> tuple[float, float, float]:
     return mean, math.sqrt(float(share @ area**2)) / mean, math.sqrt(max(0.0, square - mean**2))
 
 
-def _range_s(seen: Seen) -> tuple[float, float] | None:
+def _range_s(run: MeasuredRun) -> tuple[float, float] | None:
     """Between which times the delay layer draws evenly; None: it does something else, or a script or a trace delays, too."""
-    scripted = any("delay_s" in change for change in seen.radio["script"].get("changes", ()))
-    if scripted or seen.radio["trace"]["kind"] != "none":
+    scripted = any("delay_s" in change for change in run.radio["script"].get("changes", ()))
+    if scripted or run.radio["trace"]["kind"] != "none":
         return None
-    delay = seen.radio["delay"]
+    delay = run.radio["delay"]
     if delay["kind"] == "none":
         return 0.0, 0.0
     if delay["kind"] == "fixed":
@@ -125,44 +125,44 @@ def _range_s(seen: Seen) -> tuple[float, float] | None:
     return (float(delay["from_s"]), float(delay["to_s"])) if delay["kind"] == "uniform" else None
 
 
-def _bounds_s(seen: Seen) -> tuple[float, float] | None:
+def _bounds_s(run: MeasuredRun) -> tuple[float, float] | None:
     """The same, where the delay layer alone decides when frames arrive."""
-    range_s = _range_s(seen)
+    range_s = _range_s(run)
     if range_s is None:
         return None
-    radio, got = seen.recording.radio, _received(seen)
+    radio, got = run.recording.radio, _received(run)
     spent = sum(numbers(radio, name)[got] for name in ("queue_ns", "access_ns", "air_time_ns"))
-    behind = seen.radio["delivery"]["kind"] != "none"
+    behind = run.radio["delivery"]["kind"] != "none"
     if behind or not got.any() or range_s[0] * SECOND_NS < np.max(np.asarray(spent)):
         return None
     return range_s
 
 
-def _received(seen: Seen) -> Array:
+def _received(run: MeasuredRun) -> Array:
     """Which rows of the table of frames were received, some of them after the run's end."""
-    outcomes, outcome = names_of(seen.recording.radio, "outcome")
+    outcomes, outcome = names_of(run.recording.radio, "outcome")
     return np.asarray(outcome == outcomes.index(RECEIVED)) if RECEIVED in outcomes else np.zeros(len(outcome), np.bool_)
 
 
-def _counted(seen: Seen) -> Array:
+def _counted(run: MeasuredRun) -> Array:
     """The links (n, n) whose ages count: from leaders to followers; without followers all to vehicles with an agent."""
-    names = seen.links.names
+    names = run.links.names
     chosen = np.zeros((len(names), len(names)), np.bool_)
-    if not seen.recording.follows:
-        chosen[:, [names.index(each) for each in seen.metrics["agents"]]] = True
-        return np.asarray(chosen & (seen.links.sent > 0))
-    for each in seen.steady:
+    if not run.recording.follows:
+        chosen[:, [names.index(each) for each in run.metrics["agents"]]] = True
+        return np.asarray(chosen & (run.links.sent > 0))
+    for each in run.steady:
         chosen[names.index(str(each.follows.leader)), names.index(each.vehicle)] = True
     return chosen
 
 
-def _sending_period_s(seen: Seen) -> float | None:
+def _sending_period_s(run: MeasuredRun) -> float | None:
     """The period at which all whose messages count send; None where they do not keep one."""
-    links, radio = _counted(seen), seen.recording.radio
+    links, radio = _counted(run), run.recording.radio
     names, by = names_of(radio, "sender")
     times, periods = numbers(radio, "sent_ns"), set()
     for sender in np.flatnonzero(links.any(axis=1)).tolist():
-        name = seen.links.names[sender]
+        name = run.links.names[sender]
         sent = np.unique(times[by == names.index(name)]) if name in names else np.empty(0)
         if len(sent) < 3:
             return None

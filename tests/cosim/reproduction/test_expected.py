@@ -11,8 +11,8 @@ import vcmvsp
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.report import motion_laws, radio_laws
+from vcmvsp.cosim.report.law import Expected, MeasuredRun
 from vcmvsp.cosim.report.link_counts import links_of
-from vcmvsp.cosim.report.theory_table import Expected, Seen
 from vcmvsp.cosim.tables.schema import Recording
 
 LOSS, DELAY = "share of frames lost by chance", "delay, mean"
@@ -20,11 +20,11 @@ AGE, PEAK = "age of information, over all time", "age of information, peaks"
 BURSTS, ERROR = "share of frames lost in bursts", "formation error, mean"
 
 
-def seen(scenario: Any, **settings: Any) -> Seen:
+def seen(scenario: Any, **settings: Any) -> MeasuredRun:
     """A run, as a report looks at it."""
     result = vcmvsp.run(scenario, set={name.replace("__", "."): value for name, value in settings.items()}, mcap=False)
     facts = result._recorder.facts
-    return Seen(
+    return MeasuredRun(
         tomllib.loads(result.scenario),
         result.metrics,
         Recording(result.states, result.radio, facts, result.metrics),
@@ -33,7 +33,7 @@ def seen(scenario: Any, **settings: Any) -> Seen:
     )
 
 
-def laws(found: Seen) -> dict[str, Expected]:
+def laws(found: MeasuredRun) -> dict[str, Expected]:
     return {each.quantity: each for each in (*radio_laws.laws(found), *motion_laws.laws(found))}
 
 
