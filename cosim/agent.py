@@ -125,7 +125,7 @@ class Radio:
         to: str | None = None,
         size_bytes: int | None = None,
         priority: int = 0,
-        **values: Any,
+        **values: object,
     ) -> int:
         """Send a message to all who can hear it, or to one vehicle; the answer is its payload size in bytes.
 
@@ -267,7 +267,7 @@ def check_body(body: Mapping[str, Any]) -> None:
         raise ValueError(f"a message may have {DEEPEST} lists and mappings inside one another, not {_depth(body)}")
 
 
-def _depth(value: Any) -> int:
+def _depth(value: object) -> int:
     """How many lists and mappings are inside one another, at most."""
     depth, level = 0, [value]
     while level := [each for each in level if isinstance(each, dict | list)]:
@@ -276,14 +276,14 @@ def _depth(value: Any) -> int:
     return depth
 
 
-def _item(value: Any) -> Any:
+def _item(value: object) -> object:
     """NumPy numbers become plain ones."""
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"cannot be a {type(value).__name__}")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """NumPy numbers and arrays in a message body become plain ones."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()

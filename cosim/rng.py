@@ -13,6 +13,7 @@ from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
 U64 = NDArray[np.uint64]
+Word = int | NDArray[Any]  # of a counter or key: a plain integer, or an array in uint64
 
 _M0, _M1, _W0, _W1 = 0xD2511F53, 0xCD9E8D57, 0x9E3779B9, 0xBB67AE85
 _LOW = 0xFFFFFFFF
@@ -26,7 +27,7 @@ class _Key(ISeedSequence):
     def __init__(self, words: NDArray[np.uint64]) -> None:
         self._words = words
 
-    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
+    def generate_state(self, n_words: int, dtype: object = np.uint32) -> NDArray[Any]:
         """The two words of 64 bits that Philox asks for."""
         return self._words
 
@@ -39,18 +40,17 @@ def key64(seed: int, name: str) -> int:
 def stream(seed: int, name: str) -> np.random.Generator:
     """A generator of its own for ``name``, e.g. ``stream(1, "car2/positioning")``."""
     digest = hashlib.blake2b(f"{seed}/{name}".encode(), digest_size=16).digest()
-    key: Any = _Key(np.frombuffer(digest, "<u8"))  # NumPy takes it, its annotation does not know it
-    return np.random.Generator(np.random.Philox(key))
+    key = _Key(np.frombuffer(digest, "<u8"))
+    return np.random.Generator(np.random.Philox(key))  # type: ignore[arg-type]  # NumPy takes it, its annotation does not
 
 
-def philox4x32(counter: tuple[Any, Any, Any, Any], key: tuple[Any, Any]) -> tuple[U64, U64, U64, U64]:
+def philox4x32(counter: tuple[Word, Word, Word, Word], key: tuple[Word, Word]) -> tuple[U64, U64, U64, U64]:
     """Philox4x32-10 over arrays: four counter words and two key words of 32 bits each (held in uint64)."""
-    words = _rounds(*(np.asarray(word, np.uint64) for word in (*counter, *key)))
-    return words[0], words[1], words[2], words[3]
+    a, b, c, d = _rounds(*(np.asarray(word, np.uint64) for word in (*counter, *key)))
+    return np.asarray(a), np.asarray(b), np.asarray(c), np.asarray(d)
 
 
-def _rounds(x0: Any, x1: Any, x2: Any, x3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
-    """Of arrays in uint64, or of plain integers."""
+def _rounds(x0: Word, x1: Word, x2: Word, x3: Word, k0: Word, k1: Word) -> tuple[Word, Word, Word, Word]:
     low, m0, m1, w0, w1 = _LOW, _M0, _M1, _W0, _W1
     for _ in range(_ROUNDS):
         p0, p1 = x0 * m0, x2 * m1
@@ -78,7 +78,7 @@ def link_uniform(keys: U64, frames: U64, slot: int) -> NDArray[np.float64]:
     return np.stack(np.broadcast_arrays(*_pair(keys, frames, slot)), axis=-1)
 
 
-def _pair(keys: Any, frames: Any, slot: int) -> tuple[Any, Any]:
-    """The two uniforms: of arrays in uint64, or of plain integers."""
+def _pair(keys: Word, frames: Word, slot: int) -> tuple[NDArray[Any] | float, NDArray[Any] | float]:
+    """The two uniforms of one draw, or of an array of draws."""
     a, b, c, d = _rounds(frames & _LOW, frames >> 32, slot, 0, keys & _LOW, keys >> 32)
     return ((a << 21) ^ (b >> 11)) * 2.0**-53, ((c << 21) ^ (d >> 11)) * 2.0**-53

@@ -43,7 +43,7 @@ class Named:
 class Parameter(msgspec.Struct, frozen=True):
     """One parameter of a callable: its annotation, and its default unless it is required."""
 
-    annotation: Any
+    annotation: object
     default: Any
     required: bool
 
@@ -57,7 +57,7 @@ def parameters(target: Callable[..., Any]) -> Mapping[str, Parameter]:
 
 
 @functools.lru_cache(maxsize=256)
-def _parameters(target: Any) -> Mapping[str, Parameter]:
+def _parameters(target: Callable[..., object]) -> Mapping[str, Parameter]:
     holder = target
     if isinstance(target, type):
         holder = next(vars(base)["__init__"] for base in target.__mro__ if "__init__" in vars(base))
@@ -132,7 +132,7 @@ def call(
         raise ScenarioError(problem, key=where, source=origin.of(where)) from error
 
 
-def fitted(value: Any, annotation: Any, kept: Collection[str]) -> Any:
+def fitted(value: object, annotation: object, kept: Collection[str]) -> object:
     """A table whose kind has been replaced, without what only its former kind has; what is ``kept`` stays."""
     tables = [each for each in structs(annotation) if each.__struct_config__.tag_field and _may_be(each, value)]
     if len(tables) != 1 or not isinstance(value, Mapping):
@@ -152,7 +152,7 @@ def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iter
     return full
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """The value in types that TOML has; None where there is none."""
     try:
         return _without_none(msgspec.to_builtins(value, builtin_types=()))
@@ -160,7 +160,7 @@ def plain(value: Any) -> Any:
         return None
 
 
-def _without_none(value: Any) -> Any:
+def _without_none(value: object) -> object:
     if isinstance(value, dict):
         return {name: _without_none(each) for name, each in value.items() if each is not None}
     if isinstance(value, list | tuple):
@@ -168,7 +168,7 @@ def _without_none(value: Any) -> Any:
     return value
 
 
-def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None = None) -> Any:
+def convert(value: object, annotation: object, *, key: str = "", origin: Origin | None = None) -> Any:
     """The value as its annotation wants it, or a `ScenarioError` that says what is allowed."""
     if (bad := non_finite(value)) is not None:
         raise _refused(f"must be finite, not {bad}", key, origin)
@@ -185,7 +185,7 @@ def convert(value: Any, annotation: Any, *, key: str = "", origin: Origin | None
         return value  # an annotation that only Python objects meet; the target checks it itself
 
 
-def _inside(words: str, path: str, value: Any, annotation: Any) -> str:
+def _inside(words: str, path: str, value: Any, annotation: object) -> str:
     """What is wrong at a path such as ``[0].size`` inside a list of tables, or a table, and the tables in it."""
     for step in re.findall(r"\w+", path):
         if step.isdigit():
@@ -201,7 +201,7 @@ def _inside(words: str, path: str, value: Any, annotation: Any) -> str:
     return _unlike(value, annotation)
 
 
-def _item(annotation: Any, number: int) -> Any:
+def _item(annotation: object, number: int) -> object:
     """The annotation of an item of a list."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
@@ -213,13 +213,13 @@ def _item(annotation: Any, number: int) -> Any:
     return inner[0] if len(inner) == 1 or inner[-1] is Ellipsis else inner[number]
 
 
-def _known(annotation: Any, value: Any) -> dict[str, Parameter]:
+def _known(annotation: object, value: object) -> dict[str, Parameter]:
     """The keys of the table, or of those, that a value of this annotation may be."""
     tables = [each for each in structs(annotation) if _may_be(each, value)] or structs(annotation)
     return {name: each for struct in tables for name, each in parameters(struct).items()} | _tags(tables)
 
 
-def _may_be(struct: type[msgspec.Struct], value: Any) -> bool:
+def _may_be(struct: type[msgspec.Struct], value: object) -> bool:
     """Whether a value does not say that it is a table of another kind."""
     config = struct.__struct_config__
     return not config.tag_field or not isinstance(value, Mapping) or value.get(config.tag_field, config.tag) == config.tag
@@ -234,7 +234,7 @@ def _tags(tables: Iterable[type[msgspec.Struct]]) -> dict[str, Parameter]:
     return {name: Parameter(Literal[tuple(allowed)], None, required=True) for name, allowed in words.items()}
 
 
-def _unlike(value: Any, annotation: Any) -> str:
+def _unlike(value: object, annotation: object) -> str:
     """What is allowed instead of this value, and which of a choice is nearly it."""
     problem = f"must be {describe(annotation)}, not {show(value)}"
     choices = [each for each in typing.get_args(annotation) if isinstance(each, str)]
@@ -242,7 +242,7 @@ def _unlike(value: Any, annotation: Any) -> str:
     return f"{problem}; did you mean '{near[0]}'?" if near else problem
 
 
-def structs(annotation: Any) -> list[type[msgspec.Struct]]:
+def structs(annotation: object) -> list[type[msgspec.Struct]]:
     """The tables that a value of this annotation consists of."""
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
@@ -253,7 +253,7 @@ def _refused(problem: str, key: str, origin: Origin | None) -> ScenarioError:
     return ScenarioError(problem, key=key, source=(origin or Named()).of(key))
 
 
-def non_finite(value: Any) -> float | None:
+def non_finite(value: object) -> float | None:
     """The first NaN or infinity inside the value."""
     if isinstance(value, float):
         return None if math.isfinite(value) else value
@@ -274,13 +274,13 @@ def join(*parts: str) -> str:
     return ".".join(part for part in parts if part)
 
 
-def show(value: Any) -> str:
+def show(value: object) -> str:
     """The value for a message, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def describe(annotation: Any) -> str:
+def describe(annotation: object) -> str:
     """What values an annotation allows, in words."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
@@ -306,4 +306,10 @@ def describe(annotation: Any) -> str:
 
 
 _SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
-_WORDS = {Any: "any value", float: "a number", int: "a whole number", str: "a string", bool: "true or false"}
+_WORDS: Mapping[object, str] = {
+    Any: "any value",
+    float: "a number",
+    int: "a whole number",
+    str: "a string",
+    bool: "true or false",
+}

@@ -81,7 +81,7 @@ def kept(params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
     return dict(_with_files(params, lambda name: keep(Path(name)) if Path(name).is_file() else name))
 
 
-def _with_files(content: Any, change: Callable[[str], str]) -> Any:
+def _with_files(content: object, change: Callable[[str], str]) -> Any:
     """A table with the names of the files in it changed."""
     if isinstance(content, Mapping):
         return {

@@ -10,11 +10,11 @@ import io
 import re
 import textwrap
 import tokenize
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 
-def meanings(target: Any, *, joined: bool = False) -> Mapping[str, str]:
+def meanings(target: Callable[..., object], *, joined: bool = False) -> Mapping[str, str]:
     """The meaning of each parameter of a class or function that has one, without a final period; those of base classes first.
 
     ::
@@ -33,7 +33,7 @@ def meanings(target: Any, *, joined: bool = False) -> Mapping[str, str]:
     return found
 
 
-def summary(target: Any) -> str:
+def summary(target: object) -> str:
     """The first line of its docstring."""
     return (inspect.getdoc(target) or "").partition("\n")[0]
 

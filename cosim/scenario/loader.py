@@ -179,14 +179,14 @@ def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Sou
         raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
 
 
-def _number(value: Any) -> Any:
+def _number(value: object) -> object:
     """NumPy's numbers and arrays, as a notebook may give them, in plain ones."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which is no value that TOML could say")
 
 
-def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
+def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None:
     """Set one key path; ``vehicle.NAME`` finds a vehicle by its name."""
     *parents, last = key.split(".")
     if key.startswith("vehicle") and (parents[:1] == ["vehicle"] or last == "vehicle"):
@@ -213,13 +213,13 @@ def _assign(raw: dict[str, Any], key: str, value: Any, source: Source) -> None:
 # --- checking ---------------------------------------------------------------------------------------------------------------
 
 
-def _mapping(value: Any, key: str, source: Source) -> dict[str, Any]:
+def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ScenarioError(f"must be a table, not {binding.show(value)}", key=key, source=source.of(key))
     return value
 
 
-def _open_table(kind: Callable[..., T], raw: Any, rest: str, key: str, source: Source) -> T:
+def _open_table(kind: Callable[..., T], raw: object, rest: str, key: str, source: Source) -> T:
     """A table whose keys are those of ``kind``; all others go into its field ``rest``."""
     own = {name for name in binding.parameters(kind) if name != rest}
     content = _mapping(raw, key, source)
@@ -227,7 +227,7 @@ def _open_table(kind: Callable[..., T], raw: Any, rest: str, key: str, source: S
     return binding.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, given={rest: others})
 
 
-def _vehicle(raw: Any, index: int, defaults: Mapping[str, Any], source: Source) -> VehicleTable:
+def _vehicle(raw: object, index: int, defaults: Mapping[str, Any], source: Source) -> VehicleTable:
     here = f"vehicle.{raw['name']}" if isinstance(raw, dict) and isinstance(raw.get("name"), str) else f"vehicle[{index}]"
     content = {**defaults, **_mapping(raw, here, source)}
     agent = None if "agent" not in content else _open_table(AgentTable, content.pop("agent"), "params", f"{here}.agent", source)
@@ -268,11 +268,11 @@ def _check_window(parsed: Scenario, source: Source) -> None:
         raise ScenarioError(problem, key="metrics.to_s", source=source.of("metrics.to_s"))
 
 
-def _path_of(value: Any, wanted: float, key: str = "") -> str:
+def _path_of(value: object, wanted: float, key: str = "") -> str:
     """Where in a nested value this very object is."""
     if value is wanted:
         return key
-    items: Any = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    items = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())
     for name, each in items:
         label = each["name"] if isinstance(each, dict) and isinstance(name, int) and "name" in each else str(name)
         if found := _path_of(each, wanted, binding.join(key, label)):

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 Vec3 = tuple[float, float, float]
 Array = NDArray[Any]
@@ -27,7 +27,7 @@ class Value(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Base of all values: immutable and encodable (see `cosim.util.codec`)."""
 
 
-def frozen(array: Any, dtype: Any = None) -> Array:
+def frozen(array: object, dtype: DTypeLike | None = None) -> Array:
     """A C-contiguous, read-only array of this content: a copy, unless it is one already."""
     if (
         isinstance(array, np.ndarray)

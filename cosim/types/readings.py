@@ -99,7 +99,7 @@ class Readings(dict[str, Any]):
         reading = super().__getitem__(name)
         return reading.get() if isinstance(reading, Later) else reading
 
-    def get(self, name: str, default: Any = None) -> Any:
+    def get(self, name: str, default: object = None) -> Any:
         """The reading, or the default."""
         return self[name] if name in self else default  # noqa: SIM401  this is that method
 

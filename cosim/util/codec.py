@@ -20,7 +20,7 @@ _TYPES = {
 _NAMES = {dtype: name for name, dtype in _TYPES.items()}
 
 
-def type_of(name: Any) -> np.dtype[Any]:
+def type_of(name: str) -> np.dtype[Any]:
     """The type of arrays that says its name just so; a `ValueError` if such arrays do not travel."""
     dtype = _TYPES.get(name)
     if dtype is None:  # the type itself counts as false
@@ -44,7 +44,7 @@ def numbers(dtype: np.dtype[Any], raw: bytes) -> Array:
     return array
 
 
-def other(value: Any) -> Any:
+def other(value: object) -> object:
     """In place of what MessagePack does not have: an array as (dtype, shape, raw bytes), a number of NumPy's as a plain one."""
     if isinstance(value, np.ndarray):
         return name_of(value.dtype), value.shape, value.data if value.flags.c_contiguous else value.tobytes()
@@ -55,7 +55,7 @@ def other(value: Any) -> Any:
     raise NotImplementedError(f"cannot send a {type(value).__name__}")
 
 
-def encode(value: Any, other: Callable[[Any], Any] = other) -> bytes:
+def encode(value: object, other: Callable[[Any], object] = other) -> bytes:
     """Any `cosim.types` value, or a structure of them, as bytes; what cannot be sent raises a `ValueError`."""
     try:
         return msgspec.msgpack.encode(value, enc_hook=other)
@@ -63,7 +63,7 @@ def encode(value: Any, other: Callable[[Any], Any] = other) -> bytes:
         raise ValueError(f"{error}") from error
 
 
-def _array(_: Any, value: Any) -> Array:
+def _array(_: type, value: Any) -> Array:
     """What is said just as `other` says it."""
     name, shape, raw = value
     array = numbers(type_of(name), raw)
@@ -82,7 +82,7 @@ class Decoder(Generic[T]):
         array: gives an array for what stands in its place.
     """
 
-    def __init__(self, kind: Any, array: Callable[[Any, Any], Array] = _array) -> None:
+    def __init__(self, kind: object, array: Callable[[type, Any], Array] = _array) -> None:
         self._decoder: msgspec.msgpack.Decoder[T] = msgspec.msgpack.Decoder(kind, dec_hook=array)
 
     def decode(self, data: bytes | memoryview) -> T:

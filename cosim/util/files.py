@@ -68,13 +68,13 @@ def writing(folder: Path | None) -> Iterator[None]:
         raise UsageError(f"cannot write into {folder}: {error.strerror or error}") from error
 
 
-def finite(value: Any) -> Any:
+def finite(value: object) -> Any:
     """The value with None for numbers that JSON cannot say: a vehicle that was sent to infinity is infinitely far away."""
     if isinstance(value, dict):
         return {name: finite(each) for name, each in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def to_json(value: Any) -> str:
+def to_json(value: object) -> str:
     """JSON as it stands in the files: indented, keys in order, no NaN."""
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
