@@ -28,7 +28,8 @@ from vcmvsp.cosim.types import FrameReport, Imu, Odometry, VehicleState, Velocit
 AXES = "xyz"
 TURN = ("qw", "qx", "qy", "qz")  # world_from_body
 STATE = (*(f"{a}_m" for a in AXES), *TURN, *(f"v{a}_m_s" for a in AXES), *(f"w{a}_rad_s" for a in AXES))
-COLUMNS: Mapping[type, Sequence[str]] = {
+Tabular = VehicleState | Odometry | Imu | PoseInFrame | Velocity | Waypoint
+COLUMNS: Mapping[type[Tabular], Sequence[str]] = {
     VehicleState: STATE,
     Odometry: ("x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"),
     Imu: ("measured_s", *(f"a{a}_m_s2" for a in AXES), *(f"w{a}_rad_s" for a in AXES)),
@@ -88,22 +89,21 @@ def _place(topic: str) -> tuple[str, str]:
     return vehicle, f"{what.replace('/', '_')}{'_sensor' if taken else ''}"
 
 
-def _row(value: Any) -> Mapping[str, Any] | None:
+def _row(value: object) -> Mapping[str, Any] | None:
     """The cells of a row by their columns; None: of a kind that has none."""
     names = getattr(value, "values", None)
     if isinstance(names, dict):
         return names
-    columns = COLUMNS.get(type(value))
-    if columns is None:
+    if not isinstance(value, Tabular):
         return None
-    return {name: _said(cell) for name, cell in zip(columns, _cells(value), strict=True)}
+    return {name: _said(cell) for name, cell in zip(COLUMNS[type(value)], _cells(value), strict=True)}
 
 
-def _said(cell: Any) -> Any:
+def _said(cell: object) -> object:
     return None if isinstance(cell, float) and math.isnan(cell) else cell
 
 
-def _cells(value: Any) -> Sequence[Any]:
+def _cells(value: Tabular) -> Sequence[object]:
     match value:
         case VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w):
             return (*p, *q, *v, *w)
@@ -115,9 +115,9 @@ def _cells(value: Any) -> Sequence[Any]:
             return (*v, w)
         case Waypoint(position=p, yaw=yaw, speed=speed):
             return (*p, yaw, speed)
-    place, yaw = value.pose.position, value.yaw
-    sigma_rad = None if yaw is None else value.sigma_rad
-    return (value.timestamp.ns / SECOND_NS, place.x, place.y, place.z, yaw, value.sigma_m, sigma_rad)
+        case PoseInFrame(pose=pose, timestamp=measured, yaw=yaw, sigma_m=sigma_m):
+            sigma_rad = None if yaw is None else value.sigma_rad
+            return (measured.ns / SECOND_NS, pose.position.x, pose.position.y, pose.position.z, yaw, sigma_m, sigma_rad)
 
 
 def _radio(reports: Sequence[FrameReport], source: Source) -> pa.Table:
@@ -142,11 +142,13 @@ def _write_radio(table: pa.Table, path: Path) -> None:
     arrow_csv.write_csv(pa.table(columns, names=headers), path, arrow_csv.WriteOptions(quoting_style="needed"))
 
 
-def _in_seconds(column: Any) -> Any:
-    return pc.divide(column.cast(pa.float64()), float(SECOND_NS))
+def _in_seconds(column: "pa.ChunkedArray[Any]") -> "pa.ChunkedArray[Any]":
+    seconds: pa.ChunkedArray[Any] = pc.divide(column.cast(pa.float64()), float(SECOND_NS))
+    return seconds
 
 
-def _plain(column: Any) -> Any:
+def _plain(column: "pa.ChunkedArray[Any]") -> "pa.ChunkedArray[Any]":
     if pa.types.is_floating(column.type):
-        return pc.if_else(pc.is_nan(column), None, column)
+        known: pa.ChunkedArray[Any] = pc.if_else(pc.is_nan(column), None, column)
+        return known
     return column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column

@@ -20,6 +20,7 @@ ERRORS = ("error_m", "z1", "z2")  # what followers note of how far they are from
 WORDS = ("commander", "mode", "status")  # what agents note of what they are doing; the first that there is counts
 DRAWN = ("foxglove.SceneUpdate", "foxglove.LaserScan", "foxglove.PoseInFrame")
 PICTURES = ("foxglove.RawImage", "foxglove.CompressedImage")
+Panels = str | dict[str, Any]  # the name of a panel, or two parts and how they share the space
 MOST_CURVES, MOST_PICTURES = 24, 4
 LEAST_VIEW_M = 4.0
 
@@ -188,7 +189,7 @@ def _plot(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _stacked(parts: Sequence[Any], direction: str, first_percent: float | None = None) -> Any:
+def _stacked(parts: Sequence[Panels], direction: str, first_percent: float | None = None) -> Panels:
     """Panels, or what consists of panels, beside or above one another, each with its share."""
     if len(parts) == 1:
         return parts[0]

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.export.ros_messages import WORLD, header, make, point, pose, vector
+from vcmvsp.cosim.export.ros_messages import WORLD, RosMessage, header, make, point, pose, vector
 from vcmvsp.cosim.recording.foxglove import messages
 
 ARROW, CUBE, CYLINDER, LINE_STRIP, LINE_LIST, TEXT, TRIANGLES = 0, 1, 3, 4, 5, 9, 11  # visualization_msgs/Marker
@@ -13,9 +13,9 @@ LINE_M = 0.03  # width of lines that have no width in metres
 TEXT_M = 0.3  # height of letters, likewise
 
 
-def markers(said: messages.SceneUpdate, time_ns: int) -> Any:
+def markers(said: messages.SceneUpdate, time_ns: int) -> RosMessage:
     """visualization_msgs/MarkerArray: a marker for each primitive; first, one that deletes those of the scene before."""
-    listed: list[Any] = [_marker(header=header(time_ns, WORLD), **_nothing(), action=DELETE_ALL) for _ in said.deletions]
+    listed: list[RosMessage] = [_marker(header=header(time_ns, WORLD), **_nothing(), action=DELETE_ALL) for _ in said.deletions]
     for entity in said.entities:
         parts = [_arrow(each) for each in entity.arrows]
         parts += [_solid(CUBE, each) for each in entity.cubes] + [_solid(CYLINDER, each) for each in entity.cylinders]
@@ -27,7 +27,7 @@ def markers(said: messages.SceneUpdate, time_ns: int) -> Any:
     return make("visualization_msgs/MarkerArray", markers=listed)
 
 
-def _marker(**fields: Any) -> Any:
+def _marker(**fields: object) -> RosMessage:
     empty = make("sensor_msgs/CompressedImage", header=header(0, ""), format="", data=np.zeros(0, np.uint8))
     usual = {
         "action": 0,
@@ -82,10 +82,10 @@ def _text(said: messages.TextPrimitive) -> dict[str, Any]:
     return {"type": TEXT, "pose": _posed(said.pose), "scale": scale, "color": color, "text": said.text}
 
 
-def _posed(said: messages.Pose) -> Any:
+def _posed(said: messages.Pose) -> RosMessage:
     at, turn = said.position, said.orientation
     return pose((at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z))
 
 
-def _color(said: messages.Color) -> Any:
+def _color(said: messages.Color) -> RosMessage:
     return make("std_msgs/ColorRGBA", r=said.r, g=said.g, b=said.b, a=said.a)

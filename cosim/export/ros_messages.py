@@ -5,9 +5,9 @@ radians. Time is that of the run, which begins at 0. The functions are quick to 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from typing import ClassVar, Protocol
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
@@ -24,30 +24,37 @@ ANY_HEADING = math.pi**2 / 3.0  # rad2, variance of one that may be any: ROS wou
 UNKNOWN = -1.0  # first element of a covariance: this part of the message says nothing
 
 
+class RosMessage(Protocol):
+    """A message; rosbags makes the classes at run time, from their definitions."""
+
+    __msgtype__: ClassVar[str]
+
+
 @cache
 def store() -> Typestore:
     """The definitions of the messages."""
     return get_typestore(Stores.ROS2_JAZZY)  # 0.1 s
 
 
-def make(name: str, /, **fields: Any) -> Any:
+def make(name: str, /, **fields: object) -> RosMessage:
     """A message: ``package/Name``."""
     package, _, kind = name.partition("/")
-    return store().types[f"{package}/msg/{kind}"](**fields)
+    message: Callable[..., RosMessage] = store().types[f"{package}/msg/{kind}"]
+    return message(**fields)
 
 
-def stamp(time_ns: int) -> Any:
+def stamp(time_ns: int) -> RosMessage:
     """A time."""
     sec, nanosec = divmod(time_ns, 1_000_000_000)
     return make("builtin_interfaces/Time", sec=sec, nanosec=nanosec)
 
 
-def header(time_ns: int, frame: str) -> Any:
+def header(time_ns: int, frame: str) -> RosMessage:
     """Time and frame."""
     return make("std_msgs/Header", stamp=stamp(time_ns), frame_id=frame)
 
 
-def transforms(said: messages.FrameTransforms, time_ns: int) -> Any:
+def transforms(said: messages.FrameTransforms, time_ns: int) -> RosMessage:
     """tf2_msgs/TFMessage."""
     listed = [
         make(
@@ -65,20 +72,20 @@ def transforms(said: messages.FrameTransforms, time_ns: int) -> Any:
     return make("tf2_msgs/TFMessage", transforms=listed)
 
 
-def state(said: VehicleState, vehicle: str, time_ns: int) -> Any:
+def state(said: VehicleState, vehicle: str, time_ns: int) -> RosMessage:
     """nav_msgs/Odometry: the pose in the world; velocities in the vehicle's frame, as ROS wants them."""
     linear = _into_body(said.attitude, said.velocity)
     return _odometry(time_ns, vehicle, said.position, said.attitude, linear, said.angular_velocity)
 
 
-def odometry(said: Odometry, vehicle: str, time_ns: int) -> Any:
+def odometry(said: Odometry, vehicle: str, time_ns: int) -> RosMessage:
     """nav_msgs/Odometry: what the wheels say."""
     x, y, yaw = said.pose
     turn = quaternion_from_yaw(yaw)
     return _odometry(time_ns, vehicle, (x, y, 0.0), turn, (said.v, 0.0, 0.0), (0.0, 0.0, said.w))
 
 
-def path(places: Sequence[tuple[int, VehicleState]]) -> Any:
+def path(places: Sequence[tuple[int, VehicleState]]) -> RosMessage:
     """nav_msgs/Path: the whole way of a vehicle."""
     poses = [
         make("geometry_msgs/PoseStamped", header=header(time_ns, WORLD), pose=pose(each.position, each.attitude))
@@ -87,19 +94,19 @@ def path(places: Sequence[tuple[int, VehicleState]]) -> Any:
     return make("nav_msgs/Path", header=header(0, WORLD), poses=poses)
 
 
-def velocity(said: Velocity, vehicle: str, time_ns: int) -> Any:
+def velocity(said: Velocity, vehicle: str, time_ns: int) -> RosMessage:
     """geometry_msgs/TwistStamped: a command; along whose axes, `cosim.export.rosbag` says."""
     twist = make("geometry_msgs/Twist", linear=vector(*said.linear), angular=vector(0.0, 0.0, said.yaw_rate))
     return make("geometry_msgs/TwistStamped", header=header(time_ns, vehicle), twist=twist)
 
 
-def waypoint(said: Waypoint, time_ns: int) -> Any:
+def waypoint(said: Waypoint, time_ns: int) -> RosMessage:
     """geometry_msgs/PoseStamped: where a vehicle is sent; a heading that it may choose is 0."""
     there = pose(said.position, quaternion_from_yaw(said.yaw or 0.0))
     return make("geometry_msgs/PoseStamped", header=header(time_ns, WORLD), pose=there)
 
 
-def fix(said: messages.PoseInFrame) -> Any:
+def fix(said: messages.PoseInFrame) -> RosMessage:
     """geometry_msgs/PoseWithCovarianceStamped, at the time at which it was measured; a heading that was not told may be any."""
     at, turn = said.pose.position, said.pose.orientation
     covariance = np.zeros(36)
@@ -112,7 +119,7 @@ def fix(said: messages.PoseInFrame) -> Any:
     )
 
 
-def imu(said: Imu, vehicle: str, time_ns: int) -> Any:
+def imu(said: Imu, vehicle: str, time_ns: int) -> RosMessage:
     """sensor_msgs/Imu without an orientation, which it says, at the time at which it was measured, where it says that."""
     unknown = np.zeros(9)
     unknown[0] = UNKNOWN
@@ -128,7 +135,7 @@ def imu(said: Imu, vehicle: str, time_ns: int) -> Any:
     )
 
 
-def scan(said: messages.LaserScan) -> Any:
+def scan(said: messages.LaserScan) -> RosMessage:
     """sensor_msgs/LaserScan, at the time at which it was measured; a beam without return is infinite (REP 117)."""
     ranges = np.array([math.inf if each is None else each for each in said.ranges], np.float32)
     finite = ranges[np.isfinite(ranges)]
@@ -148,7 +155,7 @@ def scan(said: messages.LaserScan) -> Any:
     )
 
 
-def image(said: messages.RawImage, frame: str) -> Any:
+def image(said: messages.RawImage, frame: str) -> RosMessage:
     """sensor_msgs/Image, at the time at which it was taken."""
     return make(
         "sensor_msgs/Image",
@@ -162,18 +169,18 @@ def image(said: messages.RawImage, frame: str) -> Any:
     )
 
 
-def compressed_image(said: CompressedImage, frame: str) -> Any:
+def compressed_image(said: CompressedImage, frame: str) -> RosMessage:
     """sensor_msgs/CompressedImage, likewise."""
     data = np.frombuffer(said.data, np.uint8)
     return make("sensor_msgs/CompressedImage", header=header(said.timestamp.ns, frame), format=said.format, data=data)
 
 
-def camera_info(said: messages.CameraCalibration, picture: Any) -> Any:
-    """sensor_msgs/CameraInfo of a sensor_msgs/Image, with the same header."""
+def camera_info(said: messages.CameraCalibration, time_ns: int, frame: str) -> RosMessage:
+    """sensor_msgs/CameraInfo of a sensor_msgs/Image, with time and frame of its header."""
     whole = make("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     return make(
         "sensor_msgs/CameraInfo",
-        header=picture.header,
+        header=header(time_ns, frame),
         height=said.height,
         width=said.width,
         distortion_model=said.distortion_model,
@@ -187,7 +194,7 @@ def camera_info(said: messages.CameraCalibration, picture: Any) -> Any:
     )
 
 
-def grid(said: Grid, time_ns: int) -> Any:
+def grid(said: Grid, time_ns: int) -> RosMessage:
     """nav_msgs/OccupancyGrid of a map's probabilities, in percent; cells that the vehicle has not seen itself count, too."""
     corner = said.pose.position
     cells = said.cells[..., 0]
@@ -203,7 +210,7 @@ def grid(said: Grid, time_ns: int) -> Any:
     return make("nav_msgs/OccupancyGrid", header=header(time_ns, said.frame_id), info=info, data=percent)
 
 
-def log(said: messages.Log, time_ns: int) -> Any:
+def log(said: messages.Log, time_ns: int) -> RosMessage:
     """rcl_interfaces/Log."""
     level = LOG_LEVELS.get(said.level, 20)
     return make(
@@ -211,17 +218,17 @@ def log(said: messages.Log, time_ns: int) -> Any:
     )
 
 
-def string(text: str) -> Any:
+def string(text: str) -> RosMessage:
     """std_msgs/String."""
     return make("std_msgs/String", data=text)
 
 
-def clock(time_ns: int) -> Any:
+def clock(time_ns: int) -> RosMessage:
     """rosgraph_msgs/Clock."""
     return make("rosgraph_msgs/Clock", clock=stamp(time_ns))
 
 
-def _odometry(time_ns: int, vehicle: str, position: Vec3, attitude: Sequence[float], linear: Vec3, angular: Vec3) -> Any:
+def _odometry(time_ns: int, vehicle: str, position: Vec3, attitude: Sequence[float], linear: Vec3, angular: Vec3) -> RosMessage:
     twist = make("geometry_msgs/Twist", linear=vector(*linear), angular=vector(*angular))
     return make(
         "nav_msgs/Odometry",
@@ -239,21 +246,21 @@ def _into_body(attitude: Quaternion, vector: Vec3) -> Vec3:
     return turned[0], turned[1], turned[2]
 
 
-def vector(x: float, y: float, z: float) -> Any:
+def vector(x: float, y: float, z: float) -> RosMessage:
     """geometry_msgs/Vector3."""
     return make("geometry_msgs/Vector3", x=x, y=y, z=z)
 
 
-def point(x: float, y: float, z: float) -> Any:
+def point(x: float, y: float, z: float) -> RosMessage:
     """geometry_msgs/Point."""
     return make("geometry_msgs/Point", x=x, y=y, z=z)
 
 
-def _turn(w: float, x: float, y: float, z: float) -> Any:
+def _turn(w: float, x: float, y: float, z: float) -> RosMessage:
     return make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
 
-def pose(position: Vec3, attitude: Sequence[float]) -> Any:
+def pose(position: Vec3, attitude: Sequence[float]) -> RosMessage:
     """geometry_msgs/Pose; the attitude is w, x, y, z."""
     w, x, y, z = attitude
     return make("geometry_msgs/Pose", position=point(*position), orientation=_turn(w, x, y, z))

@@ -89,10 +89,10 @@ class Bag:
         else:
             taker(said, value)
 
-    def _put(self, said: Recorded, message: Any, more: str = "") -> None:
+    def _put(self, said: Recorded, message: ros.RosMessage, more: str = "") -> None:
         self._write(said.topic + more, message, said.time_ns, latched=said.topic in LATCHED)
 
-    def _write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+    def _write(self, topic: str, message: ros.RosMessage, time_ns: int, *, latched: bool = False) -> None:
         kind, name = message.__msgtype__, ros_name(topic)
         if name not in self._connections:
             qos = [_qos()] if latched else []
@@ -111,10 +111,10 @@ class Bag:
         self._write("tf", ros.transforms(value, said.time_ns), said.time_ns)
 
     def _take_image(self, said: Recorded, value: messages.RawImage) -> None:
-        picture = ros.image(value, said.topic)
-        self._put(said, picture, "/image_raw")
+        self._put(said, ros.image(value, said.topic), "/image_raw")
         if said.topic in self._calibrations:
-            self._put(said, ros.camera_info(self._calibrations[said.topic], picture), "/camera_info")
+            calibration = ros.camera_info(self._calibrations[said.topic], value.timestamp.ns, said.topic)
+            self._put(said, calibration, "/camera_info")
 
     def _take_calibration(self, said: Recorded, value: messages.CameraCalibration) -> None:
         self._calibrations[said.topic.removesuffix(f"/{CALIBRATION}")] = value

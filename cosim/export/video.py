@@ -8,7 +8,6 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def write_video(source: Source, path: Path, progress: Callable[[float], None]) -
     import cv2
 
     film = _Film(source)
-    writer: Any = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, film.size)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, film.size)
     if not writer.isOpened():
         problem = "this OpenCV writes no MPEG-4 films"
         raise UsageError(f"--mp4: {problem}; install one that does: pip install opencv-python-headless")
