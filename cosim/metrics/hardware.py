@@ -9,7 +9,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.radio import Receptions, quantiles
-from vcmvsp.cosim.types import Incident, RealStatus
+from vcmvsp.cosim.types import Array, Incident, RealStatus
 
 SPREAD = ("p50", "p99", "max")
 
@@ -36,7 +36,9 @@ def hardware_metrics(
     }
 
 
-def _of_one(told: Sequence[tuple[int, RealStatus]], incidents: Sequence[Incident], fixes: int, delays_s: Any) -> dict[str, Any]:
+def _of_one(
+    told: Sequence[tuple[int, RealStatus]], incidents: Sequence[Incident], fixes: int, delays_s: Array
+) -> dict[str, Any]:
     statuses = [status for _, status in told]
     ages_s = _numbers([each.age_s for each in statuses])
     limited_ns = sum(after - now for (now, status), (after, _) in itertools.pairwise(told) if status.causes)
@@ -55,13 +57,13 @@ def _of_one(told: Sequence[tuple[int, RealStatus]], incidents: Sequence[Incident
     }
 
 
-def _delays_s(got: Receptions, sender: str) -> Any:
+def _delays_s(got: Receptions, sender: str) -> Array:
     """Of the receptions of a vehicle's frames."""
     if sender not in got.senders:
         return np.empty(0)
     own = got.by == got.senders.index(sender)
-    return (got.received_ns[own] - got.sent_ns[own]) / SECOND_NS
+    return np.asarray((got.received_ns[own] - got.sent_ns[own]) / SECOND_NS)
 
 
-def _numbers(values: Sequence[float | None]) -> Any:
+def _numbers(values: Sequence[float | None]) -> Array:
     return np.array([each for each in values if each is not None and np.isfinite(each)])

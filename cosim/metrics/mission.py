@@ -202,7 +202,7 @@ def _switches(history: Sequence[tuple[int, str]]) -> int:
     return sum(one != other for one, other in pairwise(name for _, name in history if name))
 
 
-def _number(noted: Any) -> float:
+def _number(noted: object) -> float:
     """What an agent noted, which may be anything."""
     return float(noted) if isinstance(noted, int | float) else math.nan
 

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +147,7 @@ class Values:
             raise UsageError(f"{FILE}: a message of {message.topic} is no {message.schema}: {error}") from error
 
 
-def _with_nan(said: Any) -> Any:
+def _with_nan(said: object) -> object:
     """JSON with NaN in place of null: of a vehicle that was sent to infinity, say."""
     if isinstance(said, dict):
         return {name: _with_nan(each) for name, each in said.items()}
@@ -156,7 +156,7 @@ def _with_nan(said: Any) -> Any:
     return math.nan if said is None else said
 
 
-def _array(_: Any, numbers: Any) -> Array:
+def _array(_: type, numbers: Sequence[float | None]) -> Array:
     """Numbers; those that JSON cannot say are null there, and NaN here."""
     whole = all(isinstance(number, int) for number in numbers)
     return np.array(numbers, np.int64 if whole else np.float64)

@@ -191,5 +191,5 @@ class Recorder:
         self._now = time_ns
 
 
-def _nowhere(*_: Any) -> None:
+def _nowhere(*_: object) -> None:
     """Without an MCAP file, an event leaves what is taken of it."""

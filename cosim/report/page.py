@@ -103,7 +103,7 @@ def _template() -> jinja2.Template:
     return environment.get_template("page.html.jinja")
 
 
-def cell(value: Any) -> str:
+def cell(value: object) -> str:
     """A value as it stands in a table."""
     if value is None:
         return "–"
@@ -114,7 +114,7 @@ def cell(value: Any) -> str:
     return str(value)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

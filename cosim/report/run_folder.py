@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import pyarrow.parquet as pq
@@ -16,6 +16,8 @@ from vcmvsp.cosim.recording.foxglove.messages import LEVELS
 from vcmvsp.cosim.recording.mcap_reader import about, messages, of_topic
 from vcmvsp.cosim.report.link_counts import Links, links_of
 from vcmvsp.cosim.tables.schema import Recording, load_tables
+
+T = TypeVar("T")
 
 FILES = {
     "scenario.toml": "what was run, how to repeat it, and what theory expects",
@@ -63,7 +65,7 @@ def left_in(folder: Path) -> Left:
         raise UsageError(f"{folder}: no run or study has left anything here; name its folder (runs/<name>-<seed> or its --out)")
     missing = {name: "is not there" for name in FILES if not (folder / name).is_file()}
 
-    def read(name: str, reader: Callable[[Path], Any], otherwise: Any) -> Any:
+    def read(name: str, reader: Callable[[Path], T], otherwise: T) -> T:
         if name in missing:
             return otherwise
         try:

@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import DTypeLike
 
 from vcmvsp.cosim.types import Array
 
 
-def column(values: Array, valid: Array | None = None) -> Any:
+def column(values: Array, valid: Array | None = None) -> "pa.Array[Any]":
     """An Arrow array of these numbers, null where they are not valid."""
     bits = None if valid is None else pa.py_buffer(np.packbits(valid, bitorder="little").tobytes())
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [bits, pa.py_buffer(values.tobytes())])
 
 
-def name_column(names: Sequence[str], codes: Array) -> Any:
+def name_column(names: Sequence[str], codes: Array) -> "pa.Array[Any]":
     """An Arrow array in which row i is ``names[codes[i]]``."""
     encoded = [name.encode() for name in names]
     offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
@@ -28,7 +29,7 @@ def name_column(names: Sequence[str], codes: Array) -> Any:
 
 def numbers(table: pa.Table, name: str, null: float = 0) -> Array:
     """The numbers of a column, with ``null`` where there is none."""
-    chunks: Any = table[name].chunks
+    chunks = table[name].chunks
     return joined([_numbers(chunk, null) for chunk in chunks], (0,), table.schema.field(name).type.to_pandas_dtype())
 
 
@@ -41,11 +42,11 @@ def names_of(table: pa.Table, name: str) -> tuple[tuple[str, ...], Array]:
 
 def nulls(table: pa.Table, name: str) -> Array:
     """Where a column has no value."""
-    chunks: Any = table[name].chunks
+    chunks = table[name].chunks
     return joined([~_valid(chunk) for chunk in chunks], (0,), np.bool_)
 
 
-def joined(parts: Sequence[Array], empty: tuple[int, ...], dtype: Any = np.float64) -> Array:
+def joined(parts: Sequence[Array], empty: tuple[int, ...], dtype: DTypeLike = np.float64) -> Array:
     """The parts one after another, one alone as it is; of shape ``empty`` where there are none."""
     whole = parts[0] if len(parts) == 1 else np.concatenate([np.empty(empty, dtype), *parts])
     return whole.astype(dtype, copy=False)

@@ -9,6 +9,7 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from vcmvsp.cosim.tables.columns import column, joined, name_column
 from vcmvsp.cosim.types import Array, FrameReport
@@ -51,7 +52,7 @@ class Names:
         """Their numbers."""
         return np.fromiter(map(self._codes.__getitem__, names), np.int32)
 
-    def column(self, codes: Array) -> Any:
+    def column(self, codes: Array) -> "pa.Array[Any]":
         """An Arrow column of these numbers' names."""
         return name_column(list(self._codes), codes)
 
@@ -162,7 +163,7 @@ def _slim(values: Array) -> Array:
     return np.broadcast_to(values[0].copy(), values.shape) if len(values) and (bits == bits[0]).all() else values
 
 
-def _dtype(name: str) -> Any:
+def _dtype(name: str) -> type[np.number]:
     if name in ("receiver", "sender", "outcome", "wall_materials"):
         return np.int32
     return {**PER_ROW, **BUDGET}.get(name, np.int64)

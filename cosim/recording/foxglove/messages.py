@@ -6,7 +6,7 @@ world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x
 its messages in `cosim.recording.foxglove.agent_displays`; schemas are made in `cosim.recording.foxglove.schemas`.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -282,7 +282,7 @@ class CameraCalibration(FoxgloveMessage, frozen=True):
 _NUMPY = (np.ndarray, np.generic)  # made once, as frames have many of them
 
 
-def to_json(value: Any) -> Any:
+def to_json(value: object) -> object:
     """NumPy arrays and numbers as JSON writes them (for ``enc_hook``)."""
     if isinstance(value, _NUMPY):
         return value.tolist()

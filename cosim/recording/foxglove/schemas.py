@@ -55,7 +55,7 @@ def _listed(items: dict[str, Any]) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
 
-def _array_schema(annotation: Any) -> dict[str, Any]:
+def _array_schema(annotation: object) -> dict[str, Any]:
     if annotation is np.ndarray:
         return _listed({"type": "number"})
     raise TypeError(f"no JSON Schema for {annotation}")
