@@ -9,7 +9,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import withStroke
@@ -190,7 +190,7 @@ def _say(axes: Axes, time_s: float, height: float, words: str, where: str) -> No
     axes.annotate(words, (time_s, height), ha="center", va=where, fontsize="small", zorder=7)
 
 
-def _maps(figure: Any, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
+def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
     shown, image = figure.subplots(1, INSTANTS, sharex=True, sharey=True), None
     for number, axes in enumerate(shown, start=1):
         now = log.end_ns * number // INSTANTS

@@ -3,7 +3,6 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Ta
     """Write an MP4 file (MPEG-4 part 2); False, and no file: this OpenCV cannot."""
     import cv2
 
-    film: Any = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (MAP_PX + SIDE_PX, MAP_PX))
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (MAP_PX + SIDE_PX, MAP_PX))
     if not film.isOpened():
         return False
     try:
@@ -180,7 +179,7 @@ class _Beside:
         if self._kept.get(name, (-1,))[0] != number:
             scale = min((self._width - 4) / seen.width, (self._height - 28) / seen.height)
             quick = cv2.IMREAD_REDUCED_COLOR_2 if scale < 0.75 else cv2.IMREAD_COLOR
-            pixels: Any = cv2.imdecode(np.frombuffer(seen.jpeg, np.uint8), quick)
+            pixels = cv2.imdecode(np.frombuffer(seen.jpeg, np.uint8), quick)
             size = max(int(seen.width * scale), 1), max(int(seen.height * scale), 1)
             small = np.zeros((size[1], size[0], 3), np.uint8) if pixels is None else cv2.resize(pixels, size)
             for each in seen.found:

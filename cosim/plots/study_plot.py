@@ -6,7 +6,7 @@ They are drawn from the summary (`cosim.studies.summary`) alone, in the style of
 import contextlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -159,7 +160,7 @@ def _scale(axes: Axes, table: Table, metric: str) -> None:
         axes.set_ylim(bottom=0.0)
 
 
-def _axis(panels: Any, shown: int, table: Table, key: str) -> None:
+def _axis(panels: Iterable[Axes], shown: int, table: Table, key: str) -> None:
     """The horizontal axis: named under the lowest panel of each column; names of a key without numbers are its ticks."""
     columns = min(shown, 2)
     for index, axes in enumerate(panels):
@@ -225,7 +226,7 @@ def _norm(table: Table, metric: str) -> Normalize:
     return Normalize(min(0.0, values.min()), values.max() or 1.0)
 
 
-def _numbers(axes: Axes, image: Any, field: Array) -> None:
+def _numbers(axes: Axes, image: AxesImage, field: Array) -> None:
     for (row, column), value in np.ndenumerate(field):
         if np.isfinite(value):
             red, green, blue, _ = image.cmap(image.norm(value))
@@ -267,7 +268,7 @@ def _distinct(values: Sequence[Any]) -> list[Any]:
     return found
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -278,7 +279,7 @@ def _labels(values: Sequence[Any]) -> list[str]:
     return next((names for names in (kinds, short) if len(set(names)) == len(values)), [str(value) for value in values])
 
 
-def _kind(value: Any) -> Any:
+def _kind(value: object) -> object:
     """What a table says it is."""
     with contextlib.suppress(ValueError):  # a text may begin like a table
         if isinstance(value, str) and value.startswith("{"):
@@ -286,7 +287,7 @@ def _kind(value: Any) -> Any:
     return None
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, int | float) else str(value)

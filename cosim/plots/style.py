@@ -53,7 +53,7 @@ def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
     """Matplotlib's own defaults, `STYLE`, and ``more``."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        wanted: Any = {**STYLE, **(more or {})}
+        wanted: dict[Any, Any] = {**STYLE, **(more or {})}  # names that the library lists one by one
         mpl.rcParams.update(wanted)
         yield
 

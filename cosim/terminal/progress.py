@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any, Self
 from vcmvsp.cosim.clock import SECOND_NS
 
 if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.progress import Progress as RichProgress
+
     from vcmvsp.cosim.federate import Event
     from vcmvsp.cosim.runs.api import Result
     from vcmvsp.cosim.terminal.live_table import Line, LiveTable
@@ -29,10 +32,11 @@ class Shown:
         quiet: show nothing.
     """
 
+    _bar: "RichProgress"  # once there is a screen
+
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet
-        self._screen: Any = None
-        self._bar: Any = None
+        self._screen: Live | None = None
         # One that can go back and draw anew; all others are written to like a log file.
         self._terminal = not quiet and sys.stderr.isatty() and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
         self._every_s = DRAW_EVERY_S if self._terminal else LOG_EVERY_S
@@ -63,15 +67,14 @@ class Shown:
     def _draw(self, completed: float, total: float, words: str) -> None:
         """Show the bar, on a terminal, and what stands below it."""
         try:
-            if self._screen is None:
-                self._open_screen()
+            screen = self._open_screen() if self._screen is None else self._screen
             begin = time.monotonic()
-            self._draw_on(self._screen, completed, total, words)
+            self._draw_on(screen, completed, total, words)
             self._every_s = min(max(DRAW_EVERY_S, SHARE * (time.monotonic() - begin)), LOG_EVERY_S)
         except OSError:  # the terminal has gone; what it shows is no part of the work
             self._quiet = True
 
-    def _draw_on(self, screen: Any, completed: float, total: float, words: str) -> None:
+    def _draw_on(self, screen: "Live", completed: float, total: float, words: str) -> None:
         from rich.console import Group
         from rich.text import Text
 
@@ -86,7 +89,7 @@ class Shown:
         """What stands below the bar, at most so wide and so high."""
         return ()
 
-    def _open_screen(self) -> None:
+    def _open_screen(self) -> "Live":
         from rich.console import Console
         from rich.live import Live
         from rich.progress import BarColumn, Progress, TextColumn
@@ -97,6 +100,7 @@ class Shown:
         self._bar.add_task("")
         self._screen = Live(console=console, auto_refresh=False, transient=True, vertical_overflow="crop")
         self._screen.start()
+        return self._screen
 
 
 class Progress(Shown):
