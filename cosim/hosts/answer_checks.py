@@ -7,12 +7,12 @@ or the recording says why. Causes are worded to stand behind ``gave an answer th
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 import tomli_w
 
-from vcmvsp.cosim.agent import LARGEST_MESSAGE_BYTES, SHOWN, AgentInfo, AgentSpec, check_body, unfit
+from vcmvsp.cosim.agent import LARGEST_MESSAGE_BYTES, SHOWN, AgentInfo, AgentSpec, Shown, check_body, unfit
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.scenario.schema import AgentTable
@@ -56,19 +56,19 @@ def events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: frozens
         value = event.value
         if type(value) not in kinds:
             raise ValueError(f"{key} of type {type(value).__name__}")
-        if what == "send":
+        if type(value) is Message:
             _message(value, vehicle, names)
             continue
         if key in given:
             raise ValueError(f"{key} twice")
         given.add(key)
-        if what == "command":
+        if type(value) is Velocity or type(value) is Waypoint:
             _command(value)
         else:
             _rare(value, vehicle, due_ns, names)
 
 
-def _message(message: Any, vehicle: str, names: frozenset[str]) -> None:
+def _message(message: Message, vehicle: str, names: frozenset[str]) -> None:
     if message.sender != vehicle:
         raise ValueError(f"a message from {plain(message.sender, LONGEST_NAME)} as one from {vehicle}")
     if message.to == vehicle:
@@ -86,8 +86,8 @@ def _message(message: Any, vehicle: str, names: frozenset[str]) -> None:
             raise ValueError(f"a message that cannot be recorded: {plain(str(error))}") from None
 
 
-def _command(command: Any) -> None:
-    if type(command) is Velocity:
+def _command(command: Velocity | Waypoint) -> None:
+    if isinstance(command, Velocity):
         x, y, z = command.linear
         total = x + y + z + command.yaw_rate
     else:
@@ -97,7 +97,7 @@ def _command(command: Any) -> None:
         raise ValueError(f"a command that is not finite: {command}")
 
 
-def _rare(value: Any, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
+def _rare(value: object, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
     if type(value) is Follows and value.leader is not None and (value.leader not in names or value.leader == vehicle):
         raise ValueError(f"it follows {plain(value.leader, LONGEST_NAME)}, which is not another vehicle of this run")
     if type(value) is Presence:
@@ -105,7 +105,7 @@ def _rare(value: Any, vehicle: str, due_ns: int, names: frozenset[str]) -> None:
             raise ValueError(f"{vehicle}/host since {value.since_ns} ns, {value.state}, {value.late} late, at {due_ns} ns")
         if plain(value.why) != value.why:
             raise ValueError(f"{vehicle}/host with a reason that is too long or cannot be shown")
-    if type(value) in SHOWN and (problem := unfit(value)):
+    if isinstance(value, Shown) and (problem := unfit(value)):
         raise ValueError(f"{vehicle}/{SHOWN[type(value)]} with {problem}")
 
 

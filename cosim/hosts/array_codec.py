@@ -11,7 +11,7 @@ import struct
 import threading
 from collections.abc import Iterable, Iterator
 from itertools import chain, groupby
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Generic, TypeVar
 
 import msgspec
 import numpy as np
@@ -37,11 +37,11 @@ class _Alike(msgspec.Struct, frozen=True, array_like=True):
 _tables: codec.Decoder[list[_Alike]] = codec.Decoder(list[_Alike])
 
 
-def pack(value: Any) -> bytes:
+def pack(value: object) -> bytes:
     """The value as bytes; what cannot be sent raises a `ValueError`."""
     arrays: list[Array] = []
 
-    def other(value: Any) -> Any:
+    def other(value: object) -> object:
         if isinstance(value, np.ndarray):
             arrays.append(value)
             return 0
@@ -59,7 +59,7 @@ def pack(value: Any) -> bytes:
 class Unpacker(Generic[T]):
     """Reads what `pack` or `codec.encode` has written, of one type; anything else raises a `ValueError`."""
 
-    def __init__(self, kind: Any) -> None:
+    def __init__(self, kind: object) -> None:
         self._plain: codec.Decoder[T] = codec.Decoder(kind)
         self._decoder: codec.Decoder[T] = codec.Decoder(kind, self._next)
         self._arrays: Iterator[Array] = iter(())  # of the message that is being read, as many as are left
@@ -76,7 +76,7 @@ class Unpacker(Generic[T]):
                 raise ValueError("an array that belongs nowhere")
             return value
 
-    def _next(self, _: Any, place: Any) -> Array:
+    def _next(self, _: type, place: object) -> Array:
         array = next(self._arrays, None)
         if place != 0 or array is None:
             raise ValueError("an array that is not there")

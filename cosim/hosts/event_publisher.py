@@ -20,7 +20,7 @@ from zenoh.handlers import Callback
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol as wire
 from vcmvsp.cosim.transport import key_names
-from vcmvsp.cosim.types import Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
+from vcmvsp.cosim.types import AnyValue, Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -122,7 +122,7 @@ class Topics:
                 p, v, q, w = (column[row] for column in columns)
                 self._publish(key, time_ns, VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w))
 
-    def _publish(self, key: str, time_ns: int, value: Any) -> None:
+    def _publish(self, key: str, time_ns: int, value: AnyValue) -> None:
         tag, payload = _encoded(value)
         self._publishers[key].put(payload, encoding=f"application/json;{tag}", attachment=stamp.pack(time_ns))
 
@@ -193,7 +193,7 @@ class _Unreadable(Value, frozen=True, kw_only=True, tag="error"):
     message: str
 
 
-def _encoded(value: Any) -> tuple[str, bytes]:
+def _encoded(value: Value | Later) -> tuple[str, bytes]:
     """The tag and the JSON of a value; that something cannot be shown is no reason to end the run."""
     try:
         if isinstance(value, Later):
@@ -238,7 +238,7 @@ def _base64(array: Array) -> str:
     return b64encode(array.tobytes()).decode()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """NumPy arrays and numbers as JSON writes them."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()

@@ -121,7 +121,7 @@ def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str])
     return None
 
 
-def toml(value: Any) -> str:
+def toml(value: object) -> str:
     """A value as ``--set`` reads it, in one line."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_scalar(str(key))} = {toml(each)}" for key, each in value.items()) + "}"
@@ -130,7 +130,7 @@ def toml(value: Any) -> str:
     return _scalar(value)
 
 
-def _scalar(value: Any) -> str:
+def _scalar(value: object) -> str:
     return tomli_w.dumps({"v": value}).removeprefix("v = ").rstrip("\n")
 
 

@@ -136,7 +136,7 @@ number = struct.Struct("<Q")
 _MANY = 8  # events of a step, from which on it costs less to send arrays together than each in its place
 
 
-def encode(value: Any) -> bytes:
+def encode(value: object) -> bytes:
     """A message as bytes; what cannot be sent raises a `ValueError`."""
     events = value.inbox if isinstance(value, Act) else value.events if isinstance(value, Stepped) else ()
     return pack(value) if len(events) >= _MANY else codec.encode(value)

@@ -61,7 +61,7 @@ class Worker:
                 raise WorkerDiedError
             raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
 
-    def run(self, given: Any) -> Any:
+    def run(self, given: object) -> Any:
         """What the function gives, or raises.
 
         Raises:
@@ -98,7 +98,7 @@ class Pool:
         died: what a call gives whose worker died, twice; an error is raised.
     """
 
-    def __init__(self, call: Callable[[Any], Any], jobs: int, *, died: Any) -> None:
+    def __init__(self, call: Callable[[Any], Any], jobs: int, *, died: object) -> None:
         self._call, self._jobs, self._died = call, jobs, died
         self._lock, self._stopped = threading.Lock(), False
         self._threads: list[threading.Thread] = []

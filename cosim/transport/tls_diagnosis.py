@@ -54,7 +54,7 @@ def shown(endpoint: str, bundle: "Bundle") -> Shown:
         socket.create_connection((host, port), timeout=PROBE_S) as connection,
         _context(bundle).wrap_socket(connection, server_hostname=host) as tls,
     ):
-        says: Any = tls.getpeercert()
+        says: dict[str, Any] = tls.getpeercert() or {}
     until = dt.datetime.fromtimestamp(ssl.cert_time_to_seconds(says["notAfter"]), dt.UTC)
     return Shown(tuple(name for _, name in says["subjectAltName"]), until)
 
