@@ -10,13 +10,14 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.processes.worker_pool import Answered, Asked
 from vcmvsp.cosim.studies.plan import Run
 from vcmvsp.cosim.studies.worker import DIED, Work, failed, run_one, version
 
+T = TypeVar("T")
 TIMEOUT_S = 10  # for the scheduler, and then for what its workers say of their version
 PER_THREAD = 4  # runs that are handed over at once: enough that no worker waits for us
 LEAST = 8  # also to a cluster that has no workers yet, so that it knows that it needs some
@@ -35,7 +36,7 @@ class Cluster:
         UsageError: Dask is not installed, nobody answers, or workers have another version of vcmvsp.
     """
 
-    def __init__(self, work: Work, address: Any) -> None:
+    def __init__(self, work: Work, address: object) -> None:
         try:
             distributed: Any = importlib.import_module("distributed")
         except ImportError as error:
@@ -105,13 +106,13 @@ class Cluster:
             raise UsageError(f"--cluster {self._name}: {worker} has vcmvsp {theirs}, this is {self._work.version}")
 
 
-def _in_time(call: Callable[[], Any]) -> Any:
+def _in_time(call: Callable[[], T]) -> T:
     """What the call gives within `TIMEOUT_S`. Dask waits without end for a peer that accepts a connection and says nothing.
 
     Raises:
         TimeoutError: it has given nothing by then; its thread is left behind.
     """
-    given: list[Any] = []
+    given: list[T] = []
     raised: list[Exception] = []
 
     def make() -> None:

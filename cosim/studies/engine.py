@@ -45,7 +45,7 @@ def study(
     set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
     metrics: Sequence[str] | None = None,
     jobs: int | None = None,
-    cluster: Any = None,
+    cluster: object = None,
     out: str | Path | None = None,
     resume: bool = False,
     force: bool = False,
@@ -91,7 +91,7 @@ def conduct(
     settings: Mapping[str, Any],
     metrics: Sequence[str] | None,
     jobs: int | None,
-    cluster: Any,
+    cluster: object,
     out: Path | None,
     resume: bool,
     force: bool,
@@ -156,7 +156,7 @@ def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress, noted: Note
 
 
 @contextlib.contextmanager
-def _workers(work: Work, jobs: int | None, cluster: Any) -> Iterator[Ask]:
+def _workers(work: Work, jobs: int | None, cluster: object) -> Iterator[Ask]:
     """Where runs are made."""
     if cluster is None:
         with Pool(functools.partial(run_one, work), jobs or cores(), died=DIED) as pool:
@@ -180,7 +180,7 @@ def _write(out: Path, table: "pa.Table", plan: Plan, about: Mapping[str, Any], *
         (out / "about.json").write_text(to_json(about), "utf-8")
 
 
-def _check_arguments(jobs: int | None, cluster: Any, out: Path | None, *, resume: bool, force: bool) -> None:
+def _check_arguments(jobs: int | None, cluster: object, out: Path | None, *, resume: bool, force: bool) -> None:
     if jobs is not None and jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be at least 1")
     if jobs is not None and cluster is not None:
@@ -191,7 +191,7 @@ def _check_arguments(jobs: int | None, cluster: Any, out: Path | None, *, resume
         raise UsageError("--resume and --force exclude each other: go on, or begin anew?")
 
 
-def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: Any, jobs: int | None) -> dict[str, Any]:
+def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: object, jobs: int | None) -> dict[str, Any]:
     """The only part that differs between two equal studies."""
     return {
         "schema": ABOUT_SCHEMA,

@@ -52,7 +52,7 @@ def values_of(text: str) -> list[Any]:
     return values
 
 
-def label(value: Any) -> str:
+def label(value: object) -> str:
     """The value as text, the same for values that are the same to a scenario: 1 and 1.0, but not 1 and true."""
     if isinstance(value, str):
         return value

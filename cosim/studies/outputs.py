@@ -103,7 +103,7 @@ def command_of(plan: Plan) -> str:
     return shlex.join([*words, "--out", f"{Path(plan.scenario).stem}-study"])
 
 
-def toml_of(value: Any) -> str:
+def toml_of(value: object) -> str:
     """A value as ``--set`` and ``--vary`` read it."""
     if isinstance(value, str):
         plain = value.replace("_", "").replace("-", "").isalnum() and scenarios.value_of(value) == value
@@ -117,7 +117,7 @@ def toml_of(value: Any) -> str:
     return str(value)
 
 
-def _inside(value: Any) -> str:
+def _inside(value: object) -> str:
     return _quoted(value) if isinstance(value, str) else toml_of(value)
 
 
@@ -212,7 +212,7 @@ def _failed(failures: list[list[Any]], keys: Sequence[str]) -> Section:
     return Section("Failed runs", parts)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     return toml_of(value) if isinstance(value, list | Mapping) else value
 
 

@@ -186,7 +186,7 @@ def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
     return full
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """The value in TOML's types, of Python's or NumPy's."""
     found = binding.plain(value.tolist() if hasattr(value, "tolist") else value)
     if found is None:
@@ -221,7 +221,7 @@ def _in_both(now: Mapping[str, str], then: Mapping[str, str]) -> tuple[dict[str,
     return kept, {name: then[name] for name in names}
 
 
-def _difference(now: Any, then: Any, key: str = "") -> str | None:
+def _difference(now: object, then: object, key: str = "") -> str | None:
     """The first thing in which two nested values differ."""
     if isinstance(now, dict) and isinstance(then, dict):
         names = [*then, *(name for name in now if name not in then)]

@@ -73,14 +73,14 @@ class Column:
         empty = rows & ~self._valid
         self._numbers[empty], self._valid[empty] = value, True
 
-    def arrow(self) -> Any:
+    def arrow(self) -> "pa.Array[Any]":
         """Whole numbers, texts, or else numbers, as which a column counts that has no value at all."""
         if self._texts:
             return self.texts()
         whole = self._whole and self._valid.any()
         return column(self._numbers.astype(np.int64) if whole else self._numbers, self._valid)
 
-    def texts(self) -> Any:
+    def texts(self) -> "pa.Array[Any]":
         """Texts, whether there are any or not."""
         return strings([self._texts.get(row) for row in range(len(self._valid))])
 
@@ -129,16 +129,16 @@ def answers_of(table: pa.Table, keys: Sequence[str], *, failed: bool = False) ->
     return answers
 
 
-def strings(values: Sequence[str | None]) -> Any:
+def strings(values: Sequence[str | None]) -> "pa.Array[Any]":
     """An Arrow array of texts."""
     encoded = [(value or "").encode() for value in values]
     offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
     valid = np.array([value is not None for value in values], np.bool_)
-    buffers = [_bits(valid), pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
+    buffers: list[pa.Buffer | None] = [_bits(valid), pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
     return pa.Array.from_buffers(pa.string(), len(values), buffers)
 
 
-def _bits(values: Array) -> Any:
+def _bits(values: Array) -> pa.Buffer:
     return pa.py_buffer(np.packbits(values, bitorder="little").tobytes())
 
 
@@ -147,7 +147,7 @@ def _natural(name: str) -> list[Any]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
 
 
-def _varied(values: Sequence[Any], all_values: Sequence[Any]) -> Any:
+def _varied(values: Sequence[Any], all_values: Sequence[Any]) -> "pa.Array[Any]":
     """A column of a varied key; its type is that of all values of the plan, and text where they are mixed, lists or tables."""
     kinds = {type(value) for value in all_values}
     if kinds == {bool}:

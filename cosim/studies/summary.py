@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
 from vcmvsp.cosim import rng
+from vcmvsp.cosim.types import Array
 
 RESAMPLES = 9999
 CONFIDENCE = 0.95
@@ -57,7 +59,7 @@ def summarise(table: pa.Table, keys: Sequence[str], metrics: Sequence[str]) -> p
     return pa.table(columns)
 
 
-def band(values: Any, name: str = "") -> Band:
+def band(values: ArrayLike, name: str = "") -> Band:
     """Mean of some numbers, in whatever order, and its 95 % band; ``name`` names the random stream of the resampling."""
     values = np.sort(np.asarray(values, float))
     if not len(values):
@@ -109,12 +111,12 @@ def _points(table: pa.Table, keys: Sequence[str]) -> list[list[int]]:
     return list(found.values())
 
 
-def _values(table: pa.Table, metric: str) -> Any:
+def _values(table: pa.Table, metric: str) -> Array:
     """A metric of every run; NaN where it has none. Where no run succeeded, no run has any."""
     if metric not in table.column_names:
         return np.full(table.num_rows, np.nan)
     return np.array([math.nan if value is None else float(value) for value in table.column(metric).to_pylist()])
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: object) -> object:
     return json.dumps(value) if isinstance(value, bool | list | Mapping) else value
