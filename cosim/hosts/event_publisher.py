@@ -18,7 +18,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.hosts import protocol as wire
+from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.transport import key_names
 from vcmvsp.cosim.types import AnyValue, Array, Image, Later, Mosaic, ProbabilityMap, States, Value, VehicleState
 
@@ -145,7 +145,7 @@ class Topics:
         facts = {key: value() if callable(value) else value for key, value in self._about.items()}
         own = {
             "version": self._version,
-            "protocol": wire.PROTOCOL,
+            "protocol": protocol.PROTOCOL,
             "time_ns": self._now_ns,
             "wall_ns": time.time_ns(),
             "you": You(name) if entry is None else You(name, entry.role, entry.vehicles),

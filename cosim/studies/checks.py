@@ -13,7 +13,7 @@ from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.studies.plan import Base, Plan
 from vcmvsp.cosim.studies.rows import flat
@@ -49,7 +49,7 @@ def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lamb
 
 def where(plan: Plan, base: Base) -> Literal["inprocess"] | None:
     """Where agents of the runs run, if not where the scenario says: nobody starts hosts by hand for each run of a study."""
-    parsed, _ = scenarios.load(base.asked, settings=plan.set)
+    parsed, _ = loader.load(base.asked, settings=plan.set)
     return "inprocess" if _by_hand(parsed) else None
 
 
@@ -74,7 +74,7 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
     settings = plan.settings(point)
     files: Mapping[str, bytes] = {}
     try:
-        parsed, source = scenarios.load(base.asked, settings=settings, seed=plan.seeds[0])
+        parsed, source = loader.load(base.asked, settings=settings, seed=plan.seeds[0])
         if parsed.bridge.doors or parsed.sockets.vehicles:
             raise UsageError("a study has no programs to talk to: leave [bridge] and [sockets] out")
         if parsed.real:
@@ -121,7 +121,7 @@ def _names(plan: Plan, base: Base, point: tuple[Any, ...]) -> set[str]:
     """The metrics that are numbers, from a run that is cut short; none if that fails."""
     settings = plan.settings(point)
     try:
-        parsed, _ = scenarios.load(base.asked, settings=settings)
+        parsed, _ = loader.load(base.asked, settings=settings)
         short = {**settings, "duration_s": min(parsed.duration_s, parsed.record.period_s)}
         result = api.run(base.asked, seed=plan.seeds[0], set=short, agents="inprocess", mcap=False)
     except VcmvspError:

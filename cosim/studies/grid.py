@@ -8,7 +8,7 @@ from decimal import Decimal
 from typing import Any
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.scenario import loader
 
 EXAMPLE = "--vary radio.loss.probability=0,0.2,0.5 or --vary radio.loss.probability=0:0.9:0.1"
 MOST = 1_000_000  # runs of a study
@@ -48,7 +48,7 @@ def values_of(text: str) -> list[Any]:
         if not item:
             raise ValueError('a value is missing (write "" for an empty string)')
         ends = _RANGE.fullmatch(item)
-        values += _range(item, *ends.groups()) if ends else [scenarios.value_of(item)]
+        values += _range(item, *ends.groups()) if ends else [loader.value_of(item)]
     return values
 
 

@@ -11,7 +11,7 @@ import tomli_w
 
 from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
 from vcmvsp.cosim.report.run_page import FILE
-from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import PLAN, so_far
 from vcmvsp.cosim.studies.summary import summarise, to_csv
@@ -87,7 +87,7 @@ def _is_file(plan: Plan) -> bool:
     """Whether the scenario had a name or a file when the study began: one that was a mapping has only its own name."""
     if Path(plan.scenario).suffix == ".toml":
         return True
-    return plan.scenario in scenarios.names() and scenarios.text_of(plan.scenario) == plan.scenario_toml
+    return plan.scenario in loader.names() and loader.text_of(plan.scenario) == plan.scenario_toml
 
 
 def command_of(plan: Plan) -> str:
@@ -106,7 +106,7 @@ def command_of(plan: Plan) -> str:
 def toml_of(value: object) -> str:
     """A value as ``--set`` and ``--vary`` read it."""
     if isinstance(value, str):
-        plain = value.replace("_", "").replace("-", "").isalnum() and scenarios.value_of(value) == value
+        plain = value.replace("_", "").replace("-", "").isalnum() and loader.value_of(value) == value
         return value if plain else _quoted(value)
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_quoted(str(key))} = {_inside(each)}" for key, each in value.items()) + " }"

@@ -12,7 +12,7 @@ import tomli_w
 
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.grid import EXAMPLE, MOST, label, values_of
 from vcmvsp.cosim.types import Seed
 
@@ -101,7 +101,7 @@ def base_of(scenario: str | Path | Mapping[str, Any]) -> Base:
     """The scenario's text, taken once: what happens to the file while the study runs does not matter."""
     if isinstance(scenario, Mapping):
         return Base(tomli_w.dumps(binding.plain(dict(scenario))), Path.cwd(), scenario)
-    return Base(scenarios.text_of(scenario), scenarios.path_of(scenario).resolve().parent, scenario)
+    return Base(loader.text_of(scenario), loader.path_of(scenario).resolve().parent, scenario)
 
 
 def content(text: str) -> dict[str, Any]:
@@ -124,7 +124,7 @@ def make(
     Raises:
         UsageError, ScenarioError: nothing is varied, a value stands twice, there are no seeds.
     """
-    parsed, _ = scenarios.load(base.asked, settings=settings, seed=seed)
+    parsed, _ = loader.load(base.asked, settings=settings, seed=seed)
     said = parsed.study
     full = _vary(vary) if vary else stored.vary if stored else _vary(said.vary)
     if not full:
