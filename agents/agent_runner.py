@@ -11,7 +11,7 @@ import msgspec
 from vcmvsp.agents.factory import Kinds, build
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
-from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.config import binding, messages
 from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.hosts.lost_agent import Absence
@@ -192,7 +192,7 @@ class Seat:
     def _checked(self, command: Any) -> Velocity | Waypoint:
         """The command in plain floats, as it would come over a wire."""
         if not isinstance(command, COMMANDS):
-            raise self._error(f"returned {binding.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
+            raise self._error(f"returned {messages.show(command)} from act(); it must return a Velocity, a Waypoint, or None")
         try:
             said, total = _plain(command)
         except (TypeError, ValueError):
@@ -208,7 +208,7 @@ class Seat:
         try:
             place = msgspec.convert(msgspec.to_builtins(follows, enc_hook=lambda number: number.item()), Follows)
         except (msgspec.ValidationError, TypeError, AttributeError):
-            raise self._error(f"has set follows to {binding.show(follows)}; it must be a Follows, or None") from None
+            raise self._error(f"has set follows to {messages.show(follows)}; it must be a Follows, or None") from None
         if place.leader not in self._others:
             raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
         return place

@@ -4,7 +4,7 @@ from math import isfinite
 
 import numpy as np
 
-from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, hull_of, outline

@@ -10,7 +10,7 @@ import numpy as np
 
 from vcmvsp.cosim.assembly import radio, worlds
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import messages, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics import motion
@@ -98,7 +98,7 @@ def coverage(
     parsed, source = scenario.load(_scenario_in(folder) if folder else what, settings=set, seed=seed)
     site = site_of(parsed, source)
     if vehicle not in site.places:
-        raise UsageError(binding.unknown("vehicle", vehicle, site.places))
+        raise UsageError(messages.unknown("vehicle", vehicle, site.places))
     if at_s is not None:
         if folder is None:
             raise UsageError("a time can be given for a run only: name the directory that a run left")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vcmvsp.cosim.assembly.resolved import Resolution
-from vcmvsp.cosim.config import binding, builtin_kinds, factory
+from vcmvsp.cosim.config import binding, builtin_kinds, factory, messages
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario
@@ -119,19 +119,19 @@ def build(
 
     for name in radio:
         if name not in ("preset", *presets.LAYERS):
-            where = binding.join(key, name)
-            problem = binding.unknown("key", name, ["preset", *also, *presets.LAYERS])
+            where = messages.join(key, name)
+            problem = messages.unknown("key", name, ["preset", *also, *presets.LAYERS])
             raise ScenarioError(problem, key=where, source=source.of(where))
     preset = radio.get("preset", "ideal")
     if preset not in presets.PRESETS:
-        where = binding.join(key, "preset")
-        raise ScenarioError(binding.unknown("preset", str(preset), presets.PRESETS), key=where, source=source.of(where))
+        where = messages.join(key, "preset")
+        raise ScenarioError(messages.unknown("preset", str(preset), presets.PRESETS), key=where, source=source.of(where))
     base, layers, resolved = presets.preset(preset), {}, {"preset": preset}
     offered: dict[str, Any] = {"sightline": Sightline(solids)}
     for name in presets.LAYERS:
-        where, own = binding.join(key, name), radio.get(name, {})
+        where, own = messages.join(key, name), radio.get(name, {})
         if not isinstance(own, dict):
-            raise ScenarioError(f"must be a table, not {binding.show(own)}", key=where, source=source.of(where))
+            raise ScenarioError(f"must be a table, not {messages.show(own)}", key=where, source=source.of(where))
         content = _merged(name, base[name], own)
         layers[name], resolved[name] = factory.build(
             name, content, key=where, source=source, portable=portable, offered=offered, keep=keep
@@ -156,9 +156,9 @@ def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
     try:
         layers["mac"].open(layers["phy"], 2, np.zeros(2, np.uint64), 1e-9)
     except ScenarioError as error:
-        where = binding.join(key, "mac.kind")
+        where = messages.join(key, "mac.kind")
         named = source.of(where)
-        named = source.of(binding.join(key, "phy")) if named == source.name else named  # one of both was changed
+        named = source.of(messages.join(key, "phy")) if named == source.name else named  # one of both was changed
         raise ScenarioError(error.problem, key=where, source=named) from error
 
 
@@ -167,9 +167,9 @@ def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, s
     for layer in ("trace", "jammer"):
         for name in layers[layer].names() if layers[layer] else ():
             if name not in vehicles:
-                where = binding.join(key, layer)
-                raise ScenarioError(binding.unknown("vehicle", name, vehicles), key=where, source=source.of(where))
+                where = messages.join(key, layer)
+                raise ScenarioError(messages.unknown("vehicle", name, vehicles), key=where, source=source.of(where))
     for expression in layers["script"].unmatched(vehicles) if layers["script"] else ():
-        where = binding.join(key, "script.changes")
+        where = messages.join(key, "script.changes")
         problem = f"links = {expression!r} stands for no link; vehicles: {', '.join(vehicles)}"
         raise ScenarioError(problem, key=where, source=source.of(where))

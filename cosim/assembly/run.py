@@ -23,7 +23,6 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.federate import ExternalVehicles, Federate, Instants, RunInfo
 from vcmvsp.cosim.hosts.manager import Hosts
-
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog
 from vcmvsp.cosim.recording.recorder import Recorder

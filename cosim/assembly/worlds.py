@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vcmvsp.cosim.config import binding, builtin_kinds, factory
+from vcmvsp.cosim.config import builtin_kinds, factory, messages
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, place_of
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -37,7 +37,7 @@ def world_of(what: str, settings: Mapping[str, Any]) -> "tuple[World, str]":
         parsed, source = scenarios.load(what, settings=settings)
         table_, name, seed, settings = dict(parsed.world), parsed.name, parsed.seed, {}
     else:
-        known = binding.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
+        known = messages.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
         raise UsageError(f"{known}; or give a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
     world, _ = build({**table_, **settings}, source, seed=seed)
     return world, name
@@ -72,13 +72,13 @@ def build(
     except ScenarioError as error:
         if error.source:
             raise  # in a file that the scenario names
-        where = binding.join("world", error.key)
+        where = messages.join("world", error.key)
         raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
     except Exception as error:
         problem = f"{type(maker).__name__}.build raised {type(error).__name__}: {error}{place_of(error)}"
         raise ScenarioError(problem, key="world", source=source.of("world")) from error
     if not isinstance(world, World):
-        problem = f"{type(maker).__name__}.build must return a World, not {binding.show(world)}"
+        problem = f"{type(maker).__name__}.build must return a World, not {messages.show(world)}"
         raise ScenarioError(problem, key="world", source=source.of("world"))
     return world, resolved
 

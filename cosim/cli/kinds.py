@@ -28,7 +28,7 @@ def list_command(
 
     Example: vcmvsp list vehicles
     """
-    from vcmvsp.cosim.config import binding, builtin_kinds, param_docs, registry
+    from vcmvsp.cosim.config import builtin_kinds, messages, param_docs, registry
     from vcmvsp.cosim.scenario import loader as scenarios
 
     if what == "scenarios":
@@ -37,7 +37,7 @@ def list_command(
         kinds = builtin_kinds.KINDS[GROUPS[what]]
         about = {kind: param_docs.summary(registry.find(GROUPS[what], kind)) for kind in kinds}
     else:
-        raise UsageError(f"vcmvsp list {what}: {binding.unknown('word', what, ['scenarios', *GROUPS])}")
+        raise UsageError(f"vcmvsp list {what}: {messages.unknown('word', what, ['scenarios', *GROUPS])}")
     if json:
         sys.stdout.write(to_json(about))
     else:
@@ -105,11 +105,11 @@ def world_command(
 
 def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
     """A kind: what it is, and each parameter with unit, default and meaning (which names its source)."""
-    from vcmvsp.cosim.config import binding, builtin_kinds, param_docs, registry
+    from vcmvsp.cosim.config import binding, builtin_kinds, messages, param_docs, registry
     from vcmvsp.cosim.reference import describe
 
     if group not in GROUPS.values():
-        raise UsageError(f"vcmvsp show {group} {kind}: {binding.unknown('word', group, GROUPS.values())}")
+        raise UsageError(f"vcmvsp show {group} {kind}: {messages.unknown('word', group, GROUPS.values())}")
     if kind is None:
         raise UsageError(f"vcmvsp show {group}: which one? ({', '.join(builtin_kinds.KINDS[group])})")
     found = registry.find(group, kind, folder=Path.cwd())

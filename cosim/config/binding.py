@@ -4,8 +4,6 @@ Everything that a scenario configures, from the scenario itself to somebody's ow
 for defaults (the signature), and one form of error: what is wrong, at which key of which file, and what is allowed.
 """
 
-import collections.abc
-import difflib
 import functools
 import inspect
 import math
@@ -17,6 +15,7 @@ from typing import Any, Literal, Protocol, TypeVar
 
 import msgspec
 
+from vcmvsp.cosim.config.messages import describe, join, unknown, unlike
 from vcmvsp.cosim.errors import ScenarioError, place_of
 
 T = TypeVar("T")
@@ -180,7 +179,7 @@ def convert(value: object, annotation: object, *, key: str = "", origin: Origin 
             raise _refused(words, f"{key}{inside[:-1]}", origin) from error
         if structs(annotation) and (inside or words.startswith("Object ")):
             raise _refused(_inside(words, inside[:-1], value, annotation), f"{key}{inside[:-1]}", origin) from error
-        raise _refused(_unlike(value, annotation), key, origin) from error
+        raise _refused(unlike(value, annotation), key, origin) from error
     except TypeError:
         return value  # an annotation that only Python objects meet; the target checks it itself
 
@@ -198,7 +197,7 @@ def _inside(words: str, path: str, value: Any, annotation: object) -> str:
         return unknown("key", field[1], _known(annotation, value))
     if field := re.fullmatch(r"Object missing required field `(.*)`", words):
         return f"{field[1]} is missing; it must be {describe(_known(annotation, value)[field[1]].annotation)}"
-    return _unlike(value, annotation)
+    return unlike(value, annotation)
 
 
 def _item(annotation: object, number: int) -> object:
@@ -234,14 +233,6 @@ def _tags(tables: Iterable[type[msgspec.Struct]]) -> dict[str, Parameter]:
     return {name: Parameter(Literal[tuple(allowed)], None, required=True) for name, allowed in words.items()}
 
 
-def _unlike(value: object, annotation: object) -> str:
-    """What is allowed instead of this value, and which of a choice is nearly it."""
-    problem = f"must be {describe(annotation)}, not {show(value)}"
-    choices = [each for each in typing.get_args(annotation) if isinstance(each, str)]
-    near = difflib.get_close_matches(value, choices, n=1) if isinstance(value, str) else []
-    return f"{problem}; did you mean '{near[0]}'?" if near else problem
-
-
 def structs(annotation: object) -> list[type[msgspec.Struct]]:
     """The tables that a value of this annotation consists of."""
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
@@ -259,57 +250,3 @@ def non_finite(value: object) -> float | None:
         return None if math.isfinite(value) else value
     inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
     return next((bad for each in inside if (bad := non_finite(each)) is not None), None)
-
-
-def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
-    """``unknown key 'probabilty'; did you mean 'probability'? (allowed: ...)``."""
-    names = sorted(set(allowed))
-    near = difflib.get_close_matches(name, names, n=1)
-    guess = f"; did you mean '{near[0]}'?" if near else ""
-    return f"unknown {what} '{name}'{guess} (allowed: {', '.join(names) or 'none'})"
-
-
-def join(*parts: str) -> str:
-    """A key path of the parts that are not empty."""
-    return ".".join(part for part in parts if part)
-
-
-def show(value: object) -> str:
-    """The value for a message, cut where it is long."""
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def describe(annotation: object) -> str:
-    """What values an annotation allows, in words."""
-    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is typing.Annotated:
-        limits = [(sign, getattr(meta, name)) for meta in inner[1:] for name, sign in _SIGNS]
-        bounds = [
-            f"{sign} {limit if isinstance(limit, str) else format(limit, 'g')}" for sign, limit in limits if limit is not None
-        ]
-        return " ".join([describe(inner[0]), " and ".join(bounds)])
-    if origin is typing.Literal:
-        return f"one of {', '.join(map(repr, inner))}"
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(dict.fromkeys(describe(each) for each in inner if each is not type(None)))
-    if origin is tuple and inner[-1] is not Ellipsis:
-        return f"a list of {len(inner)} values, each {' / '.join(dict.fromkeys(map(describe, inner)))}"
-    if origin in (tuple, list, collections.abc.Sequence):
-        return f"a list, each item {describe(inner[0])}"
-    if origin in (dict, collections.abc.Mapping) or annotation is dict:
-        return "a table"
-    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
-        tag = annotation.__struct_config__.tag_field
-        return f"a table with its {tag}" if tag else "a table"
-    return _WORDS.get(annotation, f"a {getattr(annotation, '__name__', annotation)}")
-
-
-_SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
-_WORDS: Mapping[object, str] = {
-    Any: "any value",
-    float: "a number",
-    int: "a whole number",
-    str: "a string",
-    bool: "true or false",
-}

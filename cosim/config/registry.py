@@ -17,8 +17,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from vcmvsp.cosim.config.binding import Named, Origin, unknown
+from vcmvsp.cosim.config.binding import Named, Origin
 from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, PIECES, VERBS
+from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.errors import ScenarioError, place_of
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)

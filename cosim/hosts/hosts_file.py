@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.config import binding, messages
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.types import Name
 
@@ -113,7 +113,7 @@ def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str])
     if host.called in names:
         return "name", f"host[{names[host.called]}] is called '{host.called}' too: give them names that differ"
     if host.ssh.startswith("-") or re.search(r"\s", host.ssh):
-        return "ssh", f"must be a destination that ssh takes, e.g. 'anna@laptop', not {binding.show(host.ssh)}"
+        return "ssh", f"must be a destination that ssh takes, e.g. 'anna@laptop', not {messages.show(host.ssh)}"
     if host.keys and host.copy:
         return "keys", "is a file that is there already; copy sends one: leave one of them out"
     if not host.words or not host.words[0]:
@@ -145,7 +145,7 @@ class _Lines:
                 here, count = f"host[{count}]", count + 1
                 self._lines[here] = number
             elif key := re.match(r"\s*([A-Za-z0-9_-]+)\s*=", line):
-                self._lines.setdefault(binding.join(here, key[1]), number)
+                self._lines.setdefault(messages.join(here, key[1]), number)
 
     def of(self, key: str) -> str:
         while key and key not in self._lines:

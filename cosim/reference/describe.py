@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.config import binding, messages
 from vcmvsp.cosim.config.param_docs import meanings, summary
 
 OFFERED = ("sightline", "noise_dbm", "world", "outside")
@@ -80,7 +80,7 @@ def said(parameter: binding.Parameter, words: str) -> tuple[str, str]:
 def type_of(name: str, annotation: Any) -> str:
     """Unit, by the end of the name, and what values are allowed."""
     unit = unit_of(name)
-    words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", binding.describe(annotation))
+    words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", messages.describe(annotation))
     listed = "list of tables" if typing.get_origin(annotation) is tuple else "table"
     words = f"{listed}: see below" if binding.structs(annotation) else _short(words)
     words = re.sub(r"^a number ?", "", words) if unit or words != "a number" else words

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from vcmvsp.cosim.config import binding as table
+from vcmvsp.cosim.config import messages
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.hosts import hosts_file, ssh
 from vcmvsp.cosim.hosts.hosts_file import HostsTable, HostTable
@@ -176,7 +176,7 @@ def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]
     named = [vehicle for host in listed.host for vehicle in host.vehicles]
     for vehicle in named:
         if vehicle not in agents:
-            raise UsageError(f"{path}: {table.unknown('vehicle', vehicle, agents)}")
+            raise UsageError(f"{path}: {messages.unknown('vehicle', vehicle, agents)}")
         if agents[vehicle] is None:
             raise UsageError(f"{path}: '{vehicle}' has no agent in the scenario (agent = {{}} gives it the default one)")
     remote = [name for name, agent in agents.items() if agent and (agent.runs or parsed.agents.runs) == "zenoh"]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import binding, messages, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.scenario.expand import names_copy, repeated
@@ -124,7 +124,7 @@ def path_of(scenario: str | Path) -> Path:
         raise ScenarioError(f"cannot be read: {error.strerror}", source=text) from error
     if path.suffix == ".toml" or "/" in text:
         raise ScenarioError("there is no such file" if not path.is_dir() else "is a folder, not a scenario file", source=text)
-    raise ScenarioError(binding.unknown("scenario", text, names()) + "; or give the path of a .toml file")
+    raise ScenarioError(messages.unknown("scenario", text, names()) + "; or give the path of a .toml file")
 
 
 def text_of(scenario: str | Path) -> str:
@@ -183,7 +183,7 @@ def _number(value: object) -> object:
     """NumPy's numbers and arrays, as a notebook may give them, in plain ones."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which is no value that TOML could say")
+    raise ScenarioError(f"holds a {type(value).__name__}, {messages.show(value)}, which is no value that TOML could say")
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None:
@@ -200,7 +200,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
                 raw["vehicle"] = repeated(raw["vehicle"], source)  # one of many is to be unlike the others
             here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
         elif depth == 1 and parents[0] == "vehicle" and part not in here:
-            raise ScenarioError(binding.unknown("vehicle", part, here), key=key, source=source.of(key))
+            raise ScenarioError(messages.unknown("vehicle", part, here), key=key, source=source.of(key))
         elif depth == 2 and parents[0] == "vehicle":  # one key of a table that it shares with all others
             here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
         else:
@@ -215,7 +215,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
 
 def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ScenarioError(f"must be a table, not {binding.show(value)}", key=key, source=source.of(key))
+        raise ScenarioError(f"must be a table, not {messages.show(value)}", key=key, source=source.of(key))
     return value
 
 
@@ -275,6 +275,6 @@ def _path_of(value: object, wanted: float, key: str = "") -> str:
     items = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())
     for name, each in items:
         label = each["name"] if isinstance(each, dict) and isinstance(name, int) and "name" in each else str(name)
-        if found := _path_of(each, wanted, binding.join(key, label)):
+        if found := _path_of(each, wanted, messages.join(key, label)):
             return found
     return ""

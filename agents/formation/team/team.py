@@ -15,7 +15,7 @@ from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.team.shape import SHAPES, Slot, Slots, slots, width
 from vcmvsp.agents.formation.team.topology import ancestors, named_parents, parents, ranks
 from vcmvsp.cosim.clock import seconds_to_ns
-from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.config.messages import unknown
 
 JUMP = 10_000  # by more than that no team has changed its shape since somebody heard of it last
 

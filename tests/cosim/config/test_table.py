@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.config import binding, messages
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Count, Name, NonNegative, Positive, Probability
 
@@ -259,7 +259,7 @@ def test_complete_leaves_out_what_is_not_for_toml() -> None:
     ],
 )
 def test_annotations_in_words(annotation: Any, words: str) -> None:
-    assert binding.describe(annotation) == words
+    assert messages.describe(annotation) == words
 
 
 @pytest.mark.parametrize(
@@ -271,11 +271,11 @@ def test_where_a_value_is_not_finite(value: Any, bad: float | None) -> None:
 
 
 def test_suggestions_are_near_and_lists_are_sorted() -> None:
-    assert binding.unknown("key", "probabilty", ["rate", "probability"]) == (
+    assert messages.unknown("key", "probabilty", ["rate", "probability"]) == (
         "unknown key 'probabilty'; did you mean 'probability'? (allowed: probability, rate)"
     )
-    assert binding.unknown("key", "zzz", ["b", "a"]) == "unknown key 'zzz' (allowed: a, b)"
-    assert binding.unknown("key", "zzz", []) == "unknown key 'zzz' (allowed: none)"
+    assert messages.unknown("key", "zzz", ["b", "a"]) == "unknown key 'zzz' (allowed: a, b)"
+    assert messages.unknown("key", "zzz", []) == "unknown key 'zzz' (allowed: none)"
 
 
 class Base:
