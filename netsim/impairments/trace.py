@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config.binding import unknown
+from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Ints
 
