@@ -5,12 +5,37 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from vcmvsp.cosim.errors import VcmvspError
+import typer
+
+from vcmvsp.cosim.cli.options import AsJson, DialInsecurely
+from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.util.stdout import stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.observers.reachability import Check
+
+
+def doctor_command(
+    connect: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="Check the way to a run that listens there, instead.")
+    ] = None,
+    keys: Annotated[Path | None, typer.Option(metavar="FILE", help="This machine's certificate, for --connect.")] = None,
+    insecure: DialInsecurely = False,
+    json: AsJson = False,
+) -> None:
+    """Check this installation and make two short runs, or check the way to a run on another machine.
+
+    Example: vcmvsp doctor --connect tls/192.168.1.10:7447 --keys car2.keys
+    """
+    if connect is None and (keys is not None or insecure):
+        raise UsageError("--keys and --insecure say how to reach a run: add --connect ENDPOINT")
+    checks = installation() if connect is None else connection(connect, keys, insecure=insecure)
+    if json:
+        with stdout_to_stderr():
+            checks = iter(list(checks))
+    raise SystemExit(report(checks, as_json=json))
 
 
 def report(checks: "Iterable[Check]", *, as_json: bool = False) -> int:

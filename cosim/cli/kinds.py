@@ -1,6 +1,7 @@
-"""``vcmvsp list``, ``show``, ``world``: what there is to build scenarios of."""
+"""``vcmvsp list``, ``show``, ``reference`` and ``world``: what scenarios are made of."""
 
 import inspect
+import shutil
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -75,6 +76,31 @@ def show_command(
         sys.stdout.write(scenarios.text_of(what))
 
 
+def reference_command(
+    section: Annotated[
+        str, typer.Argument(metavar="[SECTION]", help="A table, a kind or a key, e.g. radio.loss, leader_follower, seed.")
+    ] = "",
+    json: AsJson = False,
+) -> None:
+    """Print every key of a scenario, or those of a section: type and range, default, unit, meaning.
+
+    Example: vcmvsp reference radio.loss
+    """
+    from vcmvsp.cosim.reference import query, terminal_text, tree
+
+    if json:
+        import msgspec
+
+        found = tree.Reference(sections=tuple(query.asked(section)))
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(found), indent=2).decode() + "\n")
+        return
+    on_terminal = sys.stdout.isatty()
+    width = shutil.get_terminal_size().columns if on_terminal else None
+    for number, each in enumerate(query.asked(section)):
+        shown = terminal_text.lines(each, width, _strong if on_terminal else str)
+        typer.echo(("\n" if number else "") + "\n".join(shown))
+
+
 def world_command(
     world: Annotated[str, typer.Argument(metavar="NAME|FILE|SCENARIO", help="A kind of world, a file of one, or a scenario.")],
     png: Annotated[
@@ -144,3 +170,7 @@ def _text(about: dict[str, Any]) -> str:
         "  ".join([*(cell.ljust(width) for cell, width in zip(row[:3], widths, strict=True)), row[3]]).rstrip() for row in rows
     ]
     return "\n".join([f"{about['kind']}: {about['summary']}", "", *lines, ""])
+
+
+def _strong(word: str) -> str:
+    return typer.style(word, bold=True)

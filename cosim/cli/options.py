@@ -1,6 +1,7 @@
-"""Options that several commands have."""
+"""Options and helpers that several commands share."""
 
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,3 +34,9 @@ def pose_of(text: str | None) -> "Vec3 | None":
     if not all(map(math.isfinite, (x, y, yaw))):
         raise UsageError(f"--pose {text}: write X,Y,YAW (m, m, rad), e.g. 1.5,0,1.57")
     return x, y, yaw
+
+
+def say(text: str) -> None:
+    """Write a line to standard error at once."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()

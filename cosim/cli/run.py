@@ -1,6 +1,7 @@
-"""``vcmvsp run``, and what other commands share with it that run a scenario."""
+"""``vcmvsp run``, ``launch``, ``replay``, ``drive`` and ``check``; `conduct` is what commands that run a scenario share."""
 
 import contextlib
+import functools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -67,10 +68,144 @@ def run_command(
     """
     from vcmvsp.cosim.runs import api
 
-    where = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure}
-    sets = simulated(scenario, set_ or []) if twin else set_ or []
-    page = (view_host, view_port) if view else None
-    conduct(api.run, scenario, sets, out, seed=seed, realtime=realtime, force=force, json=json, quiet=quiet, page=page, **where)
+    conduct(
+        api.run,
+        scenario,
+        simulated(scenario, set_ or []) if twin else set_ or [],
+        out,
+        seed=seed,
+        realtime=realtime,
+        json=json,
+        quiet=quiet,
+        page=(view_host, view_port) if view else None,
+        agents=agents,
+        listen=listen,
+        keys=keys,
+        insecure=insecure,
+        force=force,
+    )
+
+
+def launch_command(
+    scenario: ScenarioName,
+    hosts: Annotated[Path, typer.Option(metavar="FILE", help="Which machines host which vehicles' agents, e.g. hosts.toml.")],
+    seed: Seed = None,
+    set_: Sets = None,
+    listen: Listen = None,
+    keys: KeysOfRun = None,
+    insecure: Insecure = False,
+    realtime: Realtime = None,
+    out: Out = None,
+    force: Force = False,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a scenario, and start hosts for its agents on other machines, through ssh.
+
+    What they say is shown, and kept in DIR/hosts. They end with the run, however it ends.
+
+    Example: vcmvsp launch formation-circle --hosts hosts.toml --listen tls/0.0.0.0:7447 --keys keys
+    """
+    from vcmvsp.cosim.runs.launch import launch
+
+    conduct(
+        functools.partial(launch, hosts=hosts),
+        scenario,
+        set_ or [],
+        out,
+        seed=seed,
+        realtime=realtime,
+        json=json,
+        quiet=quiet,
+        listen=listen,
+        keys=keys,
+        insecure=insecure,
+        force=force,
+    )
+
+
+def replay_command(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")],
+    seed: Seed = None,
+    set_: Sets = None,
+    agents: WhereAgents = None,
+    twin: Annotated[bool, typer.Option("--twin", help="Simulate the vehicles that were real.")] = False,
+    radio: Annotated[
+        str, typer.Option(metavar="HOW", help="What becomes of frames: drawn anew, or recorded: as it was then.")
+    ] = "drawn",
+    listen: Listen = None,
+    keys: KeysOfRun = None,
+    insecure: Insecure = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results [RUN_DIR-replay].")] = None,
+    force: Force = False,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a recorded run again, changed or not: real vehicles do what they did then, algorithms run anew.
+
+    Unchanged it gives the same numbers. Classes out of Python files are the copies that the run has kept in RUN_DIR.
+
+    Example: vcmvsp replay runs/formation-circle-1 --set agents.estimator=hold
+    """
+    from vcmvsp.cosim.runs.replay import beside, replay
+
+    def again(_: str, **options: Any) -> "Result":
+        return replay(run_dir, **{**options, "numbered": out is None}, twin=twin, radio=radio)
+
+    conduct(
+        again,
+        str(run_dir / "scenario.toml"),
+        set_ or [],
+        beside(run_dir) if out is None else out,
+        seed=seed,
+        realtime=None,
+        json=json,
+        quiet=quiet,
+        agents=agents,
+        listen=listen,
+        keys=keys,
+        insecure=insecure,
+        force=force,
+    )
+
+
+def drive_command(
+    scenario: ScenarioName,
+    vehicle: Annotated[str, typer.Option(metavar="NAME", help="Which one.")],
+    command: Annotated[
+        str,
+        typer.Option(
+            metavar="COMMAND", help="v=0.3,w=0.5 (forward, yaw rate), vx=,vy=,vz=,w= or x=,y=,z=[,yaw=][,speed=] in the air."
+        ),
+    ],
+    seconds: Annotated[float, typer.Option(metavar="S", help="For how long.")] = 10.0,
+    set_: Sets = None,
+    json: AsJson = False,
+) -> None:
+    """Give one vehicle one command at the start and show its response; all others stand still.
+
+    Example: vcmvsp drive lab-patrol --vehicle ugv1 --command "v=0.3,w=0.5" --seconds 5
+    """
+    from vcmvsp.cosim.runs import step_response
+    from vcmvsp.cosim.scenario import loader as scenarios
+    from vcmvsp.cosim.util.files import to_json
+
+    with stdout_to_stderr():
+        about = step_response.drive(scenario, vehicle, command, seconds, scenarios.settings_of(set_ or []))
+    sys.stdout.write(to_json(about) if json else step_response.summary(about))
+
+
+def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
+    """Check every key, kind and period of a scenario; run nothing.
+
+    Example: vcmvsp check my_scenario.toml
+    """
+    from vcmvsp.cosim.runs import api
+    from vcmvsp.cosim.scenario import loader as scenarios
+
+    with stdout_to_stderr():
+        resolved = api.check(scenario, set=scenarios.settings_of(set_ or []))
+    sys.stdout.write(f"{scenario}: fine ({len(resolved['vehicle'])} vehicles, {resolved['duration_s']:g} s)\n")
 
 
 def simulated(scenario: str, sets: Sequence[str]) -> list[str]:
@@ -92,7 +227,7 @@ def conduct(
     json: bool,
     quiet: bool,
     page: tuple[str, int] | None = None,
-    **options: Any,
+    **options: object,
 ) -> None:
     """Call `vcmvsp.run`, or what takes its place; show progress and what came out, on a page too where there is one."""
     from vcmvsp.cosim.scenario import loader as scenarios
@@ -105,8 +240,9 @@ def conduct(
         raise UsageError(f"--realtime {realtime}: must be a positive number")
     settings = scenarios.settings_of(sets)
     with contextlib.ExitStack() as stack:
-        if page is not None:
-            options["view"] = stack.enter_context(_viewing(page))
+        viewing = None if page is None else stack.enter_context(_viewing(page))
+        if viewing is not None:
+            options["view"] = viewing
         with stdout_to_stderr(), Progress(quiet=quiet) as progress:
             result = run(
                 scenario,
@@ -126,10 +262,10 @@ def conduct(
             sys.stdout.write(summary(result))
         elif (late := result.about["lateness"]) and late["over_one_period"]:
             sys.stderr.write(f"vcmvsp: {lateness(late)}\n")
-        if page is not None and sys.stderr.isatty():
+        if viewing is not None and sys.stderr.isatty():
             sys.stdout.flush()
             sys.stderr.write("The page shows the end of the run until you press Ctrl-C.\n")
-            options["view"].stay()
+            viewing.stay()
 
 
 def _viewing(page: tuple[str, int]) -> "Viewing":

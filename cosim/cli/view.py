@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.cli.options import AsJson, say
 from vcmvsp.cosim.errors import Interrupted
 from vcmvsp.cosim.view import HOST, PORT
 
@@ -38,7 +38,7 @@ def view_command(
     try:
         with contextlib.closing(Recording(run_dir)) as recording:
             for trouble in recording.troubles:
-                _say(f"{run_dir}: {trouble}")
+                say(f"{run_dir}: {trouble}")
             _serve(Player(recording), recording, host, port, as_json=json)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
@@ -69,8 +69,3 @@ def _serve(player: "Player", recording: "Recording", host: str, port: int, *, as
                 time.sleep(PERIOD_S)
     finally:
         close_server(server)
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()

@@ -11,11 +11,11 @@ from bench import growth
 from bench.growth import CASES, COUNTS, exponent
 from bench.measure import Row, missing
 from tests.support.cosim.command_line import vcmvsp_command
-from vcmvsp.cosim.cli import bench as cli_bench
+from vcmvsp.cosim.cli import reproduce
 
 
 def test_without_the_sources_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli_bench, "HOME", tmp_path)
+    monkeypatch.setattr(reproduce, "HOME", tmp_path)
     given = vcmvsp_command("bench")
     assert given.code == 2
     assert "in a checkout of the sources" in given.err

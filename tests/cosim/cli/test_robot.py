@@ -11,16 +11,11 @@ import pytest
 
 from tests.support.cosim.command_line import Outcome, vcmvsp_command
 from tests.support.cosim.run_processes import reserved
-from vcmvsp.cosim.cli import app
-from vcmvsp.cosim.cli.robot import register
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.security import authority
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.remote_robot.robot_side.command_line import built, kind_of
-
-if "robot" not in [each.name for each in app.app.registered_commands]:
-    register(app.app)
 
 HERE = "tcp/127.0.0.1:7448"
 
@@ -103,7 +98,7 @@ def test_the_certificate_of_an_observer_drives_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_it_waits_for_a_run_until_it_is_ended(number: int, stack: ExitStack) -> None:
     endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserved())}"
-    code = "from vcmvsp.cosim.cli import app as cli; from vcmvsp.cosim.cli.robot import register; register(cli.app); cli.main()"
+    code = "from vcmvsp.cosim.cli import app as cli; cli.main()"
     words = ["robot", "--vehicle", "car3", "--driver", "bench", "--connect", endpoint]
     process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)
     try:

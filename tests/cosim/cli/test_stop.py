@@ -29,13 +29,14 @@ PATIENCE_S = 30.0
 COMMANDS = """
 import os, typer
 from pathlib import Path
-from vcmvsp.cosim.cli.stop import register
+from vcmvsp.cosim.cli.robot import operator_command, stop_command
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop as control
 control.folders = lambda: [Path(os.environ["XDG_RUNTIME_DIR"]) / "vcmvsp"]
 control.Caller.answers.__defaults__ = (float(os.environ["ANSWER_S"]),)
 app = typer.Typer()
-register(app)
+app.command("stop")(stop_command)
+app.command("operator")(operator_command)
 app()
 """
 

@@ -18,7 +18,7 @@ import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP, Stage, ended, wait_for
 from tests.support.paths import ROOT
-from vcmvsp.cosim.cli import watch as cli_watch
+from vcmvsp.cosim.cli import remote
 from vcmvsp.cosim.hosts.observers.watcher import Seen
 from vcmvsp.cosim.security import authority
 
@@ -254,13 +254,13 @@ WORDS = [
 
 @pytest.mark.parametrize(("kind", "value", "words"), WORDS)
 def test_words_for_people(kind: str, value: Any, words: str) -> None:
-    line = cli_watch.line(Seen(12_300_000_000, "car2/x", kind, json.dumps(value).encode()))
+    line = remote.line(Seen(12_300_000_000, "car2/x", kind, json.dumps(value).encode()))
     assert line == f"   12.300 s  car2/x            {words}\n"
 
 
 def test_what_is_no_json_is_shown_as_nothing() -> None:
-    assert cli_watch.line(Seen(0, "car2/x", "note", b"\xff{")) == "    0.000 s  car2/x            null\n"
-    assert len(cli_watch.words("x", "y" * 1000)) == cli_watch.WIDTH
+    assert remote.line(Seen(0, "car2/x", "note", b"\xff{")) == "    0.000 s  car2/x            null\n"
+    assert len(remote.words("x", "y" * 1000)) == remote.WIDTH
 
 
 # --- without vcmvsp ---

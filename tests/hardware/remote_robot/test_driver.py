@@ -30,8 +30,6 @@ if shift_ns:
     now = time.monotonic_ns
     time.monotonic_ns = lambda: now() + shift_ns
 from vcmvsp.cosim.cli import app as cli
-from vcmvsp.cosim.cli.robot import robot_command
-cli.app.command("robot")(robot_command)
 cli.main()
 """
 LOGGED = """

@@ -1,4 +1,4 @@
-"""``vcmvsp watch``: what a run shows, on a terminal or as JSON for other programs."""
+"""``vcmvsp agent`` and ``watch``: this machine takes part in a run on another one, as a host of agents or as an observer."""
 
 import contextlib
 import math
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, DialInsecurely
+from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, say
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.util.text import plain
 
@@ -20,6 +20,40 @@ if TYPE_CHECKING:
 
 REFRESH_S = 0.5  # of a terminal
 WIDTH = 100  # characters of a value
+
+
+def agent_command(
+    vehicle: Annotated[list[str], typer.Option(metavar="NAME", help="Whose agent to run; repeat for several.")],
+    connect: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the run listens, e.g. tls/192.168.1.10:7447.")],
+    kind: Annotated[
+        str | None, typer.Argument(metavar="[MODULE_OR_FILE:Class]", help="The agent's class; without it: the scenario's.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the agent, instead of the scenario's."),
+    ] = None,
+    keys: KeysOfVehicle = None,
+    insecure: DialInsecurely = False,
+) -> None:
+    """Host agents for a run that is started with --agents zenoh.
+
+    Example: vcmvsp agent my_agent.py:KeepGap --vehicle car2 --connect tls/192.168.1.10:7447 --keys car2.keys
+    """
+    from vcmvsp.cosim.config import registry
+    from vcmvsp.cosim.scenario import loader as scenarios
+
+    host = registry.piece("host process")
+    why = host(
+        connect,
+        tuple(vehicle),
+        kind=kind,
+        folder=str(Path.cwd()),
+        params=scenarios.settings_of(set_ or []),
+        keys=keys,
+        insecure=insecure,
+        on_state=say,
+    )
+    say(why)
 
 
 def watch_command(
@@ -49,10 +83,10 @@ def watch_command(
 
         bundle = certificates.load_bundle(keys)
         if warning := bundle.check():
-            _say(warning)
+            say(warning)
     endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
     newest_only = not json and sys.stdout.isatty()
-    batches = watch(endpoint, topic or ["**"], bundle=bundle, every_s=REFRESH_S if newest_only else 0.0, on_state=_say)
+    batches = watch(endpoint, topic or ["**"], bundle=bundle, every_s=REFRESH_S if newest_only else 0.0, on_state=say)
     left = sys.maxsize if count is None else count
     with contextlib.closing(batches):
         for batch in batches:
@@ -197,8 +231,3 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "contact": lambda value: f"with {value['other'] or 'the world'}",
     "error": lambda value: str(value["message"]),
 }
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()

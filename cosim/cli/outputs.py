@@ -1,0 +1,105 @@
+"""``vcmvsp plot``, ``report`` and ``export``: what is made of a recorded run, again or for other tools."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vcmvsp.cosim.cli.run import Quiet
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.terminal.progress import Shown
+
+RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A folder that 'vcmvsp run' has left.")]
+
+
+def plot_command(
+    run_dir: RunDir,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to put the figures [RUN_DIR].")] = None,
+    svg: Annotated[bool, typer.Option("--svg", help="As drawings (SVG) instead of pictures (PNG).")] = False,
+) -> None:
+    """Draw the figures of a run again.
+
+    Example: vcmvsp plot runs/formation-circle-1
+    """
+    from vcmvsp.cosim.runs import api
+
+    for path in api.plot(run_dir, out or run_dir, svg=svg):
+        sys.stdout.write(f"{path}\n")
+
+
+def report_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="RUN_OR_STUDY_DIR", help="A folder that 'vcmvsp run' or 'vcmvsp study' has left.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where to put the page [report.html in that folder].")
+    ] = None,
+) -> None:
+    """Make report.html of a run or a study again, in one file: figures, numbers, losses and why, how to repeat it.
+
+    Of a run that was cut, or a study that goes on, it shows what there is, and says what is missing.
+
+    Example: vcmvsp report runs/formation-circle-1
+    """
+    from vcmvsp.cosim.studies import outputs
+    from vcmvsp.cosim.studies.store import PLAN
+    from vcmvsp.cosim.util.files import writing
+
+    if not folder.is_dir():
+        raise UsageError(
+            f"{folder}: {'is no folder' if folder.exists() else 'does not exist'}; name the folder of a run or a study"
+        )
+    if out is not None and out.is_dir():
+        raise UsageError(f"--out {out}: is a folder; name a file, e.g. {out / 'report.html'}")
+    with writing(out or folder):
+        path = outputs.report_again(folder, out) if (folder / PLAN).is_file() else _of_run(folder, out)
+    sys.stdout.write(f"{path}\n")
+
+
+def export_command(
+    run_dir: RunDir,
+    rosbag2: Annotated[bool, typer.Option("--rosbag2", help="rosbag2/: a ROS 2 bag, MCAP inside.")] = False,
+    csv: Annotated[bool, typer.Option("--csv", help="csv/: tables of states, radio, commands and sensors.")] = False,
+    mp4: Annotated[bool, typer.Option("--mp4", help="run.mp4: a film of the run from above.")] = False,
+    layout: Annotated[
+        bool, typer.Option("--layout", help="layout.json: for Foxglove and Lichtblick, which fits its run.mcap.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to put them [RUN_DIR].")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over what is there.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a run's recording in the formats of other tools; also of a run that was killed, as far as it goes.
+
+    Example: vcmvsp export runs/formation-circle-1 --csv --mp4
+    """
+    from vcmvsp.cosim.export.formats import NAMES, export
+
+    wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
+    paths = {name: (out or run_dir) / NAMES[name] for name, is_wanted in wanted.items() if is_wanted}
+    with _Exporting(quiet=quiet) as shown:
+        written = export(run_dir, **paths, force=force, tell=shown.tell, progress=shown.on_part)
+    for path in written:
+        sys.stdout.write(f"{path}\n")
+
+
+def _of_run(folder: Path, out: Path | None) -> Path:
+    from vcmvsp.cosim.plots import run_plots
+    from vcmvsp.cosim.report import run_page
+    from vcmvsp.cosim.runs.result import figures_again
+
+    try:
+        figures = figures_again(folder)
+    except UsageError:  # its tables are not there, or damaged: the page says so
+        figures = {}
+    return run_page.write(folder, {name: run_plots.svg(figure) for name, figure in figures.items()}, out)
+
+
+class _Exporting(Shown):
+    """How far an export is."""
+
+    def on_part(self, name: str, part: float) -> None:
+        """Note how far an output is, 0 to 1."""
+        if self._is_due():
+            words = f"{name}: {100 * part:.0f} %"
+            self._draw(part, 1.0, words) if self._terminal else self.tell(words)

@@ -1,0 +1,155 @@
+"""``vcmvsp figure``, ``validate`` and ``bench``: published numbers, laws and costs, measured again and compared."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.errors import Interrupted, UsageError
+from vcmvsp.cosim.util.stdout import stdout_to_stderr
+
+HOME = Path(__file__).resolve().parents[2]
+"""The checkout, which has a folder ``bench``."""
+
+
+def figure_command(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="A number of the thesis or a name; without it: the list.")
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for data, pictures and rows.")] = Path("figures"),
+    jobs: Annotated[
+        int | None, typer.Option(metavar="N", help="Runs at a time, each in a process of its own [all processors].")
+    ] = None,
+    json: AsJson = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+) -> None:
+    """Make a figure again, and compare it with what must come out.
+
+    Leaves NAME.csv (what is drawn), NAME.png, NAME.svg, NAME-expected.csv and NAME.json (expected and measured numbers).
+    The exit code is 1 if a number is not within its tolerance.
+
+    Example: vcmvsp figure 24 --out figures
+    """
+    from vcmvsp.cosim.reproduction import figures
+
+    if name is None:
+        _list(json=json)
+        return
+    make = figures.find(name)
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"--jobs {jobs}: must be 1 or more")
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
+    from vcmvsp.cosim.processes.worker_pool import cores
+    from vcmvsp.cosim.reproduction.figures import files
+    from vcmvsp.cosim.reproduction.figures.figure import Runner
+    from vcmvsp.cosim.terminal.study_progress import StudyProgress
+
+    try:
+        with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
+            figure = make(Runner(jobs or cores(), lambda done, of: progress.on_run(done, 0, of)))
+            written = files.write(name, figure, out)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted") from None
+    if json:
+        sys.stdout.write(files.as_json(name, figure))
+    else:
+        paths = "\n".join(map(str, written))
+        sys.stdout.write(f"{figure.title}\n\n{files.table(figure)}\n{paths}\n")
+    if not figure.ok:
+        missed = sum(not row.ok for row in figure.rows)
+        sys.stderr.write(f"vcmvsp: {missed} of {len(figure.rows)} numbers are not within their tolerance\n")
+        raise SystemExit(1)
+
+
+def validate_command(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for VALIDATION.md and validation.json.")] = Path(
+        "validation"
+    ),
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="This check alone, e.g. path-loss, figure-24; repeat for several.")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(metavar="N", help="Checks at a time, each in a process of its own [all processors].")
+    ] = None,
+    json: AsJson = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+) -> None:
+    """Measure every law, closed form and outside reference anew, and write what came out.
+
+    The exit code is 1 if a row is not within its tolerance, or a check breaks off: which, is said. All take several minutes.
+
+    Example: vcmvsp validate --only path-loss --only figure-24
+    """
+    from vcmvsp.cosim.reproduction import validation
+
+    checks = validation.chosen(only or [])
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"--jobs {jobs}: must be 1 or more")
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: there is a file of that name; name a folder")
+    from vcmvsp.cosim.processes.worker_pool import cores
+    from vcmvsp.cosim.reproduction.validation import check, document
+    from vcmvsp.cosim.terminal.study_progress import StudyProgress
+
+    try:
+        with stdout_to_stderr(), StudyProgress(quiet=quiet, what="checks") as progress:
+            outcomes = check.run_all(checks, jobs or cores(), lambda done, of: progress.on_run(done, 0, of))
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted") from None
+    written = document.write(outcomes, out)
+    if json:
+        sys.stdout.write(document.as_json(outcomes))
+    else:
+        for each in outcomes:
+            sys.stdout.write(
+                f"{'ok ' if each.ok else 'OFF'}  {each.check.name:<23} {len(each.rows):>3} rows  {each.check.title}\n"
+            )
+        sys.stdout.write("\n" + "".join(f"{path}\n" for path in written))
+    if off := document.failures(outcomes):
+        sys.stderr.write(f"vcmvsp: {len(off)} of {sum(len(each.rows) for each in outcomes)} rows are off:\n")
+        sys.stderr.writelines(f"  {line}\n" for line in off)
+        raise SystemExit(1)
+
+
+def bench_command(
+    parts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PART]...", help="E.g. core, shares, messages, radio; without it: all."),
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Measure what the platform costs, beside what it is built on.
+
+    The measuring programs come with the sources, not with an installation: elsewhere than in a checkout there is nothing to do.
+    All of it takes about twenty-five minutes, and each part tells how long it took. The exit code is 1 if a demand is missed.
+
+    Example: vcmvsp bench core recording
+    """
+    if not (HOME / "bench" / "__main__.py").is_file():
+        raise UsageError(f"there is no folder bench beside {HOME / 'cosim'}: run this in a checkout of the sources")
+    command = [sys.executable, "-m", "bench", *(parts or []), *(["--json"] if json else [])]
+    with subprocess.Popen(command, cwd=HOME) as measuring:
+        try:
+            code = measuring.wait()
+        except KeyboardInterrupt:
+            measuring.wait()  # until it has told what it measured
+            raise Interrupted("interrupted") from None
+    if code:
+        raise SystemExit(code)
+
+
+def _list(*, json: bool) -> None:
+    from vcmvsp.cosim.reproduction import figures
+
+    about = {name: words for name, (_, words) in figures.NAMES.items()}
+    if json:
+        from vcmvsp.cosim.util.files import to_json
+
+        sys.stdout.write(to_json(about))
+        return
+    width = max(map(len, about))
+    sys.stdout.writelines(f"{name:<{width}}  {words}\n" for name, words in about.items())
