@@ -12,6 +12,9 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
+from vcmvsp.netsim.presets import LAYERS as LAYERS  # noqa: PLC0414  for packages above, which import no part
+from vcmvsp.netsim.presets import PRESETS
+from vcmvsp.netsim.presets import preset as preset_of
 
 if TYPE_CHECKING:
     from vcmvsp.netsim.channel.channel import Channel
@@ -113,22 +116,21 @@ def build(
     Returns:
         The `netsim.channel.channel.Channel`, and the table with everything filled in.
     """
-    from vcmvsp.netsim import presets
     from vcmvsp.netsim.channel.channel import Channel
     from vcmvsp.physics.line_of_sight.sightline import Sightline
 
     for name in radio:
-        if name not in ("preset", *presets.LAYERS):
+        if name not in ("preset", *LAYERS):
             where = messages.join(key, name)
-            problem = messages.unknown("key", name, ["preset", *also, *presets.LAYERS])
+            problem = messages.unknown("key", name, ["preset", *also, *LAYERS])
             raise ScenarioError(problem, key=where, source=source.of(where))
     preset = radio.get("preset", "ideal")
-    if preset not in presets.PRESETS:
+    if preset not in PRESETS:
         where = messages.join(key, "preset")
-        raise ScenarioError(messages.unknown("preset", str(preset), presets.PRESETS), key=where, source=source.of(where))
-    base, layers, resolved = presets.preset(preset), {}, {"preset": preset}
+        raise ScenarioError(messages.unknown("preset", str(preset), PRESETS), key=where, source=source.of(where))
+    base, layers, resolved = preset_of(preset), {}, {"preset": preset}
     offered: dict[str, Any] = {"sightline": Sightline(solids)}
-    for name in presets.LAYERS:
+    for name in LAYERS:
         where, own = messages.join(key, name), radio.get(name, {})
         if not isinstance(own, dict):
             raise ScenarioError(f"must be a table, not {messages.show(own)}", key=where, source=source.of(where))

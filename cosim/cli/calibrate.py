@@ -19,6 +19,7 @@ from vcmvsp.cosim.util.stdout import stdout_to_stderr
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.recognition import Rates, Share
     from vcmvsp.cosim.analysis.snapshots import Snapshots
+    from vcmvsp.cosim.assembly.calibration import Calibration, FigureData
 
 
 def calibrate_command(
@@ -42,7 +43,7 @@ def calibrate_command(
     """
     import msgspec
 
-    from vcmvsp.cosim.config import registry
+    from vcmvsp.cosim.assembly.calibration import calibrate_file, figure_data, sightline_of
 
     for option, value in (
         ("--tx-power", tx_power),
@@ -53,9 +54,8 @@ def calibrate_command(
             raise UsageError(f"{option} {value}: must be a finite number")
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
-    fitting = registry.piece("calibration")
-    sightline = None if world is None else _sightline(world)
-    log, calibration = fitting.calibrate_file(
+    sightline = None if world is None else sightline_of(world)
+    log, calibration = calibrate_file(
         links,
         tx_power_dbm=tx_power,
         reference_distance_m=reference_distance,
@@ -63,7 +63,7 @@ def calibrate_command(
         sightline=sightline,
     )
     if out is not None:
-        write_calibration(out, calibration, fitting.figure_data(log, calibration, sightline))
+        write_calibration(out, calibration, figure_data(log, calibration, sightline))
     if json:
         sys.stdout.write(to_json({**msgspec.to_builtins(calibration), "radio": calibration.table()}))
         return
@@ -72,7 +72,7 @@ def calibrate_command(
         sys.stdout.write(f"{Path(out or '') / name}\n")
 
 
-def write_calibration(folder: Path, calibration: Any, figure_data: Any) -> None:
+def write_calibration(folder: Path, calibration: "Calibration", figure_data: "FigureData") -> None:
     """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
     from vcmvsp.cosim.plots.calibration_plot import draw_calibration
     from vcmvsp.cosim.plots.files import save_png
@@ -106,6 +106,7 @@ def calibrate_recognition_command(
     """
     from vcmvsp.cosim.analysis.recognition import Rates
     from vcmvsp.cosim.analysis.snapshots import Snapshots
+    from vcmvsp.cosim.assembly.calibration import Calibration, FigureData
     from vcmvsp.cosim.scenario import loader as scenarios
 
     for option, value in (("--height", height), ("--cell", cell)):
@@ -133,17 +134,6 @@ def calibrate_recognition_command(
         "frames": frames,
     }
     sys.stdout.write(to_json({**about, **rates.plain()}) if json else _text(about, rates, taken))
-
-
-def _sightline(world: str) -> Any:
-    """What stands in the world of a scenario."""
-    from vcmvsp.cosim.assembly import worlds
-    from vcmvsp.cosim.config import registry
-    from vcmvsp.cosim.scenario import loader
-
-    parsed, source = loader.load(world)
-    built, _ = worlds.build(parsed.world, source, seed=parsed.seed)
-    return registry.piece("sightline")(built.solids)
 
 
 class _Pictures(Shown):

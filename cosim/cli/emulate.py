@@ -3,14 +3,16 @@
 import os
 import sys
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vcmvsp.cosim.cli.options import AsJson, pose_of
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.stdout import stdout_to_stderr
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.emulators import Ready, Tags
 
 Port = Annotated[
     str,
@@ -81,12 +83,12 @@ def robot_command(
 
     Example: vcmvsp emulate p2dx --port tcp://:8101 --scenario lab-patrol --vehicle ugv1 --ubisense udp://127.0.0.1:5000
     """
+    from vcmvsp.cosim.assembly import emulators
     from vcmvsp.cosim.scenario import loader as scenarios
 
     if scenario is None and (vehicle is not None or set_):
         raise UsageError("--vehicle and --set are about a scenario: add --scenario")
-    read = registry.piece("emulate options")
-    tags = read.tags_of(
+    tags = emulators.tags_of(
         ubisense=ubisense,
         dwm1001=dwm1001,
         tag=tag,
@@ -97,7 +99,7 @@ def robot_command(
         latency_s=fix_latency_s,
         seed=seed,
     )
-    chosen = read.robot_options(
+    chosen = emulators.robot_options(
         port=port,
         rate_hz=rate_hz,
         faults=faults,
@@ -112,10 +114,15 @@ def robot_command(
     start = pose_of(pose)
     name = str(context.info_name)
     if scenario is None:
-        _show(lambda ready: registry.piece("emulated robot")(name, chosen, ready, start), as_json=json)
+        _show(lambda ready: emulators.emulate_robot(name, chosen, ready, start), as_json=json)
         return
-    where = {"scenario_name": scenario, "vehicle": vehicle, "settings": scenarios.settings_of(set_ or [])}
-    _show(lambda ready: registry.piece("emulated vehicle")(name, chosen, ready, start, **where), as_json=json)
+    settings = scenarios.settings_of(set_ or [])
+    _show(
+        lambda ready: emulators.emulate_vehicle(
+            name, chosen, ready, start, scenario_name=scenario, vehicle=vehicle, settings=settings
+        ),
+        as_json=json,
+    )
 
 
 for _name in ("amigobot", "p2dx", "amigo-sh"):
@@ -141,8 +148,10 @@ def ubisense_command(
 
     Example: vcmvsp emulate ubisense --port udp://127.0.0.1:5000 --circle 2,0.3
     """
+    from vcmvsp.cosim.assembly.emulators import tags_of
+
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
-    tags = registry.piece("emulate options").tags_of(ubisense=port, dwm1001=None, tag=tag, seed=seed, option="--port", **errors)
+    tags = tags_of(ubisense=port, dwm1001=None, tag=tag, seed=seed, option="--port", **errors)
     _show_tag(tags, pose, circle, duration, as_json=json)
 
 
@@ -165,8 +174,10 @@ def dwm1001_command(
 
     Example: vcmvsp emulate dwm1001 --port /tmp/tag --pose 1,2,0
     """
+    from vcmvsp.cosim.assembly.emulators import tags_of
+
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
-    tags = registry.piece("emulate options").tags_of(ubisense=None, dwm1001=port, tag=tag, seed=seed, option="--port", **errors)
+    tags = tags_of(ubisense=None, dwm1001=port, tag=tag, seed=seed, option="--port", **errors)
     _show_tag(tags, pose, circle, duration, as_json=json)
 
 
@@ -187,17 +198,22 @@ def mavlink_command(
 
     Example: vcmvsp emulate mavlink --port tcp://:5760 --autopilot ardupilot --kind rover
     """
-    emulate = registry.piece("emulated autopilot")
+    from vcmvsp.cosim.assembly.emulators import emulate_autopilot
+
     start = pose_of(pose)
-    about = {
-        "autopilot": autopilot,
-        "kind": kind,
-        "system_id": system_id,
-        "armed": armed,
-        "pose": start,
-        "duration_s": duration,
-    }
-    _show(lambda ready: emulate(port, ready, **about), as_json=json)
+    _show(
+        lambda ready: emulate_autopilot(
+            port,
+            ready,
+            autopilot=autopilot,
+            kind=kind,
+            system_id=system_id,
+            armed=armed,
+            pose=start,
+            duration_s=duration,
+        ),
+        as_json=json,
+    )
 
 
 @emulate_app.command("ros2")
@@ -214,20 +230,21 @@ def ros2_command(
 
     Example: vcmvsp emulate ros2 --pose 1,2,0
     """
-    emulate = registry.piece("emulated ros2 robot")
+    from vcmvsp.cosim.assembly.emulators import emulate_ros2_robot
+
     start = pose_of(pose)
-    _show(lambda ready: emulate(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
+    _show(lambda ready: emulate_ros2_robot(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
 
 
-def _show_tag(tags: Any, pose: str | None, circle: str | None, duration_s: float | None, *, as_json: bool) -> None:
-    read = registry.piece("emulate options")
+def _show_tag(tags: "Tags", pose: str | None, circle: str | None, duration_s: float | None, *, as_json: bool) -> None:
+    from vcmvsp.cosim.assembly.emulators import circle_of, duration_of, emulate_tag
+
     start = pose_of(pose) or (0.0, 0.0, 0.0)
-    way = None if circle is None else read.circle_of(circle)
-    emulate = registry.piece("emulated tag")
-    _show(lambda ready: emulate(tags, ready, pose=start, circle=way, duration_s=read.duration_of(duration_s)), as_json=as_json)
+    way = None if circle is None else circle_of(circle)
+    _show(lambda ready: emulate_tag(tags, ready, pose=start, circle=way, duration_s=duration_of(duration_s)), as_json=as_json)
 
 
-def _show(emulate: Callable[[Callable[[Mapping[str, Any]], None]], Mapping[str, Any]], *, as_json: bool) -> None:
+def _show(emulate: "Callable[[Ready], Mapping[str, Any]]", *, as_json: bool) -> None:
     """Emulate; what to connect to is said as soon as it is there, what has happened in the end."""
     import json
 

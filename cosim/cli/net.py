@@ -3,15 +3,17 @@
 import json as jsons
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.cli.run import Force, Out, Quiet, ScenarioName, Seed, Sets, View, ViewHost, ViewPort, conduct
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view import HOST, PORT
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.networks import Network
 
 RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
 NEEDS = "networks of namespaces need {}: start it as root (sudo), or in a container with --privileged"
@@ -50,11 +52,11 @@ def up_command(
 
     Example: vcmvsp net up formation-circle --duration 600 --set radio.loss.probability=0.1
     """
-    from vcmvsp.cosim.assembly import bridge
+    from vcmvsp.cosim.assembly import bridge, networks
     from vcmvsp.cosim.runs import api
     from vcmvsp.cosim.scenario import loader as scenarios
 
-    networks = _able()
+    _check_rights()
     sets = list(set_ or [])
     if duration is not None:
         sets.append(f"duration_s={duration}")
@@ -85,8 +87,10 @@ def exec_command(
 
     Example: vcmvsp net exec car1 -- ping car2
     """
-    networks = _able()
-    network = _chosen(networks, run)
+    from vcmvsp.cosim.assembly import networks
+
+    _check_rights()
+    network = _chosen(run)
     space = network.space(vehicle)
     if space is None:
         there = ", ".join(each.vehicle for each in network.spaces)
@@ -105,8 +109,10 @@ def status_command(json: AsJson = False) -> None:
 
     Example: vcmvsp net status
     """
+    from vcmvsp.cosim.assembly import networks
+
     try:
-        known = registry.piece("networks").networks()
+        known = networks.networks()
     except OSError as error:  # somebody keeps what he has to himself
         raise UsageError(f"{error.filename}: {error.strerror}: ask as root (sudo)") from error
     if json:
@@ -126,7 +132,9 @@ def down_command(
 
     Example: vcmvsp net down
     """
-    networks = _able()
+    from vcmvsp.cosim.assembly import networks
+
+    _check_rights()
     known = networks.networks()
     chosen = [each for each in known if each.run == run or (run is None and (force or not each.alive))]
     for each in chosen:
@@ -141,16 +149,18 @@ def down_command(
         sys.stdout.write("there is nothing to clear away\n")
 
 
-def _able() -> Any:
-    """The part that knows networks, where this process has the rights that it needs."""
-    networks = registry.piece("networks")
-    if lacks := networks.namespaces.missing():
+def _check_rights() -> None:
+    """Refuse where this process lacks what namespaces need."""
+    from vcmvsp.cosim.assembly import networks
+
+    if lacks := networks.missing():
         raise UsageError(NEEDS.format(lacks))
-    return networks
 
 
-def _chosen(networks: Any, run: str | None) -> Any:
-    """The network of the run that is meant, which is alive."""
+def _chosen(run: str | None) -> "Network":
+    """The network of this run, which is alive; of the only one without a name."""
+    from vcmvsp.cosim.assembly import networks
+
     alive = [each for each in networks.networks() if each.alive]
     found = [each for each in alive if run is None or each.run == run]
     if len(found) == 1:
@@ -161,7 +171,7 @@ def _chosen(networks: Any, run: str | None) -> Any:
     raise UsageError(f"--run {run}: there is no such run; there are {names}" if run else f"say whose: --run is one of {names}")
 
 
-def _lines(network: Any) -> Iterator[str]:
+def _lines(network: "Network") -> Iterator[str]:
     state = f"alive, process {network.pid}" if network.alive else "killed; clear it away with 'vcmvsp net down'"
     yield f"{network.run}: {state}"
     cells = [(each.vehicle, *each.addresses) for each in network.spaces]
@@ -175,7 +185,7 @@ def _padded(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
 
 
-def _told(network: Any) -> dict[str, Any]:
+def _told(network: "Network") -> dict[str, Any]:
     import msgspec
 
     told: dict[str, Any] = msgspec.to_builtins(network)

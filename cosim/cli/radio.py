@@ -14,6 +14,7 @@ from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, ScenarioError, UsageError
 
 if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.channel_trial import Broadcasts, Channel, RowFile
     from vcmvsp.cosim.config.provenance import Source
 
 Preset = Annotated[str, typer.Option(metavar="NAME", help="A preset of the radio, e.g. ideal, wss, wifi-b-1, zigbee.")]
@@ -102,14 +103,14 @@ def channel_command(
 
     Example: vcmvsp channel --preset wifi-b-1 --positions cars.csv --rate 10 --size 100 --duration 30 --set path_loss.exponent=2
     """
-    from vcmvsp.cosim.config import binding, registry
+    from vcmvsp.cosim.assembly import channel_trial
+    from vcmvsp.cosim.config import binding
     from vcmvsp.cosim.scenario.schema import Duration
     from vcmvsp.cosim.terminal.progress import Progress
     from vcmvsp.cosim.types import Rate, Seed
 
-    trial = registry.piece("channel trial")
-    plan = trial.Broadcasts(
-        position=registry.piece("positions file")(positions),
+    plan = channel_trial.Broadcasts(
+        position=channel_trial.read_positions(positions),
         rate_hz=binding.convert(rate, Rate, key="--rate"),
         size_bytes=_payload(size),
         duration_s=binding.convert(duration, Duration, key="--duration"),
@@ -120,7 +121,7 @@ def channel_command(
         with contextlib.ExitStack() as stack:
             progress = stack.enter_context(Progress(quiet=quiet))
             rows = None if out is None else stack.enter_context(_rows(out, preset, plan))
-            counts = trial.run(channel, plan, sink=None if rows is None else rows.add, progress=progress.on_instant)
+            counts = channel_trial.run(channel, plan, sink=None if rows is None else rows.add, progress=progress.on_instant)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
     except ScenarioError as error:  # a mac that does not go with the phy
@@ -148,9 +149,8 @@ def per_command(
 
     Example: vcmvsp per --preset wifi-g-6 --model nist --snr -2:6:0.5 --size 100
     """
-    from vcmvsp.cosim.config import registry
+    from vcmvsp.cosim.assembly import channel_curves as curves
 
-    curves = registry.piece("channel curves")
     snr_db, size_bytes = curves.grid(snr, "--snr"), _payload(size)
     errors, name = curves.error_rate(_channel(preset, None)[0].phy, model)
     columns = curves.packet_errors(errors, snr_db, size_bytes)
@@ -167,9 +167,9 @@ def pathloss_command(
 
     Example: vcmvsp pathloss --preset wifi-b-1 --set path_loss.exponent=2 --distance 10:100:10
     """
-    from vcmvsp.cosim.config import factory, registry
+    from vcmvsp.cosim.assembly import channel_curves as curves
+    from vcmvsp.cosim.config import factory
 
-    curves = registry.piece("channel curves")
     distance_m = curves.grid(distance, "--distance")
     if distance_m.min() < 0.0:
         raise UsageError(f"--distance {distance}: no distance is negative")
@@ -234,25 +234,24 @@ def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool) -> tup
 
 def _channel(
     preset: str, arguments: Sequence[str] | None, vehicles: Sequence[str] = ()
-) -> "tuple[Any, dict[str, Any], Source]":
+) -> "tuple[Channel, dict[str, Any], Source]":
     """A channel of a preset with some keys changed, its tables with everything filled in, and where keys came from."""
     from vcmvsp.cosim.assembly import radio
-    from vcmvsp.cosim.config import binding, registry
+    from vcmvsp.cosim.config import binding
     from vcmvsp.cosim.config.provenance import Source
     from vcmvsp.cosim.scenario.loader import value_of
 
     source = Source("the radio", Path())
     source.note_set("preset", f"--preset {preset}")
     tables: dict[str, Any] = {"preset": preset}
-    layers = registry.piece("radio presets").LAYERS
     for argument in arguments or []:
         key, equals, text = (part.strip() for part in argument.partition("="))
         if not equals or not key:
             raise UsageError(f"--set {argument}: write KEY=VALUE, e.g. --set path_loss.exponent=2.5")
         source.note_set(key, f"--set {argument}")
         layer, *inner = key.split(".")
-        if layer not in layers:
-            raise ScenarioError(binding.unknown("layer", layer, layers), key=key, source=source.of(key))
+        if layer not in radio.LAYERS:
+            raise ScenarioError(binding.unknown("layer", layer, radio.LAYERS), key=key, source=source.of(key))
         if not inner:
             raise ScenarioError(f"write LAYER.KEY=VALUE, e.g. {layer}.kind=...", key=key, source=source.of(key))
         here = tables.setdefault(layer, {})
@@ -280,12 +279,12 @@ def _payload(size: int) -> int:
     return checked
 
 
-def _rows(out: Path, preset: str, plan: Any) -> Any:
-    from vcmvsp.cosim.config import registry
+def _rows(out: Path, preset: str, plan: "Broadcasts") -> "RowFile":
+    from vcmvsp.cosim.assembly.channel_trial import RowFile
     from vcmvsp.cosim.tables.schema import RunFacts
 
     facts = RunFacts(scenario=preset, seed=plan.seed, end_ns=plan.end_ns, vehicles=plan.names)
-    return registry.piece("row file")(out, facts)
+    return RowFile(out, facts)
 
 
 def _print(about: Mapping[str, Any], columns: Mapping[str, list[float]], *, json: bool) -> None:

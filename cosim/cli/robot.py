@@ -1,20 +1,20 @@
 """``vcmvsp robot``, ``stop`` and ``operator``: robots that this machine drives, and how people stop them."""
 
 import contextlib
-import importlib
 import json as jsons
 import sys
 import time
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, pose_of, say
-from vcmvsp.cosim.config import registry
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.stations import Answer
 
 NOBODY = "no robot is driven on this machine by you"
-SERVE = "vcmvsp.hardware.remote_robot.robot_side.command_line"
 
 
 def robot_command(
@@ -47,9 +47,10 @@ def robot_command(
 
     Example: vcmvsp robot --vehicle car3 --driver arcos:/dev/ttyUSB0 --connect tls/192.168.1.10:7448 --keys car3.keys
     """
+    from vcmvsp.cosim.assembly.remote_programs import serve_robot
     from vcmvsp.cosim.scenario import loader as scenarios
 
-    importlib.import_module(SERVE).robot(
+    serve_robot(
         vehicle,
         driver,
         connect,
@@ -89,9 +90,10 @@ def operator_command(
 
     Example: vcmvsp operator
     """
-    stations = registry.piece("stations")
+    from vcmvsp.cosim.assembly.stations import Caller
+
     sys.stdout.write("robots drive while this runs; Ctrl-C stops them\n")
-    with contextlib.suppress(KeyboardInterrupt), stations.Caller() as caller:
+    with contextlib.suppress(KeyboardInterrupt), Caller() as caller:
         shown, due = None, time.monotonic()
         while True:
             there = sorted(each.vehicle for each in caller.say("alive"))
@@ -107,18 +109,19 @@ def operator_command(
         raise SystemExit(1)
 
 
-def stopped(vehicles: Sequence[str]) -> tuple[list[Any], list[str]]:
+def stopped(vehicles: Sequence[str]) -> "tuple[list[Answer], list[str]]":
     """Stop them (none named: all); what each answered, and what there was none of."""
-    stations = registry.piece("stations")
-    with stations.Caller() as caller:
+    from vcmvsp.cosim.assembly.stations import LONGEST_NAME, Caller
+
+    with Caller() as caller:
         asked = caller.say("stop", vehicles)
         answers = caller.answers(asked)
     there = {each.vehicle for each in asked}
-    missing = [each for each in vehicles if each[: stations.LONGEST_NAME] not in there]
+    missing = [each for each in vehicles if each[:LONGEST_NAME] not in there]
     return answers, missing if vehicles or asked else ["any"]
 
 
-def line(answer: Any) -> str:
+def line(answer: "Answer") -> str:
     """What a station said, for people."""
     match answer.state:
         case "silent":
@@ -128,5 +131,5 @@ def line(answer: Any) -> str:
     return f"{answer.vehicle}: {answer.state} (run {answer.run})\n"
 
 
-def _told(answer: Any) -> dict[str, Any]:
+def _told(answer: "Answer") -> dict[str, object]:
     return {name: getattr(answer, name) for name in answer.__struct_fields__}

@@ -17,9 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.support.cosim.command_line import vcmvsp_command
-from vcmvsp.cosim.config import registry
-
-networks = registry.piece("networks")
+from vcmvsp.netsim.bridge.gateways.ip import namespaces
+from vcmvsp.netsim.bridge.gateways.ip import run_networks as networks
 
 NAME = f"net{os.getpid()}"
 SCENARIO = """
@@ -37,7 +36,7 @@ pose = [1.0, 0.0, 0.0]
 """
 READY_S = 40.0
 
-pytestmark = pytest.mark.skipif(bool(networks.namespaces.missing()), reason=f"namespaces need {networks.namespaces.missing()}")
+pytestmark = pytest.mark.skipif(bool(namespaces.missing()), reason=f"namespaces need {namespaces.missing()}")
 
 
 def needs(command: str) -> pytest.MarkDecorator:
@@ -235,7 +234,7 @@ def test_a_network_lasts_as_long_as_is_said_and_leaves_nothing(tmp_path: Path) -
     with up(tmp_path, "--duration", "0.5", "--network", "10.99.0.0/24", name=f"{NAME}short") as process:
         assert process.wait(READY_S) == 0
         assert not [each for each in networks.networks() if each.run == f"{NAME}short"]
-        assert not list(networks.namespaces.NAMES.glob(f"vcmvsp-{NAME}short-*"))
+        assert not list(namespaces.NAMES.glob(f"vcmvsp-{NAME}short-*"))
     scenario = (tmp_path / f"{NAME}short" / "scenario.toml").read_text()
     assert 'network = "10.99.0.0/24"' in scenario
 
@@ -261,10 +260,10 @@ def test_what_a_killed_run_has_left_is_shown_and_cleared_away(tmp_path: Path) ->
         while any(each.alive for each in networks.networks() if each.run == name):
             assert time.monotonic() < end
         assert f"{name}: killed; clear it away with 'vcmvsp net down'" in vcmvsp_command("net", "status").out
-        assert len(list(networks.namespaces.NAMES.glob(f"vcmvsp-{name}-*"))) == 2
+        assert len(list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))) == 2
         assert f"{name}: gone" in vcmvsp_command("net", "down", name).out
         assert vcmvsp_command("net", "down", name).out == "there is nothing to clear away\n"
-        assert not list(networks.namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
+        assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
 
 
 def test_force_takes_the_network_from_a_run_that_is_alive(tmp_path: Path) -> None:
@@ -273,7 +272,7 @@ def test_force_takes_the_network_from_a_run_that_is_alive(tmp_path: Path) -> Non
         assert vcmvsp_command("net", "down", name, "--force").code == 0
         assert process.wait(READY_S) == 3
         assert not [each for each in networks.networks() if each.run == name]
-        assert not list(networks.namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
+        assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
 
 
 def test_who_lacks_the_rights_is_told_which(tmp_path: Path) -> None:

@@ -1,0 +1,17 @@
+"""Fit of the radio to a measured log, with the walls of a scenario between its places."""
+
+from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.scenario import loader
+from vcmvsp.netsim.calibration.figure_data import FigureData, figure_data
+from vcmvsp.netsim.calibration.fit import calibrate_file
+from vcmvsp.netsim.calibration.result import Calibration
+from vcmvsp.physics.line_of_sight.sightline import Sightline
+
+__all__ = ["Calibration", "FigureData", "calibrate_file", "figure_data", "sightline_of"]
+
+
+def sightline_of(scenario: str) -> Sightline:
+    """The solids in the world of a scenario, as obstacles of straight lines."""
+    parsed, source = loader.load(scenario)
+    world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
+    return Sightline(world.solids)
