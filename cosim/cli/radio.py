@@ -178,7 +178,7 @@ def pathloss_command(
     _print({"preset": preset}, curves.mean_levels(path_loss, channel.phy, distance_m), json=json)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """The value with None for numbers that JSON cannot say: a vehicle may have been sent to infinity."""
     if isinstance(value, dict):
         return {name: _plain(each) for name, each in value.items()}

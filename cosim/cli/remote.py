@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 REFRESH_S = 0.5  # of a terminal
 WIDTH = 100  # characters of a value
+Fields = Mapping[str, Any]
+"""A value, as it was in JSON."""
 
 
 def agent_command(
@@ -102,7 +104,7 @@ def line(seen: "Seen") -> str:
     return plain(f"{seen.time_ns / 1e9:9.3f} s  {seen.topic:<16}  {words(seen.type, seen.value)}") + "\n"
 
 
-def words(kind: str, value: Any) -> str:
+def words(kind: str, value: object) -> str:
     """A value for people; of a kind that is not known here, its JSON."""
     try:
         said = _WORDS[kind](value)
@@ -111,7 +113,7 @@ def words(kind: str, value: Any) -> str:
     return said if len(said) <= WIDTH else f"{said[: WIDTH - 3]}..."
 
 
-def _json_or(value: Any) -> str:
+def _json_or(value: object) -> str:
     try:
         return msgspec.json.encode(value).decode()
     except (ValueError, TypeError, OverflowError, RecursionError):
@@ -136,11 +138,11 @@ def _number(number: float) -> str:
     return f"{round(number, 2) + 0.0:.2f}"  # no -0.00
 
 
-def _pairs(values: Mapping[str, Any]) -> str:
+def _pairs(values: Fields) -> str:
     return "  ".join(f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in values.items())
 
 
-def _state(value: Any) -> str:
+def _state(value: Fields) -> str:
     yaw = yaw_of(tuple(value["attitude"]))
     return f"at {_vector(value['position'], 'm')}  yaw {_number(yaw)} rad  {math.hypot(*value['velocity']):.2f} m/s"
 
@@ -150,59 +152,59 @@ def _speed(velocity: Sequence[float]) -> str:
     return _vector(velocity, "m/s") if any(others) else f"v {_number(forward)} m/s"
 
 
-def _odometry(value: Any) -> str:
+def _odometry(value: Fields) -> str:
     return f"pose {_vector(value['pose'], 'm, m, rad')}  v {_number(value['v'])} m/s  w {_number(value['w'])} rad/s"
 
 
-def _waypoint(value: Any) -> str:
+def _waypoint(value: Fields) -> str:
     speed = "" if value["speed"] is None else f" at {value['speed']:.2f} m/s"
     return f"to {_vector(value['position'], 'm')}{speed}"
 
 
-def _scan(value: Any) -> str:
+def _scan(value: Fields) -> str:
     met = [each for each in value["ranges"] if each is not None]
     return f"{len(value['ranges'])} beams, " + (f"the nearest {min(met):.2f} m" if met else "all free")
 
 
-def _message(value: Any) -> str:
+def _message(value: Fields) -> str:
     return f"{value['sender']} to {value['to'] or 'all'}, {value['size_bytes']} bytes: {_body(value['body'])}"
 
 
-def _reception(value: Any) -> str:
+def _reception(value: Fields) -> str:
     took_ms = (value["received_ns"] - value["sent_ns"]) / 1e6
     message = value["message"]
     return f"from {message['sender']}, {value['rssi_dbm']:.1f} dBm, {took_ms:.2f} ms on the way: {_body(message['body'])}"
 
 
-def _body(body: Any) -> str:
+def _body(body: object) -> str:
     return _pairs(body) if isinstance(body, dict) else "bytes"
 
 
-def _frame(value: Any) -> str:
+def _frame(value: Fields) -> str:
     fates = [f"{name} {outcome}" for name, outcome in zip(value["receivers"], value["outcome"], strict=True)]
     return f"of {value['sender']}, {value['size_bytes']} bytes: {', '.join(fates)}"
 
 
-def _follows(value: Any) -> str:
+def _follows(value: Fields) -> str:
     return f"{value['leader']} at {_vector(value['slot'], 'm')}" if value["leader"] else "nobody"
 
 
-def _looks(value: Any) -> str:
+def _looks(value: Fields) -> str:
     return f"at {len(value['cells'])} cells, {sum(value['hits'])} with a target"
 
 
-def _map(value: Any) -> str:
+def _map(value: Fields) -> str:
     probability, seen = (b64decode(value[name]) for name in ("probability", "seen"))
     sure = sum(each > 0.9 * 255 for each in probability)
     return f"{_sheet(value)}, {100 * sum(seen) / len(seen):.0f} % seen, {sure} with P > 0.9"
 
 
-def _sightings(value: Any) -> str:
+def _sightings(value: Fields) -> str:
     found = [f"{each['target']} {each['score']:.2f} at {_vector(each['place'], 'm')}" for each in value["found"]]
     return f"{value['sensor']}: {', '.join(found) or 'nothing'}"
 
 
-def _sheet(value: Any) -> str:
+def _sheet(value: Fields) -> str:
     return f"{value['columns']} x {value['rows']} cells of {value['cell_m']:g} m"
 
 
