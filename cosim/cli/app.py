@@ -86,7 +86,8 @@ def main(arguments: list[str] | None = None) -> None:
         app(_with_speed(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
     except VcmvspError as error:
         say(f"vcmvsp: {' '.join(str(error).splitlines())}")
-        _point_to_result(error)
+        if error.result is not None:
+            say(f"vcmvsp: what was recorded until then is in {error.result.folder}")
         raise SystemExit(error.exit_code) from None
     except KeyboardInterrupt:
         say("vcmvsp: interrupted")
@@ -109,11 +110,6 @@ def _with_speed(arguments: list[str]) -> list[str]:
             except ValueError:
                 full.append("1")
     return [*full, *arguments[ours:]]
-
-
-def _point_to_result(error: VcmvspError) -> None:
-    if error.result is not None:
-        say(f"vcmvsp: what was recorded until then is in {error.result.folder}")
 
 
 if __name__ == "__main__":

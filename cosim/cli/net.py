@@ -3,8 +3,9 @@
 import json as jsons
 import sys
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
+import msgspec
 import typer
 
 from vcmvsp.cosim.cli.options import AsJson
@@ -116,7 +117,7 @@ def status_command(json: AsJson = False) -> None:
     except OSError as error:  # somebody keeps what he has to himself
         raise UsageError(f"{error.filename}: {error.strerror}: ask as root (sudo)") from error
     if json:
-        sys.stdout.write(f"{jsons.dumps([_told(each) for each in known])}\n")
+        sys.stdout.write(f"{jsons.dumps(msgspec.to_builtins(known))}\n")
     elif known:
         sys.stdout.writelines(f"{line}\n" for each in known for line in _lines(each))
     else:
@@ -183,10 +184,3 @@ def _lines(network: "Network") -> Iterator[str]:
 
 def _padded(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
-
-
-def _told(network: "Network") -> dict[str, Any]:
-    import msgspec
-
-    told: dict[str, Any] = msgspec.to_builtins(network)
-    return told

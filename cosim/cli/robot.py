@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
+import msgspec
 import typer
 
 from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, pose_of, say
@@ -74,7 +75,7 @@ def stop_command(
     """
     answers, missing = stopped(vehicle or [])
     if json:
-        sys.stdout.write(f"{jsons.dumps([_told(each) for each in answers])}\n")
+        sys.stdout.write(f"{jsons.dumps(msgspec.to_builtins(answers))}\n")
     else:
         sys.stdout.writelines(map(line, answers))
     if missing:
@@ -129,7 +130,3 @@ def line(answer: "Answer") -> str:
         case "ended":
             return f"{answer.vehicle}: not driven any more\n"
     return f"{answer.vehicle}: {answer.state} (run {answer.run})\n"
-
-
-def _told(answer: "Answer") -> dict[str, object]:
-    return {name: getattr(answer, name) for name in answer.__struct_fields__}
