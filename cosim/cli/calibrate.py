@@ -106,7 +106,6 @@ def calibrate_recognition_command(
     """
     from vcmvsp.cosim.analysis.recognition import Rates
     from vcmvsp.cosim.analysis.snapshots import Snapshots
-    from vcmvsp.cosim.assembly.calibration import Calibration, FigureData
     from vcmvsp.cosim.scenario import loader as scenarios
 
     for option, value in (("--height", height), ("--cell", cell)):

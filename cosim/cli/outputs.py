@@ -84,7 +84,7 @@ def export_command(
 
 
 def _of_run(folder: Path, out: Path | None) -> Path:
-    from vcmvsp.cosim.plots import run_plots
+    from vcmvsp.cosim.plots.files import svg
     from vcmvsp.cosim.report import run_page
     from vcmvsp.cosim.runs.result import figures_again
 
@@ -92,7 +92,7 @@ def _of_run(folder: Path, out: Path | None) -> Path:
         figures = figures_again(folder)
     except UsageError:  # its tables are not there, or damaged: the page says so
         figures = {}
-    return run_page.write(folder, {name: run_plots.svg(figure) for name, figure in figures.items()}, out)
+    return run_page.write(folder, {name: svg(figure) for name, figure in figures.items()}, out)
 
 
 class _Exporting(Shown):

@@ -46,7 +46,7 @@ def figure_command(
     from vcmvsp.cosim.processes.worker_pool import cores
     from vcmvsp.cosim.reproduction.figures import files
     from vcmvsp.cosim.reproduction.figures.figure import Runner
-    from vcmvsp.cosim.terminal.study_progress import StudyProgress
+    from vcmvsp.cosim.terminal.progress import StudyProgress
 
     try:
         with stdout_to_stderr(), StudyProgress(quiet=quiet) as progress:
@@ -93,7 +93,7 @@ def validate_command(
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     from vcmvsp.cosim.processes.worker_pool import cores
     from vcmvsp.cosim.reproduction.validation import check, document
-    from vcmvsp.cosim.terminal.study_progress import StudyProgress
+    from vcmvsp.cosim.terminal.progress import StudyProgress
 
     try:
         with stdout_to_stderr(), StudyProgress(quiet=quiet, what="checks") as progress:
