@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import j0
 
-import vcmvsp
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, heard, line, part
+from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.tables.columns import numbers
 from vcmvsp.cosim.types import Array
 
@@ -87,7 +87,7 @@ def walls() -> Sequence[Row]:
                 "vehicles": {"kind": "kinematic"},
                 "vehicle": [{"name": "a", "agent": still}, {"name": "b", "pose": (10.0, 0.0, 0.0), "agent": still}],
             }
-            found = numbers(vcmvsp.run(scenario, mcap=False).radio, "wall_loss_db")
+            found = numbers(run(scenario, mcap=False).radio, "wall_loss_db")
             rows.append(absolute(f"{material}, {1000 * thick:g} mm, {hz / 1e9:g} GHz: loss, dB", loss_db, found[0], 0.051))
     return rows
 

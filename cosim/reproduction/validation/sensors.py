@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-import vcmvsp
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
+from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Array, Later
 
 HALF_M = (4.0, 3.0)  # a room of 8 x 6 m, in its middle
@@ -134,5 +134,5 @@ def _readings(
         if event.key == "car/it":
             told.append(event.value.get() if isinstance(event.value, Later) else event.value)
 
-    vcmvsp.run(scenario, mcap=False, observe=observe)
+    run(scenario, mcap=False, observe=observe)
     return told

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.special import lambertw
 
-import vcmvsp
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
 from vcmvsp.cosim.reproduction.figures.scenarios import ASIDE, UNLIMITED, R, T, V, W, fleet, lossy, tracks
 from vcmvsp.cosim.rng import philox4x32
+from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Array
 
 START_M = 0.5  # behind its place
@@ -41,7 +41,7 @@ def ticks() -> Sequence[Row]:
         if what == "command":
             seen[name].append(event.time_ns)
 
-    vcmvsp.run(scenario, mcap=False, observe=observe)
+    run(scenario, mcap=False, observe=observe)
     for name, period_s in rates.items():
         train = Ticks.every(period_s)
         off = np.abs(np.array(seen[name]) - [train.at(k) for k in range(len(seen[name]))])
@@ -81,7 +81,7 @@ def _alone(gain: float, latency_s: float, duration_s: float, *, period_s: float 
     follower = {"pose": (-1.0 - START_M, 0.0, 0.0), "k1": gain, "latency_s": latency_s, **UNLIMITED}
     periods: dict[str, Any] = {"agents": {"period_s": period_s}, "record": {"period_s": period_s}}
     scenario = fleet(duration_s, [follower], path="straight", leader={"speed": 0.0}, **periods)
-    seen = tracks(vcmvsp.run(scenario, mcap=False), scenario)
+    seen = tracks(run(scenario, mcap=False), scenario)
     return seen.time_s, seen.z[:, 0, 0]
 
 
@@ -109,14 +109,14 @@ def old_reports() -> Sequence[Row]:
         age_s = T * max(1, math.ceil(delay_s / T - 1e-9))
         more: dict[str, Any] = {"radio": lossy(delay_s=delay_s), "agents": {"estimator": "hold"}, "metrics": {"from_s": 40.0}}
         scenario = fleet(60.0, **more)
-        result = vcmvsp.run(scenario, mcap=False)
+        result = run(scenario, mcap=False)
         for side, error in zip((ASIDE, -ASIDE), tracks(result, scenario).error[-1], strict=True):
             chord = 2.0 * (R + side) * math.sin(0.5 * W * age_s)
             case = f"delay {delay_s:g} s, circle of {R + side:g} m: 2 R sin(w a / 2), m"
             rows.append(relative(case, chord, error, 1e-4))
         found = result.metrics["radio"]["age_s"]["max"]
         rows.append(absolute(f"delay {delay_s:g} s: age in use, s", age_s, found, 1e-9))
-        line = vcmvsp.run(fleet(60.0, path="straight", **more), mcap=False).metrics["formation"]["final_m"]
+        line = run(fleet(60.0, path="straight", **more), mcap=False).metrics["formation"]["final_m"]
         rows.append(relative(f"delay {delay_s:g} s, line: v a, m", V * age_s, line, 1e-6))
     return rows
 
@@ -146,10 +146,10 @@ def same_bytes() -> Sequence[Row]:
     }
     rows = []
     for name in ("formation-slalom", "formation-circle"):
-        first = vcmvsp.run(name, set=short, mcap=False).metrics["digest"]
+        first = run(name, set=short, mcap=False).metrics["digest"]
         for way, settings in ways.items():
-            same = vcmvsp.run(name, mcap=False, **settings).metrics["digest"] == first
+            same = run(name, mcap=False, **settings).metrics["digest"] == first
             rows.append(absolute(f"{name}, {way}: the same digest (1: yes)", 1.0, same, 0.0))
-        same = vcmvsp.run(name, seed=4711, set=short, mcap=False).metrics["digest"] == first
+        same = run(name, seed=4711, set=short, mcap=False).metrics["digest"] == first
         rows.append(absolute(f"{name}, another seed: the same digest (1: yes)", 0.0, same, 0.0))
     return rows

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-import vcmvsp
 from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, at_most, relative
 from vcmvsp.cosim.reproduction.figures.scenarios import V, W, fleet
+from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.runs.step_response import drive
 
 WEIGHT_N, DRAG = 0.8 * 9.81, 0.25  # of the quadrotor; N s/m
@@ -23,7 +23,7 @@ def wheels() -> Sequence[Row]:
         scenario = fleet(20.0, [], kind=kind, physics={"kind": "bullet"})
         beside = {"name": "car2", "pose": (0.0, -3.0, 0.0), "agent": {"kind": "trajectory", "path": "straight"}}
         scenario["vehicle"].append(beside)
-        moved = motion(vcmvsp.run(scenario, mcap=False).states)
+        moved = motion(run(scenario, mcap=False).states)
         steady = moved.time_ns >= 5 * 10**9
         x, y, _ = moved.position
         span_s = (moved.time_ns[-1] - moved.time_ns[steady][0]) / 1e9
