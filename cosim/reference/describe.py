@@ -9,14 +9,16 @@ import json
 import re
 import typing
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from decimal import Decimal
-from typing import Any
 
 import msgspec
 
 from vcmvsp.cosim.config import binding, messages
 from vcmvsp.cosim.config.param_docs import meanings, summary
+
+Described = Callable[..., object]
+"""A class with parameters, or the function that stands for a kind."""
 
 OFFERED = ("sightline", "noise_dbm", "world", "outside")
 """Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.federates`), not from a key."""
@@ -39,29 +41,80 @@ _UNITS = {
     "_dbi": "dBi",
 }
 
+EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
+    "Scenario": {
+        "name": "names the run and its folder",
+        "duration_s": "simulated time; agents act at 0 <= t < duration",
+        "seed": "all that is random depends on it, and on nothing else",
+        "physics": "what moves the vehicles; Bullet, unless it says otherwise",
+        "world": "what surrounds the vehicles; a floor, unless it says otherwise",
+        "radio": "what carries their messages; the preset ideal, unless it says otherwise",
+        "routing": "who passes on what others have sent; nobody, unless it says otherwise",
+        "bridge": "programs as they are, at wall pace",
+        "sockets": "programs that keep the run's own time",
+        "agents": "where agents run, and defaults of their parameters",
+        "clock": "how a run keeps to the wall clock",
+        "safety": "what real vehicles keep to",
+        "vehicles": "defaults for all vehicles, also of the parameters of their kinds",
+        "record": "what is recorded",
+        "metrics": "what is evaluated",
+        "study": "what `vcmvsp study` varies",
+        "intervention": "what an operator does during the run, planned beforehand",
+        "vehicle": "one table for each vehicle, or for many with a `count`",
+    },
+    "AgentTable": {
+        "runs": "where this one runs; default: agents.runs",
+        "on_lost": "what becomes of its vehicle, or of the run, when it fails or its host is lost; default: agents.on_lost",
+        "period_s": "between two ticks; default: agents.period_s, else the agent's own",
+        "latency_s": "from an observation to the effect of the command; default: agents.latency_s",
+    },
+    "VehicleTable": {
+        "name": "unique; letters, digits, _ and -",
+        "kind": "what it is: one of those below, module:Class or file.py:Class",
+        "pose": "x m, y m, yaw rad: where it starts, in place of `position` and `heading`; default: position and heading",
+        "positioning": "the positioning system that its `pose_source` means; default: it has none",
+        "agent": "what controls it; default: it stands still",
+        "driver": "how the real vehicle is reached that takes its place; default: it is simulated",
+        "localisation": "what tells where the real vehicle is; default: its odometry",
+    },
+    "RadioFederate": {
+        "handover_s": (
+            "where several vehicles send at one instant, and contend for the air, "
+            "each message takes up to so long to reach the queue of its radio, uniformly"
+        ),
+    },
+    "SetTable": {"value": "what it is then"},
+    "StudyTable": {"vary": "key path (in quotes) = list of its values; all combinations are run"},
+    "MetricsTable": {
+        "from_s": "formation, ages, commands and connectivity are evaluated from here",
+        "to_s": "to here, both included; default: the end",
+    },
+}
+"""Meanings of keys that their comments alone do not give, by class and key."""
 
-def keys(target: Any, common: Any = None) -> dict[str, binding.Parameter]:
+
+def keys(target: Described, common: type | None = None) -> dict[str, binding.Parameter]:
     """The parameters that a scenario can give, but for those that are as in a common base class."""
-    known = keys(common) if common in getattr(target, "__mro__", ()) and common is not None else {}
+    known = keys(common) if common is not None and common in getattr(target, "__mro__", ()) else {}
     offered = {*OFFERED, *OFFERED_TO.get(target.__module__.removeprefix("vcmvsp.").partition(".")[0], ())}
     own = {name: each for name, each in binding.parameters(target).items() if name not in offered}
     return {name: each for name, each in own.items() if each != known.get(name)}
 
 
-def common_of(classes: Iterable[Any]) -> Any:
+def common_of(classes: Iterable[type]) -> type:
     """The base class that most of these have."""
     bases = [base for each in classes for base in each.__mro__[1:] if "__annotations__" in vars(base)]
     ((common, _),) = Counter(bases).most_common(1)
     return common
 
 
-def about(target: Any) -> str:
+def about(target: Described) -> str:
     """What a class is, in a line, without the name of its kind."""
     return markdown(re.sub(r" \(kind ``[^`]*``\)", "", summary(target)))
 
 
 @functools.cache
-def first_meanings(target: Any) -> dict[str, str]:
+def first_meanings(target: Described) -> dict[str, str]:
     """What the first of its base classes that speaks of a parameter says; what others add is of their own default."""
     found: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
@@ -77,7 +130,7 @@ def said(parameter: binding.Parameter, words: str) -> tuple[str, str]:
     return meaning.rstrip("; "), without
 
 
-def type_of(name: str, annotation: Any) -> str:
+def type_of(name: str, annotation: object) -> str:
     """Unit, by the end of the name, and what values are allowed."""
     unit = unit_of(name)
     words = re.sub(r">= (\S+) and <= (\S+)", r"\1 to \2", messages.describe(annotation))
@@ -100,7 +153,7 @@ def default_of(parameter: binding.Parameter, without: str) -> str:
     return markdown(without or "none") if value is None else f"`{toml(binding.plain(value))}`"
 
 
-def changed(value: Any) -> Any:
+def changed(value: object) -> object:
     """A default; of a table what is unlike the table's own defaults."""
     if isinstance(value, msgspec.Struct):
         known = binding.parameters(type(value))
@@ -108,7 +161,7 @@ def changed(value: Any) -> Any:
     return value
 
 
-def toml(value: Any) -> str:
+def toml(value: object) -> str:
     """A value as it can be written in a scenario."""
     if isinstance(value, float):
         return _short(Decimal(repr(value)).normalize().to_eng_string() if abs(value) >= 1e5 else repr(value))

@@ -13,9 +13,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.assembly.radio_presets import LAYERS, PRESETS, preset
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.param_docs import summary
+from vcmvsp.cosim.reference import tree
 from vcmvsp.cosim.reference.describe import (
+    Described,
     about,
     common_of,
     default_of,
@@ -26,7 +32,6 @@ from vcmvsp.cosim.reference.describe import (
     toml,
     type_of,
 )
-from vcmvsp.cosim.reference.radio_range import RANGE_BYTES, params, reach_m
 from vcmvsp.cosim.scenario.loader import BUILT_IN
 from vcmvsp.cosim.scenario.schema import ClockTable, SafetyTable, SocketsTable
 
@@ -42,6 +47,7 @@ VEHICLES: Mapping[str, Sequence[Sequence[str]]] = {
 """Kinds of vehicles that stand in one table, by the headings over them."""
 
 ABSENT = "–"  # this kind takes no such key
+RANGE_BYTES = 100  # of the frames by which the range of a preset is meant
 
 
 # --- the page -----------------------------------------------------------------------------------------------------------------
@@ -96,7 +102,7 @@ def families(group: str) -> str:
     """What the kinds of a group have in common, then each kind and those that it comes from, then the tables that they hold."""
     classes = {kind: registry.find(group, kind) for kind in builtin_kinds.KINDS[group]}
     common = common_of(classes.values())
-    alike: dict[Any, dict[str, Any]] = {}
+    alike: dict[type, dict[str, type]] = {}
     for kind, each in classes.items():
         line = each.__mro__
         alike.setdefault(line[line.index(common) - 1] if common in line else each, {})[kind] = each
@@ -106,17 +112,11 @@ def families(group: str) -> str:
 
 def radio() -> str:
     """Layers, presets, and a table of parameters for each layer."""
-    presets = registry.piece("radio presets")
-    parts = [_layers(presets.LAYERS), _presets(presets)]
-    for layer in presets.LAYERS:
+    parts = [_layers(), _presets()]
+    for layer in LAYERS:
         classes = {kind: registry.find(layer, kind) for kind in builtin_kinds.KINDS[layer]}
         parts += [f"#### `[radio.{layer}]`", kinds(classes), *lists(classes.values())]
     return "\n\n".join(parts)
-
-
-def vehicle_radio() -> str:
-    """The parameters of a vehicle's own radio."""
-    return parameter_table({"default": registry.piece("vehicle radio")})
 
 
 def agents(*names: str) -> str:
@@ -130,9 +130,9 @@ def apart(group: str) -> str:
     return "\n\n".join([*(kinds({kind: each}) for kind, each in classes.items()), *lists(classes.values())])
 
 
-def own(piece: str) -> str:
-    """The parameters of something that there is one of, and the tables that it holds."""
-    target = registry.piece(piece)
+def only(classes: Sequence[type]) -> str:
+    """The parameters of a class that is the only one of its table, and the tables that it holds."""
+    (target,) = classes
     return "\n\n".join([parameter_table({"default": target}), *lists([target])])
 
 
@@ -146,7 +146,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "world": lambda: families("world"),
     "radio": radio,
     "sensors": lambda: families("sensor"),
-    "vehicle radio": vehicle_radio,
+    "vehicle radio": lambda: only(tree.vehicle_radio()),
     "vehicle kinds": vehicles,
     "leaders": lambda: agents("trajectory", "route", "teleop"),
     "followers": lambda: agents("leader_follower"),
@@ -161,7 +161,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "watching": lambda: "\n\n".join(lists([registry.find("agent", "track")])),
     "drivers": lambda: apart("driver"),
     "localisation": lambda: apart("localisation"),
-    "fusion": lambda: own("fusion"),
+    "fusion": lambda: only(tree.fusion()),
     "safety": lambda: parameter_table({"default": SafetyTable}),
     "clock": lambda: parameter_table({"default": ClockTable}),
     "routing": lambda: apart("routing"),
@@ -170,22 +170,22 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
 }
 
 
-def _layers(layers: Sequence[str]) -> str:
+def _layers() -> str:
     """What each layer is about: the first words of the module that defines its first kind."""
     rows = []
-    for layer in layers:
+    for layer in LAYERS:
         kinds_of = builtin_kinds.KINDS[layer]
         about = inspect.getmodule(registry.find(layer, next(iter(kinds_of))))
         rows.append([f"`{layer}`", markdown(summary(about)), ", ".join(f"`{kind}`" for kind in kinds_of)])
     return grid(["layer", "what it is about", "kinds"], rows)
 
 
-def _presets(presets: Any) -> str:
+def _presets() -> str:
     """What each preset sets beyond the defaults of its kinds, and how far it reaches."""
-    tables = {name: presets.preset(name) for name in presets.PRESETS}
-    first = tables[presets.PRESETS[0]]
-    alike = [layer for layer in presets.LAYERS if all(each[layer] == first[layer] for each in tables.values())]
-    differ = [layer for layer in presets.LAYERS if layer not in alike]
+    tables = {name: preset(name) for name in PRESETS}
+    first = tables[PRESETS[0]]
+    alike = [layer for layer in LAYERS if all(each[layer] == first[layer] for each in tables.values())]
+    differ = [layer for layer in LAYERS if layer not in alike]
     rows = []
     for name, content in tables.items():
         rows.append([f"`{name}`", *(_setting(layer, content[layer]) for layer in differ), _length(reach_m(content))])
@@ -209,34 +209,63 @@ def _length(metres: float) -> str:
     return f"{metres:.1f} m" if metres < 1000.0 else f"{metres / 1000.0:.1f} km"
 
 
+def reach_m(tables: Mapping[str, Mapping[str, Any]]) -> float:
+    """Range of a preset, m: half of all frames of `RANGE_BYTES` are received there, ``d0 10^((P - L0 - S) / (10 N))``.
+
+    S is the sensitivity, or the level that the SNR of the preamble or of the payload needs, if that is higher.
+    """
+    law, mac = _complete("path_loss", tables), _complete("mac", tables)
+    if law["kind"] != "log_distance":
+        return math.inf if law["kind"] == "none" else math.nan
+    phy = binding.call(registry.find("phy", tables["phy"]["kind"]), params(tables["phy"]))
+    noise_dbm, errors = getattr(phy, "noise_dbm", -math.inf), getattr(phy, "errors", None)
+    snr_db = mac.get("preamble_snr_db", getattr(phy, "preamble_snr_db", -math.inf))
+    if errors is not None:
+        ratios_db = np.arange(-20.0, 40.0, 1e-3)
+        snr_db = max(snr_db, ratios_db[np.argmax(errors.frame_success(ratios_db, RANGE_BYTES) >= 0.5)])
+    sensitivity_dbm = -math.inf if mac["kind"] == "csma154" else phy.sensitivity_dbm  # there it is no threshold
+    margin_db = phy.tx_power_dbm - law["reference_loss_db"] - max(sensitivity_dbm, noise_dbm + snr_db)
+    return float(law["reference_distance_m"] * 10.0 ** (margin_db / (10.0 * law["exponent"])))
+
+
+def _complete(layer: str, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    content = tables[layer]
+    return {**content, **binding.complete(registry.find(layer, content["kind"]), params(content))}
+
+
+def params(content: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of a table but for its kind."""
+    return {name: value for name, value in content.items() if name != "kind"}
+
+
 # --- tables of parameters -----------------------------------------------------------------------------------------------------
 
 
-def kinds(classes: Mapping[str, Any], common: Any = None) -> str:
+def kinds(classes: Mapping[str, Described], common: type | None = None) -> str:
     """What each kind is, and the parameters of them all, but for those that are as in a common class."""
     lines = [f"- `{kind}`: {about(each)}" for kind, each in classes.items()]
     with_keys = {kind: each for kind, each in classes.items() if keys(each, common)}
     return "\n".join(lines) + (f"\n\n{parameter_table(with_keys, common)}" if with_keys else "")
 
 
-def lists(classes: Iterable[Any]) -> list[str]:
+def lists(classes: Iterable[Described]) -> list[str]:
     """For each parameter that is a table or a list of tables, the keys of such a table; those within tables too."""
-    holders: dict[Any, dict[str, str]] = {}  # kind of table -> how the keys that hold it are spoken of
+    holders: dict[type[msgspec.Struct], dict[str, str]] = {}  # kind of table -> how the keys that hold it are spoken of
     for each in (waiting := list(classes)):
         for name, parameter in keys(each).items():
             for item in binding.structs(parameter.annotation):
                 waiting += [] if item in holders else [item]
                 listed = typing.get_origin(parameter.annotation) is tuple
                 holders.setdefault(item, {})[name] = f"each of the `{name}`" if listed else f"`{name}`"
-    columns: dict[str, dict[str, Any]] = {}  # of each table: what it is of, and the kinds that it may be
+    columns: dict[str, dict[str, type]] = {}  # of each table: what it is of, and the kinds that it may be
     for item, spoken in holders.items():
         config = item.__struct_config__
-        by, column = (f", by `{config.tag_field}`", config.tag) if config.tag_field else ("", item.__name__.lower())
+        by, column = (f", by `{config.tag_field}`", str(config.tag)) if config.tag_field else ("", item.__name__.lower())
         columns.setdefault(f"Of {', '.join(spoken.values())}{by}:", {})[column] = item
     return [f"{of}\n\n{parameter_table(kinds)}" for of, kinds in columns.items()]
 
 
-def parameter_table(columns: Mapping[str, Any], common: Any = None) -> str:
+def parameter_table(columns: Mapping[str, Described], common: type | None = None) -> str:
     """Key, type, default for each class, meaning; a key that means different things has several rows."""
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
     for column, target in columns.items():

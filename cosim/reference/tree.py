@@ -12,9 +12,10 @@ from typing import Any
 
 import msgspec
 
+from vcmvsp.cosim.assembly.radio_presets import LAYERS, PRESETS
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe
-from vcmvsp.cosim.reference.extra_docs import UNSAID
+from vcmvsp.cosim.reference.describe import Described
 from vcmvsp.cosim.scenario import schema as scenario_tables
 from vcmvsp.cosim.scenario.expand import Repeat
 from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, VehicleTable
@@ -34,7 +35,7 @@ class Key(msgspec.Struct, frozen=True, kw_only=True):
     unit: str  # "s", "m", ...; empty: it has none, or `meaning` says it
     schema: dict[str, Any]  # JSON Schema of its values; empty: the code says no more than `type`
     required: bool
-    default: Any  # None: there is none
+    default: object  # None: there is none
     without: str  # what holds without it, where it has no default: "no limit"
     meaning: str
 
@@ -61,7 +62,7 @@ class Place(typing.NamedTuple):
 
     path: str
     group: str = ""  # of its kinds; empty: it has none
-    own: Callable[[], Sequence[Any]] = tuple  # what has the keys that count whatever its kind
+    own: Callable[[], Sequence[type]] = tuple  # what has the keys that count whatever its kind
 
     @property
     def steps(self) -> tuple[str, ...]:
@@ -79,26 +80,50 @@ class Place(typing.NamedTuple):
         return [*builtin_kinds.KINDS[self.group]] if self.group else []
 
 
-def _piece(name: str) -> Callable[[], Sequence[Any]]:
-    return lambda: [registry.piece(name)]
+def radio() -> Sequence[type]:
+    """The class that ``[radio]`` describes, but for its layers."""
+    from vcmvsp.cosim.assembly.radio_models import RadioFederate
+
+    return [RadioFederate]
 
 
-def _field(name: str) -> Callable[[], Sequence[Any]]:
+def vehicle_radio() -> Sequence[type]:
+    """The class that ``[vehicle.radio]`` describes."""
+    from vcmvsp.cosim.assembly.radio_models import Radio
+
+    return [Radio]
+
+
+def positioning() -> Sequence[type]:
+    """The class that ``[vehicle.positioning]`` describes."""
+    from vcmvsp.cosim.assembly.vehicle_models import Positioning
+
+    return [Positioning]
+
+
+def fusion() -> Sequence[type]:
+    """The class that ``[vehicle.fusion]`` describes."""
+    from vcmvsp.cosim.estimation.fusion import Fusion
+
+    return [Fusion]
+
+
+def _field(name: str) -> Callable[[], Sequence[type]]:
     return lambda: binding.structs(binding.parameters(Scenario)[name].annotation)
 
 
-def _door(kind: str) -> Callable[[], Sequence[Any]]:
+def _door(kind: str) -> Callable[[], Sequence[type]]:
     return lambda: [registry.find("door", kind)]
 
 
 @functools.cache
 def places() -> Sequence[Place]:
     """All places, in the order in which they are shown."""
-    layers = [Place(f"radio.{each}", each) for each in registry.piece("radio presets").LAYERS]
+    layers = [Place(f"radio.{each}", each) for each in LAYERS]
     known = {
         "physics": [Place("physics", "physics")],
         "world": [Place("world", "world")],
-        "radio": [Place("radio", own=_piece("radio")), *layers],
+        "radio": [Place("radio", own=radio), *layers],
         "routing": [Place("routing", "routing")],
         "bridge": [Place("bridge", own=_field("bridge")), *(Place(f"bridge.{kind}", own=_door(kind)) for kind in DOORS)],
         "agents": [Place("agents", "agent", _field("agents"))],
@@ -106,12 +131,12 @@ def places() -> Sequence[Place]:
         "vehicle": [
             Place(VEHICLE, "vehicle", lambda: [VehicleTable, Repeat]),
             Place(f"{VEHICLE}.agent", own=lambda: [AgentTable]),
-            Place(f"{VEHICLE}.positioning", own=_piece("positioning")),
+            Place(f"{VEHICLE}.positioning", own=positioning),
             Place(f"{VEHICLE}.sensors.SENSOR", "sensor"),
-            Place(f"{VEHICLE}.radio", own=_piece("vehicle radio")),
+            Place(f"{VEHICLE}.radio", own=vehicle_radio),
             Place(f"{VEHICLE}.driver", "driver"),
             Place(f"{VEHICLE}.localisation", "localisation"),
-            Place(f"{VEHICLE}.fusion", own=_piece("fusion")),
+            Place(f"{VEHICLE}.fusion", own=fusion),
             Place(f"{VEHICLE}.safety", own=lambda: [SafetyTable]),
         ],
     }
@@ -151,7 +176,7 @@ def of_place(place: Place) -> Iterator[Section]:
     yield from _within(place.path, [*own, *known], set())
 
 
-def _within(path: str, targets: Sequence[Any], seen: set[tuple[str, Any]]) -> Iterator[Section]:
+def _within(path: str, targets: Sequence[Described], seen: set[tuple[str, Described]]) -> Iterator[Section]:
     """The tables that these hold, and those within them, each once."""
     for target in targets:
         for name, parameter in _parameters(target).items():
@@ -166,20 +191,20 @@ def _within(path: str, targets: Sequence[Any], seen: set[tuple[str, Any]]) -> It
             yield from _within(below, held, seen)
 
 
-def _about(target: Any) -> str:
+def _about(target: Described) -> str:
     """What a class is, without where it stands."""
     return re.sub(r"^(An? )?`\[+\w+\]+`[:;.] ?", "", describe.about(target))
 
 
-def _parameters(target: Any, common: Any = None) -> Mapping[str, binding.Parameter]:
+def _parameters(target: Described, common: type | None = None) -> Mapping[str, binding.Parameter]:
     ours = target.__module__ in (scenario_tables.__name__, Repeat.__module__)  # nothing else offers what these name
     known = binding.parameters(target) if ours else describe.keys(target, common)
     return {name: each for name, each in known.items() if name not in REST}
 
 
-def _keys(target: Any, common: Any = None) -> Iterator[Key]:
+def _keys(target: Described, common: type | None = None) -> Iterator[Key]:
     """The keys of a class, in its order."""
-    means = {**describe.first_meanings(target), **UNSAID.get(getattr(target, "__name__", ""), {})}
+    means = {**describe.first_meanings(target), **describe.EXTRA_DOCS.get(target.__name__, {})}
     for name, parameter in _parameters(target, common).items():
         meaning, without = describe.said(parameter, means.get(name, ""))
         yield Key(
@@ -197,20 +222,19 @@ def _keys(target: Any, common: Any = None) -> Iterator[Key]:
 def _more(place: Place) -> Iterator[Key]:
     """The keys that are no parameters of anything: a radio's preset, which fills its layers."""
     if place.path == "radio":
-        presets = registry.piece("radio presets").PRESETS
         yield Key(
             name="preset",
             type="string",
             unit="",
-            schema={"enum": [*presets]},
+            schema={"enum": [*PRESETS]},
             required=False,
             default="ideal",
             without="",
-            meaning=f"fills all layers; a table of a layer changes some of its keys: {', '.join(presets)}",
+            meaning=f"fills all layers; a table of a layer changes some of its keys: {', '.join(PRESETS)}",
         )
 
 
-def _schema(annotation: Any) -> dict[str, Any]:
+def _schema(annotation: object) -> dict[str, Any]:
     """JSON Schema of the values; tables have sections of their own."""
     if binding.structs(annotation):
         return {"type": "array" if typing.get_origin(annotation) is tuple else "object"}

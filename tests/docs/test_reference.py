@@ -12,6 +12,9 @@ from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
 from vcmvsp.agents.reconnaissance.watch import Wanted, Watching
+from vcmvsp.cosim.assembly.radio_models import Radio
+from vcmvsp.cosim.assembly.radio_presets import LAYERS, PRESETS
+from vcmvsp.cosim.assembly.vehicle_models import Positioning
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe, markdown
 from vcmvsp.cosim.scenario import expand, loader, schema
@@ -61,7 +64,7 @@ HEADINGS = {
     "agent": ("Leaders", "Followers", "In the air", "Consensus", "Patrols", "Avoidance around any agent", "Missions"),
     "door": ("`[bridge]`",),
     "routing": ("`[routing]`",),
-    **{layer: (f"`[radio.{layer}]`",) for layer in registry.piece("radio presets").LAYERS},
+    **{layer: (f"`[radio.{layer}]`",) for layer in LAYERS},
 }
 FROM_ELSEWHERE = {*describe.OFFERED}  # parameters that come from the rest of the scenario
 OF_PHYSICS, OF_ROBOTS = ({*describe.OFFERED_TO[part]} for part in ("physics", "hardware"))
@@ -141,8 +144,8 @@ def test_every_kind_is_documented_with_all_its_parameters(group: str, kind: str)
         *[("`[world]`", each.__name__.lower(), each) for each in (Box, Cylinder, Prism, Movable, Moving, Zone, Wind, Light)],
         *[("`[world]`", each.__name__.lower(), each) for each in (Ground, Mark, Target)],
         (*HEADINGS["sensor"], "noise", Noise),
-        ("`positioning = { ... }`", "positioning", registry.piece("positioning")),
-        ("`radio = { ... }`", "default", registry.piece("vehicle radio")),
+        ("`positioning = { ... }`", "positioning", Positioning),
+        ("`radio = { ... }`", "default", Radio),
         ("Formations, and when their members report", "formation", Formation),
         ("Formations, and when their members report", "sending", Sending),
         ("Formations, and when their members report", "passage", Passage),
@@ -161,7 +164,7 @@ def test_what_lists_and_vehicles_hold_is_documented(heading: str, item: str, tar
 
 def test_every_preset_is_documented() -> None:
     rows = [line.split("`")[1] for line in TEXT.splitlines() if re.match(r"\| `[a-z0-9.-]+` \| `(none|log_distance)`", line)]
-    assert rows == list(registry.piece("radio presets").PRESETS)
+    assert rows == list(PRESETS)
 
 
 def test_materials_are_those_that_walls_are_made_of() -> None:

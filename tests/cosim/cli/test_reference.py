@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
-from vcmvsp.cosim.reference import describe, extra_docs, query, terminal_text, tree
+from vcmvsp.cosim.reference import describe, query, terminal_text, tree
 from vcmvsp.cosim.reference import index as reference_index
 from vcmvsp.cosim.reference.tree import Key, Reference, Section
 from vcmvsp.cosim.scenario import expand, schema
@@ -73,7 +73,7 @@ def test_every_key_says_what_it_means_and_what_holds_without_it() -> None:
 
 def test_words_of_its_own_are_of_keys_that_there_are() -> None:
     classes = {**vars(schema), "RadioFederate": RadioFederate}
-    for name, words in extra_docs.UNSAID.items():
+    for name, words in describe.EXTRA_DOCS.items():
         assert {*words} <= {*binding.parameters(classes[name])}, name
 
 

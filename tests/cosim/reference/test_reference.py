@@ -24,7 +24,7 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.reference import describe
 from vcmvsp.cosim.reference import markdown as reference
-from vcmvsp.cosim.reference.radio_range import reach_m
+from vcmvsp.cosim.reference.markdown import reach_m
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.types import Message, NonNegative, Positive, Probability, Seconds, Seed, Vec3
 from vcmvsp.netsim.presets import LAYERS, PRESETS, preset

@@ -1,0 +1,5 @@
+"""Named radio channels and the layers of a channel; light to import."""
+
+from vcmvsp.netsim.presets import LAYERS, PRESETS, preset
+
+__all__ = ["LAYERS", "PRESETS", "preset"]
