@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -19,6 +19,9 @@ from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.tables.schema import load_tables
 from vcmvsp.cosim.types import Array, Vec3
 
+if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.radio_models import Channel, Radio
+
 SCHEMA = "vcmvsp.coverage/1"
 MOST_PLACES = 1_000_000
 _STEPS = 150  # places along the longer side, about
@@ -27,9 +30,9 @@ _STEPS = 150  # places along the longer side, about
 class Site(msgspec.Struct, frozen=True):
     """What the radio of a scenario knows: the channel, and what stands where."""
 
-    channel: Any  # `netsim.channel.channel.Channel`
-    solids: Sequence[Any]  # `physics.world.solids.Solid`
-    radios: Mapping[str, Any]  # `netsim.interfaces.radio.Radio`, by vehicle
+    channel: "Channel"
+    solids: Sequence[Any]  # of the world
+    radios: "Mapping[str, Radio]"  # by vehicle
     places: Mapping[str, Vec3]  # of the vehicles, m, world
 
 
@@ -50,7 +53,7 @@ class Map(msgspec.Struct, frozen=True, kw_only=True):
     success: Array  # (n, m) chance that a frame arrives
     places: Mapping[str, Vec3]  # of the vehicles
     others: Mapping[str, tuple[float, float]]  # level and success at each other vehicle's own antenna
-    solids: Sequence[Any]
+    solids: Sequence[Any]  # of the world
 
 
 def site_of(parsed: Scenario, source: Source) -> Site:
@@ -107,12 +110,13 @@ def coverage(
 
 
 def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: float, resolution_m: float | None) -> Map:
-    asked = registry.piece("coverage")
-    x, y = _grid(site, asked.range_m(site.channel, vehicle, height_m), vehicle, resolution_m)
+    from vcmvsp.cosim.assembly.radio_models import coverage as measured
+
+    x, y = _grid(site, measured.range_m(site.channel, vehicle, height_m), vehicle, resolution_m)
     antennas = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=-1)
     position = np.array(site.places[vehicle])
-    found = asked.coverage(site.channel, vehicle, position, antennas, size_bytes=size_bytes, seed=parsed.seed)
-    there = asked.among(site.channel, vehicle, site.places, size_bytes=size_bytes, seed=parsed.seed)
+    found = measured.coverage(site.channel, vehicle, position, antennas, size_bytes=size_bytes, seed=parsed.seed)
+    there = measured.among(site.channel, vehicle, site.places, size_bytes=size_bytes, seed=parsed.seed)
     others = [name for name in site.places if name != vehicle]
     shape = len(y), len(x)
     return Map(
@@ -122,7 +126,7 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
         seed=parsed.seed,
         size_bytes=size_bytes,
         height_m=height_m,
-        floor_dbm=asked.floor_dbm(site.channel),
+        floor_dbm=measured.floor_dbm(site.channel),
         noise_dbm=site.channel.hearing.noise_dbm,
         x=x,
         y=y,

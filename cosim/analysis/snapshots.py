@@ -6,20 +6,25 @@ The world, the camera, the targets that are looked for and the cells of the map 
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.assembly.recognition import Camera, Frame, Hull, Nadir, PlacedTarget, Scene, Watch, Watching, turned
+from vcmvsp.cosim.assembly.search_map import Grid, Rectangle, of_picture
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, messages, registry
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.frames import product, quaternion_from_yaw, wrap
+from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, wrap
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import VehicleTable
-from vcmvsp.cosim.types import Array, Positive, Sighting, VehicleState
+from vcmvsp.cosim.types import Array, Image, Positive, Sighting, VehicleState
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.worlds import World
 
 STEEPEST = math.radians(5.0)  # tilt
 ROOM_M = 0.5  # nothing may be nearer to a vehicle
@@ -104,9 +109,11 @@ class Snapshots:
         image = self._picture(state, time_ns, rng)
         obs = Observation(vehicle=self.vehicle, time_ns=time_ns, state=state, readings={self._camera_name: image}, heard=())
         frame = self._watch.look(obs)
-        cells, hits = registry.piece("looks of a picture")(self._grid, frame)
-        targets = tuple(self._in_sight(each, frame, state, time_s) for each in self._targets if _shows(frame, each, time_s))
-        return Snapshot(image.pixels, targets, frame.sightings, cells, hits)
+        assert frame is not None  # noqa: S101  the picture is new, and its pose is known
+        cells, hits = of_picture(self._grid, frame)
+        targets = [self._in_sight(each, frame, state, time_s) for each in self._targets]
+        shown = tuple(each for each in targets if each is not None)
+        return Snapshot(image.pixels, shown, frame.sightings, cells, hits)
 
     # --- what the scenario says ---------------------------------------------------------------------------------------------
 
@@ -130,13 +137,12 @@ class Snapshots:
             return {}
         return {**self._scenario.agents.defaults, **vehicle.agent.params}
 
-    def _start_watch(self, vehicle: VehicleTable, content: Any, key: str) -> None:
+    def _start_watch(self, vehicle: VehicleTable, content: object, key: str) -> None:
         """The detector, and the camera through which it looks."""
-        module = registry.piece("watch")
         with registry.looking_in(self._source.folder):
-            settings = binding.convert(content, module.Watching, key=key, origin=self._source)
+            settings: Watching = binding.convert(content, Watching, key=key, origin=self._source)
             try:
-                self._watch = module.Watch(settings, key=key)
+                self._watch = Watch(settings, key=key)
             except ScenarioError as error:
                 raise ScenarioError(error.problem, key=error.key, source=self._source.of(error.key)) from error
         self._camera_name = settings.camera
@@ -145,13 +151,14 @@ class Snapshots:
             problem = f"{messages.unknown('sensor', settings.camera, vehicle.sensors)} (of {vehicle.name})"
             raise ScenarioError(problem, key=f"{key}.camera", source=self._source.of(f"{key}.camera"))
         sensor = {**vehicle.sensors[settings.camera], "depth": True}  # tells what is hidden
+        self._camera: Camera
         self._camera, _ = factory.build("sensor", sensor, key=f"{where}.{settings.camera}", source=self._source)
         if not hasattr(self._camera, "focal_px"):
             kind = f"{where}.{settings.camera}.kind"
             raise ScenarioError("must take pictures", key=kind, source=self._source.of(kind))
         self._watch.start(VehicleInfo(name=vehicle.name, vehicles=(vehicle.name,), period_s=1.0, latency_s=0.0, seed=0))
 
-    def _said(self, search: Mapping[str, Any], name: str, annotation: Any, default: Any = None) -> Any:
+    def _said(self, search: Mapping[str, Any], name: str, annotation: object, default: object) -> Any:
         """What the search says; its agent is not built, so that nobody else has looked at it."""
         if name not in search:
             return default
@@ -182,10 +189,9 @@ class Snapshots:
             raise ScenarioError(problem, key=key, source=self._source.of(key))
         return left, bottom, right, top
 
-    def _cells(self) -> Any:
+    def _cells(self) -> Grid:
         """Of the map."""
-        reconnaissance = registry.piece("reconnaissance")
-        grid = reconnaissance.Grid(reconnaissance.Rectangle(*self.area), self.cell_m)
+        grid = Grid(Rectangle(*self.area), self.cell_m)
         if grid.rows * grid.columns > MOST_CELLS:
             problem = f"of {self.cell_m:g} m there are more than {MOST_CELLS} cells in the area: make them larger"
             raise ScenarioError(problem, key=f"{self.table}.cell_m", source=self._source.of(self.table))
@@ -217,22 +223,22 @@ class Snapshots:
         problem = f"no place over the area at {self.height_m:g} m is free{' and shows a target' if with_target else ''}"
         raise ScenarioError(problem, key="world", source=self._source.of("world"))
 
-    def _over(self, attitude: tuple[float, float, float, float]) -> Any:
+    def _over(self, attitude: Quaternion) -> Nadir:
         """The geometry of a picture that is taken over the origin."""
-        camera, pieces = self._camera, registry.piece("ground point")
+        camera = self._camera
         state = VehicleState(position=(0.0, 0.0, self.height_m), attitude=attitude)
-        mount = pieces.turned(attitude, self._watch.settings.mount)
-        place = tuple(a + b for a, b in zip(state.position, mount, strict=True))
-        return pieces.Nadir(place, attitude, camera.focal_px, camera.width, camera.height, self._watch.settings.ground_m)
+        mount = turned(attitude, self._watch.settings.mount)
+        (x, y, z), (ahead, left, up) = state.position, mount
+        place = (x + ahead, y + left, z + up)
+        return Nadir(place, attitude, camera.focal_px, camera.width, camera.height, self._watch.settings.ground_m)
 
-    def _picture(self, state: VehicleState, time_ns: int, rng: np.random.Generator) -> Any:
-        scene = registry.piece("scene")
+    def _picture(self, state: VehicleState, time_ns: int, rng: np.random.Generator) -> Image:
         (x, y, z), w = state.position, state.attitude
-        taken = scene.Scene(
+        taken = Scene(
             now_ns=time_ns,
             world=self.world,
             vehicles=(self.vehicle,),
-            hulls=(scene.Hull((0.1, 0.1, 0.1)),),
+            hulls=(Hull((0.1, 0.1, 0.1)),),
             position=np.array([[x, y, z]]),
             velocity=np.zeros((1, 3)),
             attitude=np.array([w]),
@@ -242,9 +248,13 @@ class Snapshots:
         )
         return self._camera.measure(taken, 0, rng)
 
-    def _in_sight(self, target: Any, frame: Any, state: VehicleState, time_s: float) -> InSight:
+    def _in_sight(self, target: PlacedTarget, frame: Frame, state: VehicleState, time_s: float) -> InSight | None:
+        """A target in a picture; None: its middle is not in it."""
         place = target.place(time_s)
-        u, v = frame.nadir.pixel(place)
+        pixel, size = frame.nadir.pixel(place), (frame.nadir.width, frame.nadir.height)
+        if pixel is None or not all(-0.5 <= at < edge - 0.5 for at, edge in zip(pixel, size, strict=True)):
+            return None
+        u, v = pixel
         ahead = target.yaw(time_s) + 0.5 * math.pi  # its upper edge, where it is not turned, is north
         region = frame.looked
         return InSight(
@@ -268,14 +278,10 @@ def _search_of(params: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
     return params, "agents"
 
 
-def _shows(frame: Any, target: Any, time_s: float) -> bool:
-    """Whether the middle of a target is in a picture."""
-    pixel, size = frame.nadir.pixel(target.place(time_s)), (frame.nadir.width, frame.nadir.height)
-    return pixel is not None and all(-0.5 <= at < edge - 0.5 for at, edge in zip(pixel, size, strict=True))
-
-
-def _visible(target: Any, frame: Any, time_s: float) -> float:
+def _visible(target: PlacedTarget, frame: Frame, time_s: float) -> float:
     """Which part of a target nothing hides, of 25 points of it that the picture shows."""
+    depth_m = frame.image.depth_m
+    assert depth_m is not None  # noqa: S101  the camera is made so that it gives depths
     (x, y), yaw, nadir = target.place(time_s), target.yaw(time_s), frame.nadir
     c, s = math.cos(yaw), math.sin(yaw)
     along = [target.size_m * (i - 2) * 0.24 for i in range(5)]
@@ -289,13 +295,13 @@ def _visible(target: Any, frame: Any, time_s: float) -> float:
             column, row = round(pixel[0]), round(pixel[1])
             if 0 <= column < nadir.width and 0 <= row < nadir.height:
                 total += 1
-                free += bool(frame.image.depth_m[row, column] >= (1.0 - HIDDEN) * _distance_m(nadir, point))
+                free += bool(depth_m[row, column] >= (1.0 - HIDDEN) * _distance_m(nadir, point))
     return free / total if total else 0.0
 
 
-def _distance_m(nadir: Any, point: tuple[float, float]) -> float:
+def _distance_m(nadir: Nadir, point: tuple[float, float]) -> float:
     """Of a place on the ground along the optical axis."""
     x, y, z = nadir.position
-    ahead: tuple[float, float, float] = registry.piece("ground point").turned(nadir.attitude, (0.0, 0.0, -1.0))
+    ahead = turned(nadir.attitude, (0.0, 0.0, -1.0))
     way = (point[0] - x, point[1] - y, nadir.ground_m - z)
     return sum((a * b for a, b in zip(ahead, way, strict=True)), 0.0)

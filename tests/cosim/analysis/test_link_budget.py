@@ -14,7 +14,7 @@ from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.walled_run import ROOMS, rows, run_rooms
 from vcmvsp.cosim.analysis import link_budget, link_text
 from vcmvsp.cosim.analysis import links as explain
-from vcmvsp.cosim.analysis.loss_cause import why
+from vcmvsp.cosim.analysis.link_budget import why
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.runs import api
 

@@ -1,0 +1,26 @@
+"""Recognition of targets in pictures from the air: cameras, detector and its stages, synthetic pictures."""
+
+from vcmvsp.agents.reconnaissance.ground_point import Nadir, turned
+from vcmvsp.agents.reconnaissance.recognition import Detector, Target, ground, inspection
+from vcmvsp.agents.reconnaissance.recognition.detector import Detection
+from vcmvsp.agents.reconnaissance.watch import Frame, Watch, Watching
+from vcmvsp.physics.sensors.camera import Camera
+from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.world.targets import PlacedTarget
+
+__all__ = [
+    "Camera",
+    "Detection",
+    "Detector",
+    "Frame",
+    "Hull",
+    "Nadir",
+    "PlacedTarget",
+    "Scene",
+    "Target",
+    "Watch",
+    "Watching",
+    "ground",
+    "inspection",
+    "turned",
+]
