@@ -11,19 +11,21 @@ Nothing of the platform imports it.
 Every check raises `AssertionError` that says which law is broken.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Step
-from vcmvsp.cosim.types import Message, Reception, VehicleState
+from vcmvsp.cosim.types import Array, Message, Reception, VehicleState
 from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.util.key_expressions import matches
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.radio_models import Frame, PathLoss, Phy
 
 SECOND = 1_000_000_000
 _observations: Decoder[Observation] = Decoder(Observation)
@@ -54,7 +56,7 @@ def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
     The laws: one finite answer per receiver, of the right type; the same question gets the same answer; a receiver's answer
     does not depend on who else listens; a path loss is the same in both directions (unless ``reciprocal`` is false).
     """
-    verbs = {
+    verbs: dict[str, Callable[[Any, str], None]] = {
         "loss_db": _check_path_loss,
         "air_time_ns": _check_phy,
         "gain_db": _check_drawn,
@@ -66,12 +68,7 @@ def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
     for verb in found:
         verbs[verb](layer, verb)
     if "loss_db" in found and reciprocal:
-        paths, rng = registry.piece("radio paths"), np.random.default_rng(3)
-        for a, b in rng.uniform(-300.0, 300.0, (50, 2, 3)):
-            there, back = layer.loss_db(paths.between(a, b[None])), layer.loss_db(paths.between(b, a[None]))
-            _require(
-                there.tolist() == back.tolist(), f"loss from {a} to {b} is {there}, back {back}; pass reciprocal=False if meant"
-            )
+        _check_reciprocity(layer)
 
 
 def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[Event] = ()) -> None:
@@ -94,7 +91,8 @@ def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[
 
 def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Observation]) -> bytes:
     """Everything that the agent says, encoded."""
-    host: Any = registry.piece("agent host")
+    from vcmvsp.cosim.assembly.agent_host import AgentHost
+
     spec = AgentSpec(
         vehicle=vehicle,
         kind=type(agent).__name__,
@@ -105,16 +103,17 @@ def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Obs
         latency_s=0.0,
         source="",
     )
-    federate = host("agents", [spec], {vehicle: agent})
+    federate = AgentHost("agents", [spec], {vehicle: agent})
     said = []
     try:
         federate.start(RunInfo(scenario="check", seed=1, duration_ns=len(shown) * SECOND, vehicles=(*others, vehicle)))
-        now: int | None = 0
+        now = 0
         for seen in shown:
             inbox = [Event(f"{vehicle}/estimate", seen.time_ns, seen.state)]
             inbox += [Event(f"{vehicle}/heard", each.received_ns, each) for each in seen.heard]
             step = federate.step(now, inbox)
             said.append(list(step.events))
+            assert step.next_ns is not None  # noqa: S101  agents always have a next tick
             now = step.next_ns
     except AgentError as error:
         raise AssertionError(f"{error}\n{error.details}") from error
@@ -154,20 +153,31 @@ def _nonsense(sender: str, now: int, tick: int) -> Reception:
 # --- layers of the channel --------------------------------------------------------------------------------------------------
 
 
-def _check_path_loss(layer: Any, verb: str) -> None:
-    paths = registry.piece("radio paths")
+def _check_path_loss(layer: "PathLoss", verb: str) -> None:
+    from vcmvsp.cosim.assembly.radio_models import Paths
+
     rng = np.random.default_rng(1)
     tx, rx = rng.uniform(-300.0, 300.0, 3), rng.uniform(-300.0, 300.0, (20, 3))
     rx[0] = tx  # two antennas in one place
-    loss = layer.loss_db(paths.between(tx, rx))
+    loss = layer.loss_db(Paths.between(tx, rx))
     _require(np.shape(loss) == (20,), f"{verb} gave shape {np.shape(loss)} for 20 receivers")
     _require(bool(np.isfinite(loss).all()), f"{verb} is not finite: {loss}")
-    _require(np.array_equal(loss, layer.loss_db(paths.between(tx, rx))), f"{verb} answers the same question differently")
-    alone = np.concatenate([layer.loss_db(paths.between(tx, each[None])) for each in rx])
+    _require(np.array_equal(loss, layer.loss_db(Paths.between(tx, rx))), f"{verb} answers the same question differently")
+    alone = np.concatenate([layer.loss_db(Paths.between(tx, each[None])) for each in rx])
     _require(np.array_equal(loss, alone), f"{verb} of a receiver depends on who else listens")
 
 
-def _check_phy(layer: Any, verb: str) -> None:
+def _check_reciprocity(layer: "PathLoss") -> None:
+    from vcmvsp.cosim.assembly.radio_models import Paths
+
+    rng = np.random.default_rng(3)
+    for a, b in rng.uniform(-300.0, 300.0, (50, 2, 3)):
+        there, back = layer.loss_db(Paths.between(a, b[None])), layer.loss_db(Paths.between(b, a[None]))
+        law = f"loss from {a} to {b} is {there}, back {back}; pass reciprocal=False if meant"
+        _require(there.tolist() == back.tolist(), law)
+
+
+def _check_phy(layer: "Phy", verb: str) -> None:
     times = [layer.air_time_ns(size) for size in range(0, 1500, 7)]
     _require(all(type(each) is int and each >= 1 for each in times), f"{verb} must be a whole number of ns, at least 1")
     _require(times == sorted(times), f"{verb} is shorter for a longer payload")
@@ -181,9 +191,9 @@ def _check_drawn(layer: Any, verb: str) -> None:
     names = tuple(f"car{i}" for i in range(20))
     frame, pick = _frame(rng.uniform(-100.0, 100.0, (20, 3)), names), getattr(layer, verb)
     answer = pick(frame, lambda: draws)
-    wanted: Any = {"lost": np.bool_, "delay_ns": np.integer, "gain_db": np.floating}[verb]
+    kinds: Mapping[str, Any] = {"lost": np.bool_, "delay_ns": np.integer, "gain_db": np.floating}
     _require(np.shape(answer) == (20,), f"{verb} gave shape {np.shape(answer)} for 20 receivers")
-    _require(bool(np.issubdtype(np.asarray(answer).dtype, wanted)), f"{verb} gave {np.asarray(answer).dtype}")
+    _require(bool(np.issubdtype(np.asarray(answer).dtype, kinds[verb])), f"{verb} gave {np.asarray(answer).dtype}")
     _require(np.array_equal(answer, pick(frame, lambda: draws)), f"{verb} answers the same question differently")
     order = rng.permutation(20)
     moved = pick(_frame(frame.paths.rx[order], tuple(names[i] for i in order)), lambda: draws[order])
@@ -194,10 +204,12 @@ def _check_drawn(layer: Any, verb: str) -> None:
         _require(bool(np.isfinite(answer).all()), f"{verb} is not finite: {answer}")
 
 
-def _frame(rx: Any, receivers: tuple[str, ...]) -> Any:
-    paths = registry.piece("radio paths").between(np.zeros(3), rx)
-    links = registry.piece("radio links")(1, "sender", receivers)
-    return registry.piece("radio frame")(0, 0, SECOND // 1000, 60, paths, -60.0 - paths.distance_m / 10.0, links)
+def _frame(rx: Array, receivers: tuple[str, ...]) -> "Frame":
+    from vcmvsp.cosim.assembly.radio_models import Frame, Links, Paths
+
+    paths = Paths.between(np.zeros(3), rx)
+    links = Links(1, "sender", receivers)
+    return Frame(0, 0, SECOND // 1000, 60, paths, -60.0 - paths.distance_m / 10.0, links)
 
 
 # --- federates --------------------------------------------------------------------------------------------------------------
