@@ -1,4 +1,4 @@
-"""The rules of the gate before the page: which requests pass, what is said to others, and what browsers are told to keep to."""
+"""Access rules of the page: which requests and messages pass, how others are refused, what browsers are told to keep to."""
 
 import hmac
 import ipaddress
@@ -7,17 +7,36 @@ import socket
 import urllib.parse
 from collections.abc import Callable
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import msgspec
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request, Response
 
+    Answer = Callable[..., Response | None]  # of a connection and a request
+
 MOST_PAGES = 32  # that are connected at a time
 ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  a word of the user's
-
-
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
+ALLOWED = frozenset(
+    {
+        "CommandTriggerMessage",
+        "GuiButtonHoldMessage",
+        "GuiFormDirtyMessage",
+        "GuiFormSubmitMessage",
+        "GuiUpdateMessage",
+        "SceneNodeClickMessage",
+        "SceneNodeDragMessage",
+        "ScenePointerMessage",
+        "TransformControlsDragEndMessage",
+        "TransformControlsDragStartMessage",
+        "TransformControlsUpdateMessage",
+        "ViewerCameraMessage",
+    }
+)
+"""Messages that a page may send: those of viser's page that the control station uses. Not uploads, nor a public tunnel."""
 
 
 def caution(host: str) -> str:
@@ -34,6 +53,22 @@ def url_of(host: str, port: int, token: str) -> str:
     """What a browser is given."""
     name = "localhost" if host in ANYWHERE else f"[{host}]" if ":" in host else host
     return f"http://{name}:{port}/?token={token}"
+
+
+def is_fit(message: object) -> bool:
+    """Whether a message of the page may be handed on."""
+    if not isinstance(message, bytes):
+        return False
+    try:
+        content = msgspec.msgpack.decode(message)
+    except (ValueError, TypeError, RecursionError, msgspec.DecodeError):
+        return False
+    if not isinstance(content, dict) or not isinstance(kind := content.get("type"), str) or kind not in ALLOWED:
+        return False
+    if kind == "GuiUpdateMessage":  # anything else of a control would be set as well
+        updates = content.get("updates")
+        return isinstance(updates, dict) and updates.keys() == {"value"}
+    return True
 
 
 class Gate:
@@ -54,7 +89,7 @@ class Gate:
             self._names.add(socket.gethostname().lower())
         self._cookie = f"vcmvsp-view-{port}"  # cookies know no ports
 
-    def before(self, process_request: Callable[..., Any]) -> Callable[..., Any]:
+    def before(self, process_request: "Answer") -> "Answer":
         """What answers a request: the gate, and behind it what did before."""
 
         def answer(connection: "ServerConnection", request: "Request") -> "Response | None":

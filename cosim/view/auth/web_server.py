@@ -18,12 +18,13 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.view.auth.allowed_messages import is_fit
-from vcmvsp.cosim.view.auth.rules import Gate
+from vcmvsp.cosim.view.auth.rules import Gate, is_fit
 
 if TYPE_CHECKING:
     import viser
     from websockets.asyncio.server import ServerConnection
+
+    from vcmvsp.cosim.view.auth.rules import Answer
 
 MOST_SOCKETS = 128  # that are open at a time, requests for files included
 LARGEST = 1 << 20  # bytes of a message from a page
@@ -52,7 +53,7 @@ def open_server(host: str, port: int, token: str) -> "viser.ViserServer":
     gate = Gate(host, sock.getsockname()[1], token, f"viser-v{viser.__version__}")
     serve = served.serve
 
-    def guarded(handler: Callable[..., Awaitable[None]], *_: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+    def guarded(handler: Callable[..., Awaitable[None]], *_: object, process_request: "Answer", **options: Any) -> object:
         asyncio.get_running_loop().set_exception_handler(lambda _, context: _logger.debug("%s", context))
         options |= {"sock": sock, "max_size": LARGEST, "server_header": None}
         options |= {"logger": _logger, "create_connection": _connection()}

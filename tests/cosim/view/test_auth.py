@@ -23,7 +23,7 @@ from websockets.typing import Origin, Subprotocol
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view.auth import rules as gate_rules
 from vcmvsp.cosim.view.auth import web_server
-from vcmvsp.cosim.view.auth.allowed_messages import is_fit
+from vcmvsp.cosim.view.auth.rules import is_fit
 
 TOKEN = "a-secret-of-this-test"
 PATIENCE_S = 30.0
