@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -13,6 +13,9 @@ from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.view.messages import Craft, Scenery
 from vcmvsp.cosim.view.scenery import scenery_of
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.assembly.worlds import World
 
 MAY = ("pace", "seek", "sensors")
 """Orders that a recording obeys."""
@@ -29,7 +32,7 @@ class Stage:
     """
 
     scenery: Scenery
-    world: Any = None
+    world: "World | None" = None
 
 
 def stage_of(path: Path, vehicles: Sequence[str]) -> Stage:

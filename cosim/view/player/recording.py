@@ -1,5 +1,7 @@
 """A recorded run, read back from its folder: how things stood at any time of it."""
 
+from array import array
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,15 +16,17 @@ from vcmvsp.cosim.recording.run_mcap import CALIBRATION
 from vcmvsp.cosim.types import Fix, Image, Scan, Sightings, States
 from vcmvsp.cosim.view.messages import Line, Scenery, Shown
 from vcmvsp.cosim.view.player import decoding as values
-from vcmvsp.cosim.view.player.collected import FRAMES, HALTED, LOG, NOTE, Kept
-from vcmvsp.cosim.view.player.mcap_index import Messages, Topic
+from vcmvsp.cosim.view.player.frame_counts import Counts
+from vcmvsp.cosim.view.player.mcap_index import Messages, Taker, Topic
 from vcmvsp.cosim.view.player.recorded_scenery import Stage, bare_stage, stage_of
 
 T = TypeVar("T")
 FILE = "run.mcap"
+LINES = 200  # of the log, at once
+FRAMES, LOG, HALTED = "radio/frame", "log", "operator/halted"
 DRAWING, MOVING = "world/scene", "world/moving"
 SCAN, IMAGE, FIX = "foxglove.LaserScan", "foxglove.RawImage", "foxglove.PoseInFrame"  # schemas
-STATE, HEARD, SIGHTINGS = "state", "heard", "sightings"
+STATE, HEARD, NOTE, SIGHTINGS = "state", "heard", "note", "sightings"  # of each vehicle
 NEWEST: Mapping[str, tuple[str, Callable[[bytes], Any]]] = {
     "follows": ("places", values.follows_of),
     "host": ("presence", values.presence_of),
@@ -55,7 +59,7 @@ class Recording:
     def __init__(self, run_dir: str | Path) -> None:
         self._folder = Path(run_dir)
         self._file = _opened(self._folder)
-        self._kept = Kept(self._file.about)
+        self._collected = Accumulator(self._file.about)
         try:
             self._read()
         except BaseException:
@@ -63,16 +67,16 @@ class Recording:
             raise
 
     def _read(self) -> None:
-        file, kept = self._file, self._kept
-        damage = file.read(_is_wanted, kept.taker)
-        self.vehicles, self.end_ns = kept.vehicles, file.end_ns
+        file, collected = self._file, self._collected
+        damage = file.read(_is_wanted, collected.taker)
+        self.vehicles, self.end_ns = collected.vehicles, file.end_ns
         if not self.vehicles or not file.topics:
             raise UsageError(f"{self._folder / FILE}: nothing in it can be read: {damage or 'it holds no run'}")
-        kept.close()
+        collected.close()
         self.troubles = [f"{FILE} can be read up to {self.end_ns / SECOND_NS:.3f} s: {damage}"] if damage else []
-        self.ending = damage or (kept.lines[-1].text if kept.lines else "the recording ends here")
+        self.ending = damage or (collected.lines[-1].text if collected.lines else "the recording ends here")
         self._stage = self._staged()
-        kept.lines[:0] = [Line(time_ns=0, level="warning", text=text) for text in self.troubles]
+        collected.lines[:0] = [Line(time_ns=0, level="warning", text=text) for text in self.troubles]
 
     def close(self) -> None:
         """Let go of the file."""
@@ -97,7 +101,7 @@ class Recording:
             UsageError: the file is not what it was, or another version wrote it.
         """
         scans, images = self.readings(time_ns, since_ns, sensors)
-        counts = self._kept.counts
+        counts = self._collected.counts
         first, last = 0 if since_ns is None else counts.frames(since_ns), counts.frames(time_ns)
         sent, received = counts.at(time_ns) if since_ns is None or first < last else (None, None)
         return Shown(
@@ -112,8 +116,8 @@ class Recording:
             sent=sent,
             received=received,
             heard_ns=self._each(HEARD, Topic.time_ns, time_ns, since_ns),
-            halted=self._kept.halted(time_ns),
-            lines=self._kept.said(time_ns, since_ns),
+            halted=self._collected.halted(time_ns),
+            lines=self._collected.said(time_ns, since_ns),
             notes=self._each(NOTE, self._noted, time_ns, since_ns),
             fixes=self._fixes(time_ns, since_ns),
             **self._newest(time_ns, since_ns),
@@ -193,7 +197,7 @@ class Recording:
         return values.states_of(self.vehicles, rows)
 
     def _noted(self, topic: Topic, number: int) -> dict[str, Any]:
-        return self._kept.notes[topic.name].at(number, lambda each: self._message(topic, each, bytes))
+        return self._collected.notes[topic.name].at(number, lambda each: self._message(topic, each, bytes))
 
     def _fixes(self, time_ns: int, since_ns: int | None) -> dict[str, Fix]:
         """The newest of each vehicle, whichever of its sensors it came from."""
@@ -228,6 +232,84 @@ class Recording:
     def _targets(self, time_ns: int) -> dict[str, tuple[float, float]]:
         targets = () if self._stage.world is None else self._stage.world.targets
         return {each.name: each.place(time_ns / SECOND_NS) for each in targets}
+
+
+class Accumulator:
+    """What only all messages of a topic tell: counts of frames, lines of the log, notes, stopped vehicles.
+
+    Args:
+        about: what the recording says of its run, known before its first message.
+    """
+
+    def __init__(self, about: Mapping[str, str]) -> None:
+        self._about = about
+        self.counts = Counts(())
+        self.lines: list[Line] = []
+        self.notes: dict[str, Notes] = {}  # by topic
+        self._halted: list[tuple[int, tuple[str, ...]]] = []
+
+    @property
+    def vehicles(self) -> tuple[str, ...]:
+        """Those of the run, in its order."""
+        return tuple(self._about.get("vehicles", "").split())
+
+    def taker(self, topic: str) -> Taker | None:
+        """What takes all messages of a topic, if they are needed."""
+        if topic.partition("/")[2] == NOTE:
+            self.notes[topic] = Notes()
+            return self.notes[topic].take
+        takers = {FRAMES: self._take_frame, LOG: self._take_line, HALTED: self._take_halted}
+        return takers.get(topic)
+
+    def close(self) -> None:
+        """There are no more."""
+        if not self.counts.vehicles:  # there was no frame
+            self.counts = Counts(self.vehicles)
+        self.counts.close()
+
+    def halted(self, time_ns: int) -> tuple[str, ...]:
+        """Whom the operator has stopped."""
+        return next((names for when_ns, names in reversed(self._halted) if when_ns <= time_ns), ())
+
+    def said(self, time_ns: int, since_ns: int | None) -> tuple[Line, ...]:
+        """The newest lines of the log; ``since_ns``: those that were later."""
+        from_ns = -1 if since_ns is None else since_ns
+        return tuple(line for line in self.lines if from_ns < line.time_ns <= time_ns)[-LINES:]
+
+    def _take_frame(self, time_ns: int, data: bytes) -> None:
+        if not self.counts.vehicles:
+            self.counts = Counts(self.vehicles)
+        self.counts.take(time_ns, data)
+
+    def _take_line(self, time_ns: int, data: bytes) -> None:
+        self.lines.append(values.line_of(data, time_ns))
+
+    def _take_halted(self, time_ns: int, data: bytes) -> None:
+        said = values.halted_of(data)
+        stand = {name for name in (self._halted[-1][1] if self._halted else ()) if name not in said.vehicles}
+        stand |= {*said.vehicles} if said.halted else set()
+        self._halted.append((time_ns, tuple(name for name in self.vehicles if name in stand)))
+
+
+class Notes:
+    """The notes of one vehicle. They are told apart by what they name, and of each sort only the newest is read."""
+
+    def __init__(self) -> None:
+        self._sorts: dict[tuple[str, ...], array[int]] = {}  # names -> numbers of the notes that have them
+        self._count = 0
+
+    def take(self, _: int, data: bytes) -> None:
+        """The next note."""
+        self._sorts.setdefault(tuple(values.note_of(data)), array("q")).append(self._count)
+        self._count += 1
+
+    def at(self, number: int, get: Callable[[int], bytes]) -> dict[str, Any]:
+        """All that was noted up to the note of this number; ``get`` gives a note by its number."""
+        newest = [numbers[place - 1] for numbers in self._sorts.values() if (place := bisect_right(numbers, number))]
+        noted: dict[str, Any] = {}
+        for each in sorted(newest):
+            noted |= values.note_of(get(each))
+        return noted
 
 
 def _opened(folder: Path) -> Messages:
