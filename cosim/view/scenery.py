@@ -7,12 +7,15 @@ import numpy as np
 
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.assembly.vehicle_models import Vehicle, flies
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.types import frozen
 from vcmvsp.cosim.view.messages import Craft, Obstacle, Scenery
+
+VehicleKinds = dict[str, type[Vehicle]]  # by their names in the scenario
 
 
 def scenery_of(
@@ -43,7 +46,7 @@ def scenery_of(
         world, _ = worlds.build(scenario.world, source, seed=scenario.seed)
     vertices, triangles = world.mesh()
     agents = {info.vehicle: info for info in infos}
-    kinds: dict[str, Any] = {}  # a file is executed once, not for each vehicle
+    kinds: VehicleKinds = {}  # a file is executed once, not for each vehicle
     return Scenery(
         scenario=scenario.name,
         seed=scenario.seed,
@@ -61,7 +64,7 @@ def scenery_of(
     )
 
 
-def _craft(vehicle: VehicleTable, scenario: Scenario, source: Source, info: AgentInfo | None, kinds: dict[str, Any]) -> Craft:
+def _craft(vehicle: VehicleTable, scenario: Scenario, source: Source, info: AgentInfo | None, kinds: VehicleKinds) -> Craft:
     model = _model(vehicle, source, kinds)
     agent, period_s = _agent(vehicle, scenario, info)
     return Craft(
@@ -69,7 +72,7 @@ def _craft(vehicle: VehicleTable, scenario: Scenario, source: Source, info: Agen
         kind=vehicle.kind,
         size=model.hull.size,
         offset=model.hull.offset,
-        flies=registry.piece("flies")(model),
+        flies=flies(model),
         real=vehicle.is_real,
         agent=agent,
         period_s=period_s,
@@ -77,7 +80,7 @@ def _craft(vehicle: VehicleTable, scenario: Scenario, source: Source, info: Agen
     )
 
 
-def _model(vehicle: VehicleTable, source: Source, kinds: dict[str, Any]) -> Any:
+def _model(vehicle: VehicleTable, source: Source, kinds: VehicleKinds) -> Vehicle:
     """What a vehicle is; parameters that its kind does not take do not count here: the run has refused them."""
     key = f"vehicle.{vehicle.name}"
     if vehicle.kind not in kinds:

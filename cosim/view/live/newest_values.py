@@ -187,7 +187,7 @@ class Newest:
         self._notes.setdefault(vehicle, {}).update(note.values)
         self._noted.add(vehicle)
 
-    def _on_value(self, key: str, time_ns: int, value: Any) -> None:
+    def _on_value(self, key: str, time_ns: int, value: object) -> None:
         self._values[key] = value
 
     def _on_reading(self, key: str, time_ns: int, reading: Scan | Image) -> None:
