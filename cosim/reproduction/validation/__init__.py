@@ -20,9 +20,9 @@ FORMATION, BODIES, AVOIDANCE, SEARCH = "Formation control", "Vehicles and sensor
 FEW_LOSSES: Mapping[str, Any] = {"probabilities": (0.0, 0.3, 0.7, 0.9), "followers": 12}
 
 
-def _figure(area: str, name: str, source: str, seconds: float, reduced: str = "", **settings: Any) -> Check:
+def _figure(area: str, name: str, source: str, seconds: float, reduced: str = "", **settings: object) -> Check:
     settings = {"name": name, **settings}
-    return Check(f"figure-{name}", area, figures.NAMES[name][1], source, "figures:rows", seconds, settings, reduced)
+    return Check(f"figure-{name}", area, figures.NAMES[name][1], source, "check:figure_rows", seconds, settings, reduced)
 
 
 def _ns3(name: str, case: str, seconds: float) -> Check:

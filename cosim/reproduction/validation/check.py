@@ -1,4 +1,4 @@
-"""A check: something that is measured anew whenever it is asked for, and rows that compare it with what must come out."""
+"""A check: a measurement made anew each time, and rows that compare it with expected numbers."""
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures.figure import Row, Runner
 
 
@@ -64,3 +65,8 @@ def measured(check: Check) -> Outcome:
     except Exception as error:
         return Outcome(check, problem=f"{type(error).__name__}: {error}")
     return Outcome(check, rows, "" if rows else "gave no rows")
+
+
+def figure_rows(name: str, **settings: object) -> Sequence[Row]:
+    """The rows of one figure; settings are those of the function that makes it."""
+    return figures.find(name)(Runner(), **settings).rows
