@@ -1,6 +1,7 @@
 """Step responses: one vehicle of a scenario gets one command at 0 and holds it."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def _numbers(text: str) -> dict[str, float]:
 
 
 def drive(
-    what: str | Path, vehicle: str, command: str, seconds: float, settings: dict[str, Any] | None = None
+    what: str | Path | Mapping[str, Any], vehicle: str, command: str, seconds: float, settings: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Let one vehicle obey one command, while all others stand still.
 

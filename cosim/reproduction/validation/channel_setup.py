@@ -2,18 +2,19 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.assembly import radio
+from vcmvsp.cosim.assembly.radio_models import Channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.types import Array, FrameReport, Message
 
 
-def channel(preset: str = "ideal", *, seed: int = 1, solids: Sequence[Any] = (), **layers: Any) -> Any:
-    """A `netsim.channel.channel.Channel` of a preset with some layers changed, which draws from ``seed``."""
+def channel(preset: str = "ideal", *, seed: int = 1, solids: Sequence[object] = (), **layers: object) -> Channel:
+    """A channel of a preset with some layers changed, which draws from ``seed``."""
+    built: Channel
     built, _ = radio.build({"preset": preset, **layers}, Source("validation", Path()), solids=solids)
     built.start(seed)
     return built
@@ -30,27 +31,26 @@ def line(distances_m: Sequence[float], height_m: float = 0.0) -> Array:
 
 
 def send(
-    on: Any, position: Array, *, sent_ns: int = 0, sender: int = 0, to: int | None = None, size_bytes: int = 100
+    on: Channel, position: Array, *, sent_ns: int = 0, sender: int = 0, to: int | None = None, size_bytes: int = 100
 ) -> list[FrameReport]:
     """One frame among vehicles at these places (n, 3); what is decided by it."""
     names = names_of(len(position))
     message = Message(sender=names[sender], body={}, size_bytes=size_bytes, to=None if to is None else names[to])
-    reports: list[FrameReport] = on.send(sent_ns, message, names, position)
-    return reports
+    return on.send(sent_ns, message, names, position)
 
 
-def heard(on: Any, position: Array, **frame: Any) -> FrameReport:
+def heard(on: Channel, position: Array, **frame: int) -> FrameReport:
     """The report of a frame whose fate is known at once."""
     (report,) = send(on, position, **frame)
     return report
 
 
-def part(name: str, on: Any, position: Array, **frame: Any) -> Array:
+def part(name: str, on: Channel, position: Array, **frame: int) -> Array:
     """A part of the link budget of a frame at all its receivers, by its name in the report."""
     return np.asarray(getattr(heard(on, position, **frame), name))
 
 
-def decided(on: Any) -> Iterator[FrameReport]:
+def decided(on: Channel) -> Iterator[FrameReport]:
     """The reports of all frames that are still open."""
     while (due_ns := on.next_ns()) is not None:
         yield from on.advance(due_ns + SECOND_NS)

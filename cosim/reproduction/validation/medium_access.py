@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.assembly.radio_models import Channel, broadcast_trial
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, decided, send
 from vcmvsp.cosim.types import Array, FrameReport
@@ -131,13 +131,13 @@ def sending_chance(count: int, window: int = 32, stages: int = 5) -> float:
 
 def periodic(seeds: int = 20) -> Sequence[Row]:
     """Radios with random phases, over several placements: ``vcmvsp channel``."""
-    trial, rows = registry.piece("channel trial"), []
+    rows = []
     for preset, count, delivery, mean_ms in PERIODIC:
         counts = []
         for seed in range(seeds):
             position = np.random.default_rng(seed).uniform(0.0, 200.0, (count, 3)) * (1.0, 1.0, 0.0)
-            plan = trial.Broadcasts(position=position, rate_hz=10.0, size_bytes=100, duration_s=2.0, seed=seed)
-            counts.append(trial.run(channel(preset, path_loss={"exponent": 2.0}), plan))
+            plan = broadcast_trial.Broadcasts(position=position, rate_hz=10.0, size_bytes=100, duration_s=2.0, seed=seed)
+            counts.append(broadcast_trial.run(channel(preset, path_loss={"exponent": 2.0}), plan))
         weights = [each["receptions"] for each in counts]
         delay_s = np.average([each["delay_s"]["mean"] for each in counts], weights=weights)
         share, case = float(np.mean([each["delivery_ratio"] for each in counts])), f"{preset}, {count} radios"
@@ -202,12 +202,12 @@ def lrwpan() -> Sequence[Row]:
     return rows
 
 
-def _random(on: Any, position: Array, hz: float, seconds: float, size: int, rng: np.random.Generator) -> list[Any]:
+def _random(on: Channel, position: Array, hz: float, seconds: float, size: int, rng: np.random.Generator) -> list[FrameReport]:
     """Frames of random senders at random times, and what becomes of all of them."""
     count = len(position)
     frames = round(count * hz * seconds)
     times = np.sort(rng.integers(0, round(seconds * 1e9), frames)).tolist()
-    reports: list[Any] = []
+    reports: list[FrameReport] = []
     for at, sender in zip(times, rng.integers(0, count, frames).tolist(), strict=True):
         reports += send(on, position, sent_ns=at, sender=sender, size_bytes=size)
         reports += on.advance(at)

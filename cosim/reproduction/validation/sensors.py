@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
 from vcmvsp.cosim.runs.api import run
-from vcmvsp.cosim.types import Array, Later
+from vcmvsp.cosim.types import Array, Later, Scan
 
 HALF_M = (4.0, 3.0)  # a room of 8 x 6 m, in its middle
 POSES = ((0.0, 0.0, 0.0), (1.5, -2.0, -2.2), (-3.0, 1.0, 3.1))  # x m, y m, yaw rad
@@ -55,7 +56,7 @@ def scanner() -> Sequence[Row]:
     return rows
 
 
-def _bearings(scan: Any) -> Array:
+def _bearings(scan: Scan) -> Array:
     return np.asarray(scan.angle_min + scan.angle_step * np.arange(len(scan.ranges)))
 
 
@@ -130,7 +131,7 @@ def _readings(
     }
     told: list[Any] = []
 
-    def observe(event: Any) -> None:
+    def observe(event: Event) -> None:
         if event.key == "car/it":
             told.append(event.value.get() if isinstance(event.value, Later) else event.value)
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import lambertw
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
 from vcmvsp.cosim.reproduction.figures.scenarios import ASIDE, UNLIMITED, R, T, V, W, fleet, lossy, tracks
 from vcmvsp.cosim.rng import philox4x32
@@ -36,7 +37,7 @@ def ticks() -> Sequence[Row]:
     for car in scenario["vehicle"]:
         car["agent"] = {**car["agent"], "period_s": rates[car["name"]]}
 
-    def observe(event: Any) -> None:
+    def observe(event: Event) -> None:
         name, _, what = event.key.partition("/")
         if what == "command":
             seen[name].append(event.time_ns)

@@ -73,7 +73,7 @@ def quadrotor() -> Sequence[Row]:
 
 def _fly(command: str, seconds: float, hz: float, settings: dict[str, Any] | None = None) -> dict[str, Any]:
     """Columns over time of one quadrotor that starts at rest, 10 m above the ground."""
-    scenario: Any = {
+    scenario = {
         "name": "flight",
         "duration_s": seconds,
         "physics": {"kind": "bullet", "rate_hz": hz},
