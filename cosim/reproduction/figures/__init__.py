@@ -13,7 +13,8 @@ from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.errors import UsageError
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.reproduction.figures.figure import Figure, Runner
+    from vcmvsp.cosim.reproduction.figures.figure import Figure
+    from vcmvsp.cosim.reproduction.runner import Runner
 
 NAMES: Mapping[str, tuple[str, str]] = {
     "24": (

@@ -3,7 +3,8 @@
 import csv
 from pathlib import Path
 
-from vcmvsp.cosim.reproduction.figures.figure import Figure, Row
+from vcmvsp.cosim.reproduction.figures.figure import Figure
+from vcmvsp.cosim.reproduction.row import Row
 from vcmvsp.cosim.util.files import to_json, writing
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.reproduction.figures.figure import Job
+from vcmvsp.cosim.reproduction.runner import Job
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 

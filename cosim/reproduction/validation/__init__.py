@@ -1,6 +1,6 @@
 """Every law, closed form and outside reference that the platform is held to, measured anew: ``vcmvsp validate``.
 
-A check is a function of a module here that measures and gives rows (`cosim.reproduction.figures.figure.Row`); nothing is
+A check is a function of a module here that measures and gives rows (`cosim.reproduction.row.Row`); nothing is
 copied from an earlier run. Expected numbers are worked out where there is a formula, and stored with their source where
 another program, a standard or a book says them. Start reading in `cosim.reproduction.validation.check`.
 """

@@ -7,7 +7,8 @@ from functools import partial
 from typing import Any
 
 from vcmvsp.cosim.reproduction import figures
-from vcmvsp.cosim.reproduction.figures.figure import Row, Runner
+from vcmvsp.cosim.reproduction.row import Row
+from vcmvsp.cosim.reproduction.runner import Runner
 
 
 @dataclass(frozen=True)

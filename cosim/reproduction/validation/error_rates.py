@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from vcmvsp.cosim.assembly.radio_models import model_curves
-from vcmvsp.cosim.reproduction.figures.figure import Row, absolute
+from vcmvsp.cosim.reproduction.row import Row, absolute
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, heard, line
 
 BITS = 1088  # of a PSDU of 136 bytes

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import j0
 
-from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
+from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, heard, line, part
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.tables.columns import numbers

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
+from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, heard, line
 from vcmvsp.cosim.types import Array
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
+from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Array, Later, Scan
 

@@ -10,8 +10,8 @@ from scipy.special import lambertw
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.reproduction.figures.figure import Row, absolute, relative
 from vcmvsp.cosim.reproduction.figures.scenarios import ASIDE, UNLIMITED, R, T, V, W, fleet, lossy, tracks
+from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.rng import philox4x32
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Array

@@ -18,18 +18,7 @@ from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.reproduction import figures
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Heat,
-    Job,
-    Panel,
-    Row,
-    Runner,
-    at_least,
-    at_most,
-    relative,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
 from vcmvsp.cosim.reproduction.figures.files import as_json, table, write
 from vcmvsp.cosim.reproduction.figures.formation import circle, gains, loss, loss_integration, rates
 from vcmvsp.cosim.reproduction.figures.scenarios import (
@@ -46,6 +35,8 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     track,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio
+from vcmvsp.cosim.reproduction.row import Row, at_least, at_most, relative
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 
 AHEAD = math.sqrt(3.0) / 2.0
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.cosim.command_line import Outcome, vcmvsp_command
 from vcmvsp.cosim.reproduction import figures
-from vcmvsp.cosim.reproduction.figures.figure import Row
+from vcmvsp.cosim.reproduction.row import Row
 from vcmvsp.cosim.reproduction.validation import CHECKS, chosen, document, levels
 from vcmvsp.cosim.reproduction.validation import check as kit
 from vcmvsp.netsim.interfaces.layers import Floats

@@ -17,8 +17,8 @@ from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
-from vcmvsp.cosim.reproduction.figures.figure import Job
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T
+from vcmvsp.cosim.reproduction.runner import Job
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array, Velocity
 

@@ -25,18 +25,10 @@ from vcmvsp.cosim.reproduction.figures.avoidance.gap_gauge import (
     random_doors,
 )
 from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Job,
-    Panel,
-    Row,
-    Runner,
-    absolute,
-    at_least,
-    at_most,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 

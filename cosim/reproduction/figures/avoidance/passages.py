@@ -18,19 +18,10 @@ import numpy as np
 
 from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.metrics.formation import formation_errors
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Job,
-    Panel,
-    Row,
-    Runner,
-    absolute,
-    at_least,
-    at_most,
-    relative,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import V, lossy, settling_s
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most, relative
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 

@@ -17,17 +17,10 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Job,
-    Panel,
-    Runner,
-    absolute,
-    at_least,
-    at_most,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T, V
+from vcmvsp.cosim.reproduction.row import absolute, at_least, at_most
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 

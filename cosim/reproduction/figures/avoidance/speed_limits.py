@@ -19,19 +19,10 @@ import numpy as np
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Job,
-    Panel,
-    Row,
-    Runner,
-    Style,
-    absolute,
-    at_least,
-    at_most,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Style
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array, Positive, Velocity
 

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, at_most
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     AHEAD,
     ASIDE,
@@ -22,6 +22,8 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     track,
     tracks,
 )
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_most
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 

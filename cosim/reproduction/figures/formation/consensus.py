@@ -14,18 +14,10 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Job,
-    Panel,
-    Row,
-    Runner,
-    absolute,
-    at_most,
-    relative,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array
 

@@ -2,21 +2,13 @@
 
 import numpy as np
 
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Heat,
-    Panel,
-    Row,
-    Runner,
-    absolute,
-    at_most,
-    relative,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
 from vcmvsp.cosim.reproduction.figures.formation import loss_integration
 from vcmvsp.cosim.reproduction.figures.formation.loss import TITLES, by_estimator, integrated, team
 from vcmvsp.cosim.reproduction.figures.scenarios import ASIDE, TRIANGLE, R, T, V, W, fleet, rms
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
+from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.types import Array
 
 DELAYS_S = (0.1, 0.3, 0.5, 1.0, 1.5, 2.0)

@@ -5,17 +5,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Job,
-    Panel,
-    Row,
-    Runner,
-    absolute,
-    at_least,
-    relative,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     AHEAD,
     T,
@@ -26,6 +16,8 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     step_follower,
     track,
 )
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, relative
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.types import Array
 
 STEP_M, LAG_S = 0.5, 0.5

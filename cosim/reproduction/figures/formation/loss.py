@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, at_most, relative
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.formation import loss_integration
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     K1,
@@ -23,6 +23,8 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     rms,
 )
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio
+from vcmvsp.cosim.reproduction.row import Row, at_most, relative
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Array

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, relative
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     AHEAD,
     K1,
@@ -15,6 +15,8 @@ from vcmvsp.cosim.reproduction.figures.scenarios import (
     step_follower,
     track,
 )
+from vcmvsp.cosim.reproduction.row import Row, absolute, relative
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.types import Array
 
 STEP_M, LAG_S, TINY_M = 0.5, 0.5, 1e-4

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Runner, absolute
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import K1, T, V, fleet, settling_s, track
+from vcmvsp.cosim.reproduction.row import absolute
+from vcmvsp.cosim.reproduction.runner import Runner
 
 BAND_M = 0.05
 CASES: tuple[

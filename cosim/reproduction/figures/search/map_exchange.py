@@ -13,18 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Heat,
-    Panel,
-    Row,
-    Runner,
-    absolute,
-    at_most,
-    relative,
-)
+from vcmvsp.cosim.assembly.search_map import Sensor, decisions
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
 from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
     CELL_M,
     EDGE_M,
@@ -33,6 +23,8 @@ from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
     places,
     searched,
 )
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
+from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.types import Array, ProbabilityMap
 
 COUNTS = (2, 4)
@@ -128,9 +120,8 @@ def sequential(p: float) -> tuple[int, float, float]:
 
     A walk from state to state, one step up with p and down with 1 - p, until a decision: its fundamental matrix tells all.
     """
-    maps = registry.piece("reconnaissance")
-    evidence = maps.Sensor(p, 1.0 - p).evidence(np.array([1]), np.array([0]))[0]
-    net = next(hits for hits in range(1, 100) if maps.decisions(np.array([hits * evidence]))[0] == 1)
+    evidence = Sensor(p, 1.0 - p).evidence(np.array([1]), np.array([0]))[0]
+    net = next(hits for hits in range(1, 100) if decisions(np.array([hits * evidence]))[0] == 1)
     states = 2 * net - 1  # -net + 1 to net - 1
     steps = np.diag(np.full(states - 1, p), 1) + np.diag(np.full(states - 1, 1.0 - p), -1)
     visits = np.linalg.inv(np.eye(states) - steps)[net - 1]  # from the middle

@@ -5,6 +5,7 @@ On made-up ground, and in pictures that a camera of the platform takes over a to
 
 import math
 import tempfile
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,8 @@ import numpy as np
 
 from vcmvsp.cosim.analysis.recognition import Rates
 from vcmvsp.cosim.analysis.snapshots import Snapshots
-from vcmvsp.cosim.config import registry
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo, Row, Runner, absolute
+from vcmvsp.cosim.assembly.recognition import Detector
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     SIZE_M,
     Tally,
@@ -26,6 +27,8 @@ from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     together,
     town,
 )
+from vcmvsp.cosim.reproduction.row import Row, absolute
+from vcmvsp.cosim.reproduction.runner import Runner
 
 HEIGHTS = (10.0, 15.0, 20.0, 30.0, 40.0)  # m
 FRAMES = 60  # at each height
@@ -41,8 +44,9 @@ PRECISION, RECALL, ANGLE_DEG, PLACE = 0.95, 0.90, 1.0, 0.05  # what is asked for
 def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
     """Precision and recall by height, with one, two and three stages; examples."""
     parts = [np.arange(frames)[part::PARTS].tolist() for part in range(PARTS)]
-    towns = [partial(photographed, height, frames // len(TOWNS), TOWNS) for height in HEIGHTS]
-    answers = iter(runner([*(partial(tallied, height, part) for height in HEIGHTS for part in parts), *towns]))
+    jobs: list[Callable[[], Any]] = [partial(tallied, height, part) for height in HEIGHTS for part in parts]
+    jobs += [partial(photographed, height, frames // len(TOWNS), TOWNS) for height in HEIGHTS]
+    answers = iter(runner(jobs))
     by_height = [_joined([next(answers) for _ in parts]) for _ in HEIGHTS]
     rows: list[Row] = []
     for height, (*_, each) in zip(HEIGHTS, by_height, strict=True):
@@ -77,7 +81,7 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
     return Figure("Recognition in three stages, one target and five likenesses of it in each picture", panels, rows, columns=3)
 
 
-def _joined(parts: list[Any]) -> list[Tally]:
+def _joined(parts: Sequence[Sequence[Tally]]) -> list[Tally]:
     """By stages, what was tallied in parts."""
     return [together(each) for each in zip(*parts, strict=True)]
 
@@ -114,7 +118,7 @@ def _errors(tallies: list[Tally]) -> Panel:
 def _example(height_m: float, number: int) -> Panel:
     """A picture with what is in it and what was found."""
     frame = made_up(height_m, number)
-    detector = registry.piece("recognition").Detector([target()])
+    detector = Detector([target()])
     found = detector.detect(frame.image, height_m, frame.seen.focal_px)
     alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
     right = [box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in found]

@@ -1,29 +1,21 @@
 """Figures 46 and 47: what each stage of recognition sees, in made-up pictures of the ground (Toh 2012, 5.3)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.assembly.recognition import ground, inspection
 from vcmvsp.cosim.frames import wrap
-from vcmvsp.cosim.reproduction.figures.figure import (
-    Curve,
-    Figure,
-    Panel,
-    Photo,
-    Row,
-    Runner,
-    absolute,
-    at_least,
-    at_most,
-    relative,
-)
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import KINDS, SIZE_M, box, made_up, target
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most, relative
+from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.types import Array
 
+T = TypeVar("T")
 HEIGHTS = (10.0, 20.0, 30.0, 40.0)  # m
 FRAMES = 25  # at each height
 SHOWN = (20.0, 4)  # height and number of the picture that is shown
@@ -43,8 +35,8 @@ COLORS = dict(zip(KINDS, (2, 1, 3, 4, 5, 6), strict=True))
 
 def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
     """Where the target's colours are: by the most frequent one alone, and by up to four of them."""
-    ranks = _gathered(runner, _ranks, frames)
-    shares = registry.piece("recognition ground").glyph().reshape(-1, 3)
+    ranks = np.concatenate(_by_height(runner, _ranks, frames))
+    shares = ground.glyph().reshape(-1, 3)
     counted = np.unique(shares, axis=0, return_counts=True)[1] / len(shares)
     hues = target().template(48).hues.shares
     middle = {hues: float(np.median(ranks[:, i])) for i, hues in enumerate(HUES)}
@@ -61,13 +53,12 @@ def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
 
 def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
     """Of pictures: the place of the target in the list of peaks, from 1, by so many hues; infinite: it is not in it."""
-    colours = registry.piece("recognition inspection").colour_map
     ranks = np.full((len(numbers), len(HUES)), np.inf)
     for row, number in enumerate(numbers):
         frame = made_up(height_m, number)
         (truth,) = frame.seen.truths
         for column, hues in enumerate(HUES):
-            peaks = colours(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues).peaks
+            peaks = inspection.colour_map(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues).peaks
             near = np.flatnonzero(np.hypot(peaks[:, 0] - truth.u, peaks[:, 1] - truth.v) < 0.5 * frame.side_px)
             ranks[row, column] = near[0] + 1 if near.size else np.inf
     return ranks
@@ -83,9 +74,7 @@ def _maps() -> list[Panel]:
     axes = "u [px]", "v [px]"
     panels = [Panel(f"The picture, from {height_m:g} m", *axes, [here, *alike], photo=Photo(frame.image))]
     for hues, name in ((1, "the most frequent colour"), (4, "all colours")):
-        found = registry.piece("recognition inspection").colour_map(
-            target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues
-        )
+        found = inspection.colour_map(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues)
         peaks = Curve(found.peaks[:, 0], found.peaks[:, 1], f"{len(found.peaks)} peaks", 1, "hollow")
         photo = Photo(_enlarged(found.score, frame.image.shape[:2]))
         panels.append(Panel(f"Score by {name}", *axes, [here, peaks], photo=photo))
@@ -120,13 +109,13 @@ def _hues(shares: Sequence[float]) -> Panel:
 class Judged(NamedTuple):
     """What the stages say of places in a picture."""
 
-    scores: dict[str, Any]  # by kind
+    scores: dict[str, inspection.Scores]  # by kind
     angle: float  # rad, of the target
 
 
 def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
     """What turning changes and what it does not; scores of targets and of their likenesses; estimated angles."""
-    seen: list[Judged] = _gathered(runner, _judged, frames)
+    seen = [one for each in _by_height(runner, _judged, frames) for one in each]
     turned, shifted = runner([partial(_turned, TURNS_DEG), partial(_shifted, SHIFTS_PX)])
     rings, match = (
         {kind: np.array([getattr(each.scores[kind], name) for each in seen]) for kind in KINDS} for name in ("rings", "match")
@@ -151,39 +140,37 @@ def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
 
 
 def _judged(height_m: float, numbers: Sequence[int]) -> list[Judged]:
-    inspect = registry.piece("recognition inspection").inspect
     found = []
     for number in numbers:
         frame = made_up(height_m, number)
         (truth,) = frame.seen.truths
         places = {"target": (truth.u, truth.v), **{name: (u, v) for name, u, v in frame.likenesses}}
-        scores = {kind: inspect(target(), frame.image, height_m, frame.seen.focal_px, at) for kind, at in places.items()}
+        picture = frame.image, height_m, frame.seen.focal_px
+        scores = {kind: inspection.inspect(target(), *picture, at) for kind, at in places.items()}
         found.append(Judged(scores, truth.angle))
     return found
 
 
-def _alone(degrees: float, off_px: float = 0.0) -> Any:
+def _alone(degrees: float, off_px: float = 0.0) -> inspection.Scores:
     """What the stages say of a target alone, 40 px a side, turned by so much; its place is told so many px of the patch off."""
-    ground, place = registry.piece("recognition ground"), (319.5, 239.5)
+    place = 319.5, 239.5
     frame = ground.frame(
         np.random.default_rng(5), 20.0, places=[place], angles=[math.radians(degrees)], distractors=False, light=1.0
     )
     told = place[0] + off_px * frame.side_px / 48.0, place[1]
-    inspect = registry.piece("recognition inspection").inspect
-    return inspect(target(), frame.image, 20.0, frame.seen.focal_px, told)
+    return inspection.inspect(target(), frame.image, 20.0, frame.seen.focal_px, told)
 
 
-def _turned(degrees: Sequence[float]) -> list[Any]:
+def _turned(degrees: Sequence[float]) -> list[inspection.Scores]:
     return [_alone(each) for each in degrees]
 
 
-def _shifted(shifts_px: Sequence[float]) -> list[Any]:
+def _shifted(shifts_px: Sequence[float]) -> list[inspection.Scores]:
     return [_alone(30.0, each) for each in shifts_px]
 
 
 def _likenesses() -> Panel:
     """The target and what resembles it, side by side."""
-    ground = registry.piece("recognition ground")
     pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(1))]
     edge = np.full((pictures[0].shape[0], 12, 3), 255, np.uint8)
     upper, lower = (np.hstack([part for each in pictures[i : i + 3] for part in (each, edge)]) for i in (0, 3))
@@ -193,7 +180,7 @@ def _likenesses() -> Panel:
     return Panel(f"A target of {SIZE_M:g} m, framed, and its likenesses", "u [px]", "v [px]", [first], photo=Photo(pixels))
 
 
-def _by_turn(turned: Sequence[Any]) -> Panel:
+def _by_turn(turned: Sequence[inspection.Scores]) -> Panel:
     x = np.array(TURNS_DEG, float)
     kinds = (("rings", "stage 2"), ("match", "stage 3, turned back"), ("upright", "stage 3, not turned back"))
     curves = [
@@ -202,7 +189,7 @@ def _by_turn(turned: Sequence[Any]) -> Panel:
     return Panel("A turned target", "turned by [deg]", "score", curves, levels={"threshold of stage 3": MATCH})
 
 
-def _by_shift(shifted: Sequence[Any]) -> Panel:
+def _by_shift(shifted: Sequence[inspection.Scores]) -> Panel:
     x = np.array(SHIFTS_PX, float)
     kinds = (("rings", "stage 2"), ("match", "stage 3"), ("fixed", "correlation at the told place"))
     curves = [
@@ -230,7 +217,6 @@ def _angles(seen: Sequence[Judged], errors: Array) -> list[Panel]:
     ]
 
 
-def _gathered(runner: Runner, work: Any, frames: int) -> Any:
-    """What is made of pictures, from all heights one after the other."""
-    answers = runner([partial(work, height, range(frames)) for height in HEIGHTS])
-    return np.concatenate(answers) if isinstance(answers[0], np.ndarray) else [one for each in answers for one in each]
+def _by_height(runner: Runner, work: Callable[[float, Sequence[int]], T], frames: int) -> list[T]:
+    """What is made of the pictures of each height."""
+    return runner([partial(work, height, range(frames)) for height in HEIGHTS])

@@ -10,7 +10,9 @@ import numpy as np
 
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Job, Panel, Row, Runner, absolute, at_least
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_least
+from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.types import Array

@@ -16,7 +16,7 @@ import numpy as np
 
 from vcmvsp.cosim.analysis.recognition import Rates
 from vcmvsp.cosim.analysis.snapshots import Snapshots
-from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.assembly.recognition import Detection, Detector, Target, ground
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve
 
@@ -35,7 +35,7 @@ class Tally:
     angles: list[float] = field(default_factory=list)  # errors, rad
     places: list[float] = field(default_factory=list)  # errors, sides
 
-    def add(self, detections: Sequence[Any], truths: Sequence[Any], side_px: float) -> None:
+    def add(self, detections: Sequence[Detection], truths: Sequence[ground.Truth], side_px: float) -> None:
         """Count those of a picture; ``truths`` are all targets in it, each of which is found once."""
         left = list(detections)
         for truth in truths:
@@ -72,20 +72,20 @@ def together(tallies: Iterable[Tally]) -> Tally:
     return total
 
 
-def target() -> Any:
+def target() -> Target:
     """What is looked for in made-up pictures."""
-    return registry.piece("recognition").Target("glyph", registry.piece("recognition ground").glyph(), SIZE_M)
+    return Target("glyph", ground.glyph(), SIZE_M)
 
 
-def made_up(height_m: float, number: int) -> Any:
+def made_up(height_m: float, number: int) -> ground.Frame:
     """A picture of the ground, always the same for these arguments: ``image``, ``seen``, ``likenesses``, ``side_px``."""
-    return registry.piece("recognition ground").frame(np.random.default_rng([round(10 * height_m), number]), height_m)
+    return ground.frame(np.random.default_rng([round(10 * height_m), number]), height_m)
 
 
 def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tally]:
     """With the first stage alone, with two and with all three."""
     wanted, tallies = target(), (Tally(), Tally(), Tally())
-    detectors = [registry.piece("recognition").Detector([wanted], stages=stages) for stages in (1, 2, 3)]
+    detectors = [Detector([wanted], stages=stages) for stages in (1, 2, 3)]
     for number in numbers:
         frame = made_up(height_m, number)
         for detector, tally in zip(detectors, tallies, strict=True):
@@ -96,7 +96,6 @@ def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tall
 
 def town(folder: Path, height_m: float, seed: int) -> dict[str, Any]:
     """A town in whose streets a target and its likenesses lie, and a vehicle over it; their pictures are put in a folder."""
-    ground = registry.piece("recognition ground")
     pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(seed))]
     for name, picture in zip(KINDS, pictures, strict=True):
         ground.save(picture, folder / f"{name}.png")
@@ -160,6 +159,6 @@ def box(u: float, v: float, side_px: float, angle: float, label: str, color: int
     return Curve(u + x, v - y, label, color)
 
 
-def _apart(one: Any, truth: Any) -> float:
+def _apart(one: Detection, truth: ground.Truth) -> float:
     u, v = one.centre_px
     return math.hypot(u - truth.u, v - truth.v)

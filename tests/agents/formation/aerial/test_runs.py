@@ -9,8 +9,9 @@ import pytest
 from tests.support.paths import SCENARIOS
 from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.reproduction.figures.avoidance import potential_fields
-from vcmvsp.cosim.reproduction.figures.figure import Figure, Runner
+from vcmvsp.cosim.reproduction.figures.figure import Figure
 from vcmvsp.cosim.reproduction.figures.files import write
+from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.runs.api import run
 
 BODY_M = 0.267  # of a quadrotor: from its centre to the tips of its propellers

@@ -17,7 +17,7 @@ from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Radio, VehicleInfo
 from vcmvsp.cosim.reproduction.figures.avoidance import passages
-from vcmvsp.cosim.reproduction.figures.figure import Runner
+from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.runs.api import run
 from vcmvsp.cosim.types import Message, Scan
 

@@ -1,0 +1,57 @@
+"""Runs the jobs of figures and checks, several at a time in processes of their own."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.processes.worker_pool import Pool
+from vcmvsp.cosim.runs.api import Result, run
+
+Read = Callable[[Result], Any]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run, and what is wanted of it: ``read`` is a function of a module, since it may be called in another process."""
+
+    scenario: Mapping[str, Any]
+    read: Read
+    set: Mapping[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+
+    def __call__(self) -> Any:
+        """What is wanted of it."""
+        return self.read(run(self.scenario, seed=self.seed, set=self.set, mcap=False))
+
+
+class Runner:
+    """Runs jobs, several at a time where there are several: those of the platform, or a `functools.partial` of other work.
+
+    Args:
+        jobs: how many processes; 1: this one.
+        progress: told after every run how many are done, and of how many.
+    """
+
+    def __init__(self, jobs: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
+        self._jobs, self._progress = jobs, progress or (lambda *_: None)
+
+    def __call__(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
+        """What each job gave, in the order of the jobs."""
+        workers = min(self._jobs, len(jobs))
+        if workers <= 1:
+            return [self._tell(done, len(jobs), _do(job)) for done, job in enumerate(jobs, 1)]
+        died = VcmvspError("a process that ran a part of the figure died twice; --jobs 1 runs all in this one")
+        with Pool(_do, workers, died=died) as pool:
+            given = pool.answers(enumerate(jobs), len(jobs))
+            answers = dict(self._tell(done, len(jobs), answer) for done, answer in enumerate(given, 1))
+        return [answers[place] for place in range(len(jobs))]
+
+    def _tell(self, done: int, of: int, answer: T) -> T:
+        self._progress(done, of)
+        return answer
+
+
+def _do(job: Callable[[], T]) -> T:
+    return job()
