@@ -9,14 +9,13 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.metrics import motion
-from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T
 from vcmvsp.cosim.reproduction.runner import Job
 from vcmvsp.cosim.runs.api import Result
@@ -30,6 +29,21 @@ ASIDE = 0.2  # of the way from the middle of a door to its left jamb
 STEPS, STEP_M = 15, 4.0 * 2.0**-15  # of a bisection from 4 m on
 DOORS, PARTS, SIGHT_M = 998, 4, 2.0  # random doors, runs, look-ahead distance
 DISTANCES, RANGE_M, PIER_M, FAR_M = 400, (0.8, 1.3), 0.3, 2.4  # Fig. 40: how many, m; between doors; look-ahead distance
+
+
+def wall_pieces(doors: Sequence[tuple[float, float]], end: float) -> list[tuple[float, float]]:
+    """From where to where there is wall between doors (middle, width), m."""
+    edges = [-end, *(edge for middle, width in sorted(doors) for edge in (middle - 0.5 * width, middle + 0.5 * width)), end]
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def wall_box(
+    x: float, y: float, low: float, high: float, tilt: float, thick: float = 0.02, height: float = 1.0
+) -> dict[str, Any]:
+    """A piece of a wall that is turned about (x, y)."""
+    along = 0.5 * (low + high)
+    center = (x - along * math.sin(tilt), y + along * math.cos(tilt), 0.5 * height)
+    return {"center": center, "size": (thick, high - low, height), "yaw_rad": tilt}
 
 
 class Door(NamedTuple):
@@ -146,8 +160,8 @@ def gauge(
     boxes = []
     for (x, y), doors in walls.items():
         distance, tilt = doors[0].distance, doors[0].tilt
-        for low, high in pieces([(door.middle, door.width) for door in doors], SIDE_M):
-            boxes.append(box(x + distance, y, low, high, tilt, THIN_M, HEIGHT_M))
+        for low, high in wall_pieces([(door.middle, door.width) for door in doors], SIDE_M):
+            boxes.append(wall_box(x + distance, y, low, high, tilt, THIN_M, HEIGHT_M))
     places, doors = [place for place, _ in looks], tuple(door for _, door in looks)
     agent = {"kind": f"{HERE}:Gauge", "places": places, "doors": [list(door) for door in doors], "lookahead_m": far}
     vehicle = {

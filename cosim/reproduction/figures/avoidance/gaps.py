@@ -23,8 +23,9 @@ from vcmvsp.cosim.reproduction.figures.avoidance.gap_gauge import (
     Gauged,
     four_doors,
     random_doors,
+    wall_box,
+    wall_pieces,
 )
-from vcmvsp.cosim.reproduction.figures.avoidance.walls import box, pieces
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most
@@ -71,7 +72,7 @@ def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot
         "name": "doors",
         "duration_s": 30.0,
         "physics": {"kind": "kinematic"},
-        "world": {"kind": "boxes", "boxes": [box(WALL_M, 0.0, *end, 0.0) for end in pieces(doors, END_M)]},
+        "world": {"kind": "boxes", "boxes": [wall_box(WALL_M, 0.0, *end, 0.0) for end in wall_pieces(doors, END_M)]},
         "radio": IDEAL,
         "vehicles": {"kind": "amigobot", "sensors": {"scan": {"kind": "lms", "position": (0.0, 0.0, 0.3)}}},
         "vehicle": [
@@ -179,7 +180,7 @@ def _panels(seen: Mapping[str, Passed], four: Gauged, parts: Sequence[Gauged]) -
 
 def _map(title: str, doors: Sequence[tuple[float, float]], ways: Sequence[tuple[str, Passed]]) -> Panel:
     """The wall, tracks, and in the same colours where their leaders stand."""
-    curves = [Curve(np.array([WALL_M, WALL_M]), np.array(end), "wall") for end in pieces(doors, END_M)]
+    curves = [Curve(np.array([WALL_M, WALL_M]), np.array(end), "wall") for end in wall_pieces(doors, END_M)]
     for color, (_, each) in enumerate(ways, 1):
         moves = np.hypot(*(each.place - each.place[-1]).T) > 0.01
         curves.append(Curve(each.place[moves, 0], each.place[moves, 1], "follower", color, "pose"))
