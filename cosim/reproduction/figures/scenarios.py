@@ -52,7 +52,7 @@ def fleet(
     leader: Mapping[str, Any] | None = None,
     kind: str = "kinematic",
     vehicles: Mapping[str, Any] | None = None,
-    **tables: Any,
+    **tables: object,
 ) -> dict[str, Any]:
     """A scenario: car1 leads from the origin, car2, car3, ... follow it.
 
@@ -106,7 +106,7 @@ def place_of(agent: Mapping[str, Any]) -> tuple[float, float, float]:
     return -ahead, -aside, table.get("handle", ahead)
 
 
-def step_follower(at_s: float, behind: float = 0.0, left: float = 0.0, **law: Any) -> dict[str, Any]:
+def step_follower(at_s: float, behind: float = 0.0, left: float = 0.0, **law: object) -> dict[str, Any]:
     """A follower that drives steadily behind and to the left of the place of car2, and is sent there at ``at_s``.
 
     So the step begins with all vehicles at the same speed, and with the newest report in use.

@@ -185,7 +185,7 @@ def stall(runner: Runner) -> Figure:
 # --- runs ---
 
 
-def _alone(y0: float, *, goal: tuple[float, float] | None = None, beams: int = 32, **field: Any) -> Job:
+def _alone(y0: float, *, goal: tuple[float, float] | None = None, beams: int = 32, **field: object) -> Job:
     """One vehicle from (-3, y0)."""
     return _job(30.0 if goal is None else 40.0, (-3.0, y0), _leader(goal, **field), (), beams=beams)
 
@@ -200,7 +200,7 @@ def _free(spacing: float, radius: float) -> Job:
     return _job(50.0, (0.0, 0.0), _leader(None), _slots(spacing), boxes=[], radius=radius)
 
 
-def _leader(goal: tuple[float, float] | None, **field: Any) -> dict[str, Any]:
+def _leader(goal: tuple[float, float] | None, **field: object) -> dict[str, Any]:
     way: dict[str, Any] = {"course_deg": 0.0} if goal is None else {"way": [[*goal, HEIGHT_M]], "arrive_m": ARRIVE_M}
     return {"kind": "aerial_route", "speed": V, "avoidance": {**FIELD, **field}, **way}
 

@@ -9,7 +9,6 @@ and for T -> 0 if the age is less than ``tau* = pi / (2 kappa lambda_max)`` (Olf
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -124,7 +123,7 @@ def growth(y: Array, step: int) -> float:
     return float(math.sqrt(-b) ** (1.0 / step))
 
 
-def _mode(graph: str, number: int, duration_s: float, period_s: float, delay_s: float = 0.0, **agent: Any) -> Job:
+def _mode(graph: str, number: int, duration_s: float, period_s: float, delay_s: float = 0.0, **agent: object) -> Job:
     """A run that starts in an eigenvector of the Laplacian; it gives how much of that is left, (ticks + 1,)."""
     vector = np.linalg.eigh(laplacian(graph))[1][:, number]
     scenario = {

@@ -1,7 +1,5 @@
 """Figures 30 and 31: steps along and across the heading, for several gains; what the servo's lag makes of them."""
 
-from typing import Any
-
 import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
@@ -99,7 +97,7 @@ def fig_31(runner: Runner) -> Figure:
     return Figure("Fig. 31: start 0.5 m to the left of the place, servo lags 0.5 s and 0.3 s, T = 0.1 s", panels, rows)
 
 
-def _step(*, at_s: float, for_s: float, kind: str = "kinematic", period_s: float = T, **step: Any) -> Job:
+def _step(*, at_s: float, for_s: float, kind: str = "kinematic", period_s: float = T, **step: float) -> Job:
     """A leader on a straight line, and one follower that steps."""
     agents, record = {"period_s": period_s}, {"period_s": period_s}
     return track(fleet(at_s + for_s, [step_follower(at_s, **step)], path="straight", kind=kind, agents=agents, record=record))
