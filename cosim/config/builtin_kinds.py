@@ -62,14 +62,6 @@ PIECES: Mapping[str, str] = {
     "safety check": "vcmvsp.hardware.stations:check_safety",
     "playback": "vcmvsp.hardware.playback:Playback",
     "fusion": "vcmvsp.cosim.estimation.fusion:Fusion",
-    "scene": "vcmvsp.physics.world.scene",
-    "reconnaissance": "vcmvsp.agents.reconnaissance",
-    "ground point": "vcmvsp.agents.reconnaissance.ground_point",
-    "watch": "vcmvsp.agents.reconnaissance.watch",
-    "looks of a picture": "vcmvsp.agents.reconnaissance.search_map:of_picture",
-    "recognition": "vcmvsp.agents.reconnaissance.recognition",
-    "recognition ground": "vcmvsp.agents.reconnaissance.recognition.ground",
-    "recognition inspection": "vcmvsp.agents.reconnaissance.recognition.inspection",
 }
 """Pieces of parts that are no kinds of a scenario, for `piece`."""
 
