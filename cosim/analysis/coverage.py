@@ -10,7 +10,7 @@ import numpy as np
 
 from vcmvsp.cosim.assembly import radio, worlds
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import messages, registry
+from vcmvsp.cosim.config import messages
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics import motion

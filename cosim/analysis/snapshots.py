@@ -6,7 +6,7 @@ The world, the camera, the targets that are looked for and the cells of the map 
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import VehicleTable
 from vcmvsp.cosim.types import Array, Image, Positive, Sighting, VehicleState
-
-if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.worlds import World
 
 STEEPEST = math.radians(5.0)  # tilt
 ROOM_M = 0.5  # nothing may be nearer to a vehicle

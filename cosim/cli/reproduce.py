@@ -45,7 +45,7 @@ def figure_command(
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     from vcmvsp.cosim.processes.worker_pool import cores
     from vcmvsp.cosim.reproduction.figures import files
-    from vcmvsp.cosim.reproduction.figures.figure import Runner
+    from vcmvsp.cosim.reproduction.runner import Runner
     from vcmvsp.cosim.terminal.progress import StudyProgress
 
     try:

@@ -12,10 +12,10 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.types import Array, FrameReport, Message
 
 
-def channel(preset: str = "ideal", *, seed: int = 1, solids: Sequence[object] = (), **layers: object) -> Channel:
+def channel(preset: str = "ideal", *, seed: int = 1, **layers: object) -> Channel:
     """A channel of a preset with some layers changed, which draws from ``seed``."""
     built: Channel
-    built, _ = radio.build({"preset": preset, **layers}, Source("validation", Path()), solids=solids)
+    built, _ = radio.build({"preset": preset, **layers}, Source("validation", Path()))
     built.start(seed)
     return built
 

@@ -11,9 +11,6 @@ from vcmvsp.cosim.view.live.control import Live, may
 from vcmvsp.cosim.view.live.server_process import Viewer
 from vcmvsp.cosim.view.scenery import scenery_of
 
-if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.worlds import World
-
 
 class Viewing:
     """The control station of one run. Use it as a context manager: leaving it closes the page.
