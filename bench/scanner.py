@@ -13,8 +13,8 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
 from vcmvsp.physics.raycast.caster import caster_of
 from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring, true_ranges
-from vcmvsp.physics.world.scene import Hull, Scene
-from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World
 
 ROUNDS = 7

@@ -9,7 +9,7 @@ from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, heading_of, hull_of, outline
+from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, outline
 from vcmvsp.physics.vehicles.models import VehicleSpec, flies
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.world.world import World
@@ -85,15 +85,11 @@ def check_overlaps(world: World, vehicles: Sequence[VehicleSpec]) -> None:
     Vehicles may not start inside a moving obstacle either; movables may, and so may other obstacles.
     """
     bodies = []
-    for each in world.moving:
-        x, y, z, heading = each.pose(0.0)
-        bodies.append(_Body(each.name, "", *outline(hull_of(each.solid), (x, y, z), heading)))
-    movables, key = len(bodies), "world.movables"
-    bodies += [
-        _Body(each.name, key, *outline(hull_of(each.solid), each.solid.center, heading_of(each.solid)))
-        for each in world.movables
-    ]
-    cars = len(bodies)
+    for key, things in (("", world.moving), ("world.movables", world.movables)):
+        for each in things:
+            x, y, z, heading = each.pose(0.0)
+            bodies.append(_Body(each.name, key, *outline(each.solid.hull, (x, y, z), heading)))
+    movables, cars = len(world.moving), len(bodies)
     bodies += [
         _Body(spec.name, f"vehicle.{spec.name}.position", *outline(spec.model.hull, spec.start, spec.heading))
         for spec in vehicles

@@ -7,8 +7,9 @@ import numpy as np
 from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Vec3
-from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, hull_of, outline
-from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, outline
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import Hull
 from vcmvsp.physics.world.world import World
 
 
@@ -24,7 +25,7 @@ def placed(world: World, obstacle: str, position: tuple[float, float], yaw: floa
     if obstacle not in names:
         raise ValueError(unknown("movable", obstacle, names))
     number = names.index(obstacle)
-    hull = hull_of(world.movables[number].solid)
+    hull = world.movables[number].solid.hull
     if not all(map(isfinite, (*position, yaw))):
         raise ValueError(f"{obstacle} needs a finite place, not {position}, yaw {yaw}")
     if (beyond_m := world.outside(*position)) > 0.0:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from vcmvsp.cosim.types import Pushed, Vec3, frozen
-from vcmvsp.physics.dynamics.movables import hull_of, on_time, start_of
+from vcmvsp.physics.dynamics.movables import on_time, start_of
 from vcmvsp.physics.engine.interface import Motion, Touch, still
 from vcmvsp.physics.vehicles.models import VehicleSpec
 from vcmvsp.physics.world.scene import Scene
@@ -19,7 +19,7 @@ class Stage:
         things: list[Movable | Moving] = [*world.movables, *world.moving]
         self._world, self._gravity = world, gravity
         self._vehicles = tuple(spec.name for spec in vehicles)
-        self._hulls = (*(spec.model.hull for spec in vehicles), *(hull_of(each.solid) for each in things))
+        self._hulls = (*(spec.model.hull for spec in vehicles), *(each.solid.hull for each in things))
         self.names = (*self._vehicles, *(each.name for each in things))
         self._standing = start_of(world.movables)
         self._told = self._standing.position, self._standing.attitude

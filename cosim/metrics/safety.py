@@ -1,16 +1,23 @@
 """How near vehicles came to each other and to what stood or moved in their way, at recorded instants."""
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.metrics.motion import Motion
+from vcmvsp.cosim.types import Array
 
 
-def safety_metrics(moved: Motion, collisions: int, world: Any) -> dict[str, Any]:
+class World(Protocol):
+    """Obstacles of a run: `physics.world.world.World`."""
+
+    def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
+        """Smallest distance (m) of any place (3, m, n) m to an obstacle at the m instants."""
+
+
+def safety_metrics(moved: Motion, collisions: int, world: World | None) -> dict[str, Any]:
     """The ``safety`` part; ``world`` is what the vehicles moved in, None where that is not known."""
-    least_clearance_m = None if world is None else registry.piece("least clearance")(world, moved.time_ns, moved.position)
+    least_clearance_m = None if world is None else world.least_clearance_m(moved.time_ns, moved.position)
     return {
         "collisions": collisions,
         "min_separation_m": min_separation_m(moved),

@@ -6,12 +6,11 @@ that can be pushed are not drawn: a recording does not say where they are.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.metrics import Target
 from vcmvsp.cosim.recording.foxglove.messages import (
@@ -33,7 +32,7 @@ from vcmvsp.cosim.recording.foxglove.messages import (
     TriangleListPrimitive,
     Vector3,
 )
-from vcmvsp.cosim.types import Array, Follows, Pushed
+from vcmvsp.cosim.types import Array, Follows, Pushed, Vec3
 from vcmvsp.cosim.util.palette import TARGET, rgb, rgb_of
 
 TARGET_HEIGHT_M = 0.05
@@ -42,6 +41,47 @@ MOST_TRIANGLES = 200_000  # of a world that is drawn: more are some 30 MB of JSO
 DIGITS = 4  # of coordinates, m: a tenth of a millimetre
 OBSTACLE_OPACITY = 0.9
 _RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
+
+
+class Solid(Protocol):
+    """Shape of an obstacle."""
+
+    @property
+    def hull(self) -> tuple[Vec3, Vec3, str, tuple[int, int, int]]:
+        """Its size and offset, m, "box" or "cylinder", and its colour."""
+
+
+class Obstacle(Protocol):
+    """A body that moves: `physics.world.world.Movable` or `Moving`."""
+
+    @property
+    def name(self) -> str:
+        """Unique in the world."""
+
+    @property
+    def solid(self) -> Solid:
+        """Its shape."""
+
+    def pose(self, time_s: float) -> tuple[float, float, float, float]:
+        """Centre, m, and yaw, rad, unless it was pushed."""
+
+
+class World(Protocol):
+    """Solids and obstacles of a run: `physics.world.world.World`."""
+
+    @property
+    def movables(self) -> Sequence[Obstacle]:
+        """Bodies that can be pushed."""
+
+    @property
+    def moving(self) -> Sequence[Obstacle]:
+        """Obstacles with a time-table."""
+
+    def mesh(self) -> tuple[Array, Array]:
+        """Vertices (v, 3) m and triangles (t, 3) of all solids."""
+
+    def mesh_colors(self) -> Array:
+        """Colours (t, 3) uint8 of the triangles."""
 
 
 def scene(
@@ -62,7 +102,7 @@ def scene(
     return SceneUpdate(entities, [SceneEntityDeletion(now)])
 
 
-def solids(world: Any) -> SceneUpdate | None:
+def solids(world: World) -> SceneUpdate | None:
     """What a world consists of: its solids by their colours, and obstacles with a time-table in their own frames.
 
     None: there is nothing, or more than `MOST_TRIANGLES`, which no viewer would like.
@@ -72,20 +112,18 @@ def solids(world: Any) -> SceneUpdate | None:
         return None
     now, entities = Time(0, 0), []
     if len(triangles):
-        parts = _by_color(np.round(vertices, DIGITS), triangles, registry.piece("mesh colors")(world))
+        parts = _by_color(np.round(vertices, DIGITS), triangles, world.mesh_colors())
         entities.append(SceneEntity(now, "world", "solids", Duration(), False, triangles=parts))
     entities += [_obstacle(each, now) for each in (*world.movables, *world.moving)]
     return SceneUpdate(entities) if entities else None
 
 
-def moving_frames(world: Any, pushed: Pushed | None, time_ns: int) -> FrameTransforms:
+def moving_frames(world: World, pushed: Pushed | None, time_ns: int) -> FrameTransforms:
     """Where the obstacles are that may move: those with a time-table, and those that can be pushed."""
-    standing = [(each.name, (*each.solid.center, getattr(each.solid, "yaw_rad", 0.0))) for each in world.movables]
-    driven = [(each.name, each.pose(time_ns / SECOND_NS)) for each in world.moving]
-    upright = [*driven, *(standing if pushed is None else ())]
-    placed: list[tuple[str, Sequence[float], Sequence[float]]] = [
-        (name, (x, y, z), quaternion_from_yaw(yaw)) for name, (x, y, z, yaw) in upright
-    ]
+    placed: list[tuple[str, Sequence[float], Sequence[float]]] = []
+    for each in (*world.moving, *(world.movables if pushed is None else ())):
+        x, y, z, yaw = each.pose(time_ns / SECOND_NS)
+        placed.append((each.name, (x, y, z), quaternion_from_yaw(yaw)))
     if pushed is not None:
         placed += zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True)
     now, transforms = Time.of(time_ns), []
@@ -110,13 +148,13 @@ def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[Triangle
     return parts
 
 
-def _obstacle(moving: Any, now: Time) -> SceneEntity:
+def _obstacle(moving: Obstacle, now: Time) -> SceneEntity:
     """A box or a cylinder in its own frame, and its name."""
-    hull = registry.piece("hull")(moving.solid)
-    red, green, blue = (part / 255 for part in hull.color)
-    color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(*hull.size), _frame_of(moving.name)
-    text = TextPrimitive(Pose(Vector3(0.0, 0.0, hull.size[2])), True, 14.0, True, color, moving.name)
-    cubes = [CubePrimitive(Pose(), size, color)] if hull.kind == "box" else []
+    (length, width, height), _, kind, rgb_color = moving.solid.hull
+    red, green, blue = (part / 255 for part in rgb_color)
+    color, size, frame = Color(red, green, blue, OBSTACLE_OPACITY), Vector3(length, width, height), _frame_of(moving.name)
+    text = TextPrimitive(Pose(Vector3(0.0, 0.0, height)), True, 14.0, True, color, moving.name)
+    cubes = [CubePrimitive(Pose(), size, color)] if kind == "box" else []
     cylinders = [] if cubes else [CylinderPrimitive(Pose(), size, 1.0, 1.0, color)]
     return SceneEntity(now, frame, frame, Duration(), True, cubes=cubes, cylinders=cylinders, texts=[text])
 

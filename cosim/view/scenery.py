@@ -1,7 +1,7 @@
 """From a scenario to what the control station is told once: its vehicles, and what stands around them."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def scenery_of(
     scenario: Scenario,
     source: Source,
     *,
-    world: Any = None,
+    world: "World | None" = None,
     infos: Sequence[AgentInfo] = (),
     live: bool = False,
     may: Sequence[str] = (),
@@ -54,7 +54,7 @@ def scenery_of(
         vehicles=tuple(_craft(each, scenario, source, agents.get(each.name), kinds) for each in scenario.vehicle),
         vertices=frozen(vertices, np.float32),
         triangles=frozen(triangles, np.uint32),
-        colors=frozen(registry.piece("mesh colors")(world)),
+        colors=frozen(world.mesh_colors()),
         obstacles=_obstacles(world, "move" in may),
         targets=tuple((each.name, *each.place(0.0)) for each in world.targets),
         bounds=world.bounds,
@@ -100,14 +100,12 @@ def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) ->
     return kind, vehicle.agent.period_s or scenario.agents.period_s
 
 
-def _obstacles(world: Any, may_be_moved: bool) -> tuple[Obstacle, ...]:
+def _obstacles(world: "World", may_be_moved: bool) -> tuple[Obstacle, ...]:
     """Bodies that can be pushed, which the one who looks may move, and those that keep to a time-table."""
-    hull_of, placed = registry.piece("hull"), []
-    for each in world.movables:
-        pose = (*each.solid.center, getattr(each.solid, "yaw_rad", 0.0))
-        placed.append((each.name, hull_of(each.solid), pose, may_be_moved))
-    placed += [(each.name, hull_of(each.solid), each.pose(0.0), False) for each in world.moving]
-    return tuple(
-        Obstacle(name=name, shape=hull.kind, size=hull.size, pose=pose, color=hull.color, may_be_moved=movable)
-        for name, hull, pose, movable in placed
-    )
+    obstacles = []
+    for bodies, movable in ((world.movables, may_be_moved), (world.moving, False)):
+        for each in bodies:
+            size, _, kind, color = each.solid.hull
+            shown = Obstacle(name=each.name, shape=kind, size=size, pose=each.pose(0.0), color=color, may_be_moved=movable)
+            obstacles.append(shown)
+    return tuple(obstacles)

@@ -8,33 +8,18 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.engine.interface import Motion, still
 from vcmvsp.physics.world.polygons import overlap_m
-from vcmvsp.physics.world.scene import Hull
-from vcmvsp.physics.world.solids import Box, Cylinder, rectangle
+from vcmvsp.physics.world.solids import Hull, rectangle
 from vcmvsp.physics.world.world import Movable, Moving
 
 TOUCHES_M = 1e-9  # bodies that only touch do not overlap
 
 _SIDES = 16  # of the polygon that stands for a circle where outlines are compared
-_BROWN = (120, 100, 80)  # of bodies that name no colour
-
-
-def hull_of(solid: Box | Cylinder) -> Hull:
-    """The hull of a body of this shape, about its centre."""
-    own = solid.color or _BROWN
-    if isinstance(solid, Cylinder):
-        return Hull((2.0 * solid.radius, 2.0 * solid.radius, solid.height), kind="cylinder", color=own)
-    return Hull(solid.size, color=own)
 
 
 def start_of(movables: Sequence[Movable]) -> Motion:
     """Movables where the world puts them, at rest."""
-    places = np.array([each.solid.center for each in movables], float).reshape(-1, 3)
-    return still(places, np.array([heading_of(each.solid) for each in movables], float))
-
-
-def heading_of(solid: Box | Cylinder) -> float:
-    """How far a solid is turned, rad."""
-    return solid.yaw_rad if isinstance(solid, Box) else 0.0
+    places = np.array([each.pose(0.0) for each in movables], float).reshape(-1, 4)
+    return still(places[:, :3], places[:, 3])
 
 
 def on_time(moving: Sequence[Moving], now_ns: int) -> Motion:

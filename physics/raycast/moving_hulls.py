@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.scene import Hull, Scene, rotations
+from vcmvsp.physics.world.scene import Scene, rotations
+from vcmvsp.physics.world.solids import Hull
 
 _NEVER_ZERO = 1e-300  # added to what is divided by: changes nothing but a zero
 

@@ -9,9 +9,9 @@ from vcmvsp.cosim.types import Array, Fix, NonNegative, Positive, Probability, V
 from vcmvsp.physics.sensors.mounting import mounted, sightline
 from vcmvsp.physics.sensors.noise import jump
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.clearance import Clearance, Near
+from vcmvsp.physics.world.clearance import Near
 from vcmvsp.physics.world.scene import Scene
-from vcmvsp.physics.world.world import World, made_once
+from vcmvsp.physics.world.world import World
 
 _TINY_M = 1e-6  # stands for no error at all where errors are compared
 
@@ -53,7 +53,7 @@ class Uwb(Sensor):
         draws = rng.standard_normal(3 + len(self._places))
         dx, dy = jump(self.outlier_probability, self.outlier_m, rng)
         place = mounted(scene, row, self.mount)
-        near = made_once(scene.world, Clearance).nearest(place, self.wall_reach_m) if self.wall_bias_m else None
+        near = scene.world.clearance.nearest(place, self.wall_reach_m) if self.wall_bias_m else None
         bias_m = self.wall_bias_m * (1.0 - near.distance_m / self.wall_reach_m) if near else 0.0
         if self.anchors:
             error, sigma_m, sigma_z_m = self._located(scene.world, place, bias_m, draws)

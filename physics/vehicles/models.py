@@ -24,7 +24,7 @@ from vcmvsp.physics.sensors.pose_estimate import Fuser
 from vcmvsp.physics.sensors.positioning_system import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.world.solids import Hull
 
 POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
 

@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 
 from vcmvsp.cosim.types import NonNegative, Positive
-from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.world.solids import Hull
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,15 +1,12 @@
-"""How near the nearest solid is: to one place, and to all places that vehicles came by."""
+"""Distance to the nearest solid: from one place, and from all places of a vehicle's way."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.shapes import Group
-from vcmvsp.physics.world.solids import Cylinder
-from vcmvsp.physics.world.world import Moving, World, made_once
+from vcmvsp.physics.world.shapes import Group, Shapes
 
 _STRETCH = 32  # places of a way that share a bounding box
 _AT_ONCE = 256  # stretches that are looked at place by place in one go
@@ -24,10 +21,10 @@ class Near(NamedTuple):
 
 
 class Clearance:
-    """Distances to the solids of a world; the floor is none of them. A mesh has no inside, and is 0 away only on its faces."""
+    """Distances to solids, without the floor. A mesh has no inside, and is 0 away only on its faces."""
 
-    def __init__(self, world: World) -> None:
-        groups, self._triangles = world.shapes.groups, world.shapes.triangles
+    def __init__(self, solids: Shapes) -> None:
+        groups, self._triangles = solids.groups, solids.triangles
         low = [np.column_stack([group.corners.min(axis=1), group.bottom]) for group in groups]
         high = [np.column_stack([group.corners.max(axis=1), group.top]) for group in groups]
         self._low = np.ascontiguousarray(np.concatenate([*low, self._triangles.min(axis=1)]).T)  # of all pieces, (3, p) m
@@ -97,42 +94,6 @@ class Clearance:
         if own.any():
             points[own] = _of_triangles(self._triangles[pieces[own] - self._first_triangle], places[own])
         return points
-
-
-def least_clearance_m(world: World, time_ns: Array, position: Array) -> float | None:
-    """The smallest distance of vehicles to anything in their way, solid or obstacle with a time-table, at any of m instants, m.
-
-    Movables and the floor do not count.
-
-    Args:
-        world: what is in the way.
-        time_ns: (m,) the instants.
-        position: (3, m, n) m, world, of n vehicles; NaN where there was none.
-
-    Returns:
-        None: there was nothing, or nobody.
-    """
-    solids, least = made_once(world, Clearance), math.inf
-    for way in position.transpose(2, 1, 0):
-        least = solids.least_m(way[np.isfinite(way).all(axis=1)], least)
-    for each in world.moving:
-        least = float(np.fmin.reduce(_to_moving(each, time_ns, position), axis=None, initial=least))
-    return least if least < math.inf else None
-
-
-def _to_moving(moving: Moving, time_ns: Array, position: Array) -> Array:
-    """Distances (m, n) m of places to an obstacle where it is at their instants."""
-    x, y, z, yaw = np.array([moving.pose(now_ns / SECOND_NS) for now_ns in time_ns.tolist()]).reshape(-1, 4).T[:, :, None]
-    dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
-    solid = moving.solid
-    if isinstance(solid, Cylinder):
-        beyond = [np.hypot(dx, dy) - solid.radius, np.abs(dz) - 0.5 * solid.height]
-    else:
-        cos, sin, half = np.cos(yaw), np.sin(yaw), 0.5 * np.array(solid.size)
-        local = (cos * dx + sin * dy, cos * dy - sin * dx, dz)
-        beyond = [np.abs(each) - reach for each, reach in zip(local, half, strict=True)]
-    distance: Array = np.sqrt(sum(np.maximum(each, 0.0) ** 2 for each in beyond))
-    return distance
 
 
 def _gaps(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:

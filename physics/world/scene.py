@@ -3,22 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
-from vcmvsp.physics.world.solids import Color
+from vcmvsp.physics.world.solids import Hull
 from vcmvsp.physics.world.world import World
-
-
-class Hull(NamedTuple):
-    """The outer shape of a body: a box or a cylinder around the body's z axis, as scanners and cameras see it."""
-
-    size: Vec3  # length (x), width (y), height (z), m; a cylinder has its diameter twice
-    offset: Vec3 = (0.0, 0.0, 0.0)  # its centre from the body's reference point, m, body frame
-    kind: Literal["box", "cylinder"] = "box"
-    color: Color = (60, 60, 60)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,7 @@ a vertical axis (`Upright`), and the triangles of meshes. A cylinder is a regula
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -34,6 +34,7 @@ MATERIAL_COLORS: dict[str, Color] = {
 """What solids look like that name no colour of their own."""
 
 _PLAIN: Color = (176, 176, 176)  # of a material that is not among them
+_BROWN: Color = (120, 100, 80)  # of bodies that name no colour
 
 
 class Upright(NamedTuple):
@@ -42,6 +43,15 @@ class Upright(NamedTuple):
     corners: Array  # (k, 2) m, counter-clockwise seen from above
     bottom: float  # m
     top: float
+
+
+class Hull(NamedTuple):
+    """The outer shape of a body: a box or a cylinder around the body's z axis, as scanners and cameras see it."""
+
+    size: Vec3  # length (x), width (y), height (z), m; a cylinder has its diameter twice
+    offset: Vec3 = (0.0, 0.0, 0.0)  # its centre from the body's reference point, m, body frame
+    kind: Literal["box", "cylinder"] = "box"
+    color: Color = (60, 60, 60)
 
 
 class Solid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -87,6 +97,11 @@ class Box(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fiel
         """What it is and where, for messages."""
         return f"the box at {self.center}, size {self.size}"
 
+    @property
+    def hull(self) -> Hull:
+        """Hull of a body of this shape, about its centre."""
+        return Hull(self.size, color=self.color or _BROWN)
+
     def uprights(self) -> list[Upright]:
         """Itself."""
         (x, y, z), (length, width, height) = self.center, self.size
@@ -117,6 +132,11 @@ class Cylinder(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
     def words(self) -> str:
         """What it is and where, for messages."""
         return f"the cylinder at {self.center}, radius {self.radius:g}, height {self.height:g}"
+
+    @property
+    def hull(self) -> Hull:
+        """Hull of a body of this shape, about its centre."""
+        return Hull((2.0 * self.radius, 2.0 * self.radius, self.height), kind="cylinder", color=self.color or _BROWN)
 
     def uprights(self) -> list[Upright]:
         """A regular polygon inside the circle."""
@@ -195,6 +215,11 @@ AnySolid = Solid | Mesh
 def color_of(solid: AnySolid) -> Color:
     """Its own colour, or that of its material."""
     return solid.color or MATERIAL_COLORS.get(solid.material, _PLAIN)
+
+
+def heading_of(solid: Box | Cylinder) -> float:
+    """How far a solid is turned, rad."""
+    return solid.yaw_rad if isinstance(solid, Box) else 0.0
 
 
 def rectangle(x: float, y: float, half_length: float, half_width: float, yaw: float) -> Array:

@@ -14,11 +14,13 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Vec3
+from vcmvsp.physics.world.clearance import Clearance
 from vcmvsp.physics.world.floor import Ground
 from vcmvsp.physics.world.overlap import Blocking, outside_m
 from vcmvsp.physics.world.shapes import Shapes, mesh_of, shapes_of
-from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder
+from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, color_of, heading_of
 from vcmvsp.physics.world.targets import PlacedTarget
 
 __all__ = ["Ground", "Light", "Movable", "Moving", "Wind", "World", "Zone", "made_once"]
@@ -93,6 +95,10 @@ class Movable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     mass_kg: Positive
     friction: NonNegative = 0.5
 
+    def pose(self, time_s: float) -> tuple[float, float, float, float]:
+        """Centre, x, y, z m, and yaw, rad, until something pushes it: the same at any time."""
+        return (*self.solid.center, heading_of(self.solid))
+
 
 class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An obstacle that keeps to a time-table, whatever stands in its way: at ``way[i]`` at ``times_s[i]``, straight between.
@@ -133,6 +139,19 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         span_s = self.times_s[k] - self.times_s[k - 1]
         x, y, z, yaw = ((there - here) / span_s for here, there in zip(self.way[k - 1], self.way[k], strict=True))
         return x, y, z, yaw
+
+    def distances_m(self, time_ns: Array, position: Array) -> Array:
+        """Distances (m, n) m of places (3, m, n) m, world, to where it is at the m instants."""
+        x, y, z, yaw = np.array([self.pose(now_ns / SECOND_NS) for now_ns in time_ns.tolist()]).reshape(-1, 4).T[:, :, None]
+        dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
+        if isinstance(self.solid, Cylinder):
+            beyond = [np.hypot(dx, dy) - self.solid.radius, np.abs(dz) - 0.5 * self.solid.height]
+        else:
+            cos, sin, half = np.cos(yaw), np.sin(yaw), 0.5 * np.array(self.solid.size)
+            local = (cos * dx + sin * dy, cos * dy - sin * dx, dz)
+            beyond = [np.abs(each) - reach for each, reach in zip(local, half, strict=True)]
+        distances: Array = np.sqrt(sum(np.maximum(each, 0.0) ** 2 for each in beyond))
+        return distances
 
     def _in_table(self, time_s: float) -> float:
         """The time of the table that stands for a time of the run."""
@@ -178,6 +197,35 @@ class World:
     def mesh(self) -> tuple[Array, Array]:
         """All solids as one mesh: vertices (v, 3) m, and triangles (t, 3) int, counter-clockwise seen from outside."""
         return mesh_of(self.shapes)
+
+    def mesh_colors(self) -> Array:
+        """Red, green and blue of the triangles of `mesh`, in their order: (t, 3) uint8, without light."""
+        prisms = [np.repeat(group.solid, 4 * group.corners.shape[1] - 4) for group in self.shapes.groups]  # sides, top, bottom
+        solid = np.concatenate([*prisms, self.shapes.triangle_solid])
+        colors: Array = np.array([color_of(each) for each in self.solids], np.uint8).reshape(-1, 3)[solid]
+        return colors
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """Distances to its solids."""
+        return Clearance(self.shapes)
+
+    def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
+        """Smallest distance of vehicles to solids and moving obstacles, m; the floor and movables do not count.
+
+        Args:
+            time_ns: (m,) instants.
+            position: (3, m, n) m, world, of n vehicles; NaN where there was none.
+
+        Returns:
+            None: the world has no obstacle, or there was no vehicle.
+        """
+        least = math.inf
+        for way in position.transpose(2, 1, 0):
+            least = self.clearance.least_m(way[np.isfinite(way).all(axis=1)], least)
+        for each in self.moving:
+            least = float(np.fmin.reduce(each.distances_m(time_ns, position), axis=None, initial=least))
+        return least if least < math.inf else None
 
     def outside(self, x: float, y: float) -> float:
         """How far a place lies beyond the bounds, m; 0: inside, or there are none."""

@@ -20,8 +20,7 @@ from vcmvsp.physics.sensors.positioning_system import Positioning
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.world.scene import Hull
-from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import Movable, Moving, World
 
 Play = Callable[..., list[list[Event]]]
@@ -344,9 +343,8 @@ from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.physics.federate import {kind}
 from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
-from vcmvsp.physics.world.scene import Hull
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World
 world = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))
 physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX())])

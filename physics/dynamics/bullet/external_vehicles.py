@@ -9,7 +9,7 @@ from vcmvsp.physics.dynamics.bullet import SOLID, p
 from vcmvsp.physics.dynamics.bullet.world_bodies import HEAVY_KG
 from vcmvsp.physics.dynamics.external_vehicles import Reflected
 from vcmvsp.physics.engine.interface import Motion
-from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.world.solids import Hull
 
 _FRICTION = 0.5  # of the hulls, assumed
 _SLIDES = 0.5  # m/s: as fast a body follows where the pose that was told jumps, so that whoever stands there is pushed aside

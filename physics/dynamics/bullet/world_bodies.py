@@ -6,10 +6,10 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, WHEEL, p, turned
-from vcmvsp.physics.dynamics.movables import heading_of, on_time
+from vcmvsp.physics.dynamics.movables import on_time
 from vcmvsp.physics.dynamics.rigid_body import into_body, pairs
 from vcmvsp.physics.engine.interface import NO_BODIES, Motion
-from vcmvsp.physics.world.solids import Box, Cylinder
+from vcmvsp.physics.world.solids import Box, Cylinder, heading_of
 from vcmvsp.physics.world.world import World
 
 HEAVY_KG = 1e6  # an obstacle with a time-table: nothing holds it up, and unlike a body without mass it wakes what it meets
@@ -45,9 +45,8 @@ class Things:
         self.moving = [self._build(each.solid, HEAVY_KG, 0.5) for each in world.moving]
         for body in self.moving:  # they do not mind the floor
             p.setCollisionFilterGroupMask(body, -1, SOLID, SOLID, physicsClientId=client)
-        self._sizes = np.array(
-            [_size_m(each.solid) for each in world.movables] + [_size_m(each.solid) for each in world.moving]
-        )
+        solids = [*(each.solid for each in world.movables), *(each.solid for each in world.moving)]
+        self._radii_m = np.array([0.5 * math.hypot(*solid.hull.size) for solid in solids])  # of spheres around them
         self.place(0)
 
     def _build_solids(self, world: World) -> int:
@@ -119,12 +118,12 @@ class Things:
 
     def spheres(self, now_ns: int, span_s: float) -> tuple[Array, Array]:
         """Places (m, 3) m of movables and moving obstacles, and how far around it each may be within ``span_s``, (m,) m."""
-        if not len(self._sizes):
+        if not len(self._radii_m):
             return np.empty((0, 3)), np.empty(0)
         parts = (self.read(), on_time(self._moving, now_ns))
         velocity = np.concatenate([each.velocity for each in parts])
         ways = span_s * np.sqrt((velocity * velocity).sum(axis=1))
-        return np.concatenate([each.position for each in parts]), self._sizes + ways
+        return np.concatenate([each.position for each in parts]), self._radii_m + ways
 
     def read(self) -> Motion:
         """How the movables move."""
@@ -136,12 +135,6 @@ class Things:
 def floor_friction(world: World) -> float:
     """Of the floor in Bullet: never 0 where there are zones, in which that of robots is made up for it."""
     return max(world.floor_friction, _LEAST_FRICTION) if world.zones else world.floor_friction
-
-
-def _size_m(solid: Box | Cylinder) -> float:
-    """The radius of a sphere around it."""
-    size = solid.size if isinstance(solid, Box) else (2.0 * solid.radius, 2.0 * solid.radius, solid.height)
-    return 0.5 * math.hypot(*size)
 
 
 BaseState = tuple[Vec3, tuple[float, float, float, float], Vec3, Vec3]

@@ -26,8 +26,8 @@ from vcmvsp.physics.sensors.positioning_system import Positioning
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
 from vcmvsp.physics.vehicles.models import P2DX, Lag
-from vcmvsp.physics.world.scene import Hull, rotations
-from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.scene import rotations
+from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World
 
 BOTH = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics])

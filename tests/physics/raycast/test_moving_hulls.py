@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support.physics.random_worlds import Floats, attitudes, cast_bodies, hulls, scene
-from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import Hull
 from vcmvsp.physics.world.world import World
 
 INF = math.inf

@@ -10,8 +10,8 @@ from vcmvsp.physics.raycast.caster import Caster, caster_of
 from vcmvsp.physics.raycast.moving_hulls import hulls_of
 from vcmvsp.physics.raycast.sweep import sweep
 from vcmvsp.physics.sensors.range_scanner import RangeScanner, fan_of, true_ranges
-from vcmvsp.physics.world.scene import Hull, Scene
-from vcmvsp.physics.world.solids import Box, Mesh
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import Box, Hull, Mesh
 from vcmvsp.physics.world.world import World
 
 

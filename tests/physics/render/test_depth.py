@@ -11,8 +11,8 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render import large_faces, renderer
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.view import View
-from vcmvsp.physics.world.scene import Hull, Scene
-from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
 from vcmvsp.physics.world.world import World
 
 Rng = np.random.Generator

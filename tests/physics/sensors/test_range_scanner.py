@@ -11,8 +11,8 @@ from tests.support.physics.random_worlds import Floats, attitudes, hulls, scene,
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Scan
 from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring
-from vcmvsp.physics.world.scene import Hull, Scene
-from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import World
 
 FULL = 6.2832

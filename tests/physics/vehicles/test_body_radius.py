@@ -5,7 +5,7 @@ import math
 import pytest
 
 from vcmvsp.physics.vehicles.models import Point, body_of
-from vcmvsp.physics.world.scene import Hull
+from vcmvsp.physics.world.solids import Hull
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.clearance import Clearance, least_clearance_m
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World
 
@@ -22,7 +21,7 @@ SOLIDS = (
 
 
 def nearest(world: World, place: Array, reach_m: float = 50.0) -> float:
-    near = Clearance(world).nearest(place, reach_m)
+    near = world.clearance.nearest(place, reach_m)
     assert near is not None
     assert np.linalg.norm(near.point - place) == pytest.approx(near.distance_m, abs=1e-9)
     return near.distance_m
@@ -49,9 +48,9 @@ def test_prisms_and_triangles_of_the_same_solids_agree(x: float, y: float, z: fl
 def test_only_within_reach() -> None:
     world, place = World(solids=SOLIDS[2:]), np.array([2.0, 5.0, 1.0])
     assert nearest(world, place) == pytest.approx(2.6, abs=0.002)
-    assert Clearance(world).nearest(place, 2.5) is None
+    assert world.clearance.nearest(place, 2.5) is None
     assert nearest(world, place, 2.61) == nearest(world, place)
-    assert Clearance(World()).nearest(place, 100.0) is None
+    assert World().clearance.nearest(place, 100.0) is None
 
 
 # --- of ways ----------------------------------------------------------------------------------------------------------------
@@ -83,7 +82,7 @@ def wandering(rng: np.random.Generator, count: int) -> Array:
 def test_of_a_way_it_is_the_least_of_its_places(seed: int, meshed: bool) -> None:
     """Whatever the length of the way, one that jumps about included, against one place after the other."""
     rng = np.random.default_rng(seed)
-    clearance = Clearance(scattered(rng, 1 + 5 * (seed % 4), meshed=meshed))
+    clearance = scattered(rng, 1 + 5 * (seed % 4), meshed=meshed).clearance
     for count in (1, 31, 33, 200):
         way = wandering(rng, count) if seed % 3 else rng.uniform(-12.0, 12.0, (count, 3))
         near = [clearance.nearest(place, 100.0) for place in way]
@@ -98,21 +97,21 @@ def test_above_a_wall_the_height_counts_and_beside_it_the_corner() -> None:
     over = np.array([[(x, y, z) for x in np.linspace(-3.0, 3.0, 61)] for y, z in ((0.0, 2.7), (2.3, 2.4))])
     time_ns = np.arange(61) * SECOND_NS
     for way, expected in zip(over, (0.7, 0.5), strict=True):
-        assert least_clearance_m(wall, time_ns, way.T[:, :, None]) == pytest.approx(expected)
-    assert least_clearance_m(wall, time_ns, over.T) == pytest.approx(0.5)  # of both together
+        assert wall.least_clearance_m(time_ns, way.T[:, :, None]) == pytest.approx(expected)
+    assert wall.least_clearance_m(time_ns, over.T) == pytest.approx(0.5)  # of both together
 
 
 def test_a_vehicle_that_is_not_there_is_near_nothing() -> None:
     wall = World(solids=(Box(center=(0.0, 0.0, 1.0), size=(0.2, 4.0, 2.0)),))
     position = np.array([[(5.0, 0.0, 0.0), (np.nan,) * 3], [(4.0, 0.0, 0.0), (9.0, 0.0, 0.0)]]).transpose(2, 0, 1)
-    assert least_clearance_m(wall, np.array([0, 1]), position) == pytest.approx(3.9)
-    assert least_clearance_m(wall, np.array([0, 1]), np.full((3, 2, 2), np.nan)) is None
-    assert least_clearance_m(wall, np.empty(0, np.int64), np.empty((3, 0, 2))) is None
+    assert wall.least_clearance_m(np.array([0, 1]), position) == pytest.approx(3.9)
+    assert wall.least_clearance_m(np.array([0, 1]), np.full((3, 2, 2), np.nan)) is None
+    assert wall.least_clearance_m(np.empty(0, np.int64), np.empty((3, 0, 2))) is None
 
 
 def test_where_there_is_nothing_but_floor_and_what_can_be_pushed_there_is_no_clearance() -> None:
     crate = Movable(name="crate", solid=Box(center=(0, 0, 0.5), size=(1, 1, 1)), mass_kg=1.0)
-    assert least_clearance_m(World(movables=(crate,)), np.array([0]), np.zeros((3, 1, 1))) is None
+    assert World(movables=(crate,)).least_clearance_m(np.array([0]), np.zeros((3, 1, 1))) is None
 
 
 @pytest.mark.parametrize(
@@ -136,5 +135,5 @@ def test_obstacles_with_a_time_table_are_where_they_are_at_the_time(solid: Box |
                 else:
                     beyond = [max(math.hypot(dx, dy) - solid.radius, 0.0), max(abs(dz) - 0.5 * solid.height, 0.0)]
                 expected = min(expected, math.hypot(*beyond))
-        found = least_clearance_m(World(moving=(cart,)), time_ns, position[:, :count].transpose(2, 0, 1))
+        found = World(moving=(cart,)).least_clearance_m(time_ns, position[:, :count].transpose(2, 0, 1))
         assert found == pytest.approx(expected, abs=1e-12)

@@ -22,8 +22,7 @@ from vcmvsp.physics.importers import File
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.view import View
 from vcmvsp.physics.render.world_picture import draw_world, extent, png
-from vcmvsp.physics.world.scene import Hull
-from vcmvsp.physics.world.solids import Box
+from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.targets import PlacedTarget, Target, placed
 from vcmvsp.physics.world.world import World
 from vcmvsp.physics.worlds import Empty, RecreationCentre, Urban

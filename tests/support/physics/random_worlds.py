@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from vcmvsp.physics.raycast.broad_phase import Nearest, Reached, touching_spheres
 from vcmvsp.physics.raycast.moving_hulls import hulls_of, in_frames, meet
-from vcmvsp.physics.world.scene import Hull, Scene
-from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
 from vcmvsp.physics.world.world import World
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,8 @@ import numpy as np
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.rng import stream
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import Hull
 from vcmvsp.physics.world.world import World
 
 SECOND_NS = 1_000_000_000
