@@ -18,7 +18,8 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
 

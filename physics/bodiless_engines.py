@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
 from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
 from vcmvsp.physics.engine.interface import Engine
-from vcmvsp.physics.vehicles.models import GroundVehicle, Point, VehicleSpec
+from vcmvsp.physics.vehicles.models import GroundVehicle, Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 
 
 def riders(vehicles: Sequence[VehicleSpec], numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:

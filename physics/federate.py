@@ -49,8 +49,9 @@ from vcmvsp.physics.move_checks import check_free, placed
 from vcmvsp.physics.pose_sources import PoseSources
 from vcmvsp.physics.scene_builder import Stage
 from vcmvsp.physics.sensor_scheduler import Instruments
-from vcmvsp.physics.vehicles.models import DifferentialDrive, VehicleSpec, flies
+from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec, flies
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 

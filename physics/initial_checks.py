@@ -10,8 +10,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.dynamics.movables import TOUCHES_M, depth_m, outline
-from vcmvsp.physics.vehicles.models import VehicleSpec, flies
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec, flies
 from vcmvsp.physics.world.world import World
 
 

@@ -20,7 +20,7 @@ from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState
 from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.sensors.pose_estimate import Fuser, estimate, state_of
-from vcmvsp.physics.vehicles.models import VehicleSpec
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 
 _FED = Ticks.rate(10.0)
 _LEAST_SIGMA_M = 1e-3  # of a fix, for an estimator that could not divide by 0

@@ -7,7 +7,7 @@ import numpy as np
 from vcmvsp.cosim.types import Pushed, Vec3, frozen
 from vcmvsp.physics.dynamics.movables import on_time, start_of
 from vcmvsp.physics.engine.interface import Motion, Touch, still
-from vcmvsp.physics.vehicles.models import VehicleSpec
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.world import Movable, Moving, World
 

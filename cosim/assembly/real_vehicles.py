@@ -56,7 +56,7 @@ def of_scenario(
         scenario: the scenario.
         source: where it came from.
         resolution: takes the tables with everything filled in.
-        models: what each vehicle is, by name (`physics.vehicles.models.Vehicle`).
+        models: what each vehicle is, by name (`physics.vehicles.specification.Vehicle`).
     """
     for vehicle in scenario.vehicle:
         if vehicle.driver is None:

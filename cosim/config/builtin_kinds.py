@@ -34,10 +34,10 @@ VERBS: Mapping[str, str] = {
 
 PIECES: Mapping[str, str] = {
     "agent host": "vcmvsp.agents.federate:AgentHost",
-    "flies": "vcmvsp.physics.vehicles.models:flies",
-    "vehicle body": "vcmvsp.physics.vehicles.models:body_of",
-    "vehicle spec": "vcmvsp.physics.vehicles.models:VehicleSpec",
-    "positioning": "vcmvsp.physics.sensors.positioning_system:Positioning",
+    "flies": "vcmvsp.physics.vehicles.specification:flies",
+    "vehicle body": "vcmvsp.physics.vehicles.specification:body_of",
+    "vehicle spec": "vcmvsp.physics.vehicles.specification:VehicleSpec",
+    "positioning": "vcmvsp.physics.sensors.positioning:Positioning",
     "world": "vcmvsp.physics.world.world:World",
     "world pictures": "vcmvsp.physics.render.world_picture",
     "radio": "vcmvsp.netsim.federate:RadioFederate",

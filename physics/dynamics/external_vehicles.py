@@ -14,7 +14,7 @@ from vcmvsp.cosim.federate import ExternalMotion
 from vcmvsp.cosim.types import Array, Vec3, VehicleState
 from vcmvsp.physics.engine.interface import Bodiless, Motion, side_by_side, still
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.vehicles.models import VehicleSpec
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.scene import rotations
 
 _UNIT = 1e-3  # by which the length of a quaternion may differ from 1

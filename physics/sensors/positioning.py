@@ -1,13 +1,50 @@
-"""The positioning system of `physics.sensors.positioning_system`, as a sensor among the others: a fix with a heading."""
+"""Positioning systems (indoor UWB, GNSS): a vehicle's pose at fixed instants, with noise and rare outliers."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from vcmvsp.cosim.types import Fix, NonNegative, Probability, VehicleState
-from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import Fix, NonNegative, Probability, Rate, VehicleState
+from vcmvsp.physics.sensors.noise import jump
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Positioning:
+    """Independent Gaussian errors of x, y and yaw at every fix, and rare outliers.
+
+    The defaults are those of an ultra-wideband system indoors such as the one of Toh 2012: about 0.15 m.
+
+    Args:
+        rate_hz: fixes a second.
+        sigma_m: standard deviation of x and of y, m.
+        sigma_rad: standard deviation of the yaw, rad.
+        heading: whether a fix tells the yaw; that of a single tag does not.
+        outlier_probability: of a fix to be displaced (a reflection taken for the direct path).
+        outlier_m: how far an outlier is displaced, m, in a random direction.
+    """
+
+    rate_hz: Rate = 10.0
+    sigma_m: NonNegative = 0.15
+    sigma_rad: NonNegative = 0.05
+    heading: bool = True
+    outlier_probability: Probability = 0.0
+    outlier_m: NonNegative = 2.0
+
+    def measure(self, now_ns: int, truth: VehicleState, rng: np.random.Generator) -> Fix:
+        """One fix. It takes three normal and two uniform draws, whatever the parameters: they never move each other's."""
+        dx, dy, turn = rng.standard_normal(3).tolist()
+        far_x, far_y = jump(self.outlier_probability, self.outlier_m, rng)
+        x, y, z = truth.position
+        return Fix(
+            time_ns=now_ns,
+            position=(x + self.sigma_m * dx + far_x, y + self.sigma_m * dy + far_y, z),
+            yaw=wrap(truth.yaw + self.sigma_rad * turn) if self.heading else None,
+            sigma_m=self.sigma_m,
+            sigma_rad=self.sigma_rad if self.heading else 0.0,
+        )
 
 
 @dataclass(kw_only=True)
@@ -29,7 +66,7 @@ class PositioningSensor(Sensor):
         )
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:
-        """The same fixes from the same draws as those of a `Positioning`."""
+        """Same fixes from the same draws as a `Positioning`."""
         x, y, z = scene.position[row].tolist()
         w, i, j, k = scene.attitude[row].tolist()
         return self._system.measure(scene.now_ns, VehicleState(position=(x, y, z), attitude=(w, i, j, k)), rng)

@@ -23,8 +23,9 @@ from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
-from vcmvsp.physics.sensors.positioning_system import Positioning
-from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.sensors.positioning import Positioning
+from vcmvsp.physics.vehicles.models import P2DX
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
 RUN = RunInfo(scenario="check", seed=1, duration_ns=10**9, vehicles=("car1", "car2"), instants=(Instants(Ticks.every(0.1)),))

@@ -12,7 +12,8 @@ from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.federate import Physics
-from vcmvsp.physics.vehicles.models import GroundVehicle, VehicleSpec
+from vcmvsp.physics.vehicles.models import GroundVehicle
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
 Command = tuple[float, str, float, float]  # from when, s; vehicle; v, m/s; w, rad/s

@@ -22,11 +22,12 @@ from vcmvsp.physics.sensors.bumper import Bumper
 from vcmvsp.physics.sensors.camera import Camera, NadirCamera
 from vcmvsp.physics.sensors.gps import Gps
 from vcmvsp.physics.sensors.imu import InertialUnit
-from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.range_scanner import Lms, Ring
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point, Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.floor import Ground, Mark
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone

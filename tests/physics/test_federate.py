@@ -16,10 +16,11 @@ from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
-from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import Movable, Moving, World
 
@@ -341,7 +342,8 @@ import sys
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.physics.federate import {kind}
-from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
 from vcmvsp.physics.world.solids import Box, Hull

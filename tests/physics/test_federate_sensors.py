@@ -13,10 +13,11 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Measured, Velocity
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.bumper import Bumper
-from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
-from vcmvsp.physics.vehicles.models import P2DX, Point, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX, Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.scene import Scene
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, World

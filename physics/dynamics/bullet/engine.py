@@ -16,8 +16,9 @@ from vcmvsp.physics.dynamics.bullet.world_bodies import Things
 from vcmvsp.physics.dynamics.external_vehicles import Reflected
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.engine.interface import Motion, Touch, gathered
-from vcmvsp.physics.vehicles.models import DifferentialDrive, Vehicle
+from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import Vehicle
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 

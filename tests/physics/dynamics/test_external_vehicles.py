@@ -22,7 +22,7 @@ from vcmvsp.physics.dynamics.external_vehicles import Reflected
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.imu import InertialUnit
 from vcmvsp.physics.sensors.neighbour_range import NeighbourRange
-from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
 from vcmvsp.physics.vehicles.models import P2DX, Lag

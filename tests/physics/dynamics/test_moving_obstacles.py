@@ -12,7 +12,8 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Contact, Later
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.vehicles.models import AmigoBot, VehicleSpec
+from vcmvsp.physics.vehicles.models import AmigoBot
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Moving, World
 

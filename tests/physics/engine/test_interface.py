@@ -13,8 +13,9 @@ from vcmvsp.physics.dynamics.kinematic_aerial import AerialEngine
 from vcmvsp.physics.dynamics.kinematic_ground import MotionEngine
 from vcmvsp.physics.engine.interface import Engine, Motion, Touch, gathered, still
 from vcmvsp.physics.federate import Physics
-from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
 

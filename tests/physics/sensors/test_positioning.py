@@ -9,8 +9,7 @@ from tests.support.physics.sensor_scenes import readings, scene_of
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Fix, VehicleState
-from vcmvsp.physics.sensors.positioning import PositioningSensor
-from vcmvsp.physics.sensors.positioning_system import Positioning
+from vcmvsp.physics.sensors.positioning import Positioning, PositioningSensor
 
 TRUTH = VehicleState(position=(3.0, -4.0, 0.0), attitude=quaternion_from_yaw(3.1))
 

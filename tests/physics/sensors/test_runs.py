@@ -17,7 +17,8 @@ from vcmvsp.physics.sensors.imu import InertialUnit
 from vcmvsp.physics.sensors.noise import Noise
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.sensors.wheel_odometry import WheelOdometry
-from vcmvsp.physics.vehicles.models import P2DX, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 

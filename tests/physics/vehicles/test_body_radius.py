@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from vcmvsp.physics.vehicles.models import Point, body_of
+from vcmvsp.physics.vehicles.models import Point
+from vcmvsp.physics.vehicles.specification import body_of
 from vcmvsp.physics.world.solids import Hull
 
 

@@ -16,7 +16,7 @@ from vcmvsp.cosim.types import Velocity
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics
-from vcmvsp.physics.vehicles.models import Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World

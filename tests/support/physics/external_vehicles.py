@@ -9,7 +9,8 @@ from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import VehicleState, Velocity
 from vcmvsp.physics.federate import Physics
-from vcmvsp.physics.vehicles.models import P2DX, Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX
+from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 
 TENTH = (Instants(Ticks.every(0.1)),)
 Course = Callable[[float], VehicleState]

@@ -14,7 +14,8 @@ from vcmvsp.cosim.types import Contact
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.federate import BulletPhysics
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, DifferentialDrive, VehicleSpec
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, DifferentialDrive
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 

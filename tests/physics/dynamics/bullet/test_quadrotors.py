@@ -16,8 +16,9 @@ from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
 from vcmvsp.physics.dynamics.flight import Fleet
 from vcmvsp.physics.engine.interface import Motion, Touch
-from vcmvsp.physics.vehicles.models import P2DX, Vehicle
+from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import Vehicle
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism
 from vcmvsp.physics.world.world import Movable, Moving, World
 

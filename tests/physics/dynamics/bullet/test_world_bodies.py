@@ -9,8 +9,9 @@ from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.movables import on_time
-from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Vehicle
+from vcmvsp.physics.vehicles.models import P2DX, AmigoBot
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.vehicles.specification import Vehicle
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, World, Zone
 

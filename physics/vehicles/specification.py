@@ -1,0 +1,79 @@
+"""Specification of one vehicle of a run: its model, start, sensors and pose source."""
+
+import math
+from collections.abc import Mapping
+from typing import Protocol
+
+from vcmvsp.cosim.agent import Body
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import Value, Vec3
+from vcmvsp.physics.sensors.pose_estimate import Fuser
+from vcmvsp.physics.sensors.positioning import Positioning
+from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.vehicles.models import Point
+from vcmvsp.physics.vehicles.quadrotor import Quadrotor
+from vcmvsp.physics.world.solids import Hull
+
+POSE_SOURCES = ("truth", "odometry", "positioning", "fusion")
+
+
+class Vehicle(Protocol):
+    """What every vehicle has, whatever it is."""
+
+    @property
+    def radius_m(self) -> float:
+        """Of the circle that it is drawn with."""
+
+    @property
+    def height_m(self) -> float:
+        """From its lowest to its highest point, m."""
+
+    @property
+    def hull(self) -> Hull:
+        """Its outer shape, as others see and touch it."""
+
+
+def flies(model: Vehicle | type[Vehicle]) -> bool:
+    """Whether it, or all of a class, takes commands of vehicles in the air."""
+    return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor)
+
+
+def body_of(model: Vehicle) -> Body:
+    """How much room a vehicle takes, for its agent."""
+    (length, width, _), (ahead, left, _), kind = model.hull[:3]
+    aside, round_m = 0.5 * width + abs(left), 0.5 * length + math.hypot(ahead, left)
+    if kind != "cylinder":
+        round_m = math.hypot(0.5 * length + abs(ahead), aside)
+    return Body(width_m=2.0 * aside, radius_m=round_m, flies=flies(model))
+
+
+class VehicleSpec(Value, frozen=True, kw_only=True):
+    """One vehicle of a run: what it is, where it starts, what it carries, and what it takes for its own pose."""
+
+    name: str
+    model: Vehicle
+    position: Vec3 = (0.0, 0.0, 0.0)  # m, world; on the ground z does not count; too low to fly: it stands on the floor
+    heading: float = 0.0  # rad
+    pose_source: str = "truth"  # "truth" | "odometry" | "positioning" | "fusion"
+    positioning: Positioning | None = None  # the sensor, if fitted
+    fusion: Fuser | None = None  # makes one pose of odometry and fixes, if that is its source; every run has its own copy
+    sensors: Mapping[str, Sensor] = {}  # others, by name
+
+    def __post_init__(self) -> None:
+        key = "pose_source"
+        if self.pose_source not in POSE_SOURCES:
+            raise ScenarioError(f'"{self.pose_source}" is none of {", ".join(POSE_SOURCES)}', key=key)
+        if self.pose_source == "positioning" and self.positioning is None:
+            raise ScenarioError('"positioning" needs the sensor of that name to be fitted to the vehicle', key=key)
+        if self.fusion is not None and self.positioning is None:
+            raise ScenarioError('"fusion" needs the sensor "positioning" to be fitted to the vehicle', key=key)
+        if (self.pose_source == "odometry" or self.fusion is not None) and flies(self.model):
+            raise ScenarioError(f'"{self.pose_source}" needs wheels, which a vehicle that flies has none of', key=key)
+
+    @property
+    def start(self) -> Vec3:
+        """Where it really starts: on the ground, z = 0; in the air, not lower than its hull lets it stand on the floor."""
+        x, y, z = self.position
+        hull = self.model.hull
+        lowest = 0.5 * hull.size[2] - hull.offset[2]
+        return (x, y, max(z, lowest) if z >= 0.0 else z) if flies(self.model) else (x, y, 0.0)
