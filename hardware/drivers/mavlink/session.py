@@ -15,7 +15,6 @@ from vcmvsp.hardware.drivers.mavlink import messages
 from vcmvsp.hardware.drivers.mavlink.codec import Message, mavlink
 from vcmvsp.hardware.drivers.mavlink.command_schedule import STILL, Steering, finite, setpoint
 from vcmvsp.hardware.drivers.mavlink.samples import Track
-from vcmvsp.hardware.drivers.mavlink.status_text import Texts
 from vcmvsp.hardware.drivers.mavlink.vehicle_search import Peer
 
 ASK_NS = 500_000_000  # until something that was not done is asked for again
@@ -23,6 +22,8 @@ CLIMB = 0.7  # m/s, of a take-off
 NEAR = 0.9  # of its height: a take-off is done
 STANDS = 0.05  # m/s
 SAID: What = "warned"  # of a text by which the autopilot tells an error
+TEXT = 50  # characters of a STATUSTEXT; a longer text comes in pieces
+REPEAT_NS = 10_000_000_000  # the same text is told again after so long
 
 _RESULTS = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now",
@@ -69,7 +70,7 @@ class Pilot:
         self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
         self._leaving = self._has_armed = False
         self._climb_to: float | None = None  # m, z in the world
-        self._refusal, self._texts = "", Texts()
+        self._refusal, self._texts = "", StatusTexts()
         self._old_streams = False
         self._steps = deque(self._opening())
         self._asked_ns: int | None = None
@@ -296,3 +297,30 @@ class Pilot:
 
     def _ms(self) -> int:
         return (self._now_ns - self._boot_ns) // 1_000_000
+
+
+class StatusTexts:
+    """Error messages (STATUSTEXT) of one vehicle, put together from their pieces; a repeated one is left out for a while.
+
+    Attributes:
+        last: newest message that was reported; empty: none.
+    """
+
+    def __init__(self) -> None:
+        self.last = ""
+        self._last_ns = -REPEAT_NS
+        self._piece: dict[int, str] = {}  # of a text, by its number
+
+    def hear(self, message: Message, now_ns: int) -> str:
+        """Text to report now; empty: the text continues, is no error, or was reported lately."""
+        text = self._piece.pop(message.id, "") + message.text if message.id and message.chunk_seq else message.text
+        if message.id and len(message.text) == TEXT:
+            self._piece = {message.id: text}
+            return ""
+        if message.severity > mavlink.MAV_SEVERITY_ERROR or not text.strip():
+            return ""
+        text = "".join(each if each.isprintable() else "?" for each in text.strip())
+        if text == self.last and now_ns - self._last_ns < REPEAT_NS:
+            return ""
+        self.last, self._last_ns = text, now_ns
+        return text
