@@ -35,8 +35,7 @@ from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     decode_odometry,
     encode_twist,
 )
-from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Heard, Mode, Node
-from vcmvsp.hardware.drivers.ros2.presence import Presence
+from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Heard, Mode, Node, Presence
 from vcmvsp.hardware.drivers.ros2.samples import Pose, Track
 from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Mapping, Release, RmwZenoh, Ros2Dds, topic_of
 from vcmvsp.hardware.drivers.threaded import Threaded

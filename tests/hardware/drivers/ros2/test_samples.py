@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.ros2.cdr_messages import STAMPS_END_NS, OdometryMessage
-from vcmvsp.hardware.drivers.ros2.presence import Presence
+from vcmvsp.hardware.drivers.ros2.node import Presence
 from vcmvsp.hardware.drivers.ros2.samples import Pose, Track
 
 MS, S = 10**6, 10**9
