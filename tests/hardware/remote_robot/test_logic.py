@@ -19,8 +19,8 @@ from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import Down, Up
 from vcmvsp.hardware.remote_robot.robot_side.watchdog import Aboard
 from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
-from vcmvsp.hardware.remote_robot.run_side.orders import Orders
 from vcmvsp.hardware.remote_robot.run_side.samples import Track
+from vcmvsp.hardware.remote_robot.run_side.session import Orders
 
 SECOND = 10**9
 AHEAD = Velocity(linear=(0.3, 0.0, 0.0))
