@@ -10,7 +10,8 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from vcmvsp.agents.formation.team.assignment import assign
+import numpy as np
+
 from vcmvsp.agents.formation.team.formation import Formation
 from vcmvsp.agents.formation.team.shape import SHAPES, Slot, Slots, slots, width
 from vcmvsp.agents.formation.team.topology import ancestors, named_parents, parents, ranks
@@ -187,3 +188,21 @@ def members_of(formation: Formation, vehicles: Sequence[str], name: str) -> tupl
     if name not in seen:
         raise ValueError(f"formation.members ({', '.join(members)}) does not name {name}; add it, or give it no formation")
     return members
+
+
+def assign(positions: Sequence[Slot], places: Sequence[Slot]) -> tuple[int, ...]:
+    """Assignment of members to the places of a new shape, in order of places: the numbers of the members.
+
+    The first member, the leader, keeps the first place. The sum of all ways is least, so no two ways cross: if two straight
+    ways a -> p and b -> q crossed in a point inside both, then |a q| + |b p| < |a p| + |b q| by the triangle inequality.
+
+    Args:
+        positions: of each member, m in the leader's frame.
+        places: of the new shape, as many.
+    """
+    from scipy.optimize import linear_sum_assignment  # takes long to load, and few teams change shape
+
+    others, wanted = np.array(positions[1:], float).reshape(-1, 2), np.array(places[1:], float).reshape(-1, 2)
+    way = np.hypot(*(wanted[:, None, :] - others[None, :, :]).transpose(2, 0, 1))
+    _, who = linear_sum_assignment(way)  # rows, here the places, come in their order
+    return (0, *(int(member) + 1 for member in who))
