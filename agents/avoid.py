@@ -5,7 +5,7 @@ from typing import Any
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.method import Point
 from vcmvsp.agents.avoidance_filter import GetAround
-from vcmvsp.agents.nested_agents import built
+from vcmvsp.agents.factory import build_nested
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Velocity, Waypoint
 
@@ -24,7 +24,7 @@ class Avoid(Agent):
     """
 
     def __init__(self, task: dict[str, Any], avoidance: Avoidance, *, goal: Point | None = None) -> None:
-        self.task, self._around = built(task, "task"), GetAround(avoidance, goal)
+        self.task, self._around = build_nested(task, "task"), GetAround(avoidance, goal)
         self.period = self.task.period
         wanted, looked_at = self.task.sensors, self._around.sensors or ()
         self.sensors = None if wanted is None else tuple(dict.fromkeys((*wanted, *looked_at)))

@@ -1,10 +1,11 @@
-"""Agents as a scenario describes them: their classes, and what they are made with."""
+"""Builds agents from the tables of a scenario, agents within agents among them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.agent import Agent, AgentSpec
-from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import AgentTable
 
@@ -51,3 +52,16 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
         shared = name.partition(".")[0] in taken  # the first chunk: what is wrong may be inside a table
         raise (ScenarioError(error.problem, key=f"agents.{name}", source=spec.source) if shared else error) from error
     return agent, binding.complete(kind, params), taken
+
+
+def build_nested(described: Mapping[str, Any], key: str) -> Agent:
+    """Build the agent that a table inside another agent's parameters describes; errors name its keys as ``key`` + "."."""
+    kind, where = described.get("kind"), binding.join(key, "kind")
+    if not isinstance(kind, str):
+        allowed = ", ".join(builtin_kinds.KINDS["agent"])
+        raise ScenarioError(f"must be a string, one of {allowed}, module:Class or file.py:Class", key=where)
+    found = registry.find("agent", kind, key=where)
+    check_acts(found, kind, where)
+    params = {name: value for name, value in described.items() if name != "kind"}
+    agent: Agent = binding.call(found, params, key=key, also=("kind",))
+    return agent

@@ -16,11 +16,11 @@ from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance_filter import GetAround
+from vcmvsp.agents.factory import build_nested
 from vcmvsp.agents.formation.aerial.flight import along, told
 from vcmvsp.agents.formation.reports.report import send_report
 from vcmvsp.agents.mission.runner import Runner
 from vcmvsp.agents.mission.speed_limit import Guard
-from vcmvsp.agents.nested_agents import built
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
 from vcmvsp.agents.reconnaissance.state_table import TASKS, Facts, State, step
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
@@ -75,7 +75,7 @@ class Mission(Agent):
         if sectors and any(len(sector) > 1 for sector in sectors) and "formation" not in algorithms:
             raise ScenarioError("sectors are shared, so there must be an algorithm for it: formation", key="algorithms")
         self._flies_along = {  # by sector: files that an agent names are looked for in the scenario's folder only now
-            tuple(sector): built(_of_sector(algorithms["formation"], sector), "algorithms.formation")
+            tuple(sector): build_nested(_of_sector(algorithms["formation"], sector), "algorithms.formation")
             for sector in sectors
             if len(sector) > 1
         }
@@ -185,7 +185,7 @@ def _built(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
             raise ScenarioError(unknown("task", task, TASKS), key=f"algorithms.{task}")
     if "search" not in tables:
         raise ScenarioError("there must be an algorithm for search", key="algorithms")
-    return {task: built(tables[task], f"algorithms.{task}") for task in TASKS if task in tables}
+    return {task: build_nested(tables[task], f"algorithms.{task}") for task in TASKS if task in tables}
 
 
 def _of_sector(table: Mapping[str, Any], sector: Sequence[str]) -> dict[str, Any]:
