@@ -1,15 +1,17 @@
 """Has a vehicle get around things on the way that its task takes: a method, two levels of speed, and no trust in bad scans."""
 
 import math
+from typing import NamedTuple
 
 from vcmvsp.agents.avoidance.levels import Levels
-from vcmvsp.agents.avoidance.method import Decision, Point, Task, saturated
+from vcmvsp.agents.avoidance.method import Decision, Mode, Point, Task, saturated
 from vcmvsp.agents.avoidance.settings import Settings, body_of
 from vcmvsp.agents.avoidance.view import Looking, View
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2
+from vcmvsp.cosim.types import Vec3
 
 VANISHED_S = 0.5  # all that was near is gone at once: so long that is not believed
 UNSEEN = 0.1  # m/s: on wheels, to where the scanner does not look
@@ -111,6 +113,35 @@ class Steering:
         self.notes = {name: value for name, value in now.items() if value != self._told.get(name)}
         self._told = now
         return decision
+
+
+class Moved(NamedTuple):
+    """Command of a vehicle in the air."""
+
+    velocity: Vec3  # m/s, world
+    yaw_rate: float  # rad/s
+    mode: Mode
+
+
+def around(
+    steering: Steering | None,
+    obs: Observation,
+    wanted: Vec3,
+    yaw_rate: float,
+    aim: Point | None = None,
+    leader: Point | None = None,
+) -> Moved:
+    """The wanted command (m/s world, rad/s) of a vehicle in the air, led around obstacles; ``aim`` and ``leader`` are m, world.
+
+    Obstacles are avoided sideways: the climb stays as wanted, but for a vehicle that sees nothing and stands still.
+    """
+    if steering is None:
+        return Moved(wanted, yaw_rate, "task")
+    yaw = obs.state.yaw
+    task = Task(rotate2(wanted[0], wanted[1], -yaw), yaw_rate, _seen(obs, aim), _seen(obs, leader), steering.settings.max_speed)
+    decision = steering.steer(obs, task)
+    climb = 0.0 if decision.mode == "blind" else wanted[2]
+    return Moved((*rotate2(*decision.velocity, yaw), climb), decision.yaw_rate, decision.mode)
 
 
 def _seen(obs: Observation, place: Point | None) -> Point | None:

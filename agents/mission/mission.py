@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
-from vcmvsp.agents.avoidance_filter import GetAround
+from vcmvsp.agents.avoidance.avoid import GetAround
 from vcmvsp.agents.factory import build_nested
 from vcmvsp.agents.formation.aerial.flight import along, told
 from vcmvsp.agents.formation.reports.report import send_report

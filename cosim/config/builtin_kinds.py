@@ -119,7 +119,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "patrol": "vcmvsp.agents.patrol:Patrol",
         "aerial_route": "vcmvsp.agents.formation.aerial.route:AerialRoute",
         "aerial_follower": "vcmvsp.agents.formation.aerial.follower:AerialFollower",
-        "avoid": "vcmvsp.agents.avoid:Avoid",
+        "avoid": "vcmvsp.agents.avoidance.avoid:Avoid",
         "search": "vcmvsp.agents.reconnaissance.search:Search",
         "track": "vcmvsp.agents.reconnaissance.track:Track",
         "mission": "vcmvsp.agents.mission.mission:Mission",

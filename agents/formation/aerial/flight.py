@@ -1,4 +1,4 @@
-"""What leaders and followers in the air have in common: motion in all directions, what reports tell of it, avoidance.
+"""What leaders and followers in the air have in common: motion in all directions, and the reports of it.
 
 On wheels a vehicle moves where it heads, and a pose with two speeds says all. In the air it moves in any direction, whatever
 its heading: reports hold ``vx vy vz z`` besides the standard keys, whose ``v`` is then the speed along the heading. So a
@@ -9,19 +9,15 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from vcmvsp.agents.avoidance.method import Mode, Task
-from vcmvsp.agents.avoidance.steering import Steering
 from vcmvsp.agents.formation.reports.prediction import Estimator
 from vcmvsp.agents.formation.reports.report import PLAUSIBLE, LeaderState, Report
 from vcmvsp.cosim.agent import Observation, VehicleInfo
-from vcmvsp.cosim.frames import rotate2, wrap
+from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Vec3
 
 GAIN = 0.8  # 1/s, speed towards a point for each metre
 YAW_GAIN = 1.0  # 1/s, yaw rate for each rad that the heading is off
 KEYS = ("vx", "vy", "vz", "z")
-
-Point2 = tuple[float, float]
 
 
 class Flight(NamedTuple):
@@ -31,14 +27,6 @@ class Flight(NamedTuple):
     velocity: Vec3  # m/s, world
     yaw: float  # rad
     yaw_rate: float  # rad/s
-
-
-class Moved(NamedTuple):
-    """What a vehicle is to do for now."""
-
-    velocity: Vec3  # m/s, world
-    yaw_rate: float  # rad/s
-    mode: Mode
 
 
 class Airborne:
@@ -90,28 +78,6 @@ def told(obs: Observation, velocity: Vec3) -> dict[str, float]:
 def along(velocity: Vec3, yaw: float) -> float:
     """The part of a velocity in the direction of a heading, m/s."""
     return velocity[0] * math.cos(yaw) + velocity[1] * math.sin(yaw)
-
-
-def around(
-    steering: Steering | None,
-    obs: Observation,
-    wanted: Vec3,
-    yaw_rate: float,
-    aim: Point2 | None = None,
-    leader: Point2 | None = None,
-) -> Moved:
-    """What to do in place of what is wanted, m/s world and rad/s; ``aim`` and ``leader`` are m, world.
-
-    Things are got around sideways: the climb stays as wanted, but for a vehicle that sees nothing and stands still.
-    """
-    if steering is None:
-        return Moved(wanted, yaw_rate, "task")
-    (x, y, _), yaw = obs.state.position, obs.state.yaw
-    aim, leader = (None if place is None else rotate2(place[0] - x, place[1] - y, -yaw) for place in (aim, leader))
-    task = Task(rotate2(wanted[0], wanted[1], -yaw), yaw_rate, aim, leader, steering.settings.max_speed)
-    decision = steering.steer(obs, task)
-    climb = 0.0 if decision.mode == "blind" else wanted[2]
-    return Moved((*rotate2(*decision.velocity, yaw), climb), decision.yaw_rate, decision.mode)
 
 
 def limited(velocity: Vec3, most: float) -> Vec3:

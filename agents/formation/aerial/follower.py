@@ -4,18 +4,8 @@ import math
 from typing import Literal
 
 from vcmvsp.agents.avoidance import Avoidance
-from vcmvsp.agents.avoidance.steering import Steering
-from vcmvsp.agents.formation.aerial.flight import (
-    GAIN,
-    YAW_GAIN,
-    Airborne,
-    Flight,
-    along,
-    around,
-    check_flies,
-    limited,
-    told,
-)
+from vcmvsp.agents.avoidance.steering import Steering, around
+from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, Airborne, Flight, along, check_flies, limited, told
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.report import Report
 from vcmvsp.agents.formation.reports.sending import Sending

@@ -4,16 +4,8 @@ import math
 from typing import Any, Literal
 
 from vcmvsp.agents.avoidance import Avoidance
-from vcmvsp.agents.formation.aerial.flight import (
-    GAIN,
-    YAW_GAIN,
-    Airborne,
-    along,
-    around,
-    check_flies,
-    limited,
-    told,
-)
+from vcmvsp.agents.avoidance.steering import around
+from vcmvsp.agents.formation.aerial.flight import GAIN, YAW_GAIN, Airborne, along, check_flies, limited, told
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.sending import Sending

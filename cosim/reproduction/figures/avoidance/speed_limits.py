@@ -94,7 +94,7 @@ def fig_levels(runner: Runner) -> Figure:
 def _scenario(stepped: bool, level: int, speed: float) -> dict[str, Any]:
     field = {"kind": "potential_field", "tang": 0.0, "max_speed": speed, "level": level}
     task = {"kind": f"{HERE}:Ahead", "speed": speed}
-    agent: dict[str, Any] = {"kind": "vcmvsp.agents.avoid:Avoid", "task": task, "avoidance": field}
+    agent: dict[str, Any] = {"kind": "vcmvsp.agents.avoidance.avoid:Avoid", "task": task, "avoidance": field}
     if stepped:
         agent = {"kind": f"{HERE}:Stepped", "agent": agent, "lag_s": LAG_S}
     vehicle = {

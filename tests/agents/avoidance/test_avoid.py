@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from vcmvsp.agents.avoid import Avoid
 from vcmvsp.agents.avoidance import PotentialField
+from vcmvsp.agents.avoidance.avoid import Avoid
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Follows, Scan, VehicleState, Velocity, Waypoint
 
-HERE = "tests.agents.test_avoid"
+HERE = "tests.agents.avoidance.test_avoid"
 PUSHLESS: Any = {"gain": 1e-9, "tang": 0.0}  # a field that leads nowhere: what is left is the limits
-KIND = "vcmvsp.agents.avoid:Avoid"
+KIND = "vcmvsp.agents.avoidance.avoid:Avoid"
 FREE = (math.inf,) * 32
 NEAR = (0.8, *FREE[1:])
 WHEELS, WINGS = Body(width_m=0.4, radius_m=0.25), Body(width_m=0.5, radius_m=0.25, flies=True)
