@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.agent import Agent, AgentSpec
-from vcmvsp.cosim.config import binding, builtin_kinds, registry
+from vcmvsp.cosim.config import binding, builtin_kinds, messages, registry
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import AgentTable
 
@@ -56,7 +56,7 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
 
 def build_nested(described: Mapping[str, Any], key: str) -> Agent:
     """Build the agent that a table inside another agent's parameters describes; errors name its keys as ``key`` + "."."""
-    kind, where = described.get("kind"), binding.join(key, "kind")
+    kind, where = described.get("kind"), messages.join(key, "kind")
     if not isinstance(kind, str):
         allowed = ", ".join(builtin_kinds.KINDS["agent"])
         raise ScenarioError(f"must be a string, one of {allowed}, module:Class or file.py:Class", key=where)

@@ -9,12 +9,12 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
 from vcmvsp.cosim.clock import SECOND_NS, WallClock
 from vcmvsp.cosim.errors import FederateError, Interrupted, VcmvspError
 from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead, planar
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
+from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
 from vcmvsp.cosim.types import (
     Array,
     Fix,

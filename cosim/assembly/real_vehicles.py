@@ -11,8 +11,9 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.recording.external_inputs import Input
+from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
 from vcmvsp.cosim.scenario.schema import SIMULATED, SafetyTable, Scenario, VehicleTable
-from vcmvsp.cosim.types import Value, Vec3
+
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
@@ -26,25 +27,6 @@ ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that does not say its 
 ADDRESSES = frozenset({"port", "address", "listen"})  # parameters of drivers and localisations that one vehicle alone may have
 OF_DRIVER = ("driver", "localisation", "fusion", "safety")
 """Keys of a vehicle that only a real one has."""
-
-
-class RealVehicle(Value, frozen=True, kw_only=True):
-    """A real vehicle as the scenario describes it."""
-
-    name: str
-    folder: str  # of the scenario
-    driver: str  # its kind, as written
-    driver_params: dict[str, Any]
-    localisation: str | None  # its kind, as written
-    localisation_params: dict[str, Any]
-    fusion: dict[str, Any]
-    safety: SafetyTable  # nothing in it is left to a default
-    pose_source: str
-    start: Vec3  # x m, y m, yaw rad
-    height_m: float  # of its reference point above the ground
-    flies: bool
-    positioning: dict[str, Any] | None  # of its simulated twin, complete
-    seed: int
 
 
 def of_scenario(

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from vcmvsp.cosim.assembly.real_vehicles import RealVehicle
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
 from vcmvsp.cosim.federate import Event, Instants, Log, RunInfo
 from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
 from vcmvsp.cosim.scenario.schema import SafetyTable
 from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Notice
