@@ -84,6 +84,7 @@ def robot_command(
     Example: vcmvsp emulate p2dx --port tcp://:8101 --scenario lab-patrol --vehicle ugv1 --ubisense udp://127.0.0.1:5000
     """
     from vcmvsp.cosim.assembly import emulators
+    from vcmvsp.cosim.runs.api import run
     from vcmvsp.cosim.scenario import loader as scenarios
 
     if scenario is None and (vehicle is not None or set_):
@@ -116,13 +117,8 @@ def robot_command(
     if scenario is None:
         _show(lambda ready: emulators.emulate_robot(name, chosen, ready, start), as_json=json)
         return
-    settings = scenarios.settings_of(set_ or [])
-    _show(
-        lambda ready: emulators.emulate_vehicle(
-            name, chosen, ready, start, scenario_name=scenario, vehicle=vehicle, settings=settings
-        ),
-        as_json=json,
-    )
+    where = {"scenario_name": scenario, "vehicle": vehicle, "settings": scenarios.settings_of(set_ or [])}
+    _show(lambda ready: emulators.emulate_vehicle(name, chosen, ready, start, run=run, **where), as_json=json)
 
 
 for _name in ("amigobot", "p2dx", "amigo-sh"):

@@ -5,10 +5,9 @@ the vehicle, and poses and ranges back. The robot keeps its pace by a thread of 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import vcmvsp
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.config import messages, registry
@@ -143,6 +142,8 @@ def emulate(
     ready: Ready,
     pose: Vec3 | None = None,
     *,
+    run: Callable[..., Any],
+    flies: Callable[[Any], bool],
     scenario_name: str,
     vehicle: str | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -154,6 +155,8 @@ def emulate(
         chosen: how it is served.
         ready: called when it can be connected to.
         pose: where it starts, instead of where the scenario says.
+        run: runs a scenario: `cosim.runs.api.run`.
+        flies: whether vehicles of a class fly: `physics.vehicles.specification.flies`.
         scenario_name: a built-in name, or the path of a file.
         vehicle: which one it is; None: the only one that can be meant.
         settings: key path -> value, as for a run.
@@ -161,7 +164,7 @@ def emulate(
     parsed, source = loader.load(scenario_name, settings=settings)
     robot = parameters(name, chosen)
     own = vehicle_of(parsed, vehicle, KINDS[name])
-    if registry.piece("flies")(registry.find("vehicle", own.kind, folder=source.folder, origin=source)):
+    if flies(registry.find("vehicle", own.kind, folder=source.folder, origin=source)):
         raise UsageError(f"vehicle {own.name} flies, and the {name} does not: choose another one with --vehicle")
     period_s = period_of(parsed)
     changes = {**(settings or {}), **changes_of(parsed, own, robot, period_s, pose)}
@@ -175,7 +178,7 @@ def emulate(
             agent = DeviceAgent(served, senses, lambda _: rig.start(chosen.tags, lambda: agent.truth), period_s)
             agents = {own.name: agent}
             try:
-                result = vcmvsp.run(
+                result = run(
                     scenario_name,
                     set=changes,
                     agents=agents,
