@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState, Velocity
-from vcmvsp.hardware.drivers.base import ORIGIN, Driver, Notice, Sample
+from vcmvsp.cosim.types import ORIGIN, Fix, Odometry, Vec3, VehicleState, Velocity
+from vcmvsp.hardware.drivers.base import Driver, Notice, Sample
 from vcmvsp.hardware.safety import Cause, Decision, Heard
-from vcmvsp.hardware.station.estimator import Estimate, whereabouts
+from vcmvsp.hardware.station.estimator import DriverEstimator, Estimate, StateEstimator
 from vcmvsp.hardware.station.messages import Mission, Order, Report
 from vcmvsp.hardware.station.safety_factory import SLOWING, guard, others_at
 
@@ -39,7 +39,7 @@ class Onboard:
 
     def __init__(self, mission: Mission, driver: Driver, localisation: "Localisation | None", now: Callable[[], int]) -> None:
         self._mission, self._driver, self._localisation, self._now = mission, driver, localisation, now
-        self._where, self._guard = whereabouts(mission), guard(mission)
+        self._where, self._guard = estimator_of(mission), guard(mission)
         self._order, self._order_heard_ns = Order(number=0, sent_ns=0), 0
         self._operator_ns: int | None = None
         self._sample: Sample | None = None
@@ -284,3 +284,12 @@ def _finite(state: VehicleState) -> bool:
 
 def _finite_odometry(odometry: Odometry) -> bool:
     return bool(np.isfinite([*odometry.pose, odometry.v, odometry.w]).all())
+
+
+def estimator_of(mission: Mission) -> StateEstimator:
+    """Estimator of a mission: fused for a robot on the ground with localisation, else as the driver reports."""
+    if mission.localisation is not None and not mission.flies:
+        from vcmvsp.hardware.station.fused_estimator import FusedEstimator  # SciPy takes half a second to load
+
+        return FusedEstimator(mission.fusion, mission.start, mission.height_m)
+    return DriverEstimator(mission.height_m, flies=mission.flies)

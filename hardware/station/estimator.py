@@ -1,6 +1,6 @@
-"""Where a robot is at any instant, from what its driver and its positioning system said last.
+"""State of a robot at any instant, from the newest samples of its driver and its localisation.
 
-Between two samples a robot is taken to go on as it did, for a while; then to stand (`cosim.estimation.dead_reckoning`).
+Between two samples the state is extrapolated for a while, then the robot is taken to stand (`cosim.estimation.dead_reckoning`).
 """
 
 from typing import Protocol
@@ -10,7 +10,6 @@ import msgspec
 from vcmvsp.cosim.estimation.dead_reckoning import ahead, planar
 from vcmvsp.cosim.types import Array, Fix, VehicleState
 from vcmvsp.hardware.drivers.base import Sample
-from vcmvsp.hardware.station.messages import Mission
 
 
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
@@ -22,7 +21,7 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     fix_age_s: float | None = None
 
 
-class Whereabouts(Protocol):
+class StateEstimator(Protocol):
     """Takes samples and fixes in the order in which they come; their times must not lie in the future.
 
     Attributes:
@@ -43,17 +42,8 @@ class Whereabouts(Protocol):
         """The state now; None: not known."""
 
 
-def whereabouts(mission: Mission) -> Whereabouts:
-    """As a mission asks: fused where something tells positions to a robot on the ground, else as the driver says."""
-    if mission.localisation is not None and not mission.flies:
-        from vcmvsp.hardware.station.fused_estimator import Fused  # half a second of SciPy, which no other robot needs
-
-        return Fused(mission.fusion, mission.start, mission.height_m)
-    return Told(mission.height_m, flies=mission.flies)
-
-
-class Told:
-    """As the driver says: the state that the robot knows, else odometry; which does not tell where something is that flies."""
+class DriverEstimator:
+    """State as the driver reports it: that of the robot itself, else odometry, which says nothing of a robot that flies."""
 
     def __init__(self, height_m: float, *, flies: bool) -> None:
         self.gated = self.jumps = 0

@@ -1,4 +1,4 @@
-"""Where a robot is that odometry and a positioning system tell of: both fused, also after its link was lost for a while."""
+"""State of a robot on the ground from odometry and a positioning system, fused, also after a lost link."""
 
 import math
 from typing import Any
@@ -13,7 +13,7 @@ from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.station.estimator import Estimate
 
 
-class Fused:
+class FusedEstimator:
     """Odometry and positions, fused.
 
     While motion has not told the heading yet (it was not given, or the estimate began again), odometry tells it, turned as

@@ -10,8 +10,8 @@ import pytest
 
 from tests.support.hardware.stations import mission
 from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
-from vcmvsp.cosim.types import Array, Fix, Odometry, Vec3, VehicleState, Velocity
-from vcmvsp.hardware.drivers.base import ORIGIN, Notice, Sample
+from vcmvsp.cosim.types import ORIGIN, Array, Fix, Odometry, Vec3, VehicleState, Velocity
+from vcmvsp.hardware.drivers.base import Notice, Sample
 from vcmvsp.hardware.drivers.bench_robot import Bench
 from vcmvsp.hardware.station.controller import Onboard
 from vcmvsp.hardware.station.messages import Mission, Order, Part, Report
