@@ -11,8 +11,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.frames import Quaternion
 from vcmvsp.cosim.recording.external_inputs import REFLECTED, Input
-from vcmvsp.cosim.types import Odometry, Vec3, VehicleState
-from vcmvsp.hardware.drivers.base import ORIGIN
+from vcmvsp.cosim.types import ORIGIN, Odometry, Vec3, VehicleState
 
 
 class Playback:

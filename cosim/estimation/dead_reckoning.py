@@ -5,8 +5,7 @@ import math
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import product, quaternion_from_yaw
-from vcmvsp.cosim.types import Vec3, VehicleState
-from vcmvsp.hardware.drivers.base import ORIGIN
+from vcmvsp.cosim.types import ORIGIN, Vec3, VehicleState
 
 LONGEST_NS = SECOND_NS // 2
 """For so long a vehicle is taken to go on; then to stand."""

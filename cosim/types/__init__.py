@@ -7,6 +7,7 @@ reads and writes them, is elsewhere.
 from vcmvsp.cosim.types.agent_reports import Follows, Mosaic, Note, ProbabilityMap, Sighting, Sightings
 from vcmvsp.cosim.types.operator_actions import Changed, Halted, Moved, Outage
 from vcmvsp.cosim.types.quantities import (
+    ORIGIN,
     Array,
     Count,
     Decibels,
@@ -50,6 +51,7 @@ from vcmvsp.cosim.types.vehicles import (
 )
 
 __all__ = [
+    "ORIGIN",
     "AnyValue",
     "Array",
     "Changed",

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 Vec3 = tuple[float, float, float]
+ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 Array = NDArray[Any]
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]

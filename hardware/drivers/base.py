@@ -21,10 +21,9 @@ from typing import Annotated, Literal, Protocol, runtime_checkable
 import msgspec
 
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.types import Odometry, Value, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.types import ORIGIN, Odometry, Value, Vec3, VehicleState, Velocity
 
 COMMAND_TIMEOUT_S = 0.5  # five periods of 10 Hz: short beside the 2 s of a robot's own watchdog
-ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 
 What = Literal["connected", "lost", "stopped", "warned"]
 """Kinds of notices."""

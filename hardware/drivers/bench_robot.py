@@ -14,16 +14,8 @@ from typing import Literal
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
-from vcmvsp.cosim.types import NonNegative, Odometry, Positive, Probability, Rate, Seed, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import (
-    COMMAND_TIMEOUT_S,
-    ORIGIN,
-    CommandTimeout,
-    LinkLost,
-    Notice,
-    Sample,
-    checked,
-)
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Odometry, Positive, Probability, Rate, Seed, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, LinkLost, Notice, Sample, checked
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 
 TICK_NS = 10_000_000  # of the motion

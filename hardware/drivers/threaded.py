@@ -11,9 +11,9 @@ from collections import deque
 from typing import Protocol
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.cosim.util.polling import readable
-from vcmvsp.hardware.drivers.base import ORIGIN, DriverError, HandshakeError, LinkLost, Notice, Sample, What
+from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, Notice, Sample, What
 
 NOTICES = 1000  # kept for somebody who asks
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 4.0  # before one attempt to connect again and the next: doubled each time

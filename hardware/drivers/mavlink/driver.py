@@ -17,8 +17,8 @@ import msgspec
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
-from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, ORIGIN, CommandTimeout, HandshakeError, LinkLost
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost
 from vcmvsp.hardware.drivers.byte_link import OPEN_S
 from vcmvsp.hardware.drivers.mavlink.codec import Encoder, Reader, Sender, mavlink, sender_of
 from vcmvsp.hardware.drivers.mavlink.command_schedule import finite

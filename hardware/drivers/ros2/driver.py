@@ -15,15 +15,8 @@ import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import NonNegative, Positive, Rate, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import (
-    COMMAND_TIMEOUT_S,
-    ORIGIN,
-    CommandTimeout,
-    HandshakeError,
-    LinkLost,
-    checked,
-)
+from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Rate, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, checked
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET, Pace
 from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     ODOMETRY,

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.hardware.drivers.arcos.command_numbers import BAUDS
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot
 from vcmvsp.hardware.emulators.arcos.device import Device
@@ -27,7 +27,6 @@ from vcmvsp.hardware.emulators.positioning.tags import (
 )
 from vcmvsp.hardware.emulators.programs.options import RobotOptions, Tags, TcpPort
 
-ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 KINDS = {"amigobot": "amigo", "p2dx": "p2dx", "amigo-sh": "amigo-sh"}
 """Robots by the names of vehicles, and the subclass that each of them tells."""
 

@@ -4,11 +4,11 @@ import contextlib
 from typing import Any, Literal
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.hardware.emulators.device_server import LOOPBACK
 from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
-from vcmvsp.hardware.emulators.programs.arcos import ORIGIN, Ready, alive, until_interrupted, wait
+from vcmvsp.hardware.emulators.programs.arcos import Ready, alive, until_interrupted, wait
 from vcmvsp.hardware.emulators.programs.options import address_of, duration_of
 
 TCP_PORT = 5760  # of ArduPilot's simulator

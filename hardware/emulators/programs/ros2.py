@@ -3,9 +3,9 @@
 from typing import Any
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.hardware.drivers.base import PortError
-from vcmvsp.hardware.emulators.programs.arcos import ORIGIN, Ready, until_interrupted, wait
+from vcmvsp.hardware.emulators.programs.arcos import Ready, until_interrupted, wait
 from vcmvsp.hardware.emulators.programs.options import duration_of
 from vcmvsp.hardware.emulators.ros2.robot import Ros2Robot
 

@@ -10,8 +10,7 @@ from typing import Literal, Self
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
-from vcmvsp.cosim.types import Positive, Rate, Vec3
-from vcmvsp.hardware.drivers.base import ORIGIN
+from vcmvsp.cosim.types import ORIGIN, Positive, Rate, Vec3
 from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     ODOMETRY,
     TWIST,

@@ -7,8 +7,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
-from vcmvsp.cosim.types import Vec3, Velocity
-from vcmvsp.hardware.drivers.base import ORIGIN, Driver, Sample
+from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import Driver, Sample
 
 D = TypeVar("D", bound=Driver)
 

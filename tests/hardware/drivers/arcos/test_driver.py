@@ -18,21 +18,12 @@ from tests.support.cosim.run_processes import reserved
 from tests.support.hardware import driver_runs
 from tests.support.hardware.driver_runs import drive, eventually, rest
 from tests.support.paths import ROOT
-from vcmvsp.cosim.types import Vec3, Velocity
+from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
 from vcmvsp.hardware.drivers.arcos.command_numbers import Command
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.arcos.packet import command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
-from vcmvsp.hardware.drivers.base import (
-    ORIGIN,
-    Driver,
-    DriverError,
-    HandshakeError,
-    LinkLost,
-    Notice,
-    PortError,
-    Sample,
-)
+from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
 from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults
 from vcmvsp.hardware.emulators.arcos.server import Served, serve_pty, serve_tcp

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.frames import wrap
+from vcmvsp.cosim.types import ORIGIN
 from vcmvsp.hardware.drivers.arcos.packet import Reader, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.drivers.arcos.samples import Track
 from vcmvsp.hardware.drivers.arcos.sip import Sip, decode, is_sip
-from vcmvsp.hardware.drivers.base import ORIGIN
 from vcmvsp.hardware.emulators.arcos.device import Device
 
 MS = 1_000_000

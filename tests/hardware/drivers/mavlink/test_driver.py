@@ -15,8 +15,8 @@ from tests.support.hardware.driver_runs import eventually, fly, rest
 from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import Vec3, Velocity
-from vcmvsp.hardware.drivers.base import ORIGIN, Driver, HandshakeError, LinkLost, PortError, Sample
+from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
+from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.drivers.mavlink.codec import mavlink
 from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
 from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
