@@ -7,8 +7,8 @@ and headings, and a rate of its own if it has one. A third engine (MuJoCo, say) 
 * to build its bodies from the models' parameters and from ``World.mesh()``, movables and the time-tables of moving obstacles;
 * firmware and motors of ground robots: `physics.dynamics.firmware` gives the speeds to hold, and is an engine's to call once a
 step;
-* the force and torque on every quadrotor: `physics.dynamics.flight.Fleet` gives them from its arrays, which the engine keeps
-up to date;
+* the force and torque on every quadrotor: `physics.dynamics.quadrotor_fleet.Fleet` gives them from its arrays, which the engine
+keeps up to date;
 * the same bits from the same calls: nothing may depend on the order of a set, on other engines, or on how often it is read.
 """
 

@@ -1,4 +1,4 @@
-"""A quadrotor as a set of parameters; `physics.dynamics.flight` makes a fleet of them fly.
+"""A quadrotor as a set of parameters; `physics.dynamics.quadrotor_fleet` makes a fleet of them fly.
 
 Its reference point is the centre of mass. Rotors are in plus configuration: in front (+x), left (+y), behind, right; front and
 back turn counter-clockwise seen from above, so that their drag turns the body clockwise. Sources:

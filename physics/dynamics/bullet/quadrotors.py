@@ -1,7 +1,7 @@
 """Quadrotors in a Bullet world: NumPy moves them, and Bullet those that may touch something.
 
-In free air Bullet would do nothing that `physics.dynamics.flight.Fleet.integrate` does not do for all at once, so there a
-quadrotor's body is parked: far below, touching nothing, asleep. One that may come to touch anything (floor, solid, another
+In free air Bullet would do nothing that `physics.dynamics.quadrotor_fleet.Fleet.integrate` does not do for all at once. There
+a quadrotor's body is parked: far below, touching nothing, asleep. One that may come to touch anything (floor, solid, another
 body) before the next look, 20 times a second, is handed over: its body gets its state, and from then on the force and torque
 of every step. It stays there until it has been clear of everything for a while.
 
@@ -17,7 +17,7 @@ from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, p
 from vcmvsp.physics.dynamics.bullet.airborne_clearance import SolidsMap, near_each_other, near_others
 from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
-from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.engine.interface import Motion
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor

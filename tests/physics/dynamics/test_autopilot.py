@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcmvsp.physics.dynamics.autopilot import Autopilot
-from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 MODEL = Quadrotor()

@@ -7,7 +7,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
 from vcmvsp.physics.dynamics.rigid_body import gyration, into_body, precession, rotations
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 

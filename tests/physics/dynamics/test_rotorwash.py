@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
 from vcmvsp.physics.dynamics.rotorwash import AIR_KG_M3, downwash, ground_effect
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 

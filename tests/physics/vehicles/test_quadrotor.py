@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
 MODEL = Quadrotor()

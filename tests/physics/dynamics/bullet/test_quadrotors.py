@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.bullet.world_bodies import base_motion
-from vcmvsp.physics.dynamics.flight import Fleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import Fleet
 from vcmvsp.physics.engine.interface import Motion, Touch
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
