@@ -23,7 +23,7 @@ from tests.support.validation.fleets import (
     poses,
 )
 from vcmvsp.agents.formation import LeaderFollower
-from vcmvsp.agents.formation.followers.control_law import Place
+from vcmvsp.agents.formation.followers.leader_follower_law import Place
 from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.types import Follows, Velocity

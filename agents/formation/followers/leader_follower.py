@@ -1,6 +1,6 @@
 """The follower: keeps a place beside a leader of which it knows only what the radio brings.
 
-The law itself, with its geometry, is in `agents.formation.followers.control_law`; who follows whom in a team in
+The law itself, with its geometry, is in `agents.formation.followers.leader_follower_law`; who follows whom in a team in
 `agents.formation.team.team`.
 """
 
@@ -9,8 +9,8 @@ from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.steering import Steering
-from vcmvsp.agents.formation.followers.control_law import Place, formation_law, point_of
 from vcmvsp.agents.formation.followers.feed_forward import Feed, Feeding
+from vcmvsp.agents.formation.followers.leader_follower_law import Place, formation_law, point_of
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.report import LeaderState, accelerations, measured_speeds
 from vcmvsp.agents.formation.reports.sending import Sending
