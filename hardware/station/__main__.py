@@ -24,10 +24,9 @@ from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import Driver, DriverError
 from vcmvsp.hardware.drivers.call_timeout import within
-from vcmvsp.hardware.station import messages as wire
 from vcmvsp.hardware.station.controller import Onboard
 from vcmvsp.hardware.station.emergency_stop import Answer, Ear
-from vcmvsp.hardware.station.messages import Mission, Order, Part, Report
+from vcmvsp.hardware.station.messages import OPERATOR_STOP, Mission, Order, Part, Report, missions, orders
 
 if TYPE_CHECKING:
     from vcmvsp.hardware.localisation.systems import Localisation
@@ -89,7 +88,7 @@ class Serving:
         messages = self._link.receive()
         if not messages:
             raise DriverError("station", "nobody told it what to do", "stations are started by runs")
-        mission = wire.missions.decode(messages[0])
+        mission = missions.decode(messages[0])
         self._vehicle, self._run = mission.vehicle, mission.run
         for message in messages[1:]:
             self._obey(message)
@@ -173,7 +172,7 @@ class Serving:
     def _obey(self, message: bytes) -> None:
         """Take an order: the newest counts, but no stop is lost."""
         try:
-            order = wire.orders.decode(message)
+            order = orders.decode(message)
         except ValueError as error:
             raise DriverError(self._vehicle, f"the run gave an order that cannot be read ({error})", "report this") from None
         self._halt(order.stop)
@@ -194,7 +193,7 @@ class Serving:
             return ""
         for verb, address in ear.hear():
             if verb == "stop":
-                self._halt(wire.OPERATOR_STOP)
+                self._halt(OPERATOR_STOP)
             if verb == "alive":
                 if self._onboard is not None:
                     self._onboard.operator_heard()

@@ -26,8 +26,7 @@ from vcmvsp.cosim.estimation.fusion import Fusion
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import Fix
 from vcmvsp.hardware.drivers.base import HandshakeError, PortError
-from vcmvsp.hardware.localisation import Located, dwm1001, port_source, pose_topic, ubisense
-from vcmvsp.hardware.localisation import source as sources_common
+from vcmvsp.hardware.localisation import Located, dwm1001, port_source, pose_topic, source, ubisense
 from vcmvsp.hardware.localisation.pose_topic import ExternalPose
 from vcmvsp.hardware.localisation.systems import Dwm1001, Localisation, Nmea, Ubisense
 from vcmvsp.hardware.localisation.world_transform import Placing, Posed
@@ -63,8 +62,8 @@ def causes(source: Localisation, word: str) -> Callable[[], list[str]]:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources_common, "PATIENCE_S", 0.2)
-    monkeypatch.setattr(sources_common, "CENSUS_S", 0.2)
+    monkeypatch.setattr(source, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(source, "CENSUS_S", 0.2)
 
 
 @contextlib.contextmanager
