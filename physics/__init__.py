@@ -1,4 +1,7 @@
-"""Virtual worlds: vehicles, what surrounds them, and what they can tell of themselves. Start reading in `physics.federate`."""
+"""Virtual worlds: vehicles, what surrounds them, and their sensors. Start reading in `physics.federate`.
+
+No radio, no agent and no real robot belongs here.
+"""
 
 if __name__ != "vcmvsp.physics":
     raise ImportError(f"this is vcmvsp.physics: import it by that name, not as '{__name__}'")

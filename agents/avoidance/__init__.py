@@ -1,7 +1,7 @@
-"""Getting around what stands in the way, by what a range scanner says now and without a map.
+"""Obstacle avoidance from the newest range scan, without a map. Formations and missions do not belong here.
 
-`view`: what a scan says; `method`: what a method is asked and answers; `potential_field`, `gap`, `vfh`, `dynamic_window`: the
-methods; `levels`: limits of the speed near obstacles; `steering`: all of it around the commands of any agent.
+`view`: content of a scan; `method`: question and answer of a method; `potential_field`, `gap`, `vfh`, `dynamic_window`: the
+methods; `levels`: speed limits near obstacles; `steering`: a method around commands; `avoid`: around any agent.
 """
 
 from vcmvsp.agents.avoidance.dynamic_window import DynamicWindow

@@ -1,6 +1,7 @@
-"""Formations over a radio: leaders, followers, consensus, and what a follower makes of an old message.
+"""Formations over a radio: leaders, followers, consensus, and the prediction of old reports.
 
-Start reading in `leader_follower`; ``agents/README.md`` says what the law does and does not do.
+Start reading in `followers.leader_follower`; ``agents/README.md`` says what the law does and does not do. Methods of obstacle
+avoidance do not belong here.
 """
 
 from vcmvsp.agents.formation.aerial.follower import AerialFollower

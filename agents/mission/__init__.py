@@ -1,7 +1,6 @@
-"""Which of its algorithms a vehicle obeys, and why.
+"""Several algorithms on one vehicle: which of them commands, and why. The algorithms themselves do not belong here.
 
-`table`: the states of a mission and what leads from one to the next; `runner`: the algorithms themselves, all of which go on
-while one of them commands; `guard`: limits of the speed near obstacles, whoever commands.
+`mission`: the agent; `runner`: its algorithms, all of which go on while one commands; `speed_limit`: limits near obstacles.
 """
 
 from vcmvsp.agents.mission.runner import Around, Runner, Standby

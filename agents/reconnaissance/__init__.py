@@ -2,6 +2,7 @@
 
 `probability_map`: cells, sensors and Bayes' rule; `exchange`: four ways to share the map, `ledger` the one that survives loss;
 `sectors`: strips and lanes. `watch`: the camera, and what is recognised in its pictures; `track`: keeping over a target.
+Formations and obstacle avoidance do not belong here.
 """
 
 from vcmvsp.agents.reconnaissance.exchange import Exchange, exchange

@@ -1,12 +1,14 @@
 """Emulated devices, served at a real port until they are interrupted: robots, tags of positioning systems, autopilots."""
 
+from functools import partial
 from typing import Any
 
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.emulators.programs.arcos import Ready, emulate_tag
 from vcmvsp.hardware.emulators.programs.arcos import emulate as emulate_robot
 from vcmvsp.hardware.emulators.programs.options import Tags, circle_of, duration_of, robot_options, tags_of
-from vcmvsp.hardware.emulators.programs.scenario import emulate as emulate_vehicle
+from vcmvsp.hardware.emulators.programs.scenario import emulate
+from vcmvsp.physics.vehicles.specification import flies
 
 __all__ = [
     "Ready",
@@ -21,6 +23,10 @@ __all__ = [
     "robot_options",
     "tags_of",
 ]
+
+
+emulate_vehicle = partial(emulate, flies=flies)
+"""Serves an emulated robot that drives in the world of a scenario (`hardware.emulators.programs.scenario.emulate`)."""
 
 
 def emulate_autopilot(

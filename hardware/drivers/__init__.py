@@ -1,1 +1,1 @@
-"""Drivers: what a run needs of a real robot."""
+"""Drivers of real robots, behind one protocol (`base`). Runs, safety rules and localisation do not belong here."""

@@ -1,1 +1,1 @@
-"""Emulated devices for rehearsals without hardware."""
+"""Emulated devices, to rehearse without hardware and to test drivers against. Drivers do not import them."""

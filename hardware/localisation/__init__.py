@@ -1,7 +1,7 @@
-"""Positioning systems of real robots: what they say becomes `Located`, whatever they say it in.
+"""Positioning systems of real robots: their messages become `Located`. Filters and fusion are in `cosim.estimation`.
 
-Every system has a ``Reader`` with one verb, ``feed(chunk) -> list[Located]``. It takes what came from a port or a socket as
-it came; what it cannot read it counts, and never raises.
+Every system has a ``Reader`` with one verb, ``feed(chunk) -> list[Located]``. It takes the bytes of a port or a socket as they
+came; what it cannot read it counts, and never raises.
 """
 
 import msgspec

@@ -1,16 +1,16 @@
-"""What stands between a command and a real robot, after everything else: limits, fence, distance, deadman; see `Supervisor`.
+"""Safety between a command and a real robot, after everything else. No driver, link or process belongs here.
 
 ::
 
-    limits       how fast, and how fast to become so
-    braking      how far a robot moves until it stands, and how fast it may be so that this fits
-    sector       how far it is to walls and discs, over all directions in which a robot may come to move
-    geofence     a polygon that it stays inside
-    separation   other vehicles, real or simulated, that it keeps away from
-    deadman      who must have been heard lately, else it stops
-    rounds       what a supervisor's step begins and ends with
-    supervisor   all of them, once a control period, for a robot with two driven wheels
-    aerial       the same for a vehicle that flies, with floor and ceiling
+    limits              speeds and accelerations
+    braking             stopping distance, and the speed at which it fits
+    obstacle_distance   distance to walls and discs, over all directions in which a robot may come to move
+    geofence            a polygon that the robot stays inside
+    separation          distance to other vehicles, real or simulated
+    deadman             sources that must have been heard lately, else the robot stops
+    control_step        start and end of a supervisor's step
+    ground_supervisor   all of them, once a control period, for a robot with two driven wheels
+    aerial_supervisor   the same for a vehicle that flies, with floor and ceiling
 """
 
 from vcmvsp.hardware.safety.aerial_supervisor import AerialParameters, AerialSupervisor

@@ -1,1 +1,1 @@
-"""How vehicles and movable bodies move."""
+"""Motion of vehicles and movable bodies. What sensors see of it does not belong here."""

@@ -1,4 +1,4 @@
-"""Worlds read from files; like those of `physics.worlds`, each has ``build() -> World``."""
+"""Worlds read from files; like those of `physics.worlds`, each has ``build() -> World``. Nothing here makes up a world."""
 
 from vcmvsp.physics.importers.geojson import GeoJson
 from vcmvsp.physics.importers.mesh_file import MeshFile

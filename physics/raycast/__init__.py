@@ -1,1 +1,1 @@
-"""Ray casting for range scanners."""
+"""Ray casting for range scanners: geometry alone, no noise and no sensor."""

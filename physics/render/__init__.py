@@ -1,1 +1,1 @@
-"""Camera images and pictures of worlds."""
+"""Camera images and pictures of worlds: geometry and colours alone, no noise and no sensor."""

@@ -1,4 +1,4 @@
-"""Simulated sensors and their errors, one sensor a file.
+"""Simulated sensors and their errors, one sensor a file. Geometry of beams and images is in `physics.raycast` and `render`.
 
 =================================  ========  ===================================================================
 class                              reading   what it measures
@@ -7,12 +7,12 @@ class                              reading   what it measures
 `uwb.Uwb`                          Fix       position indoors: biases near walls, geometry of anchors
 `positioning.PositioningSensor`    Fix       position and heading with white errors
 `imu.InertialUnit`                 Imu       specific force and angular velocity in the body frame
-`odometry.WheelOdometry`           Odometry  pose and speeds from the turns of two wheels
+`wheel_odometry.WheelOdometry`     Odometry  pose and speeds from the turns of two wheels
 `bumper.Bumper`                    Measured  which segments of the hull touch something, 0 or 1
-`neighbours.NeighbourRange`        Measured  distance to each other vehicle within reach, m, by its name
+`neighbour_range.NeighbourRange`   Measured  distance to each other vehicle within reach, m, by its name
 `altimeter.Altimeter`              Measured  ``height_m`` above the floor
 `compass.Compass`                  Measured  ``yaw_rad`` from east
-`targets.TargetSensor`             Looks     whether there is a target, of each cell of the ground within reach
+`target_detector.TargetSensor`     Looks     whether there is a target, of each cell of the ground within reach
 =================================  ========  ===================================================================
 
 All take the rate, phase, latency and drop-out of `physics.sensors.sensor.Sensor`. Fixes tell the standard deviation of their

@@ -1,1 +1,1 @@
-"""Vehicle models and their parameters."""
+"""Vehicles as parameters, and the specification of one. How they move is in `physics.dynamics`."""

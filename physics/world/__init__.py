@@ -1,1 +1,1 @@
-"""What surrounds vehicles: solids, floor, targets, geometry; the scene at one instant."""
+"""What surrounds vehicles: solids, floor, targets, their geometry; the scene at one instant. Nothing here moves a vehicle."""

@@ -1,4 +1,4 @@
-"""The worlds that a scenario can name: each has ``build() -> World``."""
+"""The worlds that a scenario can name: each has ``build() -> World``. Readers of files are in `physics.importers`."""
 
 from vcmvsp.physics.worlds.boxes import Boxes, Empty
 from vcmvsp.physics.worlds.corridor import Corridor

@@ -1,1 +1,1 @@
-"""Leaders on the ground."""
+"""Leaders on the ground: where they go, and who drives them. Reports and shapes are in packages beside it."""

@@ -1,1 +1,1 @@
-"""Leader reports: content, prediction, when sent, what was received."""
+"""Reports between members: content, prediction, when sent, what was received. Nothing here commands a vehicle."""

@@ -13,7 +13,7 @@ PolicyName = Literal["immediate", "timer", "all-clear"]
 
 
 class Passage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a team makes itself narrow where its shape is too wide, and when wide again (`agents.formation.passage`)."""
+    """How a team makes itself narrow where its shape is too wide, and when wide again (`agents.formation.team.passage`)."""
 
     policy: PolicyName = "all-clear"  # becomes wide when the leader's lane is free, is so for a time, or so are those of all
     shape: ShapeName = "column"  # the narrow one

@@ -28,7 +28,7 @@ class Team:
         members: all names; the first leads.
         name, index: of this member, and its number among them.
         shape: the present one.
-        wide: the one that it has, or will have again, where nothing is in the way (`agents.formation.passage`).
+        wide: the one that it has, or will have again, where nothing is in the way (`agents.formation.team.passage`).
         changed: how often it has changed.
         place: the number of this member's place in it; the leader's is 0.
         slot: that place, m in the leader's frame, x forward, y left.

@@ -1,6 +1,5 @@
-"""ARCOS, the serial protocol of Pioneer and AmigoBot robots: codec, parameters of the robots, an emulated robot.
+"""ARCOS, the serial protocol of Pioneer and AmigoBot robots. The emulated robot is in `hardware.emulators.arcos`.
 
-`packet` frames, `commands`, `sip` and `config` say what is inside, `robots` holds the constants of each kind of robot.
-`device` with `motion` is a robot without hardware and without a clock, and `serve` puts it on a pseudo-terminal or a TCP port,
-over a `wire`.
+`packet` frames; `command_numbers`, `sip` and `config_packet` are the content; `robot_parameters` holds the constants of each
+robot; `driver` with `handshake`, `command_schedule` and `samples` drives one.
 """

@@ -1,5 +1,4 @@
-"""Vehicles with an autopilot that speaks MAVLink (PX4, ArduPilot): the driver, and an emulated vehicle to test it against.
+"""Vehicles with an autopilot that speaks MAVLink (PX4, ArduPilot). The emulated one is in `hardware.emulators.mavlink`.
 
-Start reading in `hardware.drivers.mavlink.driver`. Frames are converted in `frames` alone, bytes become messages in `codec`
-alone.
+Start reading in `driver`. Coordinates are converted in `coordinate_frames` alone, bytes become messages in `codec` alone.
 """

@@ -1,1 +1,1 @@
-"""Emulated positioning tags."""
+"""Emulated tags of positioning systems. Readers of real ones are in `hardware.localisation`."""

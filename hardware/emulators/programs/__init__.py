@@ -1,6 +1,5 @@
-"""Emulated devices at the pace of the wall clock, for rehearsals without hardware: robots at a port, and tags.
+"""Emulated devices at the pace of the wall clock, as programs (`vcmvsp emulate`) and within a run. No protocol belongs here.
 
-`robot` serves a robot of `hardware.drivers.arcos`, which drives on an empty floor or, by `scenario`, in the world of a
-scenario; `positioning` says where it truly is, with the errors of a positioning system. `options` reads what a command line
-says.
+`arcos` serves a robot, which drives on an empty floor or, by `scenario`, in the world of a scenario; `mavlink` and `ros2` serve
+the others; `in_run` takes the place of a vehicle's robot; `options` reads the command line.
 """

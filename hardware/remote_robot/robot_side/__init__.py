@@ -1,1 +1,1 @@
-"""Program on the robot."""
+"""The program on the robot. Nothing of a run is imported here."""

@@ -1,6 +1,7 @@
 """Bodies in Bullet. Only here is PyBullet imported; the other modules of this package take it from here.
 
-``engine`` is the way in; ``robots`` drive, ``flyers`` fly, ``things`` stand, lie about or move by a time-table.
+`engine` is the way in; `ground_robots` drive, `quadrotors` fly, `world_bodies` stand, can be pushed or move by a time-table.
+No motion without Bullet belongs here.
 """
 
 import os
