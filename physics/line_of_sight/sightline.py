@@ -10,6 +10,7 @@ from vcmvsp.physics.line_of_sight.meshes import Triangles
 from vcmvsp.physics.line_of_sight.prisms import Outlines
 from vcmvsp.physics.raycast.broad_phase import by_bearing
 from vcmvsp.physics.world.solids import AnySolid, Box, Mesh
+from vcmvsp.physics.world.world import World, made_once
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -85,6 +86,15 @@ class Sightline:
         for line, box in by_bearing(tx, run, self._centre, self._around):
             kept = (away[box] <= reach[line]) & (low[line] <= self._top[box]) & (self._bottom[box] <= high[line])
             yield line[kept], box[kept]
+
+
+def sightline_of(world: World) -> Sightline:
+    """The sightline of a world, which is made once and kept with it."""
+    return made_once(world, _sightline)
+
+
+def _sightline(world: World) -> Sightline:
+    return Sightline(world.solids)
 
 
 def _shares(lines: Floats, boxes: Floats) -> Floats:

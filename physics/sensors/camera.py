@@ -12,7 +12,6 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, Image, NonNegative, Positive, Vec3, frozen
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.view import View
-from vcmvsp.physics.sensors.mounting import mounted
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.scene import Scene
 
@@ -68,7 +67,7 @@ class Camera(Sensor):
 
     def view(self, scene: Scene, row: int) -> View:
         """Where it is and how it looks."""
-        eye = mounted(scene, row, self.mount).copy()
+        eye = scene.point(row, self.mount).copy()
         eye[2] = max(eye[2], LOWEST_M)
         turned = scene.rotation(row) @ self.body_from_camera
         return View(eye, turned, self.width, self.height, self.focal_px, self.range_max)

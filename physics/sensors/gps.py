@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vcmvsp.cosim.types import Fix, NonNegative, Positive, Probability, Rate, Seconds, Vec3
-from vcmvsp.physics.sensors.mounting import mounted
 from vcmvsp.physics.sensors.noise import Errors, Noise, jump
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.scene import Scene
@@ -40,7 +39,7 @@ class Gps(Sensor):
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Fix:
         """Where the antenna seems to be."""
-        x, y, z = self._errors.read(mounted(scene, row, self.mount), scene.now_ns, rng).tolist()
+        x, y, z = self._errors.read(scene.point(row, self.mount), scene.now_ns, rng).tolist()
         dx, dy = jump(self.outlier_probability, self.outlier_m, rng)
         return Fix(
             time_ns=scene.now_ns,

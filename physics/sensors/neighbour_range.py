@@ -6,7 +6,7 @@ import numpy as np
 
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, Measured, NonNegative, Positive
-from vcmvsp.physics.sensors.mounting import sightline
+from vcmvsp.physics.line_of_sight.sightline import sightline_of
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.scene import Scene
 
@@ -40,7 +40,7 @@ class NeighbourRange(Sensor):
         seen[row] = False
         (rows,) = np.nonzero(seen)
         if self.line_of_sight and rows.size:
-            passes, _ = sightline(scene.world).crossings(scene.position[row], scene.position[rows])
+            passes, _ = sightline_of(scene.world).crossings(scene.position[row], scene.position[rows])
             rows = rows[~passes.any(axis=1)]
         ranges = np.maximum(distances + self.bias_m + self.sigma_m * noise, 0.0)
         values = {scene.vehicles[other]: each for other, each in zip(rows.tolist(), ranges[rows].tolist(), strict=True)}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Fix, NonNegative, Positive, Probability, Vec3
-from vcmvsp.physics.sensors.mounting import mounted, sightline
+from vcmvsp.physics.line_of_sight.sightline import sightline_of
 from vcmvsp.physics.sensors.noise import jump
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.world.clearance import Near
@@ -52,7 +52,7 @@ class Uwb(Sensor):
         """Where the tag seems to be. The number of draws depends on that of the anchors alone."""
         draws = rng.standard_normal(3 + len(self._places))
         dx, dy = jump(self.outlier_probability, self.outlier_m, rng)
-        place = mounted(scene, row, self.mount)
+        place = scene.point(row, self.mount)
         near = scene.world.clearance.nearest(place, self.wall_reach_m) if self.wall_bias_m else None
         bias_m = self.wall_bias_m * (1.0 - near.distance_m / self.wall_reach_m) if near else 0.0
         if self.anchors:
@@ -69,7 +69,7 @@ class Uwb(Sensor):
         directions = run / np.maximum(np.linalg.norm(run, axis=1), _TINY_M)[:, None]
         errors = self.sigma_m * draws[3:] + bias_m
         if self.blocked_bias_m:
-            passes, _ = sightline(world).crossings(place, self._places)
+            passes, _ = sightline_of(world).crossings(place, self._places)
             errors = errors + self.blocked_bias_m * passes.any(axis=1)
         weight = (max(self.sigma_m, _TINY_M) / max(self.sigma_z_m, _TINY_M)) ** 2  # of the known height, beside a range
         normal = directions.T @ directions

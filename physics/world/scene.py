@@ -53,6 +53,11 @@ class Scene:
         matrix: Array = self._rotations[row]
         return matrix
 
+    def point(self, row: int, mount: Vec3) -> Array:
+        """Where a point of a body is, (3,) m, world; ``mount`` in the body frame, from its reference point."""
+        place: Array = self.position[row]
+        return place + self.rotation(row) @ np.array(mount) if any(mount) else place
+
     @cached_property
     def _rotations(self) -> Array:
         return rotations(self.attitude)
