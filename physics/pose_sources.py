@@ -10,17 +10,17 @@ import copy
 from collections.abc import Sequence
 from math import isnan
 
+import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import Event, Instants
-from vcmvsp.cosim.frames import travelled
+from vcmvsp.cosim.frames import Quaternion, quaternion_from_yaw, travelled, yaw_of
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Fix, Odometry, Vec3, VehicleState
 from vcmvsp.physics.engine.interface import Motion
-from vcmvsp.physics.sensors.pose_estimate import Fuser, estimate, state_of
-from vcmvsp.physics.vehicles.specification import VehicleSpec
+from vcmvsp.physics.vehicles.specification import Fused, Fuser, VehicleSpec
 
 _FED = Ticks.rate(10.0)
 _LEAST_SIGMA_M = 1e-3  # of a fix, for an estimator that could not divide by 0
@@ -129,3 +129,41 @@ def _fuser(spec: VehicleSpec) -> Fuser:
 def _pose(motion: Motion, number: int) -> Vec3:
     x, y, yaw = motion.odometry[number, :3].tolist()
     return x, y, yaw
+
+
+def state_of(motion: Motion, row: int) -> VehicleState:
+    """The state of one vehicle."""
+    position, velocity, attitude, spin = (tuple(each[row].tolist()) for each in motion[:4])
+    return VehicleState(position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
+
+
+def estimate(
+    pose_source: str, truth: VehicleState, odometry: Odometry | None, fix: Fix | None, fused: Fused | None = None
+) -> VehicleState:
+    """What a vehicle takes for its own state.
+
+    The pose comes from its pose source; speeds come from its wheels, unless it is told the truth. Without wheels, all that is
+    not in a fix is the truth. Until the first fix, and as long as a fused pose has no heading, odometry stands in.
+    """
+    if pose_source == "truth" or (odometry is None and fix is None):
+        return truth
+    if odometry is None:
+        assert fix is not None  # noqa: S101  # else it is the truth
+        return msgspec.structs.replace(truth, position=fix.position, attitude=_turned_to(fix.yaw, truth.attitude))
+    (x, y, yaw), z = odometry.pose, 0.0
+    if pose_source == "fusion" and fused is not None:
+        x, y, yaw = fused.x, fused.y, fused.heading if fused.heading_known else yaw
+    elif pose_source == "positioning" and fix is not None:
+        (x, y, z), yaw = fix.position, yaw if fix.yaw is None else fix.yaw
+    w, _, _, s = attitude = quaternion_from_yaw(yaw)
+    velocity = (odometry.v * (w * w - s * s), odometry.v * 2.0 * w * s, 0.0)
+    return VehicleState(position=(x, y, z), velocity=velocity, attitude=attitude, angular_velocity=(0.0, 0.0, odometry.w))
+
+
+def _turned_to(yaw: float | None, attitude: Quaternion) -> Quaternion:
+    """The attitude, turned about the vertical so that it has this yaw, rad; None: as it is."""
+    if yaw is None:
+        return attitude
+    c, _, _, s = quaternion_from_yaw(yaw - yaw_of(attitude))
+    w, x, y, z = attitude
+    return c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w

@@ -7,7 +7,6 @@ from typing import Protocol
 from vcmvsp.cosim.agent import Body
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Value, Vec3
-from vcmvsp.physics.sensors.pose_estimate import Fuser
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.vehicles.models import Point
@@ -45,6 +44,39 @@ def body_of(model: Vehicle) -> Body:
     if kind != "cylinder":
         round_m = math.hypot(0.5 * length + abs(ahead), aside)
     return Body(width_m=2.0 * aside, radius_m=round_m, flies=flies(model))
+
+
+class Fused(Protocol):
+    """A pose that was made of odometry and positions."""
+
+    @property
+    def x(self) -> float:
+        """World, m."""
+
+    @property
+    def y(self) -> float:
+        """World, m."""
+
+    @property
+    def heading(self) -> float:
+        """Rad; meaningless unless known."""
+
+    @property
+    def heading_known(self) -> bool:
+        """Whether the vehicle has moved far enough to tell it."""
+
+
+class Fuser(Protocol):
+    """Makes one pose of odometry and positions: the same on a real robot and on a simulated one."""
+
+    def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> object:
+        """The vehicle has gone and turned so much since the last call; the first call only marks the time."""
+
+    def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> object:
+        """The vehicle was there at that time, give or take ``sigma_m``, which is positive, in x and in y."""
+
+    def estimate(self, now_ns: int) -> Fused | None:
+        """The pose at a time; None while nothing is known."""
 
 
 class VehicleSpec(Value, frozen=True, kw_only=True):
