@@ -12,8 +12,8 @@ import numpy as np
 
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.assembly.recognition import Camera, Frame, Hull, Nadir, PlacedTarget, Scene, Watch, Watching, turned
-from vcmvsp.cosim.assembly.search_map import Grid, Rectangle, of_picture
+from vcmvsp.cosim.assembly.parts.recognition import Camera, Frame, Hull, Nadir, PlacedTarget, Scene, Watch, Watching, turned
+from vcmvsp.cosim.assembly.parts.search_map import Grid, Rectangle, of_picture
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, messages, registry
 from vcmvsp.cosim.errors import ScenarioError

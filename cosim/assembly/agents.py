@@ -78,7 +78,7 @@ class Placement:
         return (vehicle.agent and vehicle.agent.kind) or self._scenario.agents.defaults.get("kind", "")
 
     def _spec(self, vehicle: VehicleTable, where: str) -> AgentSpec:
-        from vcmvsp.physics.vehicles.models import body_of
+        from vcmvsp.physics.vehicles.specification import body_of
 
         agents, own = self._scenario.agents, vehicle.agent
         fate = own or AgentTable()

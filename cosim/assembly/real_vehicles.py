@@ -13,13 +13,12 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
 from vcmvsp.cosim.scenario.schema import SIMULATED, SafetyTable, Scenario, VehicleTable
-
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
     from vcmvsp.hardware.federate import Hardware
     from vcmvsp.hardware.playback import Playback
-    from vcmvsp.physics.vehicles.models import Vehicle
+    from vcmvsp.physics.vehicles.specification import Vehicle
 
 MOST_SPEED, MOST_YAW_RATE = 1.0, 2.0  # m/s and rad/s, of a robot among people unless somebody says otherwise; assumed
 ACCEL, YAW_ACCEL = 0.3, 1.5  # m/s2 and rad/s2, of a kind that does not say its own: an AmigoBot's; assumed
@@ -55,7 +54,7 @@ def _described(
     """A real vehicle with its tables filled in and its safety checked."""
     from vcmvsp.cosim.estimation.fusion import Fusion
     from vcmvsp.hardware.stations import check_safety
-    from vcmvsp.physics.vehicles.models import flies
+    from vcmvsp.physics.vehicles.specification import flies
 
     key, flying = f"vehicle.{vehicle.name}", flies(model)
     build = _builder(vehicle.name, source, resolution, flies=flying)
@@ -173,6 +172,6 @@ def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source
 def _twin(vehicle: VehicleTable) -> dict[str, Any] | None:
     if vehicle.positioning is None:
         return None
-    from vcmvsp.physics.sensors.positioning_system import Positioning
+    from vcmvsp.physics.sensors.positioning import Positioning
 
     return binding.complete(Positioning, vehicle.positioning)

@@ -183,7 +183,7 @@ class Resolution:
 
 
 def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:
-    from vcmvsp.physics.sensors.positioning_system import Positioning
+    from vcmvsp.physics.sensors.positioning import Positioning
 
     return binding.complete(Positioning, content)
 

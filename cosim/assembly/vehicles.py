@@ -12,7 +12,7 @@ from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 
 if TYPE_CHECKING:
     from vcmvsp.physics.sensors.sensor import Sensor
-    from vcmvsp.physics.vehicles.models import Vehicle, VehicleSpec
+    from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 
 TOPICS = (
     *("state", "estimate", "odometry", "fix", "command", "send", "heard", "note", "follows", "host", "real", "incident"),
@@ -94,8 +94,8 @@ class Fleet:
 
     def _spec(self, vehicle: VehicleTable) -> "VehicleSpec":
         from vcmvsp.cosim.estimation.fusion import Fusion
-        from vcmvsp.physics.sensors.positioning_system import Positioning
-        from vcmvsp.physics.vehicles.models import VehicleSpec
+        from vcmvsp.physics.sensors.positioning import Positioning
+        from vcmvsp.physics.vehicles.specification import VehicleSpec
 
         key, sensor, fusion = f"vehicle.{vehicle.name}", None, None
         if vehicle.positioning is not None:

@@ -19,7 +19,7 @@ from vcmvsp.cosim.util.stdout import stdout_to_stderr
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.recognition import Rates, Share
     from vcmvsp.cosim.analysis.snapshots import Snapshots
-    from vcmvsp.cosim.assembly.calibration import Calibration, FigureData
+    from vcmvsp.cosim.assembly.parts.calibration import Calibration, FigureData
 
 
 def calibrate_command(
@@ -43,7 +43,7 @@ def calibrate_command(
     """
     import msgspec
 
-    from vcmvsp.cosim.assembly.calibration import calibrate_file, figure_data, sightline_of
+    from vcmvsp.cosim.assembly.parts.calibration import calibrate_file, figure_data, sightline_of
 
     for option, value in (
         ("--tx-power", tx_power),

@@ -12,7 +12,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.stdout import stdout_to_stderr
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.emulators import Ready, Tags
+    from vcmvsp.cosim.assembly.parts.emulators import Ready, Tags
 
 Port = Annotated[
     str,
@@ -83,7 +83,7 @@ def robot_command(
 
     Example: vcmvsp emulate p2dx --port tcp://:8101 --scenario lab-patrol --vehicle ugv1 --ubisense udp://127.0.0.1:5000
     """
-    from vcmvsp.cosim.assembly import emulators
+    from vcmvsp.cosim.assembly.parts import emulators
     from vcmvsp.cosim.runs.api import run
     from vcmvsp.cosim.scenario import loader as scenarios
 
@@ -117,8 +117,13 @@ def robot_command(
     if scenario is None:
         _show(lambda ready: emulators.emulate_robot(name, chosen, ready, start), as_json=json)
         return
-    where = {"scenario_name": scenario, "vehicle": vehicle, "settings": scenarios.settings_of(set_ or [])}
-    _show(lambda ready: emulators.emulate_vehicle(name, chosen, ready, start, run=run, **where), as_json=json)
+    settings = scenarios.settings_of(set_ or [])
+    _show(
+        lambda ready: emulators.emulate_vehicle(
+            name, chosen, ready, start, run=run, scenario_name=scenario, vehicle=vehicle, settings=settings
+        ),
+        as_json=json,
+    )
 
 
 for _name in ("amigobot", "p2dx", "amigo-sh"):
@@ -144,7 +149,7 @@ def ubisense_command(
 
     Example: vcmvsp emulate ubisense --port udp://127.0.0.1:5000 --circle 2,0.3
     """
-    from vcmvsp.cosim.assembly.emulators import tags_of
+    from vcmvsp.cosim.assembly.parts.emulators import tags_of
 
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
     tags = tags_of(ubisense=port, dwm1001=None, tag=tag, seed=seed, option="--port", **errors)
@@ -170,7 +175,7 @@ def dwm1001_command(
 
     Example: vcmvsp emulate dwm1001 --port /tmp/tag --pose 1,2,0
     """
-    from vcmvsp.cosim.assembly.emulators import tags_of
+    from vcmvsp.cosim.assembly.parts.emulators import tags_of
 
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
     tags = tags_of(ubisense=None, dwm1001=port, tag=tag, seed=seed, option="--port", **errors)
@@ -194,7 +199,7 @@ def mavlink_command(
 
     Example: vcmvsp emulate mavlink --port tcp://:5760 --autopilot ardupilot --kind rover
     """
-    from vcmvsp.cosim.assembly.emulators import emulate_autopilot
+    from vcmvsp.cosim.assembly.parts.emulators import emulate_autopilot
 
     start = pose_of(pose)
     _show(
@@ -226,14 +231,14 @@ def ros2_command(
 
     Example: vcmvsp emulate ros2 --pose 1,2,0
     """
-    from vcmvsp.cosim.assembly.emulators import emulate_ros2_robot
+    from vcmvsp.cosim.assembly.parts.emulators import emulate_ros2_robot
 
     start = pose_of(pose)
     _show(lambda ready: emulate_ros2_robot(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
 
 
 def _show_tag(tags: "Tags", pose: str | None, circle: str | None, duration_s: float | None, *, as_json: bool) -> None:
-    from vcmvsp.cosim.assembly.emulators import circle_of, duration_of, emulate_tag
+    from vcmvsp.cosim.assembly.parts.emulators import circle_of, duration_of, emulate_tag
 
     start = pose_of(pose) or (0.0, 0.0, 0.0)
     way = None if circle is None else circle_of(circle)

@@ -14,7 +14,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.networks import Network
+    from vcmvsp.cosim.assembly.parts.networks import Network
 
 RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Whose network, if there are several.")]
 NEEDS = "networks of namespaces need {}: start it as root (sudo), or in a container with --privileged"
@@ -53,7 +53,8 @@ def up_command(
 
     Example: vcmvsp net up formation-circle --duration 600 --set radio.loss.probability=0.1
     """
-    from vcmvsp.cosim.assembly import bridge, networks
+    from vcmvsp.cosim.assembly import bridge
+    from vcmvsp.cosim.assembly.parts import networks
     from vcmvsp.cosim.runs import api
     from vcmvsp.cosim.scenario import loader as scenarios
 
@@ -88,7 +89,7 @@ def exec_command(
 
     Example: vcmvsp net exec car1 -- ping car2
     """
-    from vcmvsp.cosim.assembly import networks
+    from vcmvsp.cosim.assembly.parts import networks
 
     _check_rights()
     network = _chosen(run)
@@ -110,7 +111,7 @@ def status_command(json: AsJson = False) -> None:
 
     Example: vcmvsp net status
     """
-    from vcmvsp.cosim.assembly import networks
+    from vcmvsp.cosim.assembly.parts import networks
 
     try:
         known = networks.networks()
@@ -133,7 +134,7 @@ def down_command(
 
     Example: vcmvsp net down
     """
-    from vcmvsp.cosim.assembly import networks
+    from vcmvsp.cosim.assembly.parts import networks
 
     _check_rights()
     known = networks.networks()
@@ -152,7 +153,7 @@ def down_command(
 
 def _check_rights() -> None:
     """Refuse where this process lacks what namespaces need."""
-    from vcmvsp.cosim.assembly import networks
+    from vcmvsp.cosim.assembly.parts import networks
 
     if lacks := networks.missing():
         raise UsageError(NEEDS.format(lacks))
@@ -160,7 +161,7 @@ def _check_rights() -> None:
 
 def _chosen(run: str | None) -> "Network":
     """The network of this run, which is alive; of the only one without a name."""
-    from vcmvsp.cosim.assembly import networks
+    from vcmvsp.cosim.assembly.parts import networks
 
     alive = [each for each in networks.networks() if each.alive]
     found = [each for each in alive if run is None or each.run == run]

@@ -14,7 +14,7 @@ from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, ScenarioError, UsageError
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.channel_trial import Broadcasts, Channel, RowFile
+    from vcmvsp.cosim.assembly.parts.channel_trial import Broadcasts, Channel, RowFile
     from vcmvsp.cosim.config.provenance import Source
 
 Preset = Annotated[str, typer.Option(metavar="NAME", help="A preset of the radio, e.g. ideal, wss, wifi-b-1, zigbee.")]
@@ -103,7 +103,7 @@ def channel_command(
 
     Example: vcmvsp channel --preset wifi-b-1 --positions cars.csv --rate 10 --size 100 --duration 30 --set path_loss.exponent=2
     """
-    from vcmvsp.cosim.assembly import channel_trial
+    from vcmvsp.cosim.assembly.parts import channel_trial
     from vcmvsp.cosim.config import binding
     from vcmvsp.cosim.scenario.schema import Duration
     from vcmvsp.cosim.terminal.progress import Progress
@@ -149,7 +149,7 @@ def per_command(
 
     Example: vcmvsp per --preset wifi-g-6 --model nist --snr -2:6:0.5 --size 100
     """
-    from vcmvsp.cosim.assembly import channel_curves as curves
+    from vcmvsp.cosim.assembly.parts import channel_curves as curves
 
     snr_db, size_bytes = curves.grid(snr, "--snr"), _payload(size)
     errors, name = curves.error_rate(_channel(preset, None)[0].phy, model)
@@ -167,7 +167,7 @@ def pathloss_command(
 
     Example: vcmvsp pathloss --preset wifi-b-1 --set path_loss.exponent=2 --distance 10:100:10
     """
-    from vcmvsp.cosim.assembly import channel_curves as curves
+    from vcmvsp.cosim.assembly.parts import channel_curves as curves
     from vcmvsp.cosim.config import factory
 
     distance_m = curves.grid(distance, "--distance")
@@ -280,7 +280,7 @@ def _payload(size: int) -> int:
 
 
 def _rows(out: Path, preset: str, plan: "Broadcasts") -> "RowFile":
-    from vcmvsp.cosim.assembly.channel_trial import RowFile
+    from vcmvsp.cosim.assembly.parts.channel_trial import RowFile
     from vcmvsp.cosim.tables.schema import RunFacts
 
     facts = RunFacts(scenario=preset, seed=plan.seed, end_ns=plan.end_ns, vehicles=plan.names)

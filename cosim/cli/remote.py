@@ -41,7 +41,7 @@ def agent_command(
 
     Example: vcmvsp agent my_agent.py:KeepGap --vehicle car2 --connect tls/192.168.1.10:7447 --keys car2.keys
     """
-    from vcmvsp.cosim.assembly.remote_programs import host_agents
+    from vcmvsp.cosim.assembly.parts.remote_programs import host_agents
     from vcmvsp.cosim.scenario import loader as scenarios
 
     why = host_agents(

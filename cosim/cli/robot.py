@@ -13,7 +13,7 @@ import typer
 from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, pose_of, say
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.stations import Answer
+    from vcmvsp.cosim.assembly.parts.stations import Answer
 
 NOBODY = "no robot is driven on this machine by you"
 
@@ -48,7 +48,7 @@ def robot_command(
 
     Example: vcmvsp robot --vehicle car3 --driver arcos:/dev/ttyUSB0 --connect tls/192.168.1.10:7448 --keys car3.keys
     """
-    from vcmvsp.cosim.assembly.remote_programs import serve_robot
+    from vcmvsp.cosim.assembly.parts.remote_programs import serve_robot
     from vcmvsp.cosim.scenario import loader as scenarios
 
     serve_robot(
@@ -91,7 +91,7 @@ def operator_command(
 
     Example: vcmvsp operator
     """
-    from vcmvsp.cosim.assembly.stations import Caller
+    from vcmvsp.cosim.assembly.parts.stations import Caller
 
     sys.stdout.write("robots drive while this runs; Ctrl-C stops them\n")
     with contextlib.suppress(KeyboardInterrupt), Caller() as caller:
@@ -112,7 +112,7 @@ def operator_command(
 
 def stopped(vehicles: Sequence[str]) -> "tuple[list[Answer], list[str]]":
     """Stop them (none named: all); what each answered, and what there was none of."""
-    from vcmvsp.cosim.assembly.stations import LONGEST_NAME, Caller
+    from vcmvsp.cosim.assembly.parts.stations import LONGEST_NAME, Caller
 
     with Caller() as caller:
         asked = caller.say("stop", vehicles)

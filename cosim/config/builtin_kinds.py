@@ -1,6 +1,6 @@
-"""What the core knows of parts, by name: kinds that a scenario may name, what each must have, and pieces that are no kinds.
+"""Kinds that a scenario may name, by group, and what a class of each group must have.
 
-All are strings, which `cosim.config.registry` looks up: the core imports no part. A new kind of ours is a line here.
+Strings, which `cosim.config.registry` looks up when a scenario names a kind. A new built-in kind is a line here.
 """
 
 from collections.abc import Mapping
@@ -31,36 +31,6 @@ VERBS: Mapping[str, str] = {
     "localisation": "read(now_ns)",
 }
 """What a class of each group must have."""
-
-PIECES: Mapping[str, str] = {
-    "agent host": "vcmvsp.agents.federate:AgentHost",
-    "flies": "vcmvsp.physics.vehicles.specification:flies",
-    "vehicle body": "vcmvsp.physics.vehicles.specification:body_of",
-    "vehicle spec": "vcmvsp.physics.vehicles.specification:VehicleSpec",
-    "positioning": "vcmvsp.physics.sensors.positioning:Positioning",
-    "world": "vcmvsp.physics.world.world:World",
-    "world pictures": "vcmvsp.physics.render.world_picture",
-    "radio": "vcmvsp.netsim.federate:RadioFederate",
-    "recorded radio": "vcmvsp.netsim.channel.replayed:RecordedChannel",
-    "channel": "vcmvsp.netsim.channel.channel:Channel",
-    "radio presets": "vcmvsp.netsim.presets",
-    "bridge": "vcmvsp.netsim.bridge.federate:Bridge",
-    "bridge playback": "vcmvsp.netsim.bridge.playback:BridgePlayback",
-    "socket server": "vcmvsp.netsim.sockets.federate:Programs",
-    "radio paths": "vcmvsp.netsim.interfaces.layers:Paths",
-    "radio frame": "vcmvsp.netsim.interfaces.layers:Frame",
-    "radio links": "vcmvsp.netsim.interfaces.layers:Links",
-    "coverage": "vcmvsp.netsim.evaluation.coverage",
-    "channel trial": "vcmvsp.netsim.evaluation.broadcast_trial",
-    "channel curves": "vcmvsp.netsim.evaluation.model_curves",
-    "vehicle radio": "vcmvsp.netsim.interfaces.radio:Radio",
-    "sightline": "vcmvsp.physics.line_of_sight.sightline:Sightline",
-    "hardware": "vcmvsp.hardware.federate:Hardware",
-    "safety check": "vcmvsp.hardware.stations:check_safety",
-    "playback": "vcmvsp.hardware.playback:Playback",
-    "fusion": "vcmvsp.cosim.estimation.fusion:Fusion",
-}
-"""Pieces of parts that are no kinds of a scenario, for `piece`."""
 
 NOTHING = "vcmvsp.cosim.config.factory:nothing"
 """A kind of a layer that may be left out."""

@@ -1,7 +1,7 @@
 """From the ``kind`` of a scenario to a class: a short name (`cosim.config.builtin_kinds`), ``module:Class``, ``file.py:Class``.
 
-Parts are reached only through here, as strings, so that ``import vcmvsp`` stays light. Other distributions add short names
-through the entry-point groups ``vcmvsp.<group>``, e.g. ``vcmvsp.agent``.
+A kind is imported when a scenario names it, so that ``import vcmvsp`` stays light. Other distributions add short
+names through the entry-point groups ``vcmvsp.<group>``, e.g. ``vcmvsp.agent``.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Any
 
 from vcmvsp.cosim.config.binding import Named, Origin
-from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, PIECES, VERBS
+from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, VERBS
 from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.errors import ScenarioError, place_of
 
@@ -81,13 +81,6 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {VERBS[group]}"
         raise ScenarioError(problem, key=key, source=origin.of(key))
     return found
-
-
-def piece(name: str) -> Any:
-    """A piece of a part that the core needs (see `cosim.config.builtin_kinds.PIECES`)."""
-    module, _, attribute = PIECES[name].partition(":")
-    loaded = importlib.import_module(module)
-    return getattr(loaded, attribute) if attribute else loaded
 
 
 def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = None) -> str:

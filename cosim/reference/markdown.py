@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.assembly.radio_presets import LAYERS, PRESETS, preset
+from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS, preset
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.param_docs import summary
 from vcmvsp.cosim.reference import tree

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.cosim.assembly.radio_presets import LAYERS, PRESETS
+from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe
 from vcmvsp.cosim.reference.describe import Described
@@ -82,21 +82,21 @@ class Place(typing.NamedTuple):
 
 def radio() -> Sequence[type]:
     """The class that ``[radio]`` describes, but for its layers."""
-    from vcmvsp.cosim.assembly.radio_models import RadioFederate
+    from vcmvsp.cosim.assembly.parts.radio import RadioFederate
 
     return [RadioFederate]
 
 
 def vehicle_radio() -> Sequence[type]:
     """The class that ``[vehicle.radio]`` describes."""
-    from vcmvsp.cosim.assembly.radio_models import Radio
+    from vcmvsp.cosim.assembly.parts.radio import Radio
 
     return [Radio]
 
 
 def positioning() -> Sequence[type]:
     """The class that ``[vehicle.positioning]`` describes."""
-    from vcmvsp.cosim.assembly.vehicle_models import Positioning
+    from vcmvsp.cosim.assembly.parts.vehicles import Positioning
 
     return [Positioning]
 

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio
+from vcmvsp.cosim.assembly.parts.vehicles import flies
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import messages, registry
@@ -108,8 +109,8 @@ def drive(
         raise UsageError(f"--vehicle {messages.unknown('vehicle', vehicle, names)}")
     mine = parsed.vehicle[names.index(vehicle)]
     kind = registry.find("vehicle", mine.kind, folder=source.folder, key=f"vehicle.{vehicle}.kind", origin=source)
-    flies = registry.piece("flies")(kind)
-    given = command_of(command, mine.start[1], flies=flies)
+    flying = flies(kind)
+    given = command_of(command, mine.start[1], flies=flying)
     steps = STEP_S * parsed.physics.get("rate_hz", 120.0)
     period_s = STEP_S if abs(steps - round(steps)) < 1e-9 else min(parsed.record.period_s, 0.1)
     alone = msgspec.structs.replace(
@@ -118,7 +119,7 @@ def drive(
         record=msgspec.structs.replace(parsed.record, period_s=period_s),
         vehicle=tuple(msgspec.structs.replace(each, agent=None) for each in parsed.vehicle),
     )
-    seen = _Seen(vehicle, flies=flies)
+    seen = _Seen(vehicle, flies=flying)
     with assemble(alone, source, objects={vehicle: Constant(given, period_s)}) as assembled:
         kernel = Kernel(assembled.info, assembled.federates)
         assembled.start(kernel)

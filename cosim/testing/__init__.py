@@ -25,7 +25,7 @@ from vcmvsp.cosim.util.codec import Decoder, encode
 from vcmvsp.cosim.util.key_expressions import matches
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.radio_models import Frame, PathLoss, Phy
+    from vcmvsp.cosim.assembly.parts.radio import Frame, PathLoss, Phy
 
 SECOND = 1_000_000_000
 _observations: Decoder[Observation] = Decoder(Observation)
@@ -91,7 +91,7 @@ def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[
 
 def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Observation]) -> bytes:
     """Everything that the agent says, encoded."""
-    from vcmvsp.cosim.assembly.agent_host import AgentHost
+    from vcmvsp.cosim.assembly.parts.agent_host import AgentHost
 
     spec = AgentSpec(
         vehicle=vehicle,
@@ -154,7 +154,7 @@ def _nonsense(sender: str, now: int, tick: int) -> Reception:
 
 
 def _check_path_loss(layer: "PathLoss", verb: str) -> None:
-    from vcmvsp.cosim.assembly.radio_models import Paths
+    from vcmvsp.cosim.assembly.parts.radio import Paths
 
     rng = np.random.default_rng(1)
     tx, rx = rng.uniform(-300.0, 300.0, 3), rng.uniform(-300.0, 300.0, (20, 3))
@@ -168,7 +168,7 @@ def _check_path_loss(layer: "PathLoss", verb: str) -> None:
 
 
 def _check_reciprocity(layer: "PathLoss") -> None:
-    from vcmvsp.cosim.assembly.radio_models import Paths
+    from vcmvsp.cosim.assembly.parts.radio import Paths
 
     rng = np.random.default_rng(3)
     for a, b in rng.uniform(-300.0, 300.0, (50, 2, 3)):
@@ -205,7 +205,7 @@ def _check_drawn(layer: Any, verb: str) -> None:
 
 
 def _frame(rx: Array, receivers: tuple[str, ...]) -> "Frame":
-    from vcmvsp.cosim.assembly.radio_models import Frame, Links, Paths
+    from vcmvsp.cosim.assembly.parts.radio import Frame, Links, Paths
 
     paths = Paths.between(np.zeros(3), rx)
     links = Links(1, "sender", receivers)

@@ -1,13 +1,12 @@
 """From a scenario to what the control station is told once: its vehicles, and what stands around them."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.assembly.vehicle_models import Vehicle, flies
+from vcmvsp.cosim.assembly.parts.vehicles import Vehicle, flies
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config import binding, factory, registry
 from vcmvsp.cosim.config.provenance import Source
@@ -22,7 +21,7 @@ def scenery_of(
     scenario: Scenario,
     source: Source,
     *,
-    world: "World | None" = None,
+    world: "worlds.World | None" = None,
     infos: Sequence[AgentInfo] = (),
     live: bool = False,
     may: Sequence[str] = (),
@@ -100,7 +99,7 @@ def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) ->
     return kind, vehicle.agent.period_s or scenario.agents.period_s
 
 
-def _obstacles(world: "World", may_be_moved: bool) -> tuple[Obstacle, ...]:
+def _obstacles(world: "worlds.World", may_be_moved: bool) -> tuple[Obstacle, ...]:
     """Bodies that can be pushed, which the one who looks may move, and those that keep to a time-table."""
     obstacles = []
     for bodies, movable in ((world.movables, may_be_moved), (world.moving, False)):

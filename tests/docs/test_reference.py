@@ -12,9 +12,9 @@ from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking
 from vcmvsp.agents.reconnaissance.watch import Wanted, Watching
-from vcmvsp.cosim.assembly.radio_models import Radio
-from vcmvsp.cosim.assembly.radio_presets import LAYERS, PRESETS
-from vcmvsp.cosim.assembly.vehicle_models import Positioning
+from vcmvsp.cosim.assembly.parts.presets import LAYERS, PRESETS
+from vcmvsp.cosim.assembly.parts.radio import Radio
+from vcmvsp.cosim.assembly.parts.vehicles import Positioning
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe, markdown
 from vcmvsp.cosim.scenario import expand, loader, schema

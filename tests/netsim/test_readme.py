@@ -10,7 +10,7 @@ import pytest
 from tests.support.netsim.channels import send
 from vcmvsp import netsim
 from vcmvsp.cosim.assembly import radio
-from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel
@@ -23,6 +23,7 @@ from vcmvsp.netsim.impairments.gilbert_elliott import GilbertElliott
 from vcmvsp.netsim.impairments.loss import Bernoulli
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
+from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.phy.dsss import Dsss
 
 HOME = Path(netsim.__path__[0])
@@ -58,7 +59,7 @@ def test_the_lines_of_a_scenario() -> None:
         "delivery": "delivery",
     }
     for vehicle in scenario["vehicle"]:
-        binding.call(registry.piece("vehicle radio"), vehicle["radio"])
+        binding.call(Radio, vehicle["radio"])
 
 
 def test_every_outcome_is_explained(tmp_path: Path) -> None:

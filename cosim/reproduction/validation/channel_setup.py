@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from vcmvsp.cosim.assembly import radio
-from vcmvsp.cosim.assembly.radio_models import Channel
+from vcmvsp.cosim.assembly.parts.radio import Channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.types import Array, FrameReport, Message

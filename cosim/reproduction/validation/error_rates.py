@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from vcmvsp.cosim.assembly.radio_models import model_curves
+from vcmvsp.cosim.assembly.parts.radio import model_curves
 from vcmvsp.cosim.reproduction.row import Row, absolute
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, heard, line
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.assembly.radio_models import Channel, broadcast_trial
+from vcmvsp.cosim.assembly.parts.radio import Channel, broadcast_trial
 from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, decided, send
 from vcmvsp.cosim.types import Array, FrameReport

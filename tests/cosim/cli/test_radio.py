@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.support.cosim.command_line import Outcome, vcmvsp_command
-from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
+from vcmvsp.netsim.channel.channel import Channel
 
 TRIAL = ("channel", "--positions", "p.csv", "--rate", "10", "--size", "100", "--duration", "1")
 
@@ -174,7 +174,7 @@ def test_wrong_positions_are_named_with_line_and_column(folder: Path) -> None:
 
 
 def test_an_interrupted_trial_leaves_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = registry.piece("channel")
+    made = Channel
     sent = []
 
     def send(self: Any, *arguments: Any) -> Any:

@@ -33,11 +33,6 @@ def test_every_short_name_leads_to_its_class(group: str, kind: str) -> None:
     assert found.__doc__, "the documentation of a kind is that of its class"
 
 
-@pytest.mark.parametrize("name", builtin_kinds.PIECES)
-def test_every_piece_is_there(name: str) -> None:
-    assert registry.piece(name) is not None
-
-
 @pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in builtin_kinds.KINDS.items() for kind in kinds])
 def test_a_slip_of_the_pen_is_answered_with_the_nearest_name(group: str, kind: str) -> None:
     problem = refusal(group, kind + "x").problem

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from vcmvsp.cosim.assembly.search_map import Sensor, decisions
+from vcmvsp.cosim.assembly.parts.search_map import Sensor, decisions
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
 from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
     CELL_M,

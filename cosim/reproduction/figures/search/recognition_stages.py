@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from vcmvsp.cosim.assembly.recognition import ground, inspection
+from vcmvsp.cosim.assembly.parts.recognition import ground, inspection
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import KINDS, SIZE_M, box, made_up, target

@@ -16,7 +16,7 @@ import numpy as np
 
 from vcmvsp.cosim.analysis.recognition import Rates
 from vcmvsp.cosim.analysis.snapshots import Snapshots
-from vcmvsp.cosim.assembly.recognition import Detection, Detector, Target, ground
+from vcmvsp.cosim.assembly.parts.recognition import Detection, Detector, Target, ground
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve
 

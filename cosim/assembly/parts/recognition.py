@@ -5,7 +5,8 @@ from vcmvsp.agents.reconnaissance.recognition import Detector, Target, ground, i
 from vcmvsp.agents.reconnaissance.recognition.detector import Detection
 from vcmvsp.agents.reconnaissance.watch import Frame, Watch, Watching
 from vcmvsp.physics.sensors.camera import Camera
-from vcmvsp.physics.world.scene import Hull, Scene
+from vcmvsp.physics.world.scene import Scene
+from vcmvsp.physics.world.solids import Hull
 from vcmvsp.physics.world.targets import PlacedTarget
 
 __all__ = [
