@@ -8,17 +8,7 @@ import numpy as np
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import stream
-from vcmvsp.cosim.types import (
-    Array,
-    Changed,
-    Datagrams,
-    FrameReport,
-    Message,
-    Outage,
-    Reception,
-    Seconds,
-    States,
-)
+from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Reception, Seconds, States
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.datagrams import Carried, received
 from vcmvsp.netsim.channel.replayed import RecordedChannel

@@ -37,14 +37,7 @@ from vcmvsp.physics.dynamics.external_vehicles import Reflected, check_shown
 from vcmvsp.physics.engine.commands import Commands
 from vcmvsp.physics.engine.contacts import Contacts
 from vcmvsp.physics.engine.interface import Engine, Motion, gathered
-from vcmvsp.physics.initial_checks import (
-    check_instants,
-    check_lift,
-    check_names,
-    check_overlaps,
-    check_places,
-    check_sensors,
-)
+from vcmvsp.physics.initial_checks import check_instants, check_lift, check_names, check_overlaps, check_places, check_sensors
 from vcmvsp.physics.move_checks import check_free, placed
 from vcmvsp.physics.pose_sources import PoseSources
 from vcmvsp.physics.scene_builder import Stage

@@ -11,16 +11,7 @@ from vcmvsp.agents.formation.aerial.flight import check_flies
 from vcmvsp.agents.reconnaissance.mosaic import Mosaicking, Sheet
 from vcmvsp.agents.reconnaissance.picture_recording import Showing
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
-from vcmvsp.agents.reconnaissance.tracking import (
-    GAIN,
-    LOST_S,
-    SMOOTHING,
-    SPIRAL_S,
-    WITHIN_M,
-    Confirmation,
-    Point,
-    Tracker,
-)
+from vcmvsp.agents.reconnaissance.tracking import GAIN, LOST_S, SMOOTHING, SPIRAL_S, WITHIN_M, Confirmation, Point, Tracker
 from vcmvsp.agents.reconnaissance.watch import Around, Frame, Watch, Watching
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns

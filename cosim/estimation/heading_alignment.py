@@ -12,17 +12,7 @@ import msgspec
 import numpy as np
 from scipy.special import gammaincinv
 
-from vcmvsp.cosim.estimation.kalman_filter import (
-    HEADING,
-    SIZE,
-    Motion,
-    Noise,
-    Seen,
-    corrected,
-    grown,
-    innovation,
-    moved,
-)
+from vcmvsp.cosim.estimation.kalman_filter import HEADING, SIZE, Motion, Noise, Seen, corrected, grown, innovation, moved
 from vcmvsp.cosim.types import Array
 
 UNKNOWN = math.pi**2 / 3.0  # rad^2, variance of a direction of which nothing is known

@@ -22,17 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from vcmvsp.cosim.errors import FederateError, VcmvspError
-from vcmvsp.cosim.federate import (
-    Event,
-    Federate,
-    Polled,
-    Prompted,
-    Releasable,
-    RemoteFederate,
-    RunInfo,
-    Slot,
-    Waiting,
-)
+from vcmvsp.cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting
 from vcmvsp.cosim.kernel.event_bus import Exchange, Observer
 from vcmvsp.cosim.util.polling import readable
 

@@ -14,17 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.foxglove import agent_displays, messages
 from vcmvsp.cosim.recording.mcap_reader import Recorded, about, contents
-from vcmvsp.cosim.types import (
-    Array,
-    FrameReport,
-    Imu,
-    Measured,
-    Note,
-    Odometry,
-    VehicleState,
-    Velocity,
-    Waypoint,
-)
+from vcmvsp.cosim.types import Array, FrameReport, Imu, Measured, Note, Odometry, VehicleState, Velocity, Waypoint
 
 FILE = "run.mcap"
 TOLD_EVERY = 500  # messages

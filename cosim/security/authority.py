@@ -13,19 +13,7 @@ import msgspec
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import x509
-from vcmvsp.cosim.security.certificates import (
-    HUB,
-    INDEX,
-    ROLE,
-    SUFFIX,
-    VEHICLE,
-    Bundle,
-    Entry,
-    Index,
-    Keys,
-    load,
-    load_bundle,
-)
+from vcmvsp.cosim.security.certificates import HUB, INDEX, ROLE, SUFFIX, VEHICLE, Bundle, Entry, Index, Keys, load, load_bundle
 
 CA_DAYS, HUB_DAYS, HOST_DAYS = 3650, 365, 90
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")  # 64: the longest common name (RFC 5280, ub-common-name)

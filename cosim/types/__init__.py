@@ -26,18 +26,7 @@ from vcmvsp.cosim.types.quantities import (
     frozen,
 )
 from vcmvsp.cosim.types.radio import Datagrams, FrameReport, Message, Reception, Routed, Traffic
-from vcmvsp.cosim.types.readings import (
-    Fix,
-    Image,
-    Imu,
-    Later,
-    Looks,
-    Measured,
-    Odometry,
-    Reading,
-    Readings,
-    Scan,
-)
+from vcmvsp.cosim.types.readings import Fix, Image, Imu, Later, Looks, Measured, Odometry, Reading, Readings, Scan
 from vcmvsp.cosim.types.vehicles import (
     Contact,
     Incident,

@@ -5,17 +5,7 @@ from typing import Protocol
 import numpy as np
 
 from vcmvsp.cosim.types import Array, VehicleState, Velocity, frozen
-from vcmvsp.hardware.safety import (
-    Cause,
-    Decision,
-    Heard,
-    Limits,
-    Others,
-    Parameters,
-    Polygon,
-    Supervisor,
-    TimeOuts,
-)
+from vcmvsp.hardware.safety import Cause, Decision, Heard, Limits, Others, Parameters, Polygon, Supervisor, TimeOuts
 from vcmvsp.hardware.safety.aerial_supervisor import AerialParameters, AerialSupervisor
 from vcmvsp.hardware.station.messages import Mission, Safety
 

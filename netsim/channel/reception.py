@@ -11,15 +11,7 @@ from vcmvsp.netsim.impairments.delivery import Delivery
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.layers import Bools, Delay, Floats, Frame, Ints, Loss, T, sealed
-from vcmvsp.netsim.interfaces.link_draws import (
-    DELAY_SLOT,
-    DELIVERY_SLOT,
-    JAMMER_SLOT,
-    LOSS_SLOT,
-    SCRIPT_SLOT,
-    TRACE_SLOT,
-    Make,
-)
+from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, DELIVERY_SLOT, JAMMER_SLOT, LOSS_SLOT, SCRIPT_SLOT, TRACE_SLOT, Make
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 RECEIVED = "received"

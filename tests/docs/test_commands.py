@@ -13,16 +13,7 @@ from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.docs.gallery import section
 from tests.support.docs.readme_commands import mentioned, ours, understood
 from tests.support.docs.readme_coverage import ELSEWHERE, SHOWN, UNRUN
-from tests.support.docs.readme_pages import (
-    COMMANDS,
-    MENTIONS,
-    PAGES,
-    Command,
-    blocks_of,
-    commands_in,
-    program_of,
-    words_of,
-)
+from tests.support.docs.readme_pages import COMMANDS, MENTIONS, PAGES, Command, blocks_of, commands_in, program_of, words_of
 from tests.support.docs.readme_sessions import STORIES, Step, Story
 from tests.support.paths import ROOT
 from vcmvsp.cosim.scenario import loader

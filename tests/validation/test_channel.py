@@ -6,17 +6,7 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.validation.fleets import (
-    K1,
-    LEFT_BEHIND,
-    NEVER_LOST,
-    RIGHT_BEHIND,
-    T,
-    V,
-    errors,
-    fleet,
-    lossy,
-)
+from tests.support.validation.fleets import K1, LEFT_BEHIND, NEVER_LOST, RIGHT_BEHIND, T, V, errors, fleet, lossy
 
 FOLLOWERS = 30
 FROM_S = 20.0

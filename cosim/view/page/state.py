@@ -7,18 +7,7 @@ from typing import get_origin
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.types import (
-    Array,
-    Fix,
-    Follows,
-    Image,
-    Mosaic,
-    Presence,
-    ProbabilityMap,
-    RealStatus,
-    Scan,
-    Sightings,
-)
+from vcmvsp.cosim.types import Array, Fix, Follows, Image, Mosaic, Presence, ProbabilityMap, RealStatus, Scan, Sightings
 from vcmvsp.cosim.view.messages import Line, Pace, Scenery, Shown
 
 NEVER_NS = -(2**62)

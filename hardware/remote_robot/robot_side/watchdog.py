@@ -14,15 +14,7 @@ import msgspec
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.cosim.util.text import plain
-from vcmvsp.hardware.drivers.base import (
-    Driver,
-    DriverError,
-    HandshakeError,
-    LinkLost,
-    Notice,
-    PortError,
-    Sample,
-)
+from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
 from vcmvsp.hardware.drivers.call_timeout import within
 from vcmvsp.hardware.drivers.command_repeater import NOT_YET
 from vcmvsp.hardware.remote_robot.messages import DEADMAN_S, NOTICES_AT_ONCE, Down, Failure

@@ -19,14 +19,7 @@ from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.transport import endpoints, key_names
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3
 from vcmvsp.cosim.util.text import plain
-from vcmvsp.hardware.drivers.base import (
-    COMMAND_TIMEOUT_S,
-    CommandTimeout,
-    DriverError,
-    HandshakeError,
-    LinkLost,
-    PortError,
-)
+from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, DriverError, HandshakeError, LinkLost, PortError
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import SAY_S, Hello, Welcome
 from vcmvsp.hardware.remote_robot.run_side.admission import Admission

@@ -24,16 +24,7 @@ from vcmvsp.cosim.transport import access_control, endpoints
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.cosim.types import Name
 from vcmvsp.cosim.util.codec import Decoder, encode
-from vcmvsp.netsim.bridge.gateways.base import (
-    BROADCAST,
-    HIGHEST,
-    LARGEST,
-    Bytes,
-    DoorError,
-    Hall,
-    Port,
-    check_names,
-)
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST, HIGHEST, LARGEST, Bytes, DoorError, Hall, Port, check_names
 
 BACKLOG = 4096  # publications of a vehicle that wait for the loop
 OWN = "vcmvsp/"

@@ -7,16 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.agents.obstacle_fields import (
-    WHEELS,
-    WINGS,
-    Box,
-    scattered,
-    seen_from,
-    steered,
-    steering,
-    sweep,
-)
+from tests.support.agents.obstacle_fields import WHEELS, WINGS, Box, scattered, seen_from, steered, steering, sweep
 from vcmvsp.agents.avoidance import DynamicWindow, Gap, PotentialField, Task, Vfh, View, view_of
 from vcmvsp.agents.avoidance.gaps import gaps_ahead
 from vcmvsp.agents.avoidance.settings import Settings

@@ -16,18 +16,7 @@ import pytest
 import zenoh
 
 from tests.support.cosim.run_processes import reserved
-from tests.support.cosim.secure_hub import (
-    PATIENCE_S,
-    QUIET,
-    Hub,
-    answering,
-    bundle,
-    dial,
-    greet,
-    issued,
-    start,
-    until,
-)
+from tests.support.cosim.secure_hub import PATIENCE_S, QUIET, Hub, answering, bundle, dial, greet, issued, start, until
 from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import authority, certificates, x509

@@ -9,17 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recorded_run import (
-    END_NS,
-    SENSORS,
-    Run,
-    all_of,
-    assert_same,
-    looked_on,
-    merged,
-    seen,
-    told,
-)
+from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, merged, seen, told
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.view.messages import Change, Go, Line, Seek, Sensors, Shown

@@ -14,16 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.cosim import reconnaissance_recording
-from tests.support.cosim.recorded_run import (
-    END_NS,
-    SENSORS,
-    Run,
-    assert_same,
-    chunk_ends,
-    looked_on,
-    seen,
-    told,
-)
+from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, assert_same, chunk_ends, looked_on, seen, told
 from tests.support.cosim.recordings import TENTH, note, states
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS

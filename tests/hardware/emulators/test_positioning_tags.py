@@ -13,15 +13,7 @@ import serial  # type: ignore[import-untyped]
 from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.hardware.emulators.positioning.tags import (
-    Errors,
-    Source,
-    Tag,
-    circling,
-    dwm1001_outlet,
-    standing,
-    ubisense_outlet,
-)
+from vcmvsp.hardware.emulators.positioning.tags import Errors, Source, Tag, circling, dwm1001_outlet, standing, ubisense_outlet
 from vcmvsp.hardware.localisation import Located, dwm1001, ubisense
 
 TRUE = (3.0, -2.0, 0.5)

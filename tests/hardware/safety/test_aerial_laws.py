@@ -12,16 +12,7 @@ from hypothesis import strategies as st
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
 from tests.support.hardware.supervised_flight import Flight, flown
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import (
-    AerialParameters,
-    AerialSupervisor,
-    Cause,
-    Heard,
-    Limits,
-    Others,
-    Polygon,
-    TimeOuts,
-)
+from vcmvsp.hardware.safety import AerialParameters, AerialSupervisor, Cause, Heard, Limits, Others, Polygon, TimeOuts
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
 
 SECOND = 10**9

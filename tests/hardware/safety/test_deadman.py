@@ -8,18 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import (
-    Cause,
-    Deadman,
-    Heard,
-    Limits,
-    Others,
-    Parameters,
-    Polygon,
-    Supervisor,
-    TimeOuts,
-    clamp,
-)
+from vcmvsp.hardware.safety import Cause, Deadman, Heard, Limits, Others, Parameters, Polygon, Supervisor, TimeOuts, clamp
 
 MS = 10**6
 SECOND = 10**9

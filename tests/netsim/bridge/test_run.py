@@ -14,15 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.netsim.bridge_runs import (
-    BROADCAST,
-    BridgeRun,
-    all_of,
-    running,
-    until_each_of,
-    wait_for,
-    what_is_there,
-)
+from tests.support.netsim.bridge_runs import BROADCAST, BridgeRun, all_of, running, until_each_of, wait_for, what_is_there
 from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
 from tests.support.paths import ROOT
 from vcmvsp.cosim.clock import SECOND_NS, WallClock

@@ -9,16 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.world.polygons import (
-    Point,
-    area_m2,
-    convex_parts,
-    is_convex,
-    outward,
-    overlap_m,
-    problem_of,
-    width_m,
-)
+from vcmvsp.physics.world.polygons import Point, area_m2, convex_parts, is_convex, outward, overlap_m, problem_of, width_m
 
 L_SHAPE = ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.0, 1.0), (1.0, 3.0), (0.0, 3.0))
 COMB = (

@@ -18,17 +18,7 @@ from vcmvsp.physics.world.polygons import overlap_m
 from vcmvsp.physics.world.solids import Box, Cylinder, Prism, rectangle
 from vcmvsp.physics.world.targets import Target
 from vcmvsp.physics.world.world import Movable, Moving, Wind, World, Zone
-from vcmvsp.physics.worlds import (
-    Boxes,
-    Corridor,
-    Empty,
-    Gates,
-    GatesOffset,
-    Laboratory,
-    Pillar,
-    RecreationCentre,
-    Urban,
-)
+from vcmvsp.physics.worlds import Boxes, Corridor, Empty, Gates, GatesOffset, Laboratory, Pillar, RecreationCentre, Urban
 from vcmvsp.physics.worlds.laboratory import AISLES, PATROL
 
 TURNS = (0.7, -1.2, 1.57)

@@ -15,16 +15,7 @@ import numpy as np
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
 from tests.support.hardware.supervised_flight import flown
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety import (
-    AerialParameters,
-    AerialSupervisor,
-    Heard,
-    Limits,
-    Others,
-    Parameters,
-    Supervisor,
-    TimeOuts,
-)
+from vcmvsp.hardware.safety import AerialParameters, AerialSupervisor, Heard, Limits, Others, Parameters, Supervisor, TimeOuts
 from vcmvsp.hardware.safety.geofence import RETURN_MPS
 
 SECOND = 10**9

@@ -15,18 +15,7 @@ import vcmvsp
 from tests.support.agents.agent_loop import formation_error
 from tests.support.cosim.command_line import contents
 from vcmvsp.cosim.reproduction.figures import scenarios
-from vcmvsp.cosim.reproduction.figures.scenarios import (
-    AHEAD,
-    ASIDE,
-    K1,
-    LEFT_BEHIND,
-    RIGHT_BEHIND,
-    UNLIMITED,
-    R,
-    T,
-    V,
-    W,
-)
+from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, ASIDE, K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, R, T, V, W
 
 __all__ = ["AHEAD", "K1", "LEFT", "LEFT_BEHIND", "NEVER_LOST", "RIGHT_BEHIND", "R", "T", "V", "W", "fleet", "lossy"]
 

@@ -11,17 +11,7 @@ import numpy as np
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.formation import loss_integration
-from vcmvsp.cosim.reproduction.figures.scenarios import (
-    K1,
-    LEFT_BEHIND,
-    RIGHT_BEHIND,
-    UNLIMITED,
-    T,
-    V,
-    errors_from,
-    fleet,
-    rms,
-)
+from vcmvsp.cosim.reproduction.figures.scenarios import K1, LEFT_BEHIND, RIGHT_BEHIND, UNLIMITED, T, V, errors_from, fleet, rms
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy as radio
 from vcmvsp.cosim.reproduction.row import Row, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Job, Runner

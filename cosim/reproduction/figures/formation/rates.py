@@ -4,17 +4,7 @@ import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
-from vcmvsp.cosim.reproduction.figures.scenarios import (
-    AHEAD,
-    K1,
-    Tracks,
-    V,
-    fleet,
-    overshoot,
-    settling_s,
-    step_follower,
-    track,
-)
+from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, K1, Tracks, V, fleet, overshoot, settling_s, step_follower, track
 from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.reproduction.runner import Job, Runner
 from vcmvsp.cosim.types import Array

@@ -15,14 +15,7 @@ import numpy as np
 
 from vcmvsp.cosim.assembly.parts.search_map import Sensor, decisions
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
-from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import (
-    CELL_M,
-    EDGE_M,
-    SURE,
-    Searched,
-    places,
-    searched,
-)
+from vcmvsp.cosim.reproduction.figures.search.map_exchange_runs import CELL_M, EDGE_M, SURE, Searched, places, searched
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.types import Array, ProbabilityMap

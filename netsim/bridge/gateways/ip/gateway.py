@@ -15,14 +15,7 @@ import msgspec
 
 from vcmvsp.netsim.bridge.gateways.base import LARGEST, DoorError, Hall, check_names
 from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_networks
-from vcmvsp.netsim.bridge.gateways.ip.addresses import (
-    LEAST_MTU6,
-    Directory,
-    Network,
-    address_in,
-    is_ip,
-    network_of,
-)
+from vcmvsp.netsim.bridge.gateways.ip.addresses import LEAST_MTU6, Directory, Network, address_in, is_ip, network_of
 from vcmvsp.netsim.bridge.gateways.ip.run_networks import Space
 
 BATCH = 64  # packets of one vehicle before others have their turn

@@ -11,20 +11,7 @@ from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import observe, received
 from tests.support.agents.formation_member import TICK_NS, says
-from tests.support.agents.passage_team import (
-    BEAMS,
-    CARS,
-    SIDE,
-    at,
-    clear,
-    formation,
-    free,
-    heard_of,
-    info,
-    lookout,
-    scan,
-    sees,
-)
+from tests.support.agents.passage_team import BEAMS, CARS, SIDE, at, clear, formation, free, heard_of, info, lookout, scan, sees
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
 from vcmvsp.agents.formation.reports.received import Listening
 from vcmvsp.agents.formation.team.formation import Formation, Passage

@@ -6,15 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.hardware.drivers.arcos.packet import (
-    HEADER,
-    MAX_BYTES,
-    Reader,
-    checksum,
-    command,
-    frame,
-    parse_command,
-)
+from vcmvsp.hardware.drivers.arcos.packet import HEADER, MAX_BYTES, Reader, checksum, command, frame, parse_command
 
 GOLDEN = [  # AmigoBot manual; frames that drove simulators of other makers
     ("fafb03000000", 0, None),

@@ -22,15 +22,7 @@ from vcmvsp.hardware.drivers.ros2.cdr_messages import (
     encode_twist,
     type_hash,
 )
-from vcmvsp.hardware.drivers.ros2.zenoh_keys import (
-    Endpoint,
-    Origin,
-    RmwZenoh,
-    Ros2Dds,
-    gid_of,
-    origin_of,
-    topic_of,
-)
+from vcmvsp.hardware.drivers.ros2.zenoh_keys import Endpoint, Origin, RmwZenoh, Ros2Dds, gid_of, origin_of, topic_of
 
 # Random content and its bytes by rclpy.serialization.serialize_message of ROS 2 Jazzy (rclpy 7.1.6 on Fast DDS). The bytes
 # between fields, where rclpy leaves whatever was in memory, are zero here.

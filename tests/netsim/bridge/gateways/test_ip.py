@@ -18,17 +18,7 @@ from typing import Any
 import pytest
 
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, until
-from tests.support.netsim.vehicle_namespaces import (
-    RUN,
-    called,
-    heard,
-    left_over,
-    needs,
-    needs_spaces,
-    opened,
-    space,
-    udp,
-)
+from tests.support.netsim.vehicle_namespaces import RUN, called, heard, left_over, needs, needs_spaces, opened, space, udp
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError

@@ -3,14 +3,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 from vcmvsp.netsim.bridge.process import datagram_store as stores
-from vcmvsp.netsim.bridge.process.datagram_store import (
-    BATCH,
-    BATCH_BYTES,
-    BATCH_OF_ONE,
-    MOST,
-    MOST_BYTES,
-    Store,
-)
+from vcmvsp.netsim.bridge.process.datagram_store import BATCH, BATCH_BYTES, BATCH_OF_ONE, MOST, MOST_BYTES, Store
 
 
 def put(store: Store, sender: int = 0, size: int = 10, to: int = BROADCAST, came_ns: int = 0) -> bool:

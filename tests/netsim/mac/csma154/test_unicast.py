@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.netsim.csma154_runs import (
-    MS,
-    NOISE_DBM,
-    PHY,
-    SILENT,
-    US,
-    World,
-    assessments,
-    at,
-    backoffs,
-    levels,
-)
+from tests.support.netsim.csma154_runs import MS, NOISE_DBM, PHY, SILENT, US, World, assessments, at, backoffs, levels
 from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 

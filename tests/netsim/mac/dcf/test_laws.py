@@ -8,19 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.dcf_runs import (
-    MS,
-    PHYS,
-    UNTIL,
-    US,
-    bytes_of,
-    frame,
-    mixed,
-    open_air,
-    periodic,
-    run,
-    square,
-)
+from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, US, bytes_of, frame, mixed, open_air, periodic, run, square
 from vcmvsp.netsim.interfaces.medium import Decided, Fate
 from vcmvsp.netsim.mac.dcf import events
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
