@@ -204,14 +204,7 @@ def mavlink_command(
     start = pose_of(pose)
     _show(
         lambda ready: emulate_autopilot(
-            port,
-            ready,
-            autopilot=autopilot,
-            kind=kind,
-            system_id=system_id,
-            armed=armed,
-            pose=start,
-            duration_s=duration,
+            port, ready, autopilot=autopilot, kind=kind, system_id=system_id, armed=armed, pose=start, duration_s=duration
         ),
         as_json=json,
     )
