@@ -8,14 +8,14 @@ from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.types import Array
 
 
-class World(Protocol):
+class WorldClearance(Protocol):
     """Obstacles of a run: `physics.world.world.World`."""
 
     def least_clearance_m(self, time_ns: Array, position: Array) -> float | None:
         """Smallest distance (m) of any place (3, m, n) m to an obstacle at the m instants."""
 
 
-def safety_metrics(moved: Motion, collisions: int, world: World | None) -> dict[str, Any]:
+def safety_metrics(moved: Motion, collisions: int, world: WorldClearance | None) -> dict[str, Any]:
     """The ``safety`` part; ``world`` is what the vehicles moved in, None where that is not known."""
     least_clearance_m = None if world is None else world.least_clearance_m(moved.time_ns, moved.position)
     return {

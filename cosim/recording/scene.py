@@ -43,7 +43,7 @@ OBSTACLE_OPACITY = 0.9
 _RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
 
 
-class Solid(Protocol):
+class DrawnSolid(Protocol):
     """Shape of an obstacle."""
 
     @property
@@ -51,7 +51,7 @@ class Solid(Protocol):
         """Its size and offset, m, "box" or "cylinder", and its colour."""
 
 
-class Obstacle(Protocol):
+class DrawnObstacle(Protocol):
     """A body that moves: `physics.world.world.Movable` or `Moving`."""
 
     @property
@@ -59,22 +59,22 @@ class Obstacle(Protocol):
         """Unique in the world."""
 
     @property
-    def solid(self) -> Solid:
+    def solid(self) -> DrawnSolid:
         """Its shape."""
 
     def pose(self, time_s: float) -> tuple[float, float, float, float]:
         """Centre, m, and yaw, rad, unless it was pushed."""
 
 
-class World(Protocol):
+class DrawnWorld(Protocol):
     """Solids and obstacles of a run: `physics.world.world.World`."""
 
     @property
-    def movables(self) -> Sequence[Obstacle]:
+    def movables(self) -> Sequence[DrawnObstacle]:
         """Bodies that can be pushed."""
 
     @property
-    def moving(self) -> Sequence[Obstacle]:
+    def moving(self) -> Sequence[DrawnObstacle]:
         """Obstacles with a time-table."""
 
     def mesh(self) -> tuple[Array, Array]:
@@ -102,7 +102,7 @@ def scene(
     return SceneUpdate(entities, [SceneEntityDeletion(now)])
 
 
-def solids(world: World) -> SceneUpdate | None:
+def solids(world: DrawnWorld) -> SceneUpdate | None:
     """What a world consists of: its solids by their colours, and obstacles with a time-table in their own frames.
 
     None: there is nothing, or more than `MOST_TRIANGLES`, which no viewer would like.
@@ -118,7 +118,7 @@ def solids(world: World) -> SceneUpdate | None:
     return SceneUpdate(entities) if entities else None
 
 
-def moving_frames(world: World, pushed: Pushed | None, time_ns: int) -> FrameTransforms:
+def moving_frames(world: DrawnWorld, pushed: Pushed | None, time_ns: int) -> FrameTransforms:
     """Where the obstacles are that may move: those with a time-table, and those that can be pushed."""
     placed: list[tuple[str, Sequence[float], Sequence[float]]] = []
     for each in (*world.moving, *(world.movables if pushed is None else ())):
@@ -148,7 +148,7 @@ def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[Triangle
     return parts
 
 
-def _obstacle(moving: Obstacle, now: Time) -> SceneEntity:
+def _obstacle(moving: DrawnObstacle, now: Time) -> SceneEntity:
     """A box or a cylinder in its own frame, and its name."""
     (length, width, height), _, kind, rgb_color = moving.solid.hull
     red, green, blue = (part / 255 for part in rgb_color)
