@@ -4,7 +4,7 @@ import collections.abc
 import difflib
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -63,10 +63,4 @@ def show(value: object) -> str:
 
 
 _SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
-_WORDS: Mapping[object, str] = {
-    Any: "any value",
-    float: "a number",
-    int: "a whole number",
-    str: "a string",
-    bool: "true or false",
-}
+_WORDS: dict[object, str] = {Any: "any value", float: "a number", int: "a whole number", str: "a string", bool: "true or false"}

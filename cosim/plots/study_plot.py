@@ -121,9 +121,6 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
         return figure
 
 
-# --- panels ------------------------------------------------------------------------------------------------------------------
-
-
 def _line(axes: Axes, table: Table, what: tuple[str, str], rows: list[int], look: dict[str, Any]) -> None:
     """Mean as a line, band as a shade; a point without a value leaves a gap."""
     x, mean, low, high = _values(table, *what, rows)
@@ -233,9 +230,6 @@ def _numbers(axes: Axes, image: AxesImage, field: Array) -> None:
             dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
             color = "white" if dark else "black"
             axes.annotate(f"{value:.2g}", (column, row), ha="center", va="center", fontsize=7, color=color)
-
-
-# --- tables ------------------------------------------------------------------------------------------------------------------
 
 
 def _sorted(summary: pa.Table, keys: Sequence[str]) -> Table:

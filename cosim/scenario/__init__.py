@@ -1,4 +1,1 @@
-"""Scenario files: tables, loading, expansion.
-
-Nothing is built from them here, and no part is known.
-"""
+"""Scenario files: tables, loading, expansion. Nothing is built from them here, and no part is known."""

@@ -166,9 +166,6 @@ def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
     return settings
 
 
-# --- reading ----------------------------------------------------------------------------------------------------------------
-
-
 def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Source]:
     if isinstance(scenario, Mapping):
         return msgspec.to_builtins(dict(scenario), enc_hook=_number), Source("scenario", Path())
@@ -210,9 +207,6 @@ def _assign(raw: dict[str, Any], key: str, value: object, source: Source) -> Non
     here[last] = copy.deepcopy(value)  # the caller's mapping is not ours to write into
 
 
-# --- checking ---------------------------------------------------------------------------------------------------------------
-
-
 def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ScenarioError(f"must be a table, not {messages.show(value)}", key=key, source=source.of(key))
@@ -241,16 +235,13 @@ def _vehicle(raw: object, index: int, defaults: Mapping[str, Any], source: Sourc
 
 def _unique(vehicle_names: Sequence[str], source: Source) -> None:
     for index, name in enumerate(vehicle_names):
+        key, problem = f"vehicle.{name}.name", ""
         if name in RESERVED:
-            key = f"vehicle.{name}.name"
-            raise ScenarioError(
-                f"'{name}' is a topic of its own; call the vehicle something else", key=key, source=source.of(key)
-            )
-        if name in vehicle_names[:index]:
-            key = f"vehicle.{name}.name"
-            raise ScenarioError(
-                f"two vehicles are called '{name}'; every name may be used once", key=key, source=source.of(key)
-            )
+            problem = f"'{name}' is a topic of its own; call the vehicle something else"
+        elif name in vehicle_names[:index]:
+            problem = f"two vehicles are called '{name}'; every name may be used once"
+        if problem:
+            raise ScenarioError(problem, key=key, source=source.of(key))
 
 
 def _used(defaults: Mapping[str, Any], listed: Sequence[Mapping[str, Any]], source: Source) -> None:

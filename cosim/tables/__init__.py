@@ -1,4 +1,1 @@
-"""The tables of a run in Arrow and Parquet: states and radio.
-
-Columns, units and labels: no metric and no figure.
-"""
+"""The tables of a run in Arrow and Parquet: states and radio. Columns, units and labels: no metric and no figure."""

@@ -27,8 +27,6 @@ BUDGET = {  # zeros where the channel has no such layer
     "shadowing_db": np.float64,
     "fading_db": np.float64,
 }
-
-
 _FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, "sender", "receivers", "outcome", "wall_materials")
 _FIELDS_OF = attrgetter(*_FIELDS)
 

@@ -1,4 +1,1 @@
-"""Observers of a run from elsewhere: watching it, and checking that it can be reached.
-
-An observer never changes a run.
-"""
+"""Observers of a run from elsewhere: watching it, and checking that it can be reached. An observer never changes a run."""

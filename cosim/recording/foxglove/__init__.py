@@ -1,4 +1,1 @@
-"""Messages that Foxglove and Lichtblick draw.
-
-Conversion of values: no file is opened here.
-"""
+"""Messages that Foxglove and Lichtblick draw. Conversion of values: no file is opened here."""

@@ -1,4 +1,1 @@
-"""Access to the page: tokens, origins, allowed messages.
-
-Nothing of what the page shows.
-"""
+"""Access to the page: tokens, origins, allowed messages. Nothing of what the page shows."""

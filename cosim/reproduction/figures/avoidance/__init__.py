@@ -1,4 +1,1 @@
-"""Figures of obstacle avoidance: potential fields, gaps, passages.
-
-No method: those are `agents.avoidance`.
-"""
+"""Figures of obstacle avoidance: potential fields, gaps, passages. No method: those are `agents.avoidance`."""

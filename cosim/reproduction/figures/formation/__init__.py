@@ -1,4 +1,1 @@
-"""Figures of formations: circles, steps, delay, loss, chains, consensus.
-
-No control law: those are `agents.formation`.
-"""
+"""Figures of formations: circles, steps, delay, loss, chains, consensus. No control law: those are `agents.formation`."""

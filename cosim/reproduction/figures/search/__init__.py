@@ -1,4 +1,1 @@
-"""Figures of search: shared maps, recognition, reconnaissance.
-
-No algorithm: those are `agents.reconnaissance`.
-"""
+"""Figures of search: shared maps, recognition, reconnaissance. No algorithm: those are `agents.reconnaissance`."""
