@@ -93,9 +93,7 @@ def _python() -> str:
 
 
 def _vcmvsp() -> str:
-    import vcmvsp
-
-    return f"{_version('vcmvsp', 'vcmvsp')} at {Path(vcmvsp.__file__).resolve().parent}"
+    return f"{_version('vcmvsp.cosim', 'vcmvsp')} at {Path(__file__).resolve().parents[2]}"
 
 
 def _version(module: str, distribution: str) -> str:

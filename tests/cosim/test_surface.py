@@ -1,12 +1,15 @@
 """What ``import cosim`` offers, what it costs, and what stands in the way of a robot that has only the core."""
 
 import importlib
+import re
 import subprocess
 import sys
+import tomllib
 
 import pytest
 
 import vcmvsp
+from tests.support.paths import ROOT
 
 PUBLIC = {
     "run": "runs.api",
@@ -106,3 +109,14 @@ def test_every_error_has_its_exit_code() -> None:
     }
     assert {kind: kind.exit_code for kind in errors} == errors
     assert all(issubclass(kind, VcmvspError) for kind in errors)
+
+
+def test_every_package_has_its_layer() -> None:
+    """A package that no layer names could import everything."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    (layers,) = (each["layers"] for each in contracts if each["name"] == "Layers")
+    listed = {name.strip() for layer in layers for name in re.split(r"[|:]", layer)}
+    inner = {
+        f"cosim.{each.stem}" for each in (ROOT / "cosim").iterdir() if each.suffix == ".py" or (each / "__init__.py").exists()
+    }
+    assert listed == inner - {"cosim.__init__"} | {"physics", "netsim", "agents", "hardware"}
