@@ -21,7 +21,7 @@ Described = Callable[..., object]
 """A class with parameters, or the function that stands for a kind."""
 
 OFFERED = ("sightline", "noise_dbm", "world", "outside")
-"""Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.federates`), not from a key."""
+"""Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.run`), not from a key."""
 
 OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder")}
 """The same, of what is physics' or what a station builds (`cosim.assembly.real_vehicles`)."""

@@ -1,7 +1,7 @@
 """The tables of a scenario: every key stands in a class here, with its default.
 
 Tables that configure one of several kinds (``physics``, ``world``, the layers of ``radio``, a vehicle, an agent, a driver) stay
-mappings: their keys are the constructor parameters of the kind, checked when it is built (`cosim.assembly.federates`).
+mappings: their keys are the constructor parameters of the kind, checked when it is built (`cosim.assembly.run`).
 """
 
 from collections.abc import Mapping
