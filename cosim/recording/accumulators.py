@@ -11,7 +11,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -21,7 +21,9 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
+from vcmvsp.cosim.metrics.safety import WorldClearance
 from vcmvsp.cosim.recording.digest import digest
+from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import Placement, RunFacts, radio_table, states_table, write_table
 from vcmvsp.cosim.types import (
@@ -67,6 +69,10 @@ HASHED_BYTES = 1 << 16  # so many are hashed together
 _COMMAND = struct.Struct("<5d").pack  # time ns, velocity m/s, yaw rate rad/s: an array's own `extend` takes twice as long
 
 
+class RecordedWorld(DrawnWorld, WorldClearance, Protocol):
+    """World of a run, to be drawn and measured."""
+
+
 class Kept:
     """Collects as a run goes on; tables and numbers are made once it is over.
 
@@ -76,7 +82,7 @@ class Kept:
         world: what the vehicles move in; None: nothing is told of how near they came to it.
     """
 
-    def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: Any = None) -> None:
+    def __init__(self, run: RunInfo, agents: Sequence[AgentInfo], world: RecordedWorld | None = None) -> None:
         self._run, self._world = run, world
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._rows: list[tuple[int, States]] = []

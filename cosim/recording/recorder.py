@@ -25,7 +25,7 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.recording import event_text
-from vcmvsp.cosim.recording.accumulators import PACKED, Kept, Take, vehicle_of
+from vcmvsp.cosim.recording.accumulators import PACKED, Kept, RecordedWorld, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove.messages import to_json
 from vcmvsp.cosim.recording.run_mcap import Viewer
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
@@ -63,7 +63,7 @@ class Recorder:
         agents: Sequence[AgentInfo],
         radius_m: Mapping[str, float],
         sensors: Sequence[str] = (),
-        world: Any = None,
+        world: RecordedWorld | None = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._tell, self._record_ticks, self._sensors = tell, record_ticks, frozenset(sensors)

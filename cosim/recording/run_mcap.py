@@ -16,7 +16,7 @@ from vcmvsp.cosim.recording.foxglove import messages
 from vcmvsp.cosim.recording.foxglove.agent_displays import messages_of
 from vcmvsp.cosim.recording.foxglove.messages import FrameTransform, Quaternion, Vector3
 from vcmvsp.cosim.recording.mcap_writer import McapLog
-from vcmvsp.cosim.recording.scene import moving_frames, scene, solids
+from vcmvsp.cosim.recording.scene import DrawnWorld, moving_frames, scene, solids
 from vcmvsp.cosim.tables.schema import NOT_LOST
 from vcmvsp.cosim.types import (
     Datagrams,
@@ -64,13 +64,13 @@ class Viewer:
         world: what the vehicles move in; None: nothing of it is drawn.
     """
 
-    def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: Any = None) -> None:
+    def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: DrawnWorld | None = None) -> None:
         about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
         self._log = McapLog(stream, about)
         self.write = self._log.write  # a value as it is
-        self._vehicles, self._radius_m, self._world = run.vehicles, radius_m, world
+        self._vehicles, self._radius_m = run.vehicles, radius_m
         self._targets = () if world is None else world.targets
-        self._moves = world is not None and bool(world.moving or world.movables)
+        self._moving = world if world is not None and (world.moving or world.movables) else None
         self._calibrated: set[str] = set()  # keys of cameras
         self._places: dict[str, Follows] = {}  # that followers mean to keep
         self._scene_is_due, self._scene_ns = True, 0
@@ -100,8 +100,8 @@ class Viewer:
             transforms.append(FrameTransform(now, "world", name, Vector3(x, y, z), Quaternion(qx, qy, qz, qw)))
             write(f"{name}/state", time_ns, state)
         write("/tf", time_ns, messages.FrameTransforms(transforms))
-        if self._moves:
-            write("world/moving", time_ns, moving_frames(self._world, self._pushed, time_ns))
+        if self._moving is not None:
+            write("world/moving", time_ns, moving_frames(self._moving, self._pushed, time_ns))
 
     def say(self, level: str, text: str, time_ns: int) -> None:
         """A line of the log."""

@@ -77,6 +77,10 @@ class DrawnWorld(Protocol):
     def moving(self) -> Sequence[DrawnObstacle]:
         """Obstacles with a time-table."""
 
+    @property
+    def targets(self) -> Sequence[Target]:
+        """Flat things on the floor that vehicles search."""
+
     def mesh(self) -> tuple[Array, Array]:
         """Vertices (v, 3) m and triangles (t, 3) of all solids."""
 
