@@ -88,7 +88,6 @@ class Physics:
     ) -> None:
         self.rate_hz, self.iterations, self.gravity = rate_hz, iterations, gravity
         self.world, self.vehicles = world, tuple(vehicles)
-        self.radius_m = {spec.name: spec.model.radius_m for spec in self.vehicles}
         self._names = tuple(spec.name for spec in self.vehicles)
         self._outside = outside
         names = () if outside is None else outside.names

@@ -30,7 +30,6 @@ class World:
     wakes: tuple[str, ...] = ()
 
     def __init__(self, world: Any, vehicles: Any, outside: Any = None, busy_s: NonNegative = 0.0) -> None:
-        self.radius_m = {each.name: 0.0 for each in vehicles}
         self._busy_s = busy_s
         self._said = [(f"{each.name}/estimate", STATE_SEEN) for each in vehicles]
         self._said += [(f"{each.name}/scan", SCAN_SEEN) for each in vehicles if each.sensors]  # type: ignore[misc]

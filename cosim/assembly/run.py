@@ -5,7 +5,7 @@ This room alone imports the parts (physics, netsim, agents, hardware), each insi
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
@@ -55,6 +55,7 @@ class AssembledRun:
         where: where each vehicle's agent runs.
         radius_m: of each vehicle's body.
         inputs: what comes from outside, for a replay.
+        resolution: the complete tables, and files to be kept.
     """
 
     scenario: Scenario
@@ -72,7 +73,7 @@ class AssembledRun:
     where: Mapping[str, str]
     radius_m: Mapping[str, float]
     inputs: InputLog
-    _resolution: Resolution = field(repr=False)
+    resolution: Resolution
 
     def __enter__(self) -> Self:
         return self
@@ -107,7 +108,7 @@ class AssembledRun:
     def resolved(self) -> dict[str, Any]:
         """The scenario with everything filled in (`cosim.assembly.resolved`), and with the interventions made so far."""
         foreign = {vehicle for vehicle, place in self.where.items() if place == "zenoh"}
-        resolved = self._resolution.scenario(self.agents, self.hosts.kinds, foreign)
+        resolved = self.resolution.scenario(self.agents, self.hosts.kinds, foreign)
         done = [msgspec.to_builtins(each) for each in self.operator.all]
         return {**resolved, **({"intervention": done} if done else {})}
 
@@ -119,11 +120,11 @@ class AssembledRun:
     @property
     def files(self) -> Mapping[str, bytes]:
         """Files that the scenario uses, by the name under which they are kept beside the resolved one."""
-        return self._resolution.files
+        return self.resolution.files
 
     def keep(self, path: Path) -> None:
         """Keep a file with the others."""
-        self._resolution.keep(path)
+        self.resolution.keep(path)
 
 
 def assemble(
@@ -216,7 +217,7 @@ def assemble(
         where=placement.where,
         radius_m=radius_m,
         inputs=inputs,
-        _resolution=resolution,
+        resolution=resolution,
     )
 
 

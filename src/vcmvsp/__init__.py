@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
     from vcmvsp.cosim.frames import arc, quaternion_from_yaw, rotate2, wrap, yaw_of
     from vcmvsp.cosim.runs.api import Result, run
+    from vcmvsp.cosim.studies.engine import study
     from vcmvsp.cosim.types import (
         Fix,
         Follows,

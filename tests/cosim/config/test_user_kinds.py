@@ -124,7 +124,6 @@ def test_physics_of_ones_own_needs_to_know_nothing_of_obstacles(folder: Path) ->
         '    name, slot, wake_slot = "physics", Slot.WORLD, Slot.WORLD\n'
         "    reads = latest = wakes = ()\n"
         "    def __init__(self, world, vehicles, outside=None):\n"
-        "        self.radius_m = {each.name: 0.0 for each in vehicles}\n"
         "    def start(self, run):\n"
         "        self.needed, self.names = Needed(run), run.vehicles\n"
         "        return 0\n"
