@@ -51,7 +51,6 @@ def test_it_is_a_federate(kind: type[Physics]) -> None:
     assert isinstance(physics, Federate)
     assert (physics.name, physics.slot, physics.wake_slot) == ("physics", Slot.WORLD, Slot.APPLY)
     assert (physics.reads, physics.wakes) == (("*/command", "operator/halted", "operator/moved"), ())
-    assert physics.radius_m == {"car1": 0.25, "car2": 0.18}
 
 
 @BOTH

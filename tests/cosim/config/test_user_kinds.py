@@ -123,7 +123,7 @@ def test_physics_of_ones_own_needs_to_know_nothing_of_obstacles(folder: Path) ->
         "class Still:\n"
         '    name, slot, wake_slot = "physics", Slot.WORLD, Slot.WORLD\n'
         "    reads = latest = wakes = ()\n"
-        "    def __init__(self, world, vehicles, outside=None):\n"
+        "    def __init__(self, world, vehicles, outside=None): ...\n"
         "    def start(self, run):\n"
         "        self.needed, self.names = Needed(run), run.vehicles\n"
         "        return 0\n"
