@@ -147,9 +147,6 @@ def _survival(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> float 
     return float(radio["errors"].frame_success(np.array([row["sinr_db"]]), row["size_bytes"])[0])
 
 
-# --- why a frame was received or lost ---------------------------------------------------------------------------------------
-
-
 def why(report: Report) -> str:
     """The outcome, and what would have had to be different."""
     outcome = report["outcome"]

@@ -112,8 +112,6 @@ class Snapshots:
         shown = tuple(each for each in targets if each is not None)
         return Snapshot(image.pixels, shown, frame.sightings, cells, hits)
 
-    # --- what the scenario says ---------------------------------------------------------------------------------------------
-
     def _found(self, name: str | None) -> tuple[VehicleTable, str]:
         """The vehicle, and the key of what it looks for."""
         vehicles = {each.name: each for each in self._scenario.vehicle}
@@ -193,8 +191,6 @@ class Snapshots:
             problem = f"of {self.cell_m:g} m there are more than {MOST_CELLS} cells in the area: make them larger"
             raise ScenarioError(problem, key=f"{self.table}.cell_m", source=self._source.of(self.table))
         return grid
-
-    # --- a picture ----------------------------------------------------------------------------------------------------------
 
     def _placed(self, rng: np.random.Generator, time_s: float, *, with_target: bool) -> VehicleState:
         """Somewhere over the area, clear of what stands there; a target is anywhere in the picture, where one has to be."""

@@ -71,9 +71,6 @@ def _attach(commands: Iterable[Any]) -> None:
                     info.autocompletion = COMPLETERS[parameter.name]
 
 
-# --- what stands for what -----------------------------------------------------------------------------------------------------
-
-
 def _scenarios(incomplete: str) -> list[str]:
     return [*sorted(path.stem for path in registry.SHIPPED.glob("*.toml")), *_files(incomplete, ".toml")]
 
@@ -148,9 +145,6 @@ COMPLETERS: Mapping[str, Callable[..., list[str]]] = {
     "agents": lambda: ["inprocess", "process", "zenoh"],
 }
 """By the name of the parameter."""
-
-
-# --- what there is ------------------------------------------------------------------------------------------------------------
 
 
 def _index() -> Iterator[tuple[str, list[str]]]:

@@ -50,9 +50,6 @@ ABSENT = "–"  # this kind takes no such key
 RANGE_BYTES = 100  # of the frames by which the range of a preset is meant
 
 
-# --- the page -----------------------------------------------------------------------------------------------------------------
-
-
 def updated(page: str) -> str:
     """The page with the present reference between each ``<!-- generated: NAME -->`` and the next ``<!-- end -->``."""
     for name, write in BLOCKS.items():
@@ -77,9 +74,6 @@ def main(arguments: Sequence[str] | None = None, page: Path = PAGE) -> None:
         page.write_text(new, "utf-8")
     elif new != old:
         sys.exit(f"{page} is not what the code says; update it: {UPDATE}")
-
-
-# --- blocks -------------------------------------------------------------------------------------------------------------------
 
 
 def physics() -> str:
@@ -236,9 +230,6 @@ def _complete(layer: str, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, 
 def params(content: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of a table but for its kind."""
     return {name: value for name, value in content.items() if name != "kind"}
-
-
-# --- tables of parameters -----------------------------------------------------------------------------------------------------
 
 
 def kinds(classes: Mapping[str, Described], common: type | None = None) -> str:

@@ -156,9 +156,6 @@ def steps_of(path: str) -> tuple[str, ...]:
     return tuple(each for each in path.split(".") if each and not each.isupper())
 
 
-# --- what the code says -------------------------------------------------------------------------------------------------------
-
-
 def of_place(place: Place) -> Iterator[Section]:
     """What the code says of a place: what all kinds have, each kind, and the tables within."""
     classes = {kind: registry.find(place.group, kind) for kind in place.kinds}

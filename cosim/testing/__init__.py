@@ -86,9 +86,6 @@ def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[
     _require(first == second, "two federates that got the same gave different events")
 
 
-# --- agents -----------------------------------------------------------------------------------------------------------------
-
-
 def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Observation]) -> bytes:
     """Everything that the agent says, encoded."""
     from vcmvsp.cosim.assembly.parts.agent_host import AgentHost
@@ -150,9 +147,6 @@ def _nonsense(sender: str, now: int, tick: int) -> Reception:
     return Reception(message=message, rssi_dbm=-60.0, sent_ns=max(0, now - SECOND // 10), received_ns=now)
 
 
-# --- layers of the channel --------------------------------------------------------------------------------------------------
-
-
 def _check_path_loss(layer: "PathLoss", verb: str) -> None:
     from vcmvsp.cosim.assembly.parts.radio import Paths
 
@@ -210,9 +204,6 @@ def _frame(rx: Array, receivers: tuple[str, ...]) -> "Frame":
     paths = Paths.between(np.zeros(3), rx)
     links = Links(1, "sender", receivers)
     return Frame(0, 0, SECOND // 1000, 60, paths, -60.0 - paths.distance_m / 10.0, links)
-
-
-# --- federates --------------------------------------------------------------------------------------------------------------
 
 
 def _step_through(federate: Federate, run: RunInfo, inputs: Sequence[Event]) -> bytes:

@@ -124,9 +124,6 @@ class Shown(Value, frozen=True, kw_only=True):
     pace: Pace = Pace()
 
 
-# --- orders ---
-
-
 class Sensors(Value, frozen=True, kw_only=True, tag="sensors"):
     """Show these readings, and no others: they cost the run time."""
 

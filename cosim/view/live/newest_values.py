@@ -162,8 +162,6 @@ class Newest:
         for each in (self._values, self._frames, self._heard, self._noted, self._pushed, self._lines):
             each.clear()
 
-    # --- events -------------------------------------------------------------------------------------------------------------
-
     def _on_states(self, key: str, time_ns: int, states: States) -> None:
         self._states = states
 

@@ -74,9 +74,6 @@ def turned(yaw: Array) -> Array:
     return np.stack([np.cos(0.5 * yaw), zero, zero, np.sin(0.5 * yaw)], axis=1)
 
 
-# --- shapes ---
-
-
 def box(low: tuple[float, float, float] = (-0.5, -0.5, -0.5), high: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> Mesh:
     """A box between two corners."""
     x0, y0, z0 = low

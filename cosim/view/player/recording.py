@@ -138,8 +138,6 @@ class Recording:
                 images[name] = self._image(topic, number)
         return scans, images
 
-    # --- opening ------------------------------------------------------------------------------------------------------------
-
     def _staged(self) -> Stage:
         """Where the run took place; without its scenario, or its world, the vehicles are shown alone."""
         path, why = self._folder / "scenario.toml", "there is no scenario.toml (yet)"
@@ -158,8 +156,6 @@ class Recording:
         """Names and kinds of a vehicle's sensors that there are readings of."""
         read = [name.partition("/") for name, topic in self._file.topics.items() if _is_reading(topic.schema)]
         return {sensor: kinds.get(sensor, "") for who, _, sensor in read if who == vehicle}
-
-    # --- showing ------------------------------------------------------------------------------------------------------------
 
     def _message(self, topic: Topic, number: int, decode: Callable[[bytes], T]) -> T:
         try:

@@ -43,9 +43,6 @@ BEHIND, ROUND = ((-1.5, 1.0), (-1.5, -1.0)), (4.9, 0.4)  # leaders behind the ro
 TURNED_DEG = 60.0  # a way to the border; doors are within 45
 
 
-# --- runs ---
-
-
 class Passed(NamedTuple):
     """What is kept of a run of `team`."""
 
@@ -107,9 +104,6 @@ def passed(result: Result) -> Passed:
     lead, own = moved.column("leader"), moved.column("follower")
     place, at = np.column_stack([x[:, own], y[:, own]]), np.array([x[0, lead], y[0, lead]])
     return Passed(place, at, float(result.metrics["safety"]["min_clearance_m"]))
-
-
-# --- the figure ---
 
 
 def fig_41(runner: Runner) -> Figure:

@@ -182,9 +182,6 @@ def stall(runner: Runner) -> Figure:
     )
 
 
-# --- runs ---
-
-
 def _alone(y0: float, *, goal: tuple[float, float] | None = None, beams: int = 32, **field: object) -> Job:
     """One vehicle from (-3, y0)."""
     return _job(30.0 if goal is None else 40.0, (-3.0, y0), _leader(goal, **field), (), beams=beams)
@@ -255,9 +252,6 @@ def flown(result: Result, slots: Sequence[tuple[float, float]]) -> Flown:
     x, y, _ = moved.position
     error = [np.hypot(x[:, 0] + dx - x[:, i], y[:, 0] + dy - y[:, i]) for i, (dx, dy) in enumerate(slots, 1)]
     return Flown(moved.time_ns / 1e9, x, y, np.array(error).reshape(len(slots), len(x)).T)
-
-
-# --- drawing ---
 
 
 def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | None = None) -> Panel:

@@ -46,9 +46,6 @@ FALSE_CELLS = 0.6  # 0.4 to 0.8 of 2500, a map, when both targets are found: the
 SEQUENTIAL = {0.9: (3, 0.00137, 3.740), 0.8: (4, 0.00389, 6.615)}  # p: net hits, wrong decisions, looks at a cell
 
 
-# --- the study ---
-
-
 def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] = LOSSES) -> Figure:
     """How long it takes until all know both targets, by exchange and loss."""
     cases = [(count, kind, loss) for count in COUNTS for kind in KINDS for loss in losses]
@@ -157,8 +154,6 @@ def _bytes(count: int, seen: Mapping[tuple[int, str, float], list[Searched]], lo
     title = f"{count} vehicles: messages"
     return Panel(title, "probability of loss", "sent by a vehicle [kB/s]", curves)
 
-
-# --- figure 45 ---
 
 SHOWN_SEED, SHOWN_LOSS, SHOWN_S = 4, 0.3, (20.0, 50.0, 80.0, 160.0)
 

@@ -30,9 +30,6 @@ UPRIGHT = {0: 0.985, 20: 0.52}  # degrees: correlation without turning back; bel
 COLORS = dict(zip(KINDS, (2, 1, 3, 4, 5, 6), strict=True))
 
 
-# --- the first stage ---
-
-
 def fig_46(runner: Runner, frames: int = FRAMES) -> Figure:
     """Where the target's colours are: by the most frequent one alone, and by up to four of them."""
     ranks = np.concatenate(_by_height(runner, _ranks, frames))
@@ -101,9 +98,6 @@ def _hues(shares: Sequence[float]) -> Panel:
     x = np.arange(1, len(shares) + 1)
     curve = Curve(x, np.array(shares), "", 1, "both")
     return Panel("The target's colours", "from the most frequent one", "share of the target", [curve], y_limits=(0.0, 0.7))
-
-
-# --- the later stages ---
 
 
 class Judged(NamedTuple):
