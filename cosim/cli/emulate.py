@@ -49,8 +49,7 @@ def robot_command(
     pose: Pose = None,
     rate_hz: Annotated[float, typer.Option(metavar="HZ", help="Information packets a second.")] = 10.0,
     faults: Annotated[
-        str,
-        typer.Option(metavar="NAME=P,...", help="For each byte on the line: drop=0.01,flip=0.001,split=0.2,gap_ms=30."),
+        str, typer.Option(metavar="NAME=P,...", help="For each byte on the line: drop=0.01,flip=0.001,split=0.2,gap_ms=30.")
     ] = "",
     paced: Annotated[bool, typer.Option("--paced", help="Bytes take as long as the baud rate says.")] = False,
     baud: Annotated[int, typer.Option(metavar="N", help="Baud rate, until the client sets another one.")] = 9600,
@@ -89,17 +88,8 @@ def robot_command(
 
     if scenario is None and (vehicle is not None or set_):
         raise UsageError("--vehicle and --set are about a scenario: add --scenario")
-    tags = emulators.tags_of(
-        ubisense=ubisense,
-        dwm1001=dwm1001,
-        tag=tag,
-        fix_hz=fix_hz,
-        sigma_m=sigma_m,
-        outliers=outliers,
-        drop_outs=drop_outs,
-        latency_s=fix_latency_s,
-        seed=seed,
-    )
+    errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
+    tags = emulators.tags_of(ubisense=ubisense, dwm1001=dwm1001, tag=tag, seed=seed, **errors)
     chosen = emulators.robot_options(
         port=port,
         rate_hz=rate_hz,
@@ -199,11 +189,11 @@ def mavlink_command(
 
     Example: vcmvsp emulate mavlink --port tcp://:5760 --autopilot ardupilot --kind rover
     """
-    from vcmvsp.cosim.assembly.parts.emulators import emulate_autopilot
+    from vcmvsp.cosim.assembly.parts.mavlink_emulator import emulate
 
     start = pose_of(pose)
     _show(
-        lambda ready: emulate_autopilot(
+        lambda ready: emulate(
             port, ready, autopilot=autopilot, kind=kind, system_id=system_id, armed=armed, pose=start, duration_s=duration
         ),
         as_json=json,
@@ -224,10 +214,10 @@ def ros2_command(
 
     Example: vcmvsp emulate ros2 --pose 1,2,0
     """
-    from vcmvsp.cosim.assembly.parts.emulators import emulate_ros2_robot
+    from vcmvsp.cosim.assembly.parts.ros2_emulator import emulate
 
     start = pose_of(pose)
-    _show(lambda ready: emulate_ros2_robot(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
+    _show(lambda ready: emulate(port, ready, stamped=stamped, pose=start, duration_s=duration), as_json=json)
 
 
 def _show_tag(tags: "Tags", pose: str | None, circle: str | None, duration_s: float | None, *, as_json: bool) -> None:

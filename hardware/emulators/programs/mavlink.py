@@ -1,7 +1,7 @@
 """An emulated vehicle that speaks MAVLink, at a port until it is interrupted."""
 
 import contextlib
-from typing import Any, Literal
+from typing import Any
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.types import ORIGIN, Vec3
@@ -20,8 +20,8 @@ def emulate(
     port: str,
     ready: Ready,
     *,
-    autopilot: Literal["px4", "ardupilot"] = "px4",
-    kind: Literal["quadrotor", "rover"] = "quadrotor",
+    autopilot: str = "px4",
+    kind: str = "quadrotor",
     system_id: int = 1,
     armed: bool = False,
     pose: Vec3 | None = None,
@@ -32,8 +32,8 @@ def emulate(
     Args:
         port: ``udp://HOST:PORT``, where its messages go, as PX4's do; or ``tcp://HOST:PORT``, where it listens.
         ready: called when it can be connected to.
-        autopilot: whose modes and rules it has.
-        kind: what it is.
+        autopilot: whose modes and rules it has, one of `AUTOPILOTS`.
+        kind: what it is, one of `KINDS`.
         system_id: its number.
         armed: from the beginning.
         pose: where it stands at first, x m, y m, yaw rad.
@@ -49,7 +49,7 @@ def emulate(
     if not 1 <= system_id <= 255:
         raise UsageError(f"--system-id {system_id}: must be from 1 to 255")
     x, y, yaw = pose or ORIGIN
-    vehicle = Vehicle(autopilot=autopilot, kind=kind, system_id=system_id, armed=armed, start=(x, y, 0.0, yaw))
+    vehicle = Vehicle(autopilot=autopilot, kind=kind, system_id=system_id, armed=armed, start=(x, y, 0.0, yaw))  # type: ignore[arg-type]  # both checked above
     duration_of(duration_s)
     with until_interrupted():
         served = serve(vehicle, port)

@@ -1,0 +1,5 @@
+"""An emulated vehicle with an autopilot, served at a real port until it is interrupted; loads MAVLink."""
+
+from vcmvsp.hardware.emulators.programs.mavlink import emulate
+
+__all__ = ["emulate"]
