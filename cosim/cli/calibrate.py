@@ -56,11 +56,7 @@ def calibrate_command(
         raise UsageError(f"--out {out}: there is a file of that name; name a folder")
     sightline = None if world is None else sightline_of(world)
     log, calibration = calibrate_file(
-        links,
-        tx_power_dbm=tx_power,
-        reference_distance_m=reference_distance,
-        sensitivity_dbm=sensitivity,
-        sightline=sightline,
+        links, tx_power_dbm=tx_power, reference_distance_m=reference_distance, sensitivity_dbm=sensitivity, sightline=sightline
     )
     if out is not None:
         write_calibration(out, calibration, figure_data(log, calibration, sightline))

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 Preset = Annotated[str, typer.Option(metavar="NAME", help="A preset of the radio, e.g. ideal, wss, wifi-b-1, zigbee.")]
 Sets = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of a layer, e.g. path_loss.exponent=2.5."),
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of a layer, e.g. path_loss.exponent=2.5.")
 ]
 Size = Annotated[int, typer.Option(metavar="BYTES", help="Payload of a frame; the standard's headers are added.")]
 

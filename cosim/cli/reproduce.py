@@ -117,8 +117,7 @@ def validate_command(
 
 def bench_command(
     parts: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[PART]...", help="E.g. core, shares, messages, radio; without it: all."),
+        list[str] | None, typer.Argument(metavar="[PART]...", help="E.g. core, shares, messages, radio; without it: all.")
     ] = None,
     json: AsJson = False,
 ) -> None:

@@ -68,22 +68,10 @@ def run_command(
     """
     from vcmvsp.cosim.runs import api
 
-    conduct(
-        api.run,
-        scenario,
-        simulated(scenario, set_ or []) if twin else set_ or [],
-        out,
-        seed=seed,
-        realtime=realtime,
-        json=json,
-        quiet=quiet,
-        page=(view_host, view_port) if view else None,
-        agents=agents,
-        listen=listen,
-        keys=keys,
-        insecure=insecure,
-        force=force,
-    )
+    sets = simulated(scenario, set_ or []) if twin else set_ or []
+    page = (view_host, view_port) if view else None
+    options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}
+    conduct(api.run, scenario, sets, out, seed=seed, realtime=realtime, json=json, quiet=quiet, page=page, **options)
 
 
 def launch_command(
@@ -108,20 +96,9 @@ def launch_command(
     """
     from vcmvsp.cosim.runs.launch import launch
 
-    conduct(
-        functools.partial(launch, hosts=hosts),
-        scenario,
-        set_ or [],
-        out,
-        seed=seed,
-        realtime=realtime,
-        json=json,
-        quiet=quiet,
-        listen=listen,
-        keys=keys,
-        insecure=insecure,
-        force=force,
-    )
+    start = functools.partial(launch, hosts=hosts)
+    options: dict[str, Any] = {"listen": listen, "keys": keys, "insecure": insecure, "force": force}
+    conduct(start, scenario, set_ or [], out, seed=seed, realtime=realtime, json=json, quiet=quiet, **options)
 
 
 def replay_command(
@@ -149,24 +126,12 @@ def replay_command(
     """
     from vcmvsp.cosim.runs.replay import beside, replay
 
-    def again(_: str, **options: Any) -> "Result":
-        return replay(run_dir, **{**options, "numbered": out is None}, twin=twin, radio=radio)
+    def again(_: str, **given: Any) -> "Result":
+        return replay(run_dir, **{**given, "numbered": out is None}, twin=twin, radio=radio)
 
-    conduct(
-        again,
-        str(run_dir / "scenario.toml"),
-        set_ or [],
-        beside(run_dir) if out is None else out,
-        seed=seed,
-        realtime=None,
-        json=json,
-        quiet=quiet,
-        agents=agents,
-        listen=listen,
-        keys=keys,
-        insecure=insecure,
-        force=force,
-    )
+    scenario, folder = str(run_dir / "scenario.toml"), beside(run_dir) if out is None else out
+    options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}
+    conduct(again, scenario, set_ or [], folder, seed=seed, realtime=None, json=json, quiet=quiet, **options)
 
 
 def drive_command(
