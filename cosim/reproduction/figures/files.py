@@ -4,7 +4,6 @@ import csv
 from pathlib import Path
 
 from vcmvsp.cosim.reproduction.figures.figure import Figure
-from vcmvsp.cosim.reproduction.row import Row
 from vcmvsp.cosim.util.files import to_json, writing
 
 
@@ -30,7 +29,7 @@ def write(name: str, figure: Figure, folder: Path) -> list[Path]:
 def table(figure: Figure) -> str:
     """The rows as lines of a text: what was expected, what came out, and whether that is within the tolerance."""
     lines: list[tuple[str, ...]] = [("case", "expected", "measured", "tolerance", "")]
-    lines += [(*row.cells, _verdict(row)) for row in figure.rows]
+    lines += [(*row.cells, "ok" if row.ok else "MISSED") for row in figure.rows]
     widths = [max(len(line[column]) for line in lines) for column in range(5)]
     text = [
         "  ".join([line[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(line[1:4], widths[1:4], strict=True))])
@@ -38,10 +37,6 @@ def table(figure: Figure) -> str:
         for line in lines
     ]
     return "\n".join(text) + "\n"
-
-
-def _verdict(row: Row) -> str:
-    return "ok" if row.ok else "MISSED"
 
 
 def _write_points(path: Path, figure: Figure) -> None:

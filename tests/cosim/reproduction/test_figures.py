@@ -20,7 +20,7 @@ from vcmvsp.cosim.errors import AgentError, ScenarioError, UsageError, VcmvspErr
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
 from vcmvsp.cosim.reproduction.figures.files import as_json, table, write
-from vcmvsp.cosim.reproduction.figures.formation import circle, gains, loss, loss_integration, rates
+from vcmvsp.cosim.reproduction.figures.formation import circle, loss, loss_integration, step_responses
 from vcmvsp.cosim.reproduction.figures.scenarios import (
     ASIDE,
     K1,
@@ -295,8 +295,8 @@ def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the starts of figure 24's proof, one gain of 30 at its fine period, less time before the steps of 33."""
     monkeypatch.setattr(circle, "PARTS", 1)
     monkeypatch.setattr(circle, "STARTS", 50)
-    monkeypatch.setattr(gains, "FINE_GAINS", (2.0,))
-    monkeypatch.setattr(rates, "BEFORE_S", 60.0)
+    monkeypatch.setattr(step_responses, "FINE_GAINS", (2.0,))
+    monkeypatch.setattr(step_responses, "BEFORE_S", 60.0)
 
 
 @pytest.mark.usefixtures("fewer")

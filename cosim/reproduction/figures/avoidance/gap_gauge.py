@@ -85,10 +85,7 @@ class Gauge(Agent):
     """
 
     def __init__(
-        self,
-        places: tuple[tuple[float, float], ...],
-        doors: tuple[tuple[float, float, float, float], ...],
-        lookahead_m: float,
+        self, places: tuple[tuple[float, float], ...], doors: tuple[tuple[float, float, float, float], ...], lookahead_m: float
     ) -> None:
         self.places, self.doors, self.lookahead_m = places, doors, lookahead_m
         self._tick = 0

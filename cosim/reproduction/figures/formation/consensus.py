@@ -198,12 +198,7 @@ def _plane(swings: Mapping[tuple[str, int], float]) -> Panel:
         stable = np.array([swings[graph, age] < 1.0 for age in AGES])
         height = np.full(len(stable), T * lambda_max(graph))
         curves += _marked(np.array(AGES), height, stable, color)
-    return Panel(
-        "10 Hz: filled measured stable, hollow unstable",
-        "age of reports d [ticks]",
-        "kappa lambda_max T",
-        curves,
-    )
+    return Panel("10 Hz: filled measured stable, hollow unstable", "age of reports d [ticks]", "kappa lambda_max T", curves)
 
 
 def _times(at_10_hz: Mapping[tuple[str, int], Array]) -> Panel:
@@ -213,11 +208,7 @@ def _times(at_10_hz: Mapping[tuple[str, int], Array]) -> Panel:
         y = at_10_hz[SHOWN, age]
         curves.append(Curve(T * np.arange(len(y)), y, f"age {age}", color))
     return Panel(
-        f"{SHOWN} {GRAPHS[SHOWN]} at 10 Hz: fastest mode",
-        "time [s]",
-        "share of the start",
-        curves,
-        y_limits=(-2.0, 3.0),
+        f"{SHOWN} {GRAPHS[SHOWN]} at 10 Hz: fastest mode", "time [s]", "share of the start", curves, y_limits=(-2.0, 3.0)
     )
 
 

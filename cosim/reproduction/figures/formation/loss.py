@@ -27,10 +27,7 @@ TITLES = {"slalom": "Leader on a slalom", "random": "Leader on a random path"}
 
 
 def loss(
-    runner: Runner,
-    followers: int = FOLLOWERS,
-    probabilities: tuple[float, ...] = PROBABILITIES,
-    straight: int = FOLLOWERS,
+    runner: Runner, followers: int = FOLLOWERS, probabilities: tuple[float, ...] = PROBABILITIES, straight: int = FOLLOWERS
 ) -> Figure:
     """RMS of |z| over the probability of loss: closed form on a straight line, plain integration on two other paths.
 

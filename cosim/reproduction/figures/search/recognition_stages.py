@@ -1,7 +1,7 @@
 """Figures 46 and 47: what each stage of recognition sees, in made-up pictures of the ground (Toh 2012, 5.3)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -129,7 +129,15 @@ def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
         absolute(f"turned by any angle, turned back: {least}", 1.0, min(each.match for each in turned), 1.0 - TARGET_MATCH),
         absolute(f"told up to 7 px off: {least}", 1.0, min(each.match for each in shifted), 1.0 - TARGET_MATCH),
     ]  # fmt: skip
-    panels = [_likenesses(), _by_turn(turned), _by_shift(shifted), _scores(rings, match), *_angles(seen, errors)]
+    by_turn = {"rings": "stage 2", "match": "stage 3, turned back", "upright": "stage 3, not turned back"}
+    by_shift = {"rings": "stage 2", "match": "stage 3", "fixed": "correlation at the told place"}
+    panels = [
+        _likenesses(),
+        _moved("A turned target", "turned by [deg]", TURNS_DEG, turned, by_turn),
+        _moved("A shifted target", "told place off by [px of 48]", SHIFTS_PX, shifted, by_shift),
+        _scores(rings, match),
+        *_angles(seen, errors),
+    ]
     return Figure("Fig. 47: later stages: what turning does not change, then correlation", panels, rows, columns=3)
 
 
@@ -174,22 +182,14 @@ def _likenesses() -> Panel:
     return Panel(f"A target of {SIZE_M:g} m, framed, and its likenesses", "u [px]", "v [px]", [first], photo=Photo(pixels))
 
 
-def _by_turn(turned: Sequence[inspection.Scores]) -> Panel:
-    x = np.array(TURNS_DEG, float)
-    kinds = (("rings", "stage 2"), ("match", "stage 3, turned back"), ("upright", "stage 3, not turned back"))
+def _moved(title: str, by: str, amounts: Sequence[int], seen: Sequence[inspection.Scores], named: Mapping[str, str]) -> Panel:
+    """Scores of a target alone, by how far it is turned or shifted; ``named`` says which scores."""
+    x = np.array(amounts, float)
     curves = [
-        Curve(x, np.array([getattr(each, name) for each in turned]), label, 1 + i) for i, (name, label) in enumerate(kinds)
+        Curve(x, np.array([getattr(each, name) for each in seen]), label, 1 + i)
+        for i, (name, label) in enumerate(named.items())
     ]
-    return Panel("A turned target", "turned by [deg]", "score", curves, levels={"threshold of stage 3": MATCH})
-
-
-def _by_shift(shifted: Sequence[inspection.Scores]) -> Panel:
-    x = np.array(SHIFTS_PX, float)
-    kinds = (("rings", "stage 2"), ("match", "stage 3"), ("fixed", "correlation at the told place"))
-    curves = [
-        Curve(x, np.array([getattr(each, name) for each in shifted]), label, 1 + i) for i, (name, label) in enumerate(kinds)
-    ]
-    return Panel("A shifted target", "told place off by [px of 48]", "score", curves, levels={"threshold of stage 3": MATCH})
+    return Panel(title, by, "score", curves, levels={"threshold of stage 3": MATCH})
 
 
 def _scores(rings: dict[str, Array], match: dict[str, Array]) -> Panel:

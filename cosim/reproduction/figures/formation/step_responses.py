@@ -1,0 +1,167 @@
+"""Figures 30, 31 and 33: steps along and across the heading, by gain and by rate of control, and the lag of a servo."""
+
+import numpy as np
+
+from vcmvsp.cosim.analysis import closed_forms
+from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
+from vcmvsp.cosim.reproduction.figures.scenarios import (
+    AHEAD,
+    K1,
+    T,
+    Tracks,
+    V,
+    fleet,
+    overshoot,
+    settling_s,
+    step_follower,
+    track,
+)
+from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, relative
+from vcmvsp.cosim.reproduction.runner import Job, Runner
+from vcmvsp.cosim.types import Array
+
+STEP_M, LAG_S = 0.5, 0.5
+GAINS = (0.4, 0.8, 2.0, 4.0, 8.0)
+BARE_GAINS = (2.0, 8.0, 12.0, 16.0)
+FINE_GAINS, FINE_T = (1.0, 2.0, 4.0), 0.005  # for T towards 0
+FIVE_PER_CENT = 0.05 * STEP_M
+BAND = {"5 %": (-FIVE_PER_CENT, FIVE_PER_CENT)}
+TINY_M = 1e-4
+RATES_HZ = (10.0, 2.0, 1.0, 0.5)
+Z1_SETTLING_S, Z2_OVERSHOOT = (3.6, 3.0, 2.0, 12.0), (0.0, 0.0, 0.0, 0.426)  # by rate
+BOUND_PERIODS_S, BOUND_COUNT = (0.1, 0.5, 1.0, 2.0), 30
+BEFORE_S = 100.0  # with any of the rates
+
+
+def fig_30(runner: Runner) -> Figure:
+    """0.5 m behind the place at the leader's speed: with a servo of 0.5 s, without one, and with T towards 0."""
+    servo = [_step(30.0, 12.0, kind="lag", behind=STEP_M, k1=k1) for k1 in GAINS]
+    bare = [_step(10.0, 5.0, behind=STEP_M, k1=k1) for k1 in BARE_GAINS]
+    fine = [_step(10.0, 4.0, kind="lag", period_s=FINE_T, behind=STEP_M, k1=k1) for k1 in FINE_GAINS]
+    seen = runner([*servo, *bare, *fine])
+    rows: list[Row] = []
+    with_servo, expected, without = [], [], []
+    for color, (k1, each) in enumerate(zip(GAINS, seen, strict=False), 1):
+        time_s, z = _response(each, 30.0, 0)
+        exact = STEP_M * closed_forms.servo_step(k1, T, LAG_S, len(z))
+        with_servo.append(Curve(time_s, z, f"k1 = {k1:g}", color))
+        expected.append(Curve(time_s, exact, "sampled servo, exact", 0, "dotted"))
+        of = f"lag 0.5 s, k1 = {k1:g}"
+        settled = settling_s(time_s, exact, FIVE_PER_CENT)
+        rows += [
+            absolute(f"{of}: overshoot, %", 100 * overshoot(exact), 100 * overshoot(z), 0.05),
+            absolute(f"{of}: settling to 5 %, s", settled, settling_s(time_s, z, FIVE_PER_CENT), 1e-9),
+        ]
+    for color, (k1, each) in enumerate(zip(BARE_GAINS, seen[len(GAINS) :], strict=False), 1):
+        time_s, z = _response(each, 10.0, 0)
+        without.append(Curve(time_s, z, f"k1 = {k1:g}", color, "both"))
+        rows.append(
+            absolute(f"kinematic, k1 = {k1:g}: overshoot k1 T - 1, %", max(0.0, 100 * (k1 * T - 1)), 100 * overshoot(z), 1e-6)
+        )
+    for k1, each in zip(FINE_GAINS, seen[-len(FINE_GAINS) :], strict=True):
+        _, z = _response(each, 10.0, 0)
+        case = f"lag 0.5 s, T = 5 ms, k1 = {k1:g}: overshoot, closed form for T = 0, %"
+        rows.append(absolute(case, 100 * closed_forms.servo_overshoot(k1, LAG_S), 100 * overshoot(z), 0.5))
+    panels = [
+        Panel(
+            "Servo lag 0.5 s", "time since the step [s]", "z1 [m]", [*with_servo, *expected], levels=BAND, x_limits=(0.0, 8.0)
+        ),
+        Panel("Kinematic", "time since the step [s]", "z1 [m]", without, x_limits=(0.0, 2.0)),
+    ]
+    return Figure("Fig. 30: start 0.5 m behind the place, T = 0.1 s", panels, rows)
+
+
+def fig_31(runner: Runner) -> Figure:
+    """0.5 m to the left of the place at the leader's speed: z2 of the handle, and the robot itself, which no k2 hurries."""
+    seen = runner([_step(30.0, 16.0, kind="lag", left=STEP_M, k2=k2) for k2 in GAINS])
+    expected = (0.0, 0.0, 0.160, 0.376, 0.646)
+    handle, robot, rows, latest = [], [], [], []
+    for color, (k2, each, most) in enumerate(zip(GAINS, seen, expected, strict=True), 1):
+        time_s, z = _response(each, 30.0, 1)
+        aside = _aside(each)[each.time_s >= 30.0]
+        handle.append(Curve(time_s, z, f"k2 = {k2:g}", color))
+        robot.append(Curve(time_s, aside, f"k2 = {k2:g}", color))
+        case = f"lag 0.5 s / 0.3 s, k2 = {k2:g}: overshoot of z2, %"
+        measured = 100 * overshoot(z)
+        rows.append(relative(case, 100 * most, measured, 0.05) if most else absolute(case, 0.0, measured, 0.1))
+        latest.append(settling_s(time_s, aside, FIVE_PER_CENT))
+    rows.append(at_least("the robot's own place aside, soonest settling to 5 % of all k2, s", 8.5, min(latest)))
+    panels = [
+        Panel("Handle", "time since the step [s]", "z2 [m]", handle),
+        Panel("The robot itself", "time since the step [s]", "off its place, to the left [m]", robot, levels=BAND),
+    ]
+    return Figure("Fig. 31: start 0.5 m to the left of the place, servo lags 0.5 s and 0.3 s, T = 0.1 s", panels, rows)
+
+
+def fig_33(runner: Runner) -> Figure:
+    """Steps of 0.5 m along and across the heading at 10 to 0.5 Hz, k1 = 0.8, k2 = 0.5 1/s; and growth next to the bound."""
+    along = [_step(BEFORE_S, 20.0, period_s=1.0 / rate, behind=STEP_M) for rate in RATES_HZ]
+    across = [_step(BEFORE_S, 20.0, period_s=1.0 / rate, left=STEP_M) for rate in RATES_HZ]
+    servo = [_step(BEFORE_S, 20.0, kind="lag", period_s=1.0 / rate, behind=STEP_M) for rate in RATES_HZ]
+    bounds = [(period, share) for period in BOUND_PERIODS_S for share in (0.95, 1.05)]
+    tiny = [
+        _step(BEFORE_S, BOUND_COUNT * period, period_s=period, left=TINY_M, k2=share * _bound(period))
+        for period, share in bounds
+    ]
+    components = [0] * 4 + [1] * 4 + [0] * 4 + [1] * 8  # z1 or z2
+    runs = runner([*along, *across, *servo, *tiny])
+    seen = [_response(each, BEFORE_S, component) for each, component in zip(runs, components, strict=True)]
+    panels, rows = [], []
+    names = ("z1, kinematic, 0.5 m behind", "z2, kinematic, 0.5 m to the left", "z1, servo lag 0.5 s, 0.5 m behind")
+    for part, name in enumerate(names):
+        curves = []
+        for color, (rate, (time_s, z)) in enumerate(zip(RATES_HZ, seen[4 * part : 4 * part + 4], strict=True), 1):
+            curves.append(Curve(time_s, z, f"{rate:g} Hz", color, "both" if rate < 10.0 else "line"))
+            rows += _rate_rows(name, rate, time_s, z, color - 1)
+        panels.append(Panel(name, "time since the step [s]", f"{name[:2]} [m]", curves, x_limits=(0.0, 16.0)))
+    growth = []
+    for (period, share), (_, z) in zip(bounds, seen[12:], strict=True):
+        exact = TINY_M * closed_forms.side_steps(share * _bound(period), period, AHEAD, V, len(z))
+        case = (
+            f"T = {period:g} s, {share:g} x the bound k2 = {_bound(period):.4f}: z2 after {BOUND_COUNT} periods over its start"
+        )
+        rows.append(relative(case, abs(exact[-1]) / TINY_M, abs(z[-1]) / TINY_M, 0.02))
+        color = BOUND_PERIODS_S.index(period) + 1
+        label = f"T = {period:g} s"
+        growth.append(Curve(np.arange(len(z)), np.abs(z), label, color, "line" if share > 1 else "dashed"))
+    title = "0.95 (dashed) and 1.05 of k2 = 2/T - v/l"
+    panels.append(Panel(title, "periods since the step", "|z2| [m]", growth, log_y=True))
+    return Figure("Fig. 33: rates of control", panels, rows)
+
+
+def _rate_rows(name: str, rate: float, time_s: Array, z: Array, number: int) -> list[Row]:
+    case, over = f"{name}, {rate:g} Hz: overshoot, %", 100 * overshoot(z)
+    if name.startswith("z2"):
+        expected = 100 * Z2_OVERSHOOT[number]
+        return [relative(case, expected, over, 0.05) if expected else absolute(case, 0.0, over, 0.1)]
+    if "servo" in name:
+        exact = closed_forms.servo_step(K1, 1.0 / rate, LAG_S, len(z))
+        return [absolute(case, 100 * overshoot(exact), over, 0.05)]
+    settled = settling_s(time_s, z, FIVE_PER_CENT)
+    return [
+        absolute(case, max(0.0, 100 * (K1 / rate - 1.0)), over, 0.05),
+        absolute(f"{name}, {rate:g} Hz: settling to 5 %, s", Z1_SETTLING_S[number], settled, 1e-6),
+    ]
+
+
+def _bound(period_s: float) -> float:
+    """Largest stable k2, 1/s."""
+    return 2.0 / period_s - V / AHEAD
+
+
+def _step(at_s: float, for_s: float, *, kind: str = "kinematic", period_s: float = T, **step: float) -> Job:
+    """A leader on a straight line, and one follower that steps; both at the same rate."""
+    agents, record = {"period_s": period_s}, {"period_s": period_s}
+    return track(fleet(at_s + for_s, [step_follower(at_s, **step)], path="straight", kind=kind, agents=agents, record=record))
+
+
+def _response(seen: Tracks, at_s: float, component: int) -> tuple[Array, Array]:
+    """Times since the step, s, and one component of the error, m."""
+    after = seen.time_s >= at_s
+    return seen.time_s[after] - at_s, seen.z[after, 0, component]
+
+
+def _aside(seen: Tracks) -> Array:
+    """How far left of its place the follower itself is, in the leader's frame, m (which here is the world's)."""
+    slot_y = -np.sqrt(1.0 - AHEAD**2)
+    return np.asarray(seen.pose[:, 1, 1] - seen.pose[:, 0, 1] - slot_y)
