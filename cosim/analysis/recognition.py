@@ -108,12 +108,7 @@ class Rates:
 
 
 def _plain(share: Share) -> dict[str, Any]:
-    return {
-        "value": share.value if share.of else None,
-        "interval": list(share.interval),
-        "count": share.part,
-        "of": share.of,
-    }
+    return {"value": share.value if share.of else None, "interval": list(share.interval), "count": share.part, "of": share.of}
 
 
 def _is(one: Sighting, target: InSight) -> bool:

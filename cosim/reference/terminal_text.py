@@ -55,10 +55,5 @@ def _wrapped(begun: str, size: int, words: str, width: int | None, *, hanging: i
 def _lines(words: str, width: int, *, first: int, others: int) -> list[str]:
     """Words in lines, indented; each stays whole."""
     return textwrap.wrap(
-        words,
-        width,
-        initial_indent=" " * first,
-        subsequent_indent=" " * others,
-        break_long_words=False,
-        break_on_hyphens=False,
+        words, width, initial_indent=" " * first, subsequent_indent=" " * others, break_long_words=False, break_on_hyphens=False
     )

@@ -122,7 +122,7 @@ def conduct(
         if out is not None and numbered:
             with writing(out):
                 out = Folder(out, numbered=True).claim()
-        with _answers(plan, out, resume=resume, force=force) as answers:
+        with Answers(plan) if out is None else Store(out, plan, resume=resume, force=force) as answers:
             before = len(answers.rows)
             try:
                 _run(plan, answers, ask, progress, noted)
@@ -166,10 +166,6 @@ def _workers(work: Work, jobs: int | None, cluster: object) -> Iterator[Ask]:
 
         with Cluster(work, cluster) as connected:
             yield connected.answers
-
-
-def _answers(plan: Plan, out: Path | None, *, resume: bool, force: bool) -> Answers:
-    return Answers(plan) if out is None else Store(out, plan, resume=resume, force=force)
 
 
 def _write(out: Path, table: "pa.Table", plan: Plan, about: Mapping[str, Any], *, repeatable: bool) -> None:

@@ -91,14 +91,7 @@ def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Obs
     from vcmvsp.cosim.assembly.parts.agent_host import AgentHost
 
     spec = AgentSpec(
-        vehicle=vehicle,
-        kind=type(agent).__name__,
-        folder="",
-        params={},
-        defaults={},
-        period_s=None,
-        latency_s=0.0,
-        source="",
+        vehicle=vehicle, kind=type(agent).__name__, folder="", params={}, defaults={}, period_s=None, latency_s=0.0, source=""
     )
     federate = AgentHost("agents", [spec], {vehicle: agent})
     said = []
