@@ -89,7 +89,7 @@ def robot_command(
     if scenario is None and (vehicle is not None or set_):
         raise UsageError("--vehicle and --set are about a scenario: add --scenario")
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
-    tags = emulators.tags_of(ubisense=ubisense, dwm1001=dwm1001, tag=tag, seed=seed, **errors)
+    tags = emulators.tags_of(ubisense=ubisense, dwm1001=dwm1001, tag=tag, seed=seed, option=None, **errors)
     chosen = emulators.robot_options(
         port=port,
         rate_hz=rate_hz,
