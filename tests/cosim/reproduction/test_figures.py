@@ -56,7 +56,7 @@ def synthetic(measured: float = 1.0) -> Figure:
 def made_up(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """A figure that is called ``made-up``."""
     module = types.ModuleType("made_up_figure")
-    monkeypatch.setitem(sys.modules, "made_up_figure", module)
+    monkeypatch.setitem(sys.modules, f"{figures.__name__}.made_up_figure", module)
     names = {**figures.NAMES, "made-up": ("made_up_figure:make", "A figure.")}
     monkeypatch.setattr(figures, "NAMES", names)
     module.make = lambda runner: synthetic()  # type: ignore[attr-defined]
