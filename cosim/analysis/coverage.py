@@ -13,7 +13,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import messages
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.scenario import loader as scenario
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.tables.schema import load_tables

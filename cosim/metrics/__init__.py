@@ -86,49 +86,4 @@ is None, never NaN::
     digest                          SHA-256 of all that was recorded (`cosim.recording.digest`)
 """
 
-from vcmvsp.cosim.metrics.age_of_information import Link, age_metrics, ages_s, links
-from vcmvsp.cosim.metrics.agents import agent_metrics
-from vcmvsp.cosim.metrics.connectivity import connectivity_metrics
-from vcmvsp.cosim.metrics.control import control_metrics
-from vcmvsp.cosim.metrics.formation import ROUNDING_M, SETTLED_M, formation_errors, formation_metrics
-from vcmvsp.cosim.metrics.hardware import hardware_metrics
-from vcmvsp.cosim.metrics.mission import Mission, Target, target_at
-from vcmvsp.cosim.metrics.motion import Motion, motion
-from vcmvsp.cosim.metrics.noted_changes import Noted
-from vcmvsp.cosim.metrics.radio import Receptions, informed, radio_metrics, receptions
-from vcmvsp.cosim.metrics.routing import Routing, unreached_s
-from vcmvsp.cosim.metrics.safety import min_separation_m, safety_metrics
-from vcmvsp.cosim.metrics.window import Window
-
 SCHEMA = "vcmvsp.metrics/1"
-
-__all__ = [
-    "ROUNDING_M",
-    "SCHEMA",
-    "SETTLED_M",
-    "Link",
-    "Mission",
-    "Motion",
-    "Noted",
-    "Receptions",
-    "Routing",
-    "Target",
-    "Window",
-    "age_metrics",
-    "agent_metrics",
-    "ages_s",
-    "connectivity_metrics",
-    "control_metrics",
-    "formation_errors",
-    "formation_metrics",
-    "hardware_metrics",
-    "informed",
-    "links",
-    "min_separation_m",
-    "motion",
-    "radio_metrics",
-    "receptions",
-    "safety_metrics",
-    "target_at",
-    "unreached_s",
-]

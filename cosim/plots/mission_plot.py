@@ -15,7 +15,8 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import withStroke
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics import Motion, Target, target_at
+from vcmvsp.cosim.metrics.mission import Target, target_at
+from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.plots.run_plots import draw_vehicle
 from vcmvsp.cosim.plots.style import ABOVE, GREY, MAP, style
 from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of

@@ -9,7 +9,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics import ROUNDING_M, SETTLED_M, Motion, Window, formation_errors, links, motion, unreached_s
+from vcmvsp.cosim.metrics.age_of_information import links
+from vcmvsp.cosim.metrics.formation import ROUNDING_M, SETTLED_M, formation_errors
+from vcmvsp.cosim.metrics.motion import Motion, motion
+from vcmvsp.cosim.metrics.routing import unreached_s
+from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, line_of, styled
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import NOT_LOST, Placement

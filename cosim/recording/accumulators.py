@@ -16,12 +16,24 @@ from typing import Any, Protocol
 import numpy as np
 import pyarrow as pa
 
-from vcmvsp.cosim import metrics
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
-from vcmvsp.cosim.metrics.safety import WorldClearance
+from vcmvsp.cosim.metrics import SCHEMA
+from vcmvsp.cosim.metrics.age_of_information import age_metrics
+from vcmvsp.cosim.metrics.agents import agent_metrics
+from vcmvsp.cosim.metrics.connectivity import connectivity_metrics
+from vcmvsp.cosim.metrics.control import control_metrics
+from vcmvsp.cosim.metrics.formation import formation_metrics
+from vcmvsp.cosim.metrics.hardware import hardware_metrics
+from vcmvsp.cosim.metrics.mission import Mission
+from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.metrics.noted_changes import Noted
+from vcmvsp.cosim.metrics.radio import informed, radio_metrics, receptions
+from vcmvsp.cosim.metrics.routing import Routing
+from vcmvsp.cosim.metrics.safety import WorldClearance, safety_metrics
+from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.recording.digest import digest
 from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.tables.radio_frames import Frames
@@ -88,8 +100,8 @@ class Kept:
         self._rows: list[tuple[int, States]] = []
         self._frames = Frames(run.vehicles)
         self.follows: list[Placement] = []  # who means to keep which place, and from when on
-        self._noted, self._mission = metrics.Noted(), metrics.Mission()
-        self._routing = metrics.Routing(run.vehicles)
+        self._noted, self._mission = Noted(), Mission()
+        self._routing = Routing(run.vehicles)
         self._commands = {name: bytearray() for name in run.vehicles}  # `_COMMAND`, one behind the other
         self._presences: list[tuple[str, Presence]] = []
         self._statuses: dict[str, list[tuple[int, RealStatus]]] = {}  # of real vehicles
@@ -148,29 +160,29 @@ class Kept:
         for table, name in zip(self.tables(end_ns), ("states", "radio"), strict=True):
             write_table(table, folder / f"{name}.parquet")
 
-    def metrics(self, window: metrics.Window, end_ns: int) -> dict[str, Any]:
+    def metrics(self, window: Window, end_ns: int) -> dict[str, Any]:
         """The numbers of a run that is over (`cosim.metrics`)."""
         states, radio = self.tables(end_ns)
         self._hash()
-        moved, got = metrics.motion(states), metrics.receptions(radio)
+        moved, got = motion(states), receptions(radio)
         vehicles, follows, targets = self._run.vehicles, self.follows, () if self._world is None else self._world.targets
-        ages = metrics.age_metrics(metrics.informed(radio, got), follows, self._ticks, window, end_ns)
-        hardware = metrics.hardware_metrics(self._statuses, self._incidents, self._fixes, got)
+        ages = age_metrics(informed(radio, got), follows, self._ticks, window, end_ns)
+        hardware = hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         mission = self._mission.metrics(moved, targets)
         commands = {name: np.frombuffer(rows).reshape(-1, 5) for name, rows in self._commands.items()}
         return {
-            "schema": metrics.SCHEMA,
+            "schema": SCHEMA,
             "scenario": self._run.scenario,
             "seed": self._run.seed,
             "duration_s": end_ns / SECOND_NS,
-            "formation": metrics.formation_metrics(moved, follows, window, self._noted, end_ns),
-            "radio": metrics.radio_metrics(radio, ages, end_ns),
+            "formation": formation_metrics(moved, follows, window, self._noted, end_ns),
+            "radio": radio_metrics(radio, ages, end_ns),
             **({"routing": self._routing.metrics()} if self._routing else {}),
-            "control": metrics.control_metrics(commands, vehicles, window, end_ns),
-            "connectivity": metrics.connectivity_metrics(got, vehicles, window, end_ns),
-            "agents": metrics.agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
+            "control": control_metrics(commands, vehicles, window, end_ns),
+            "connectivity": connectivity_metrics(got, vehicles, window, end_ns),
+            "agents": agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
             **({"hardware": hardware} if self._statuses else {}),
-            "safety": metrics.safety_metrics(moved, self._collisions, self._world),
+            "safety": safety_metrics(moved, self._collisions, self._world),
             **({} if mission is None else {"mission": mission}),
             "digest": digest([states, radio], self._others.digest()),
         }

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.metrics import Mission
+from vcmvsp.cosim.metrics.mission import Mission
 from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid, ImageAnnotations
 from vcmvsp.cosim.recording.mcap_reader import messages
 from vcmvsp.cosim.recording.recorded_run import Noted

@@ -20,10 +20,10 @@ from typing import Any, BinaryIO, NamedTuple
 import msgspec
 import pyarrow as pa
 
-from vcmvsp.cosim import metrics
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.recording import event_text
 from vcmvsp.cosim.recording.accumulators import PACKED, Kept, RecordedWorld, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove.messages import to_json
@@ -139,7 +139,7 @@ class Recorder:
         """The frames at their receivers (`cosim.tables.schema.RADIO_SCHEMA`)."""
         return self._kept.tables(self._now)[1]
 
-    def metrics(self, *, window: metrics.Window) -> dict[str, Any]:
+    def metrics(self, *, window: Window) -> dict[str, Any]:
         """The numbers of the run (schema ``vcmvsp.metrics/1``); all but counts within the window (s)."""
         return self._kept.metrics(window, self._now)
 

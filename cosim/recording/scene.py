@@ -12,7 +12,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.metrics import Target
+from vcmvsp.cosim.metrics.mission import Target
 from vcmvsp.cosim.recording.foxglove.messages import (
     ArrowPrimitive,
     Color,

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from vcmvsp.cosim.metrics import Motion, Window
+from vcmvsp.cosim.metrics.motion import Motion
+from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.report.link_counts import Links
 from vcmvsp.cosim.tables.schema import Placement, Recording
 

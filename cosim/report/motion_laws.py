@@ -8,7 +8,7 @@ import numpy as np
 
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics import SETTLED_M
+from vcmvsp.cosim.metrics.formation import SETTLED_M
 from vcmvsp.cosim.metrics.window import window_ns
 from vcmvsp.cosim.report.law import NORMAL_95, Expected, MeasuredRun
 from vcmvsp.cosim.tables.schema import Placement

@@ -5,7 +5,7 @@ The half-widths are of 95 % of all runs that differ in their draws alone; where 
 
 from collections.abc import Iterator
 
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.report import motion_laws, radio_laws
 from vcmvsp.cosim.report.law import Expected, MeasuredRun
 from vcmvsp.cosim.report.page import Part, Rows, Words, cell

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.report.page import Part, Rows, Words
 from vcmvsp.cosim.report.run_folder import Left
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.metrics import Motion, formation_errors
+from vcmvsp.cosim.metrics.formation import formation_errors
+from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.tables.schema import Placement
 from vcmvsp.cosim.types import Array, Follows, FrameReport, Halted, Note, Presence, Reception, States
 from vcmvsp.cosim.util.text import plain

@@ -366,7 +366,8 @@ def status(t: float, **more: Any) -> tuple[int, RealStatus]:
 
 
 def test_metrics_of_a_real_vehicle_by_hand() -> None:
-    from vcmvsp.cosim.metrics import Receptions, hardware_metrics
+    from vcmvsp.cosim.metrics.hardware import hardware_metrics
+    from vcmvsp.cosim.metrics.radio import Receptions
 
     got = Receptions(
         receivers=("car2",),

@@ -13,7 +13,7 @@ from tests.support.paths import SCENARIOS
 from vcmvsp import Agent, Observation, Radio, Velocity
 from vcmvsp.agents.reconnaissance.watch import Watch, Watching
 from vcmvsp.cosim.frames import wrap
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.types import Sighting, Vec3
 
 TARGETS = SCENARIOS / "targets"

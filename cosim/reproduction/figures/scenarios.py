@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.runner import Job
 from vcmvsp.cosim.runs.api import Result
 from vcmvsp.cosim.types import Array

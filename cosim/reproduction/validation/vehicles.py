@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.scenarios import V, W, fleet
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative
 from vcmvsp.cosim.runs.api import run

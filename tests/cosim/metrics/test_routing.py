@@ -8,7 +8,9 @@ from msgspec.structs import replace
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.metrics import Routing, age_metrics, informed, links, receptions, unreached_s
+from vcmvsp.cosim.metrics.age_of_information import age_metrics, links
+from vcmvsp.cosim.metrics.radio import informed, receptions
+from vcmvsp.cosim.metrics.routing import Routing, unreached_s
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table

@@ -22,7 +22,7 @@ from tests.support.cosim.reconnaissance_recording import TARGETS, recorded
 from tests.support.paths import ROOT
 from vcmvsp.cosim.analysis import coverage as coverages
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.plots import coverage_plot, files, mission_plot, run_plots, study_plot
 from vcmvsp.cosim.plots.calibration_plot import draw_calibration
 from vcmvsp.cosim.plots.style import line_of, style

@@ -18,10 +18,10 @@ from tests.cosim.recording.test_files import check
 from tests.support.cosim.reconnaissance_recording import CELL_M, CELLS, TARGETS, events, recorded
 from tests.support.cosim.recordings import note, states
 from tests.support.cosim.recordings import recorded as plainly
-from vcmvsp.cosim import metrics
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
 from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, read_mission, surest_map
 from vcmvsp.cosim.studies.rows import flat
@@ -198,7 +198,7 @@ def tracked(task: str, target: str, away_m: float, seconds: float) -> int:
         x, y = TARGETS[0].place(k / 10)
         away = away_m if k / 10 <= 1.0 + seconds else 50.0
         moves.append(states(k * SECOND_NS // 10, {"uav1": (x + away, y, 0.0)}))
-    found = mission.metrics(metrics.motion(plainly(["uav1"], moves, END_NS).states), TARGETS)
+    found = mission.metrics(motion(plainly(["uav1"], moves, END_NS).states), TARGETS)
     assert found is not None
     return int(found["targets_tracked"])
 
@@ -267,7 +267,7 @@ def test_metrics_are_paths_for_studies_though_nothing_is_found() -> None:
 def test_without_targets_and_notes_there_is_no_mission() -> None:
     mission = Mission()
     mission.take("uav1", 0, {"mode": "avoid"})
-    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    moved = motion(plainly(NAMES, (), 0).states)
     assert mission.metrics(moved, ()) is None
     mission.take("uav1", 0, {"task": "search"})
     assert mission.metrics(moved, ()) is not None
@@ -277,7 +277,7 @@ def test_without_targets_and_notes_there_is_no_mission() -> None:
 def test_whoever_shows_something_is_on_a_mission_though_it_finds_nothing(topic: str) -> None:
     """Which metrics there are may not depend on whether a search errs: in a world without targets, every find is false."""
     event = next(each for each in events(NAMES, 1.0) if each.key == f"uav1/{topic}")
-    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    moved = motion(plainly(NAMES, (), 0).states)
     silent, mistaken = Mission(), Mission()
     for mission in (silent, mistaken):
         mission.see("uav1", event.value)  # type: ignore[arg-type]
@@ -312,7 +312,7 @@ def test_a_vehicle_without_its_agent_does_nothing_until_that_is_back() -> None:
             noted.come_back("uav1", round(back_s * SECOND_NS))
         assert noted.lost("uav1") == []
         moves = [states(k * SECOND_NS // 10, {"uav1": (31.0, 30.0, 0.0)}) for k in range(200)]
-        return dict(noted.metrics(metrics.motion(plainly(["uav1"], moves, END_NS).states), TARGETS) or {})
+        return dict(noted.metrics(motion(plainly(["uav1"], moves, END_NS).states), TARGETS) or {})
 
     cases = [mission(), mission(failed_s=5.0), mission(lost_s=5.0), mission(lost_s=12.0)]
     cases += [mission(lost_s=5.0, back_s=9.0), mission(lost_s=5.0, back_s=16.0)]
@@ -329,7 +329,7 @@ def test_who_comes_back_with_other_news_does_that() -> None:
     mission.come_back("uav1", 9)
     assert mission.of("uav1", "commander") == [(0, "track"), (5, ""), (9, "search")]
     assert mission.of("uav1", "target") == [(0, "")]
-    found = mission.metrics(metrics.motion(plainly(["uav1"], (), 0).states), ())
+    found = mission.metrics(motion(plainly(["uav1"], (), 0).states), ())
     assert found is not None
     assert found["switches"] == 1
 
@@ -401,7 +401,7 @@ OUTLINES = [np.array([(5.0, 5.0), (12.0, 5.0), (12.0, 15.0)])]
 def test_figures_show_the_run_with_units_on_every_axis(run: Any, log: MissionLog) -> None:
     from vcmvsp.cosim.plots import mission_plot
 
-    moved = metrics.motion(run[0].states)
+    moved = motion(run[0].states)
     figures = [mission_plot.mission(log, moved, TARGETS, OUTLINES), mission_plot.mosaic(log, moved, TARGETS)]
     for figure in figures:
         labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
@@ -433,7 +433,7 @@ def test_the_contact_sheet_shows_what_each_vehicle_recognised(log: MissionLog) -
 def test_the_film_runs_at_four_times_the_pace_and_is_the_same_again(run: Any, log: MissionLog, tmp_path: Any) -> None:
     from vcmvsp.cosim.plots import mission_video
 
-    moved = metrics.motion(run[0].states)
+    moved = motion(run[0].states)
     for name in ("one.mp4", "two.mp4"):
         assert mission_video.write_video(tmp_path / name, log, moved, TARGETS, OUTLINES)
     assert (tmp_path / "one.mp4").read_bytes() == (tmp_path / "two.mp4").read_bytes()
@@ -451,7 +451,7 @@ def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: M
     shown = msgspec.structs.replace(seen, jpeg=white, found=(), width=80, height=60)
     cars = tuple(f"car{number}" for number in range(mission_video.MOST_PICTURES))
     team = MissionLog((*cars, "uav1"), SECOND_NS, sightings={"uav1": [(0, shown)]})
-    moved = metrics.motion(plainly(team.vehicles, (), 0).states)
+    moved = motion(plainly(team.vehicles, (), 0).states)
     beside = next(mission_video.frames(team, moved, (), ()))[:, mission_video.MAP_PX :]
     assert (beside.min(axis=2) > 200).mean() > 0.05
 
@@ -477,14 +477,14 @@ def test_a_film_that_fails_is_closed(log: MissionLog, run: Any, tmp_path: Any, m
     monkeypatch.setattr(cv2, "VideoWriter", Film)
     monkeypatch.setattr(Film, "fourcc", lambda *_: 0, raising=False)
     with pytest.raises(KeyboardInterrupt):
-        mission_video.write_video(tmp_path / "film.mp4", log, metrics.motion(run[0].states), TARGETS, OUTLINES)
+        mission_video.write_video(tmp_path / "film.mp4", log, motion(run[0].states), TARGETS, OUTLINES)
     assert closed == [True]
 
 
 def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
     from vcmvsp.cosim.plots import files, mission_plot, mission_video
 
-    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    moved = motion(plainly(NAMES, (), 0).states)
     for log in (MissionLog((), 0), MissionLog(NAMES, SECOND_NS)):
         files.save_png(mission_plot.mission(log, moved, (), ()), tmp_path / "mission.png")
         files.save_png(mission_plot.mosaic(log, moved, TARGETS), tmp_path / "mosaic.png")
@@ -496,7 +496,7 @@ def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
 def test_a_film_has_no_more_frames_than_it_may(seconds: float) -> None:
     from vcmvsp.cosim.plots import mission_video
 
-    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    moved = motion(plainly(NAMES, (), 0).states)
     count = sum(1 for _ in mission_video.frames(MissionLog((), round(seconds * SECOND_NS)), moved, (), ()))
     assert 1 <= count <= FRAMES
 
@@ -505,7 +505,7 @@ def test_the_colours_of_tracks_are_told_by_the_names_above_them(log: MissionLog,
     from vcmvsp.cosim.plots import mission_plot
     from vcmvsp.cosim.util.palette import color_of
 
-    figure = mission_plot.mission(log, metrics.motion(run[0].states), TARGETS, OUTLINES)
+    figure = mission_plot.mission(log, motion(run[0].states), TARGETS, OUTLINES)
     labels = {label.get_text(): label.get_color() for label in figure.axes[0].get_yticklabels()}
     assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}
 
@@ -519,7 +519,7 @@ def test_cells_of_the_map_lie_where_they_are_in_the_film(run: Any) -> None:
     seen = frozen(np.ones_like(probability), np.bool_)
     shown = ProbabilityMap(left=0.0, bottom=0.0, cell_m=CELL_M, probability=frozen(probability), seen=seen)
     log = MissionLog(NAMES, SECOND_NS, maps={"uav1": [(-10 * SECOND_NS, shown)]})
-    moved = metrics.motion(plainly(NAMES, (), 0).states)
+    moved = motion(plainly(NAMES, (), 0).states)
     picture = next(mission_video.frames(log, moved, (), ()))[:, : mission_video.MAP_PX].astype(int)
     dark = np.argwhere(picture.sum(axis=2) < 400)
     dark = dark[dark[:, 0] > 40]  # the clock is above

@@ -9,7 +9,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.studies import two
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.report import motion_laws, radio_laws
 from vcmvsp.cosim.report.law import Expected, MeasuredRun
 from vcmvsp.cosim.report.link_counts import links_of

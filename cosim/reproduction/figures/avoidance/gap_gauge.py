@@ -15,7 +15,7 @@ import numpy as np
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import binding, registry
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T
 from vcmvsp.cosim.reproduction.runner import Job
 from vcmvsp.cosim.runs.api import Result

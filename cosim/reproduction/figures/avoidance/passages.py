@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.metrics import motion
 from vcmvsp.cosim.metrics.formation import formation_errors
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import V, lossy, settling_s
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most, relative

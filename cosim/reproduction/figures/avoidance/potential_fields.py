@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL, T, V
 from vcmvsp.cosim.reproduction.row import absolute, at_least, at_most

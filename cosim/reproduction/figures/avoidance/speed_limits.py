@@ -18,7 +18,7 @@ import numpy as np
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.config import binding, registry
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Style
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most

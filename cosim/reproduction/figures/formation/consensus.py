@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import lossy
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_most, relative

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vcmvsp.cosim.assembly import worlds
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least
 from vcmvsp.cosim.reproduction.runner import Job, Runner

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.paths import SCENARIOS
-from vcmvsp.cosim.metrics import motion
+from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.reproduction.figures.avoidance import potential_fields
 from vcmvsp.cosim.reproduction.figures.figure import Figure
 from vcmvsp.cosim.reproduction.figures.files import write
