@@ -26,7 +26,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Log, Needed, RunInfo, Slot, Step
-from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
+from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Array, Halted, States, VehicleState
 from vcmvsp.hardware.real_vehicle import Seat
 from vcmvsp.hardware.stations import Connections

@@ -14,7 +14,7 @@ from vcmvsp.cosim.errors import FederateError, Interrupted, VcmvspError
 from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead, planar
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
-from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
+from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Array, Fix, Incident, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 
-from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
+from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.hardware.emulators.programs.in_run import EMULATED, Emulated
 from vcmvsp.hardware.safety import Polygon
 from vcmvsp.hardware.station.messages import Mission, Part, Safety

@@ -11,8 +11,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.recording.external_inputs import Input
-from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
-from vcmvsp.cosim.scenario.schema import SIMULATED, SafetyTable, Scenario, VehicleTable
+from vcmvsp.cosim.scenario.schema import SIMULATED, RealVehicle, SafetyTable, Scenario, VehicleTable
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.terminal.progress import Shown
 from vcmvsp.cosim.util.files import to_json
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.util.text import stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.recognition import Rates, Share

@@ -11,7 +11,7 @@ import typer
 
 from vcmvsp.cosim.cli.options import AsJson, DialInsecurely
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.util.text import stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.hosts.observers.reachability import Check

@@ -9,7 +9,7 @@ import typer
 
 from vcmvsp.cosim.cli.options import AsJson, pose_of
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.util.text import stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.emulators import Ready, Tags

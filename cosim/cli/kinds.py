@@ -11,7 +11,7 @@ import typer
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.files import to_json
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.util.text import stdout_to_stderr
 
 GROUPS = {f"{name}s": name for name in ("world", "vehicle", "sensor", "agent", "driver", "localisation")}
 Sets = Annotated[

@@ -9,7 +9,7 @@ import typer
 
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, UsageError
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.util.text import stdout_to_stderr
 
 HOME = Path(__file__).resolve().parents[2]
 """The checkout, which has a folder ``bench``."""

@@ -11,7 +11,7 @@ import typer
 
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.util.text import stdout_to_stderr
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:

@@ -53,7 +53,7 @@ def study_command(
     from vcmvsp.cosim.studies.summary import rows, summarise
     from vcmvsp.cosim.terminal.progress import StudyProgress
     from vcmvsp.cosim.util.files import to_json
-    from vcmvsp.cosim.util.stdout import stdout_to_stderr
+    from vcmvsp.cosim.util.text import stdout_to_stderr
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a study")

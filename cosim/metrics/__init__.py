@@ -83,7 +83,7 @@ is None, never NaN::
       area_seen_ratio               share of the searched area that a vehicle has looked at; None: nobody shows a map
       map_bytes_sent                payload of all messages with maps
       switches                      how often another algorithm took command of a vehicle
-    digest                          SHA-256 of all that was recorded (`cosim.recording.digest`)
+    digest                          SHA-256 of all that was recorded (`cosim.recording.accumulators`)
 """
 
 SCHEMA = "vcmvsp.metrics/1"

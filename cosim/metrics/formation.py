@@ -1,6 +1,15 @@
-"""How well followers keep their places, each against its own leader.
+"""How well followers keep their places, each against its own leader, and how they get there.
 
 Places lie in the plane: a vehicle in the air that is too high or too low counts as in place.
+
+Overshoot and rate of convergence are of a follower's largest step: of the stretches of time in which it has one place to
+keep, the one that begins with the greatest error. One that begins within `SETTLED_M` of its place makes no step.
+
+- Overshoot (as in Toh 2012, Figs 30 and 31): the component of z along the start error z0, in the follower's frame, begins
+  at |z0|; as far as it ever falls below zero, as share of |z0|. Whatever disturbs the follower later counts, too.
+- Rate of convergence: the k of ``|z| = |z0| exp(-k t)``, least squares of ln|z| over the recorded instants from the start
+  until |z| first falls below 5 % of |z0|, or below twice the error that remains: the RMS |z| of the stretch's last fifth.
+  None where that leaves fewer than two instants.
 """
 
 from collections.abc import Collection, Iterable, Sequence
@@ -11,7 +20,6 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.metrics.noted_changes import Noted, change_metrics, leaders, led_by, reformed_s
-from vcmvsp.cosim.metrics.step_responses import response
 from vcmvsp.cosim.metrics.team_shape import shape_metrics
 from vcmvsp.cosim.metrics.window import Window, between, followers, stretches, window_ns
 from vcmvsp.cosim.tables.schema import Placement
@@ -19,6 +27,8 @@ from vcmvsp.cosim.types import Array, Follows
 
 SETTLED_M = 0.05  # a follower this near to its place has settled
 ROUNDING_M = 1e-6  # errors below it are rounding, which nobody passes on from link to link
+ARRIVED = 0.05  # share of |z0|
+REMAINS = 2.0  # times the RMS |z| of the last fifth: noise seldom exceeds it
 
 
 def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, Array]:
@@ -47,7 +57,7 @@ def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Windo
     for name, error in errors.items():
         turned = offsets[name] * np.exp(-1j * moved.yaw[:, moved.column(name)])  # into the follower's frame
         steps = [(moved.time_ns[span], turned[span]) for span, _ in _parts(moved, name, follows)]
-        overshoot, rate = response(steps, SETTLED_M)
+        overshoot, rate = _response(steps)
         each[name] = {
             **_summary(error[np.newaxis], inside),
             "settling_s": settled([name]),
@@ -137,3 +147,31 @@ def _settling_s(time_ns: Array, errors: Array) -> float | None:
 
 def _known(each: dict[str, dict[str, Any]], key: str) -> list[float]:
     return [summary[key] for summary in each.values() if summary[key] is not None]
+
+
+def _response(steps: Sequence[tuple[Array, Array]]) -> tuple[float | None, float | None]:
+    """Overshoot and rate (1/s) of the largest of these steps.
+
+    Each is recorded instants (m,) in ns and the error z (m,) at them in the follower's frame, m: z1 + i z2; NaN where it is not
+    known.
+    """
+    known = [(time_ns[there], z[there]) for time_ns, z in steps if (there := np.isfinite(z)).any()]
+    if not known:
+        return None, None
+    time_ns, z = max(known, key=lambda step: abs(step[1][0]))
+    start = abs(z[0])
+    if start <= SETTLED_M:
+        return None, None
+    along = (z * np.conj(z[0])).real / start
+    return float(max(0.0, -along.min() / start)), _rate(time_ns, np.abs(z))
+
+
+def _rate(time_ns: Array, error: Array) -> float | None:
+    remains = np.sqrt(np.mean(error[-max(1, len(error) // 5) :] ** 2))
+    arrived = np.flatnonzero(error < max(ARRIVED * error[0], REMAINS * remains))
+    stop = arrived[0] if arrived.size else len(error)
+    if stop < 2:
+        return None
+    t = (time_ns[:stop] - time_ns[0]) / SECOND_NS
+    t -= t.mean()
+    return float(-(t @ np.log(error[:stop])) / (t @ t))

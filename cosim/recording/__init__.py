@@ -4,8 +4,3 @@ No figures (`cosim.plots`), no other formats (`cosim.export`), no effect on the 
 
 Start reading at `recorder`.
 """
-
-from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.tables.schema import Placement, Recording, load
-
-__all__ = ["Placement", "Recorder", "Recording", "load"]

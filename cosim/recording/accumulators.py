@@ -22,23 +22,23 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
 from vcmvsp.cosim.metrics import SCHEMA
 from vcmvsp.cosim.metrics.age_of_information import age_metrics
-from vcmvsp.cosim.metrics.agents import agent_metrics
+from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics
 from vcmvsp.cosim.metrics.connectivity import connectivity_metrics
 from vcmvsp.cosim.metrics.control import control_metrics
 from vcmvsp.cosim.metrics.formation import formation_metrics
-from vcmvsp.cosim.metrics.hardware import hardware_metrics
 from vcmvsp.cosim.metrics.mission import Mission
-from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.metrics.motion import WorldClearance
+from vcmvsp.cosim.metrics.motion import motion, safety_metrics
 from vcmvsp.cosim.metrics.noted_changes import Noted
 from vcmvsp.cosim.metrics.radio import informed, radio_metrics, receptions
 from vcmvsp.cosim.metrics.routing import Routing
-from vcmvsp.cosim.metrics.safety import WorldClearance, safety_metrics
 from vcmvsp.cosim.metrics.window import Window
-from vcmvsp.cosim.recording.digest import digest
+from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import Placement, RunFacts, radio_table, states_table, write_table
 from vcmvsp.cosim.types import (
+    Array,
     Changed,
     Contact,
     Fix,
@@ -263,3 +263,38 @@ class Kept:
 def vehicle_of(key: str) -> str:
     """Whose key it is."""
     return key.partition("/")[0]
+
+
+def digest(tables: list[pa.Table], rest: bytes = b"") -> str:
+    """SHA-256 (hex) over all columns of the tables, name by name, and ``rest``.
+
+    It is taken over the values: chunks of tables, the order of names and the versions of file formats do not change it.
+    """
+    total = hashlib.sha256()
+    for table in tables:
+        total.update(f"table {table.num_rows} {table.num_columns}\n".encode())
+        for name in table.column_names:
+            for part in _values(table, name):
+                total.update(part)
+    total.update(rest)
+    return total.hexdigest()
+
+
+def _values(table: pa.Table, name: str) -> list[bytes | memoryview]:
+    """Name, type, names used, null mask and raw little-endian values of one column."""
+    used: list[str] = []
+    column_type = table.schema.field(name).type
+    if pa.types.is_dictionary(column_type):
+        kind, (used, raw) = "name", _canonical(*names_of(table, name))
+    elif pa.types.is_floating(column_type):
+        kind, raw = "float64", numbers(table, name).astype("<f8", copy=False)
+    else:
+        kind, raw = "int64", numbers(table, name).astype("<i8", copy=False)
+    return [repr((name, kind, used)).encode(), np.packbits(nulls(table, name)).data, raw.data]
+
+
+def _canonical(names: tuple[str, ...], codes: Array) -> tuple[list[str], Array]:
+    """The names that occur, in alphabetical order, and each row as its place in that list."""
+    used = sorted(names[code] for code in np.flatnonzero(np.bincount(codes)).tolist())
+    place = {name: i for i, name in enumerate(used)}
+    return used, np.array([place.get(name, 0) for name in names], "<i4")[codes]

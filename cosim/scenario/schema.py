@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from vcmvsp.cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Vec3
+from vcmvsp.cosim.types import Count, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Value, Vec3
 
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # m
@@ -220,3 +220,22 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     def twins(self) -> dict[str, str]:
         """Settings that have all of them simulated."""
         return {f"vehicle.{name}.driver.kind": SIMULATED for name in self.real}
+
+
+class RealVehicle(Value, frozen=True, kw_only=True):
+    """A real vehicle as the scenario describes it."""
+
+    name: str
+    folder: str  # of the scenario
+    driver: str  # its kind, as written
+    driver_params: dict[str, Any]
+    localisation: str | None  # its kind, as written
+    localisation_params: dict[str, Any]
+    fusion: dict[str, Any]
+    safety: SafetyTable  # nothing in it is left to a default
+    pose_source: str
+    start: Vec3  # x m, y m, yaw rad
+    height_m: float  # of its reference point above the ground
+    flies: bool
+    positioning: dict[str, Any] | None  # of its simulated twin, complete
+    seed: int

@@ -1,1 +1,1 @@
-"""The tables of a run in Arrow and Parquet: states and radio. Columns, units and labels: no metric and no figure."""
+"""The tables of a run in Arrow and Parquet: states and radio. Columns and units: no metric and no figure."""

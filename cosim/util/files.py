@@ -1,6 +1,7 @@
-"""The folder that a run or a study writes into, and JSON as it stands there."""
+"""The folder that a run or a study writes into, JSON as it stands there, and CSV files that users bring."""
 
 import contextlib
+import csv
 import itertools
 import json
 import math
@@ -78,3 +79,22 @@ def finite(value: object) -> Any:
 def to_json(value: object) -> str:
     """JSON as it stands in the files: indented, keys in order, no NaN."""
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
+
+
+def read_cells(path: Path) -> list[tuple[int, list[str]]]:
+    """The lines of a CSV file that are not blank: number of each, from 1, and its cells without white space around them.
+
+    Raises:
+        UsageError: there is no such file, or it is no CSV file in UTF-8.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except FileNotFoundError as error:
+        raise UsageError(f"{path}: there is no such file") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"{path}: is not a CSV file in UTF-8 ({error})") from error
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return [(number, cells) for number, cells in lines if any(cells)]

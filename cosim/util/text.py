@@ -1,7 +1,10 @@
 """Lines for the user, and texts from elsewhere, fit to be shown: what a host says of itself, or what an agent raises."""
 
+import contextlib
+import os
 import re
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 
 Tell = Callable[[str], None]
 """Takes a line for the user."""
@@ -25,3 +28,17 @@ def plain(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> str:
     keep = "\n" if lines else ""
     text = "".join(each if each.isprintable() or each in keep else " " for each in text)
     return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+@contextlib.contextmanager
+def stdout_to_stderr() -> Iterator[None]:
+    """Standard output belongs to the answer of a command: what agents print, and what they start, goes to standard error."""
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # where these are no files, there is nothing to turn
+            sys.__stdout__.flush()  # type: ignore[union-attr]
+            saved = os.dup(1)
+            stack.callback(os.close, saved)
+            stack.callback(os.dup2, saved, 1)
+            os.dup2(2, 1)
+        yield

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.util.csv_file import read_cells
+from vcmvsp.cosim.util.files import read_cells
 from vcmvsp.netsim.interfaces.layers import Bools, Floats
 
 COLUMNS = ("time", "ax", "ay", "az", "bx", "by", "bz", "rssi_dbm")

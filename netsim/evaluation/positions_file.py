@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.util.csv_file import read_cells
+from vcmvsp.cosim.util.files import read_cells
 from vcmvsp.netsim.interfaces.layers import Floats
 
 COLUMNS = ("x", "y", "z")

@@ -18,8 +18,7 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError, UsageError
 from vcmvsp.cosim.federate import Event, Instants, Log, RunInfo
 from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
-from vcmvsp.cosim.scenario.schema import SafetyTable
+from vcmvsp.cosim.scenario.schema import RealVehicle, SafetyTable
 from vcmvsp.cosim.types import Incident, RealStatus, States, VehicleState, Velocity, frozen
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.federate import HEARTBEAT, KNOWN_S, Hardware
@@ -366,7 +365,7 @@ def status(t: float, **more: Any) -> tuple[int, RealStatus]:
 
 
 def test_metrics_of_a_real_vehicle_by_hand() -> None:
-    from vcmvsp.cosim.metrics.hardware import hardware_metrics
+    from vcmvsp.cosim.metrics.availability import hardware_metrics
     from vcmvsp.cosim.metrics.radio import Receptions
 
     got = Receptions(

@@ -13,8 +13,7 @@ from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw, wrap
-from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
-from vcmvsp.cosim.scenario.schema import SafetyTable
+from vcmvsp.cosim.scenario.schema import RealVehicle, SafetyTable
 from vcmvsp.cosim.types import Fix, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.real_vehicle import Seat

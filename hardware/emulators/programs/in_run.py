@@ -17,7 +17,7 @@ import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.processes.child_process import BOOT
-from vcmvsp.cosim.scenario.real_vehicle import RealVehicle
+from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.emulators.device_server import LOOPBACK

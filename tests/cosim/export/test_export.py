@@ -21,10 +21,10 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export import csv_files, video
 from vcmvsp.cosim.export.formats import NAMES, export
 from vcmvsp.cosim.plots import run_plots
-from vcmvsp.cosim.recording import load, recorded_run
+from vcmvsp.cosim.recording import recorded_run
 from vcmvsp.cosim.recording.mcap_reader import Recorded, contents, messages
 from vcmvsp.cosim.recording.recorded_run import Source, Values
-from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
+from vcmvsp.cosim.tables.schema import RunFacts, load, radio_table, write_table
 from vcmvsp.cosim.types import VehicleState
 
 

@@ -25,13 +25,13 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.plots import coverage_plot, files, mission_plot, run_plots, study_plot
 from vcmvsp.cosim.plots.calibration_plot import draw_calibration
+from vcmvsp.cosim.plots.study_plot import label_of
 from vcmvsp.cosim.plots.style import line_of, style
 from vcmvsp.cosim.recording.mission_log import read_mission
 from vcmvsp.cosim.reproduction.figures import drawing as figure_plot
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, Photo
 from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.studies.summary import summarise
-from vcmvsp.cosim.tables.labels import label_of
 from vcmvsp.cosim.util.palette import COMMANDERS, OKABE_ITO, rgb
 
 Array = np.ndarray

@@ -30,9 +30,9 @@ from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.plots import run_plots
 from vcmvsp.cosim.plots.files import save_png
-from vcmvsp.cosim.recording import Recorder, load
 from vcmvsp.cosim.recording.foxglove.schemas import schema_of
-from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, write_table
+from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, load, write_table
 from vcmvsp.cosim.types import (
     Contact,
     Fix,

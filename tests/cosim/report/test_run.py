@@ -12,8 +12,7 @@ from tests.support.cosim.html_pages import Reader
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.analysis.links import Log, overview
 from vcmvsp.cosim.errors import VcmvspError
-from vcmvsp.cosim.report.glossary import GROUPS, WORDS, meaning_of
-from vcmvsp.cosim.report.metric_tables import flat
+from vcmvsp.cosim.report.metric_tables import GROUPS, WORDS, flat, meaning_of
 from vcmvsp.cosim.report.page import cell
 from vcmvsp.cosim.report.run_page import write
 

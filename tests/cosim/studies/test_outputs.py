@@ -20,12 +20,12 @@ from matplotlib.figure import Figure
 import vcmvsp
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.plots import study_plot
+from vcmvsp.cosim.plots.study_plot import label_of
 from vcmvsp.cosim.scenario.loader import settings_of
 from vcmvsp.cosim.studies.grid import vary_of
 from vcmvsp.cosim.studies.outputs import command_of, toml_of, write
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.summary import summarise
-from vcmvsp.cosim.tables.labels import label_of
 
 LOSS, DELAY, WHO, METRIC = "radio.loss.probability", "radio.delay.seconds", "agents.estimator", "formation.rms_m"
 

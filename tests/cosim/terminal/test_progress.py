@@ -25,7 +25,7 @@ from vcmvsp.cosim.cli.app import main
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.terminal import progress
 from vcmvsp.cosim.terminal.progress import Progress, StudyProgress
-from vcmvsp.cosim.util.stdout import stdout_to_stderr
+from vcmvsp.cosim.util.text import stdout_to_stderr
 
 SEQUENCE = re.compile(rb"\x1b\[([0-9;?]*)([A-Za-z])")
 REAL = ("fixes", "gated", "limited_s", "frames_too_early")

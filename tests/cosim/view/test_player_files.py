@@ -20,7 +20,8 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.recording import Recorder, mcap_writer
+from vcmvsp.cosim.recording import mcap_writer
+from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.types import Fix, Image, frozen
 from vcmvsp.cosim.view.player import mcap_index
 from vcmvsp.cosim.view.player.recording import Recording

@@ -12,7 +12,7 @@ from tests.support.cosim.recordings import TENTH, note, states
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.recording import Recorder
+from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.types import Looks, Mosaic, ProbabilityMap, Sighting, Sightings, frozen
 from vcmvsp.physics.world.targets import PlacedTarget
 from vcmvsp.physics.world.world import World

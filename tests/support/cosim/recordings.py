@@ -10,7 +10,7 @@ from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
-from vcmvsp.cosim.recording import Recorder
+from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.types import Follows, FrameReport, Note, States, Velocity, frozen
 
 TENTH = Ticks.every(0.1)
