@@ -35,7 +35,6 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export import ros_messages as ros
-from vcmvsp.cosim.export.ros_markers import markers
 from vcmvsp.cosim.recording.foxglove import messages
 from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid
 from vcmvsp.cosim.recording.mcap_reader import Recorded
@@ -67,7 +66,7 @@ class Bag:
             Imu: lambda said, value: self._put(said, ros.imu(value, _vehicle(said.topic), said.time_ns)),
             messages.PoseInFrame: lambda said, value: self._put(said, ros.fix(value)),
             messages.LaserScan: lambda said, value: self._put(said, ros.scan(value)),
-            messages.SceneUpdate: lambda said, value: self._put(said, markers(value, said.time_ns)),
+            messages.SceneUpdate: lambda said, value: self._put(said, ros.markers(value, said.time_ns)),
             messages.FrameTransforms: self._take_transforms,
             messages.RawImage: self._take_image,
             messages.CameraCalibration: self._take_calibration,

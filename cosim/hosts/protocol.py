@@ -146,27 +146,3 @@ questions: Unpacker[Question] = Unpacker(Question)
 answers: Unpacker[Answer] = Unpacker(Answer)
 hellos: codec.Decoder[Hello] = codec.Decoder(Hello)
 welcomes: codec.Decoder[Welcome] = codec.Decoder(Welcome)
-
-__all__ = [
-    "FAREWELL",
-    "PROTOCOL",
-    "Act",
-    "Answer",
-    "Begin",
-    "Build",
-    "Built",
-    "End",
-    "Ended",
-    "Failed",
-    "Hello",
-    "Question",
-    "Stepped",
-    "Welcome",
-    "answers",
-    "encode",
-    "hellos",
-    "number",
-    "numbers",
-    "questions",
-    "welcomes",
-]

@@ -10,11 +10,9 @@ from typing import Any
 
 from vcmvsp.cosim.report.metric_tables import fault_table, number_tables
 from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, page
-from vcmvsp.cosim.report.radio_section import link_table, loss_table
 from vcmvsp.cosim.report.run_folder import FILES, Left, left_in
+from vcmvsp.cosim.report.run_tables import expectation_table, link_table, loss_table, vehicle_table
 from vcmvsp.cosim.report.summary import lead_of, title_of
-from vcmvsp.cosim.report.theory_table import expectation_table
-from vcmvsp.cosim.report.vehicle_table import vehicle_table
 
 FILE = "report.html"
 MACHINE = "Machine"  # the title of the only section that differs between equal runs

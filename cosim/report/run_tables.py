@@ -1,0 +1,171 @@
+"""Tables of a run's page: vehicles, links, what was lost and why, and what theory expects beside what came out."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.cosim.analysis.link_budget import frame_report
+from vcmvsp.cosim.analysis.links import Log
+from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.report import motion_laws, radio_laws
+from vcmvsp.cosim.report.law import Expected, MeasuredRun
+from vcmvsp.cosim.report.link_counts import Links
+from vcmvsp.cosim.report.page import Part, Rows, Words, cell
+from vcmvsp.cosim.report.run_folder import Left
+
+LISTED_VEHICLES = 200
+LISTED_LINKS = 150
+
+
+def vehicle_table(left: Left) -> Sequence[Part]:
+    """A row for each vehicle."""
+    said = {each["name"]: each for each in left.scenario.get("vehicle", []) if "name" in each}
+    names = list(said) if left.recording is None else list(left.recording.facts.vehicles)
+    names = names or left.head.get("vehicles", "").split()
+    if not names:
+        return []
+    leaders: dict[str, str] = {}
+    for each in () if left.recording is None else left.recording.follows:
+        leaders[each.vehicle] = each.follows.leader or ""
+    ways, air = _ways(left), _air(left)
+    kind = left.scenario.get("vehicles", {}).get("kind", "")
+    rows: list[list[Any]] = []
+    for name in names[:LISTED_VEHICLES]:
+        own = said.get(name, {})
+        what = own.get("kind", kind) + (f", real ({own['driver'].get('kind', '')})" if "driver" in own else "")
+        agent = own["agent"].get("kind", left.scenario.get("agents", {}).get("kind", "")) if "agent" in own else ""
+        rows.append([name, what, agent, leaders.get(name, ""), *ways.get(name, [None] * 3), *air.get(name, [None] * 3)])
+    head = ["vehicle", "kind", "agent", "follows", "way [m]", "mean speed [m/s]", "ends at [m]"]
+    parts: list[Part] = [Rows([*head, "frames sent", "delivered of these [%]", "heard of others [%]"], rows)]
+    if len(names) > LISTED_VEHICLES:
+        parts.append(Words(f"And {len(names) - LISTED_VEHICLES} more."))
+    return parts
+
+
+def _ways(left: Left) -> dict[str, list[Any]]:
+    """Of each vehicle its way, mean speed and last place."""
+    if left.recording is None:
+        return {}
+    moved = motion(left.recording.states)
+    found: dict[str, list[Any]] = {}
+    for i, name in enumerate(moved.names):
+        there = np.isfinite(moved.position[:, :, i]).all(axis=0)
+        place, times = moved.position[:, there, i], moved.time_ns[there] / SECOND_NS
+        if not place.size:
+            continue
+        way = float(np.sqrt((np.diff(place, axis=1) ** 2).sum(axis=0)).sum())
+        lasted = float(times[-1] - times[0])
+        end = ",\u00a0".join(f"{value + 0.0:.2f}" for value in np.round(place[:, -1], 2).tolist())
+        found[name] = [way, way / lasted if lasted else None, end]
+    return found
+
+
+def _air(left: Left) -> dict[str, list[Any]]:
+    """Of each vehicle the frames that it sent, and which share of them, and of those of others, arrived."""
+    if left.links is None or left.recording is None:
+        return {}
+    links, found = left.links, {}
+    decided = links.sent - links.under_way
+    for i, name in enumerate(links.names):
+        shares = [(links.received[part].sum(), decided[part].sum()) for part in (np.s_[i, :], np.s_[:, i])]
+        found[name] = [int(links.frames[i]), *(round(100.0 * float(got / of), 1) if of else None for got, of in shares)]
+    return found
+
+
+def link_table(links: Links) -> Sequence[Part]:
+    """All links, those that delivered least first."""
+    pairs = sorted(links.pairs, key=lambda pair: 2.0 if (ratio := links.ratio(*pair)) is None else ratio)
+    if not pairs:
+        return [Words("Nothing was sent.")]
+    under_way = bool(links.under_way.any())
+    rows: list[list[Any]] = []
+    for a, b in pairs[:LISTED_LINKS]:
+        level = float(links.level_dbm[a, b])
+        counts = [int(links.sent[a, b]), int(links.received[a, b])]
+        counts += [int(links.under_way[a, b])] if under_way else []
+        shown = None if np.isnan(level) else round(level, 1)
+        rows.append([links.names[a], links.names[b], *counts, _percent(links.ratio(a, b)), shown, links.lost_to(a, b)])
+    head = ["from", "to", "sent", "received", *(["under way"] if under_way else [])]
+    head += ["delivered [%]", "mean level [dBm]", "lost to"]
+    parts: list[Part] = [Rows(head, rows)]
+    if len(pairs) > LISTED_LINKS:
+        parts.append(Words(f"And {len(pairs) - LISTED_LINKS} links that delivered more: vcmvsp radio shows each."))
+    return parts
+
+
+def loss_table(links: Links, folder: Path) -> Sequence[Part]:
+    """The causes of losses, the most frequent first, each with where it struck most and an example in words."""
+    total = int(links.sent.sum())
+    if not total:
+        return []
+    if not links.losses:
+        return [Words("Nothing was lost.")]
+    log = Log(folder)
+    rows: list[list[Any]] = []
+    for cause, lost in links.losses.items():
+        a, b = np.unravel_index(int(lost.argmax()), lost.shape)
+        pair = links.names[a], links.names[b]
+        count = int(lost.sum())
+        most = f"{pair[0]} to {pair[1]}: {int(lost[a, b])}"
+        rows.append([cause, count, _percent(count / total), most, _example(log, pair, cause)])
+    return [
+        Words(f"Of {total} frames, counted at each receiver, {sum(row[1] for row in rows)} were lost."),
+        Rows(["cause", "frames", "share [%]", "most on", "for example"], rows),
+    ]
+
+
+def _example(log: Log, pair: tuple[str, str], cause: str) -> str:
+    """The first frame that a link lost so, and why."""
+    frames = log.frames(pair)
+    lost = frames.decided.where(np.array([word == cause for word in frames.decided.words("outcome")], np.bool_))
+    try:
+        report = frame_report(log, pair, str(lost["frame"].tolist()[0]), with_scenario=False)
+    except VcmvspError:
+        return ""
+    why = report["why"].removeprefix("lost: ").removeprefix(f"{cause}: ")
+    return f"frame {report['frame']} at {report['sent_s']:.3f} s: {why}"
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else round(100.0 * share, 1)
+
+
+def expectation_table(left: Left) -> list[Part]:
+    """What was expected and what was measured; nothing where no law applies.
+
+    A row stands only where the scenario fulfils what its law asks for. The half-widths are of 95 % of all runs that differ in
+    their draws alone; where a law leaves nothing to chance there is none.
+    """
+    rows = [_expected_row(each) for each in _expected(left)]
+    if not rows:
+        return []
+    head = ["quantity", "unit", "expected", "95 % of runs", "measured", "law", "it holds because"]
+    return [
+        Words("Closed forms, where this scenario is as they assume. Chance alone puts one number in twenty outside its range."),
+        Rows(head, rows),
+    ]
+
+
+def _expected(left: Left) -> Iterator[Expected]:
+    recording = left.recording
+    if recording is None or left.links is None or not left.scenario or not left.metrics:
+        return
+    if left.scenario.get("intervention"):  # the operator had a hand in it
+        return
+    run = MeasuredRun(left.scenario, left.metrics, recording, left.links, motion(recording.states))
+    try:
+        yield from radio_laws.laws(run)
+        yield from motion_laws.laws(run)
+    except KeyError:  # a scenario of another version lacks a key that a law needs
+        return
+
+
+def _expected_row(each: Expected) -> list[object]:
+    low_high = None
+    if each.spread is not None:
+        low_high = f"{cell(each.expected - each.spread)} to {cell(each.expected + each.spread)}"
+    return [each.quantity, each.unit, each.expected, low_high, each.measured, each.law, each.holds]
