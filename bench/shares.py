@@ -152,7 +152,7 @@ def _row(name: str, seconds: Mapping[str, float]) -> Row:
 
 def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
     """The CPU seconds as shares.csv, and drawn; the answer is what was written."""
-    from vcmvsp.cosim.plots import files
+    from vcmvsp.cosim.plots import style
 
     folder.mkdir(parents=True, exist_ok=True)
     numbers = folder / "shares.csv"
@@ -160,7 +160,7 @@ def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
         lines = csv.writer(file, lineterminator="\n")
         lines.writerow(("scenario", *(f"{part}_s" for part in PARTS)))
         lines.writerows((name, *(f"{seconds[part]:.4f}" for part in PARTS)) for name, seconds in found.items())
-    return [numbers, *files.save(draw(found), folder / "shares")]
+    return [numbers, *style.save(draw(found), folder / "shares")]
 
 
 def draw(found: Mapping[str, Mapping[str, float]]) -> Any:

@@ -71,7 +71,7 @@ def calibrate_command(
 def write_calibration(folder: Path, calibration: "Calibration", figure_data: "FigureData") -> None:
     """Write ``radio.toml`` and ``calibration.png``: a calibration of `netsim.calibration`, and the data of its figure."""
     from vcmvsp.cosim.plots.calibration_plot import draw_calibration
-    from vcmvsp.cosim.plots.files import save_png
+    from vcmvsp.cosim.plots.style import save_png
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "radio.toml").write_text(calibration.toml(), "utf-8")

@@ -84,7 +84,7 @@ def export_command(
 
 
 def _of_run(folder: Path, out: Path | None) -> Path:
-    from vcmvsp.cosim.plots.files import svg
+    from vcmvsp.cosim.plots.style import svg
     from vcmvsp.cosim.report import run_page
     from vcmvsp.cosim.runs.result import figures_again
 

@@ -222,10 +222,10 @@ def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool) -> tup
     if json and out is None:
         return answer, ""
     out = out or Path(f"coverage-{vehicle}.png")
-    from vcmvsp.cosim.plots import coverage_plot, files
+    from vcmvsp.cosim.plots import coverage_plot, style
 
     try:
-        files.save_png(coverage_plot.coverage(found), out)
+        style.save_png(coverage_plot.coverage(found), out)
     except OSError as error:
         raise UsageError(f"--out {out}: {error.strerror or error}") from error
     return {**answer, "file": str(out)}, maps.summary(found) + f"map: {out}\n"

@@ -1,6 +1,7 @@
 """A run's recording in the formats of others: `export`. Each output is there as a whole or not at all."""
 
 import contextlib
+import functools
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -55,7 +56,7 @@ def export(
         raise UsageError("two exports of the same name: give each a file or folder of its own")
     source = Source(folder, tell)
     for name, path in paths.items():
-        how_far = _named(progress, name)
+        how_far = functools.partial(progress, name)
         source.progress = how_far
         with _whole(path) as place:
             _write(name, source, place, how_far)
@@ -82,10 +83,6 @@ def _write(name: str, source: Source, place: Path, progress: Callable[[float], N
             from vcmvsp.cosim.export.foxglove_layout import write_layout
 
             write_layout(source, place)
-
-
-def _named(progress: Progress, name: str) -> Callable[[float], None]:
-    return lambda part: progress(name, part)
 
 
 def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:

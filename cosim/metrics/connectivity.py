@@ -30,11 +30,7 @@ def connectivity_metrics(got: Receptions, vehicles: Sequence[str], window: Windo
     if not 2 <= len(vehicles) <= MOST_VEHICLES or graphs < 1:
         return dict.fromkeys(("mean", "min", "connected_share"))
     values = algebraic_connectivity(adjacency(got, vehicles, begin, graphs))
-    return {
-        "mean": float(values.mean()),
-        "min": float(values.min()),
-        "connected_share": float((values > 0.0).mean()),
-    }
+    return {"mean": float(values.mean()), "min": float(values.min()), "connected_share": float((values > 0.0).mean())}
 
 
 def adjacency(got: Receptions, vehicles: Sequence[str], begin_ns: int, graphs: int) -> Array:

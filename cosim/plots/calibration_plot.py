@@ -75,16 +75,8 @@ def _draw_levels(axes: Axes, distance_m: Array, level_dbm: Array, line_m: Array,
         distance_m[received], level_dbm[received], ".", color="black", markersize=3.0, alpha=0.35, markeredgewidth=0.0, zorder=2
     )
     axes.plot(line_m, line_dbm, color=_BLUE, linewidth=1.6, zorder=3, label="fitted")
-    axes.fill_between(
-        line_m,
-        line_dbm - sigma_db,
-        line_dbm + sigma_db,
-        color=_BLUE,
-        alpha=0.18,
-        linewidth=0.0,
-        zorder=1,
-        label="$\\pm\\sigma$",
-    )
+    low, high = line_dbm - sigma_db, line_dbm + sigma_db
+    axes.fill_between(line_m, low, high, color=_BLUE, alpha=0.18, linewidth=0.0, zorder=1, label="$\\pm\\sigma$")
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")

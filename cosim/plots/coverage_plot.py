@@ -35,15 +35,8 @@ def coverage(found: "Map") -> Figure:
         low = max(float(found.level_dbm.min()), found.floor_dbm - _DEEPEST_DB)
         _field(figure, above, found, found.level_dbm, (low, top), _LEVEL, "mean received level [dBm]")
         _contours(above, found, found.level_dbm, {found.floor_dbm: f"{found.floor_dbm:.0f} dBm"})
-        _field(
-            figure,
-            below,
-            found,
-            100.0 * found.success,
-            (0.0, 100.0),
-            _SUCCESS,
-            f"received frames of {found.size_bytes} bytes [%]",
-        )
+        label = f"received frames of {found.size_bytes} bytes [%]"
+        _field(figure, below, found, 100.0 * found.success, (0.0, 100.0), _SUCCESS, label)
         _contours(below, found, 100.0 * found.success, {50.0: "50 %"})
         for axes in (above, below):
             _scene(axes, found)

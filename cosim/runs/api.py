@@ -141,12 +141,12 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
 
 def plot(run_dir: Path, out: Path, *, svg: bool = False) -> list[Path]:
     """Draw the figures of a run that was saved, into the folder ``out``, as PNG or as SVG; the answer is what was written."""
-    from vcmvsp.cosim.plots import files
+    from vcmvsp.cosim.plots import style
 
     figures = figures_again(run_dir)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        save, kind = (files.save_svg, "svg") if svg else (files.save_png, "png")
+        save, kind = (style.save_svg, "svg") if svg else (style.save_png, "png")
         for name, figure in figures.items():
             save(figure, out / f"{name}.{kind}")
     return [out / f"{name}.{kind}" for name in figures]

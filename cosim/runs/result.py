@@ -113,7 +113,7 @@ class Result:
 
     def write(self, folder: Path) -> None:
         """Everything but the MCAP file, which is written as the run goes on."""
-        from vcmvsp.cosim.plots import files
+        from vcmvsp.cosim.plots import style
         from vcmvsp.cosim.report import run_page as report
 
         self.folder = folder
@@ -126,10 +126,10 @@ class Result:
         shown = self._shown()
         figures = self._figures(shown)
         for name, figure in figures.items():
-            files.save_png(figure, folder / f"{name}.png")
+            style.save_png(figure, folder / f"{name}.png")
         if self._video:
             mission_video(folder / "mission.mp4", shown, self._recorder.states, self._world)
-        report.write(folder, {name: files.svg(figure) for name, figure in figures.items()})
+        report.write(folder, {name: style.svg(figure) for name, figure in figures.items()})
 
 
 def figures_again(run_dir: Path) -> "dict[str, Figure]":

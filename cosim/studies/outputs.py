@@ -34,12 +34,12 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
     Returns:
         What was written.
     """
-    from vcmvsp.cosim.plots import files
+    from vcmvsp.cosim.plots import style
 
     summary = summarise(table, list(plan.vary), plan.metrics)
     written = [folder / "summary.csv"]
     written[0].write_text(to_csv(summary), "utf-8")
-    drawn = [path for name, figure in _figures(summary, plan).items() for path in files.save(figure, folder / name)]
+    drawn = [path for name, figure in _figures(summary, plan).items() for path in style.save(figure, folder / name)]
     drawings = {path.stem: path.read_text("utf-8") for path in drawn if path.suffix == ".svg"}
     report = folder / FILE
     report.write_text(_page(table, summary, plan, drawings, repeatable=repeatable), "utf-8")
@@ -56,12 +56,12 @@ def report_again(folder: Path, out: Path | None = None) -> Path:
     Raises:
         UsageError: its plan or its rows cannot be read.
     """
-    from vcmvsp.cosim.plots import files
+    from vcmvsp.cosim.plots import style
 
     plan = Plan.read(folder / PLAN)
     table = so_far(folder, plan)
     summary = summarise(table, list(plan.vary), plan.metrics)
-    drawings = {name: files.svg(figure) for name, figure in _figures(summary, plan).items()}
+    drawings = {name: style.svg(figure) for name, figure in _figures(summary, plan).items()}
     path = out or folder / FILE
     path.write_text(_page(table, summary, plan, drawings, repeatable=_is_file(plan)), "utf-8")
     return path

@@ -3,7 +3,7 @@
 The structs carry the names and fields of Foxglove's published schemas
 (https://docs.foxglove.dev/docs/sdk/schemas); of a scene entity's primitives only those drawn here. Lengths m, angles rad,
 world frame ``world`` (x east, y north, z up), a frame of its own per vehicle (x forward, y left, z up). What agents show has
-its messages in `cosim.recording.foxglove.agent_displays`; schemas are made in `cosim.recording.foxglove.schemas`.
+its messages in `cosim.recording.foxglove.agent_displays`; schemas are made in `cosim.recording.mcap_writer`.
 """
 
 from typing import Literal

@@ -14,7 +14,7 @@ def as_json(name: str, figure: Figure) -> str:
 
 def write(name: str, figure: Figure, folder: Path) -> list[Path]:
     """Write NAME.csv, NAME-expected.csv, NAME.json, NAME.png and NAME.svg; the answer is where they are."""
-    from vcmvsp.cosim.plots import files
+    from vcmvsp.cosim.plots import style
     from vcmvsp.cosim.reproduction.figures import drawing
 
     points, expected, rows = (folder / f"{name}{end}" for end in (".csv", "-expected.csv", ".json"))
@@ -23,7 +23,7 @@ def write(name: str, figure: Figure, folder: Path) -> list[Path]:
         _write_points(points, figure)
         _write_rows(expected, figure)
         rows.write_text(as_json(name, figure), "utf-8")
-        return [points, expected, rows, *files.save(drawing.draw(figure), folder / name)]
+        return [points, expected, rows, *style.save(drawing.draw(figure), folder / name)]
 
 
 def table(figure: Figure) -> str:

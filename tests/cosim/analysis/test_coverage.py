@@ -13,7 +13,7 @@ from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.walled_run import rows, run_rooms
 from vcmvsp.cosim.analysis import coverage
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.plots import coverage_plot, files
+from vcmvsp.cosim.plots import coverage_plot, style
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_the_picture_has_units_equal_scales_and_the_same_bytes(folder: Path, tmp
     assert all(axes.get_aspect() == 1.0 for axes in maps)
     assert any("[m]" in axes.get_ylabel() for axes in maps)
     for name in ("a.png", "b.png"):
-        files.save_png(coverage_plot.coverage(found), tmp_path / name)
+        style.save_png(coverage_plot.coverage(found), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

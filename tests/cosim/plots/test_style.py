@@ -23,10 +23,10 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.analysis import coverage as coverages
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.motion import motion
-from vcmvsp.cosim.plots import coverage_plot, files, mission_plot, run_plots, study_plot
+from vcmvsp.cosim.plots import coverage_plot, mission_plot, run_plots, study_plot
 from vcmvsp.cosim.plots.calibration_plot import draw_calibration
 from vcmvsp.cosim.plots.study_plot import label_of
-from vcmvsp.cosim.plots.style import line_of, style
+from vcmvsp.cosim.plots.style import line_of, save_png, style, svg
 from vcmvsp.cosim.recording.mission_log import read_mission
 from vcmvsp.cosim.reproduction.figures import drawing as figure_plot
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, Photo
@@ -219,7 +219,7 @@ def test_every_figure_has_a_title_in_one_size(name: str) -> None:
 def test_legends_hide_nothing(name: str) -> None:
     """They lie beside their axes and titles, and within the figure."""
     figure = every()[name]
-    files.svg(figure)  # works the layout out
+    svg(figure)  # works the layout out
     axes = [each for each in figure.axes if each.get_visible()]
     legends = [legend for legend in (*(each.get_legend() for each in axes), *figure.legends) if legend is not None]
     assert legends or name in ("detections", "coverage", "map")
@@ -260,10 +260,10 @@ def test_every_number_of_a_run_is_named_with_its_unit() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_drawing_is_the_same_again_and_leaves_the_figure_as_it_was(name: str, tmp_path: Path) -> None:
     figure = every()[name]
-    files.save_png(figure, tmp_path / "before.png")
-    drawing = files.svg(figure)
-    files.save_png(figure, tmp_path / "after.png")
-    assert files.svg(figure) == drawing
+    save_png(figure, tmp_path / "before.png")
+    drawing = svg(figure)
+    save_png(figure, tmp_path / "after.png")
+    assert svg(figure) == drawing
     assert (tmp_path / "before.png").read_bytes() == (tmp_path / "after.png").read_bytes()
     assert len(drawing) < 1_500_000
     assert "<metadata" not in drawing
@@ -279,7 +279,7 @@ def test_a_figure_is_drawn_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
         draw(figure, renderer)
 
     monkeypatch.setattr(Canvas, "draw", counted)
-    files.save_png(thesis()["figure"], tmp_path / "figure.png")
+    save_png(thesis()["figure"], tmp_path / "figure.png")
     assert len(drawn) == 1
 
 
@@ -290,7 +290,7 @@ def one_line(x: Array, y: Array, look: str) -> str:
         axes.plot(x, y, look, gid="it")
         axes.set_aspect("equal")
         axes.set_title("1.23456 <b>")
-    return files.svg(figure)
+    return svg(figure)
 
 
 def test_curves_are_light_and_nobody_sees_it() -> None:
@@ -323,5 +323,5 @@ def test_the_lines_of_one_figure_do_not_change_another() -> None:
         axes = figure.add_subplot()
         axes.plot(np.arange(3000), np.arange(3000), ".")
         axes.plot([0, 1], [0, 1], "o")
-    files.svg(figure)
+    svg(figure)
     assert [line.get_rasterized() for line in axes.lines if isinstance(line, Line2D)] == [True, False]

@@ -29,8 +29,8 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.plots import run_plots
-from vcmvsp.cosim.plots.files import save_png
-from vcmvsp.cosim.recording.foxglove.schemas import schema_of
+from vcmvsp.cosim.plots.style import save_png
+from vcmvsp.cosim.recording.mcap_writer import schema_of
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, STATES_SCHEMA, load, write_table
 from vcmvsp.cosim.types import (
@@ -198,7 +198,7 @@ def nodes(schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 @pytest.mark.parametrize("message_type", VALUES)
 def test_schemas_suit_a_reader_without_references_unions_and_tuples(message_type: type) -> None:
-    for node in nodes(json.loads(schema_of(message_type)[1])):
+    for node in nodes(json.loads(schema_of(message_type).text)):
         assert isinstance(node["type"], str)
         assert ("properties" in node) == (node["type"] == "object")
         assert ("items" in node) == (node["type"] == "array")

@@ -482,13 +482,13 @@ def test_a_film_that_fails_is_closed(log: MissionLog, run: Any, tmp_path: Any, m
 
 
 def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
-    from vcmvsp.cosim.plots import files, mission_plot, mission_video
+    from vcmvsp.cosim.plots import mission_plot, mission_video, style
 
     moved = motion(plainly(NAMES, (), 0).states)
     for log in (MissionLog((), 0), MissionLog(NAMES, SECOND_NS)):
-        files.save_png(mission_plot.mission(log, moved, (), ()), tmp_path / "mission.png")
-        files.save_png(mission_plot.mosaic(log, moved, TARGETS), tmp_path / "mosaic.png")
-        files.save_png(mission_plot.detections(log), tmp_path / "detections.png")
+        style.save_png(mission_plot.mission(log, moved, (), ()), tmp_path / "mission.png")
+        style.save_png(mission_plot.mosaic(log, moved, TARGETS), tmp_path / "mosaic.png")
+        style.save_png(mission_plot.detections(log), tmp_path / "detections.png")
         assert mission_video.write_video(tmp_path / "mission.mp4", log, moved, TARGETS, ())
 
 

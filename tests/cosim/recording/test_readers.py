@@ -19,9 +19,8 @@ from tests.support.cosim import export_runs, mcap_checks
 from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.recording import scene
 from vcmvsp.cosim.recording.foxglove import messages as foxglove
-from vcmvsp.cosim.recording.foxglove.schemas import FRAME, schema_of
 from vcmvsp.cosim.recording.mcap_reader import about, contents, messages, of_topic
-from vcmvsp.cosim.recording.mcap_writer import McapLog
+from vcmvsp.cosim.recording.mcap_writer import FRAME, McapLog, schema_of
 from vcmvsp.cosim.types import FrameReport, Note
 
 RERUN = Path(sys.executable).with_name("rerun")
@@ -117,7 +116,7 @@ def test_frames_of_the_radio_are_described_in_the_file_itself() -> None:
     data = recording("pillar-triangle")
     schema = next(s for s, c, _ in make_reader(io.BytesIO(data)).iter_messages(topics=["radio/frame"]) if s is not None)
     published = json.loads(schema.data)
-    assert schema.data == schema_of(FrameReport)[1]
+    assert schema.data == schema_of(FrameReport).text
     assert set(published["properties"]) == {"type", *FrameReport.__struct_fields__} == set(FRAME)
     assert all(len(node["description"]) > 10 for node in published["properties"].values())
     units = {"_ns": " ns", "_dbm": " dBm", "_db": " dB", "_m": ", m", "_bytes": ", bytes"}
@@ -164,7 +163,7 @@ def test_a_camera_tells_how_it_sees_once() -> None:
     focal, _, u, _, same, v, _, _, one = said["K"]
     assert focal == same > 100.0
     assert (u, v, one) == (0.5 * (said["width"] - 1), 0.5 * (said["height"] - 1), 1.0)
-    assert schema_of(foxglove.CameraCalibration)[0] == "foxglove.CameraCalibration"
+    assert schema_of(foxglove.CameraCalibration).name == "foxglove.CameraCalibration"
 
 
 @pytest.mark.skipif(not RERUN.is_file(), reason="rerun-sdk is not installed")
