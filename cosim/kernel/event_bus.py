@@ -10,6 +10,7 @@ from operator import attrgetter
 
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Federate, Slot
+from vcmvsp.cosim.util.key_expressions import matches
 
 Observer = Callable[[Event], None]
 Route = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
@@ -127,16 +128,3 @@ class Exchange:
     def _whose(self, expressions: Callable[[Federate], Sequence[str]], key: str) -> tuple[int, ...]:
         """The federates with an expression that matches the key."""
         return tuple(i for i, each in enumerate(self._federates) if any(matches(one, key) for one in expressions(each)))
-
-
-def matches(expression: str, key: str) -> bool:
-    """Whether a key is in the set of a key expression, in which ``*`` is one chunk and ``**`` any number, as Zenoh has it."""
-    return expression == key or _match(expression.split("/"), key.split("/"))
-
-
-def _match(pattern: list[str], chunks: list[str]) -> bool:
-    if not pattern:
-        return not chunks
-    if pattern[0] == "**":
-        return any(_match(pattern[1:], chunks[skip:]) for skip in range(len(chunks) + 1))
-    return bool(chunks) and pattern[0] in ("*", chunks[0]) and _match(pattern[1:], chunks[1:])
