@@ -27,14 +27,13 @@ from vcmvsp.cosim.metrics.connectivity import connectivity_metrics
 from vcmvsp.cosim.metrics.control import control_metrics
 from vcmvsp.cosim.metrics.formation import formation_metrics
 from vcmvsp.cosim.metrics.mission import Mission
-from vcmvsp.cosim.metrics.motion import WorldClearance
-from vcmvsp.cosim.metrics.motion import motion, safety_metrics
+from vcmvsp.cosim.metrics.motion import WorldClearance, motion, safety_metrics
 from vcmvsp.cosim.metrics.noted_changes import Noted
 from vcmvsp.cosim.metrics.radio import informed, radio_metrics, receptions
 from vcmvsp.cosim.metrics.routing import Routing
 from vcmvsp.cosim.metrics.window import Window
-from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.recording.scene import DrawnWorld
+from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import Placement, RunFacts, radio_table, states_table, write_table
 from vcmvsp.cosim.types import (
