@@ -8,16 +8,16 @@
     geofence            a polygon that the robot stays inside
     separation          distance to other vehicles, real or simulated
     deadman             sources that must have been heard lately, else the robot stops
-    control_step        start and end of a supervisor's step
+    control_step        parameters of supervisors, start and end of their steps
     ground_supervisor   all of them, once a control period, for a robot with two driven wheels
     aerial_supervisor   the same for a vehicle that flies, with floor and ceiling
 """
 
 from vcmvsp.hardware.safety.aerial_supervisor import AerialParameters, AerialSupervisor
-from vcmvsp.hardware.safety.control_step import Decision
+from vcmvsp.hardware.safety.control_step import Decision, Parameters
 from vcmvsp.hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
 from vcmvsp.hardware.safety.geofence import Polygon
-from vcmvsp.hardware.safety.ground_supervisor import Parameters, Supervisor
+from vcmvsp.hardware.safety.ground_supervisor import Supervisor
 from vcmvsp.hardware.safety.limits import Limits, clamp
 from vcmvsp.hardware.safety.separation import Others
 

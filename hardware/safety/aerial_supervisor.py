@@ -28,11 +28,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.cosim.types import NonNegative, Positive, Velocity
+from vcmvsp.cosim.types import Positive, Velocity
 from vcmvsp.hardware.safety.braking import TOLERANCE_M, fastest, stops_within
-from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
-from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
-from vcmvsp.hardware.safety.geofence import Polygon
+from vcmvsp.hardware.safety.control_step import Decision, Parameters, Rounds, unusable
+from vcmvsp.hardware.safety.deadman import Cause, Heard
 from vcmvsp.hardware.safety.limits import Limits, clamp
 from vcmvsp.hardware.safety.obstacle_distance import Around, Floats
 from vcmvsp.hardware.safety.separation import Others
@@ -53,20 +52,12 @@ class _Level(NamedTuple):
     clear: bool  # there is room, also if we brake
 
 
-class AerialParameters(msgspec.Struct, frozen=True, kw_only=True):
-    """What an `AerialSupervisor` keeps to; lengths in m, times in s."""
+class AerialParameters(Parameters, frozen=True, kw_only=True):
+    """What an `AerialSupervisor` keeps to."""
 
-    limits: Limits  # speed counts horizontally; accelerations count horizontally and vertically each
     climb_mps: Positive  # up and down
-    radius_m: NonNegative  # of a circle around the body, seen from above
-    reaction_s: Positive  # from a command to when the next one acts: the control period, and the delays of pose and link
-    fence: Polygon | None = None
-    fence_margin_m: NonNegative = 0.0  # between body and fence: above all for the error of the pose
     floor_m: float | None = None  # the least z; who is below may climb
     ceiling_m: float | None = None  # the greatest
-    separation_m: NonNegative = 0.5  # between bodies
-    time_outs: TimeOuts = TimeOuts()
-    latched: tuple[Cause, ...] = LATCHED
 
     def __post_init__(self) -> None:
         heights = [each for each in (self.floor_m, self.ceiling_m) if each is not None]
@@ -82,7 +73,7 @@ class AerialSupervisor:
 
     def __init__(self, parameters: AerialParameters) -> None:
         self._p = parameters
-        self._rounds = Rounds(parameters.time_outs, parameters.latched, parameters.reaction_s)
+        self._rounds = Rounds(parameters)
         self._upright = msgspec.structs.replace(parameters.limits, speed_mps=parameters.climb_mps)
         self._placed = any(each is not None for each in (parameters.fence, parameters.floor_m, parameters.ceiling_m))
         self.last = (0.0, 0.0, 0.0, 0.0)  # x, y, z m/s, yaw rad/s

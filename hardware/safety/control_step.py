@@ -1,13 +1,28 @@
-"""What every step of a supervisor begins and ends with, on the ground and in the air: who was heard, and what is new."""
+"""What supervisors on the ground and in the air share: parameters, and how a step begins and ends."""
 
 import math
 
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.safety.deadman import Cause, Deadman, Heard, TimeOuts
+from vcmvsp.cosim.types import NonNegative, Positive, Velocity
+from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Deadman, Heard, TimeOuts
+from vcmvsp.hardware.safety.geofence import Polygon
+from vcmvsp.hardware.safety.limits import Limits
 from vcmvsp.hardware.safety.separation import Others
+
+
+class Parameters(msgspec.Struct, frozen=True, kw_only=True):
+    """What a supervisor keeps to; lengths in m, times in s."""
+
+    limits: Limits  # in the air, speed counts horizontally, accelerations count horizontally and vertically each
+    radius_m: NonNegative  # of a circle around the body, about the centre that its pose tells
+    reaction_s: Positive  # from a command to when the next one acts: the control period, and the delays of pose and link
+    fence: Polygon | None = None
+    fence_margin_m: NonNegative = 0.0  # between body and fence: above all for the error of the pose
+    separation_m: NonNegative = 0.5  # between bodies
+    time_outs: TimeOuts = TimeOuts()
+    latched: tuple[Cause, ...] = LATCHED
 
 
 class Decision(msgspec.Struct, frozen=True, kw_only=True):
@@ -22,8 +37,8 @@ class Decision(msgspec.Struct, frozen=True, kw_only=True):
 class Rounds:
     """The time, the deadman and the causes of a supervisor."""
 
-    def __init__(self, time_outs: TimeOuts, latched: tuple[Cause, ...], reaction_s: float) -> None:
-        self._deadman, self._reaction_s = Deadman(time_outs, latched), reaction_s
+    def __init__(self, parameters: Parameters) -> None:
+        self._deadman, self._reaction_s = Deadman(parameters.time_outs, parameters.latched), parameters.reaction_s
         self._last_ns: int | None = None
         self._causes: tuple[Cause, ...] = ()
 

@@ -3,31 +3,15 @@
 import math
 from collections.abc import Callable, Sequence
 
-import msgspec
-
-from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
+from vcmvsp.cosim.types import Vec3, Velocity
 from vcmvsp.hardware.safety.braking import fastest, stops_within, swept
-from vcmvsp.hardware.safety.control_step import Decision, Rounds, unusable
-from vcmvsp.hardware.safety.deadman import LATCHED, Cause, Heard, TimeOuts
-from vcmvsp.hardware.safety.geofence import Polygon
+from vcmvsp.hardware.safety.control_step import Decision, Parameters, Rounds, unusable
+from vcmvsp.hardware.safety.deadman import Cause, Heard
 from vcmvsp.hardware.safety.limits import Limits, clamp, slowest
 from vcmvsp.hardware.safety.obstacle_distance import Around
 from vcmvsp.hardware.safety.separation import Others
 
 _HALVINGS = 12  # of the yaw rate, where the one that was asked for does not fit
-
-
-class Parameters(msgspec.Struct, frozen=True, kw_only=True):
-    """What a `Supervisor` keeps to; lengths in m, times in s."""
-
-    limits: Limits
-    radius_m: NonNegative  # of a circle around the robot, about the centre that its pose tells
-    reaction_s: Positive  # from a command to when the next one acts: the control period, and the delays of pose and link
-    fence: Polygon | None = None
-    fence_margin_m: NonNegative = 0.0  # between body and fence: above all for the error of the pose
-    separation_m: NonNegative = 0.5  # between bodies
-    time_outs: TimeOuts = TimeOuts()
-    latched: tuple[Cause, ...] = LATCHED
 
 
 class Supervisor:
@@ -40,7 +24,7 @@ class Supervisor:
 
     def __init__(self, parameters: Parameters) -> None:
         self._p = parameters
-        self._rounds = Rounds(parameters.time_outs, parameters.latched, parameters.reaction_s)
+        self._rounds = Rounds(parameters)
         self.last = (0.0, 0.0)  # m/s, rad/s
 
     def step(self, now_ns: int, command: Velocity | None, pose: Vec3 | None, others: Others | None, heard: Heard) -> Decision:

@@ -2,6 +2,7 @@
 
 from typing import Protocol
 
+import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array, VehicleState, Velocity, frozen
@@ -31,17 +32,7 @@ class Ground:
     """For robots with two driven wheels."""
 
     def __init__(self, safety: Safety) -> None:
-        parameters = Parameters(
-            limits=_limits(safety),
-            radius_m=safety.radius_m,
-            reaction_s=safety.reaction_s,
-            fence=_fence(safety),
-            fence_margin_m=safety.fence_margin_m,
-            separation_m=safety.separation_m,
-            time_outs=_time_outs(safety),
-            latched=LATCHED,
-        )
-        self._supervisor = Supervisor(parameters)
+        self._supervisor = Supervisor(_parameters(safety))
 
     def step(self, now_ns: int, command: Velocity | None, state: VehicleState | None, others: Others, heard: Heard) -> Decision:
         """A robot whose pose is not known is stopped, also where there is neither a fence nor anybody else."""
@@ -53,20 +44,9 @@ class Air:
     """For vehicles that take velocities in three axes of the world."""
 
     def __init__(self, safety: Safety) -> None:
-        parameters = AerialParameters(
-            limits=_limits(safety),
-            climb_mps=safety.max_climb,
-            radius_m=safety.radius_m,
-            reaction_s=safety.reaction_s,
-            fence=_fence(safety),
-            fence_margin_m=safety.fence_margin_m,
-            floor_m=safety.floor_m,
-            ceiling_m=safety.ceiling_m,
-            separation_m=safety.separation_m,
-            time_outs=_time_outs(safety),
-            latched=LATCHED,
-        )
-        self._supervisor = AerialSupervisor(parameters)
+        common = msgspec.structs.asdict(_parameters(safety))
+        heights = {"climb_mps": safety.max_climb, "floor_m": safety.floor_m, "ceiling_m": safety.ceiling_m}
+        self._supervisor = AerialSupervisor(AerialParameters(**common, **heights))
 
     def step(self, now_ns: int, command: Velocity | None, state: VehicleState | None, others: Others, heard: Heard) -> Decision:
         """The same in the air."""
@@ -74,8 +54,9 @@ class Air:
         return self._supervisor.step(now_ns, command, pose, others, heard)
 
 
-def _limits(safety: Safety) -> Limits:
-    return Limits(
+def _parameters(safety: Safety) -> Parameters:
+    """What is the same on the ground and in the air."""
+    limits = Limits(
         speed_mps=safety.max_speed,
         yaw_rate_radps=safety.max_yaw_rate,
         accel_mps2=safety.accel,
@@ -83,19 +64,20 @@ def _limits(safety: Safety) -> Limits:
         yaw_accel_radps2=safety.yaw_accel,
         yaw_stop_radps2=safety.yaw_decel,
     )
-
-
-def _fence(safety: Safety) -> Polygon | None:
-    return None if safety.fence is None else Polygon(safety.fence)
-
-
-def _time_outs(safety: Safety) -> TimeOuts:
-    """Who must be heard."""
-    return TimeOuts(
-        operator_s=safety.operator_s,
-        command_s=safety.command_s,
-        positioning_s=safety.positioning_s,
-        federation_s=safety.federation_s,
+    return Parameters(
+        limits=limits,
+        radius_m=safety.radius_m,
+        reaction_s=safety.reaction_s,
+        fence=None if safety.fence is None else Polygon(safety.fence),
+        fence_margin_m=safety.fence_margin_m,
+        separation_m=safety.separation_m,
+        time_outs=TimeOuts(
+            operator_s=safety.operator_s,
+            command_s=safety.command_s,
+            positioning_s=safety.positioning_s,
+            federation_s=safety.federation_s,
+        ),
+        latched=LATCHED,
     )
 
 
