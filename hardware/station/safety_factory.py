@@ -45,8 +45,8 @@ class Air:
 
     def __init__(self, safety: Safety) -> None:
         common = msgspec.structs.asdict(_parameters(safety))
-        heights = {"climb_mps": safety.max_climb, "floor_m": safety.floor_m, "ceiling_m": safety.ceiling_m}
-        self._supervisor = AerialSupervisor(AerialParameters(**common, **heights))
+        parameters = AerialParameters(**common, climb_mps=safety.max_climb, floor_m=safety.floor_m, ceiling_m=safety.ceiling_m)
+        self._supervisor = AerialSupervisor(parameters)
 
     def step(self, now_ns: int, command: Velocity | None, state: VehicleState | None, others: Others, heard: Heard) -> Decision:
         """The same in the air."""
