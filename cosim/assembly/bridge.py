@@ -30,10 +30,10 @@ class DoorTable(msgspec.Struct, frozen=True):
     params: dict[str, Any]  # complete
 
 
-class Exchange(NamedTuple):
+class ProgramFederates(NamedTuple):
     """The federates that exchange messages with programs."""
 
-    programs: "Programs | None"  # that keep the run's own time
+    in_run_time: "Programs | None"  # to programs that keep the run's own time
     bridge: "Bridge | None"  # to programs at wall pace
     playback: "BridgePlayback | None"  # of such programs in an earlier run
 
@@ -49,7 +49,7 @@ def of_scenario(
     tell: Tell,
     log: Log,
     connect: bool,
-) -> Exchange:
+) -> ProgramFederates:
     """Build the federates of ``[sockets]`` and ``[bridge]``.
 
     Args:
@@ -61,16 +61,17 @@ def of_scenario(
         log: takes what a replay needs.
         connect: open the gateways; else nothing is, which serves to check the scenario.
     """
-    from vcmvsp.netsim.bridge.federate import Bridge
-    from vcmvsp.netsim.bridge.playback import BridgePlayback
-
     # Programs in simulated time speak anew in a replay.
     programs = programs_of(scenario, source, resolution, tell=tell, connect=connect or bridged is not None)
     doors = doors_of(scenario, source, resolution)
     if bridged is not None:
-        return Exchange(programs, None, BridgePlayback(bridged))
+        from vcmvsp.netsim.bridge.playback import BridgePlayback
+
+        return ProgramFederates(programs, None, BridgePlayback(bridged))
     if not doors:
-        return Exchange(programs, None, None)
+        return ProgramFederates(programs, None, None)
+    from vcmvsp.netsim.bridge.federate import Bridge
+
     bridge = Bridge(
         doors,
         run=scenario.name,
@@ -83,7 +84,7 @@ def of_scenario(
         log=log,
         connect=connect,
     )
-    return Exchange(programs, bridge, None)
+    return ProgramFederates(programs, bridge, None)
 
 
 def kind_of(name: str, content: Any) -> Any:

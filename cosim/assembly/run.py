@@ -172,9 +172,9 @@ def assemble(
     world, resolution.tables["world"] = worlds.build(
         scenario.world, source, seed=scenario.seed, portable=resolution.portable, keep=resolution.keep
     )
-    programs = bool(scenario.bridge.doors) and bridged is None
+    bridges = bool(scenario.bridge.doors) and bridged is None
     air = radio.federate_of(
-        scenario, source, resolution, solids=world.solids, recorded=recorded_radio, programs=programs, tell=tell
+        scenario, source, resolution, solids=world.solids, recorded=recorded_radio, programs=bridges, tell=tell
     )
     fleet = Fleet(scenario, source, resolution)
     radius_m = {name: model.radius_m for name, model in fleet.models.items()}
@@ -186,7 +186,7 @@ def assemble(
             real, run=scenario.name, clock=wall, radius_m=radius_m, tell=tell, log=inputs.on, connect=connect
         )
     outside = playback or robots
-    exchange = bridge.of_scenario(
+    programs = bridge.of_scenario(
         scenario, source, resolution, air=air, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
     physics = _physics(scenario, resolution, world=world, vehicles=fleet.specs(), outside=outside)
@@ -200,7 +200,7 @@ def assemble(
     except BaseException:
         hosts.close()
         raise
-    others = [each for each in (exchange.programs, exchange.bridge, exchange.playback, outside) if each is not None]
+    others = [each for each in (programs.in_run_time, programs.bridge, programs.playback, outside) if each is not None]
     return AssembledRun(
         scenario=scenario,
         source=source,
@@ -211,7 +211,7 @@ def assemble(
         radio=air,
         operator=operator,
         robots=robots,
-        bridge=exchange.bridge,
+        bridge=programs.bridge,
         hosts=hosts,
         agents=agents,
         where=placement.where,

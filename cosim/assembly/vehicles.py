@@ -93,7 +93,6 @@ class Fleet:
         return fitted
 
     def _spec(self, vehicle: VehicleTable) -> "VehicleSpec":
-        from vcmvsp.cosim.estimation.fusion import Fusion
         from vcmvsp.physics.sensors.positioning import Positioning
         from vcmvsp.physics.vehicles.specification import VehicleSpec
 
@@ -102,6 +101,8 @@ class Fleet:
             sensor = binding.call(Positioning, vehicle.positioning, key=f"{key}.positioning", origin=self._source)
         position, heading = vehicle.start
         if vehicle.pose_source == "fusion" and not vehicle.is_real:
+            from vcmvsp.cosim.estimation.fusion import Fusion  # takes SciPy, and so its time
+
             at = {"start": (position[0], position[1], heading)}
             fusion = binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=self._source, given=at)
             self._resolution.real[vehicle.name] = {"fusion": binding.complete(Fusion, vehicle.fusion, without=at)}
