@@ -131,7 +131,7 @@ def test_a_folder_or_package_called_agents_is_in_nobodys_way(tmp_path: Path) -> 
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, timeout=60, check=True)
 
 
-@pytest.mark.parametrize("part", ["cosim", "physics", "netsim", "agents", "hardware"])
+@pytest.mark.parametrize("part", ["cosim", "physics", "netsim", "agents", "hardware", "scenarios"])
 def test_no_package_can_be_imported_under_a_second_name(part: str) -> None:
     """The folders of a checkout lie on the path of programs that are started in it."""
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import {part}"
