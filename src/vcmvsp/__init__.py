@@ -6,6 +6,9 @@ Everything is loaded on first use, so that ``import vcmvsp`` costs nothing and a
 import importlib
 from typing import TYPE_CHECKING, Any
 
+if __name__ != "vcmvsp":
+    raise ImportError(f"this is vcmvsp: import it by that name, not as '{__name__}'")
+
 if TYPE_CHECKING:
     from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
     from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, ScenarioError, UsageError, VcmvspError
