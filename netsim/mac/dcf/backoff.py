@@ -3,7 +3,7 @@
 A backoff counts whole slots from DIFS behind the end of the last busy time (IEEE 802.11-2016, 10.3.4.3); behind a payload that
 could not be decoded, from EIFS. A radio keeps how many slots were left when it last learnt of a longer busy time, and when the
 last of them is over if it learns of no other: nothing needs to be done while they pass. What is done for all radios is written
-twice, as in `netsim.mac.dcf.receivers`.
+twice, as in `netsim.mac.dcf.capture`.
 """
 
 import numpy as np

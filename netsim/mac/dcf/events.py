@@ -10,8 +10,8 @@ Written for NumPy and for compilation alike, see `netsim.mac.jit.cache`: what ch
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes
 from vcmvsp.netsim.mac.dcf.backoff import back_off, count_down, defer_one, doze, draw, request, sense, wait
+from vcmvsp.netsim.mac.dcf.capture import detect, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.queues import decide, enqueue, expire, insert, leave, next_decision
-from vcmvsp.netsim.mac.dcf.receivers import detect, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.state import (
     ACK,
     ACKNOWLEDGEMENT,

@@ -44,7 +44,7 @@ PER_FRAME = (
 )
 CORE = (
     "vcmvsp.netsim.phy.error_table",
-    *(f"vcmvsp.netsim.mac.dcf.{name}" for name in ("backoff", "receivers", "queues", "events")),
+    *(f"vcmvsp.netsim.mac.dcf.{name}" for name in ("backoff", "capture", "queues", "events")),
 )
 
 

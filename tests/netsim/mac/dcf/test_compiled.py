@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
-from vcmvsp.netsim.mac.dcf import backoff, events, queues, receivers
+from vcmvsp.netsim.mac.dcf import backoff, capture, events, queues
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import State
 from vcmvsp.netsim.mac.jit import cache
 
-TWICE = (receivers, backoff, queues, events)  # what is written as vectors and as loops
+TWICE = (capture, backoff, queues, events)  # what is written as vectors and as loops
 LOOPS = {name: loop for each in TWICE for name, loop in vars(each).items() if name.endswith("_loop")}
 MACS = [Dcf(), Dcf(capture_margin_db=5.0), Dcf(queue_frames=4, lifetime_s=0.02), Dcf(preamble_time_us=30.0)]
 
@@ -28,7 +28,7 @@ def test_loops_leave_the_same_bits_everywhere_as_vectors(monkeypatch: pytest.Mon
         by_vectors = run(vectors, now, until)
         with monkeypatch.context() as patch:
             for name, loop in LOOPS.items():
-                for module in (receivers, events):
+                for module in (capture, events):
                     if hasattr(module, name.removesuffix("_loop")):
                         patch.setattr(module, name.removesuffix("_loop"), loop)
             by_loops = run(loops, now, until)
