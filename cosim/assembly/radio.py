@@ -12,8 +12,7 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
-from vcmvsp.netsim.presets import LAYERS as LAYERS  # noqa: PLC0414  for packages above, which import no part
-from vcmvsp.netsim.presets import PRESETS
+from vcmvsp.netsim.presets import LAYERS, PRESETS
 from vcmvsp.netsim.presets import preset as preset_of
 
 if TYPE_CHECKING:
@@ -52,7 +51,8 @@ def federate_of(
     router = None
     if scenario.routing:
         router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
-    own = {name: value for name, value in scenario.radio.items() if name in _federate_keys()}
+    keys = _federate_keys()
+    own = {name: value for name, value in scenario.radio.items() if name in keys}
     given = {"channel": air, "router": router, "programs": programs}
     federate: RadioFederate = binding.call(RadioFederate, own, key="radio", origin=source, given=given)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}

@@ -15,7 +15,6 @@ from vcmvsp.cosim.scenario.schema import SIMULATED, RealVehicle, SafetyTable, Sc
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.hardware.federate import Hardware
     from vcmvsp.hardware.playback import Playback
     from vcmvsp.physics.vehicles.specification import Vehicle
 
@@ -93,13 +92,6 @@ def _described(
         at = f"{key}.safety" if "fence" in vehicle.safety else "safety"
         raise ScenarioError(str(error), key=at, source=source.of(at)) from error
     return described
-
-
-def drive(vehicles: Sequence[RealVehicle], **options: Any) -> "Hardware":
-    """The federate `hardware` that drives these vehicles; further arguments: those of `hardware.federate.Hardware`."""
-    from vcmvsp.hardware.federate import Hardware
-
-    return Hardware(vehicles, **options)
 
 
 def playback(scenario: Scenario, inputs: Sequence[Input], tell: Tell) -> "Playback | None":

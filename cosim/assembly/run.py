@@ -166,6 +166,8 @@ def assemble(
         ScenarioError: the scenario cannot be run as it is.
         FederateError: a host or an agent failed.
     """
+    from vcmvsp.agents.federate import AgentHost
+
     resolution, inputs = Resolution(scenario, source), InputLog()
     clock = clock or SimClock()
     wall = clock if isinstance(clock, WallClock) else WallClock()  # a scenario is only checked: nobody looks at it
@@ -182,16 +184,27 @@ def assemble(
     real = real_vehicles.of_scenario(scenario, source, resolution, fleet.models)
     robots = None
     if real and playback is None:
-        robots = real_vehicles.drive(
-            real, run=scenario.name, clock=wall, radius_m=radius_m, tell=tell, log=inputs.on, connect=connect
-        )
+        from vcmvsp.hardware.federate import Hardware
+
+        robots = Hardware(real, run=scenario.name, clock=wall, radius_m=radius_m, tell=tell, log=inputs.on, connect=connect)
     outside = playback or robots
     programs = bridge.of_scenario(
         scenario, source, resolution, air=air, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
     physics = _physics(scenario, resolution, world=world, vehicles=fleet.specs(), outside=outside)
     operator = _operator(scenario, source, physics, air)
-    hosts = _hosts(scenario, placement, listen, keys=keys, insecure=insecure, tell=tell, watch=watch)
+    about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
+    hosts = Hosts(
+        scenario.agents,
+        AgentHost,
+        kinds=placement.kinds,
+        listen=listen,
+        keys=keys,
+        insecure=insecure,
+        about=about,
+        tell=tell,
+        watch=watch,
+    )
     try:
         with _located(scenario, source):
             hosts.start(placement.specs, placement.objects)
@@ -264,15 +277,6 @@ def _operator(scenario: Scenario, source: Source, physics: Federate, air: "Radio
     check = checks(vehicles, getattr(physics, "check_move", nothing_moves), air.check_change)
     check_planned(planned, check, source)
     return Operator(planned, vehicles, check)
-
-
-def _hosts(scenario: Scenario, placement: Placement, listen: str | None, **access: Any) -> Hosts:
-    """The hosts of agents, not started yet."""
-    from vcmvsp.agents.federate import AgentHost
-
-    about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s}
-    about["vehicles"] = [each.name for each in scenario.vehicle]
-    return Hosts(scenario.agents, AgentHost, kinds=placement.kinds, listen=listen, about=about, **access)
 
 
 def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunInfo:

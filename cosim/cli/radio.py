@@ -236,6 +236,7 @@ def _channel(
 ) -> "tuple[Channel, dict[str, Any], Source]":
     """A channel of a preset with some keys changed, its tables with everything filled in, and where keys came from."""
     from vcmvsp.cosim.assembly import radio
+    from vcmvsp.cosim.assembly.parts.presets import LAYERS
     from vcmvsp.cosim.config import messages
     from vcmvsp.cosim.config.provenance import Source
     from vcmvsp.cosim.scenario.loader import value_of
@@ -249,8 +250,8 @@ def _channel(
             raise UsageError(f"--set {argument}: write KEY=VALUE, e.g. --set path_loss.exponent=2.5")
         source.note_set(key, f"--set {argument}")
         layer, *inner = key.split(".")
-        if layer not in radio.LAYERS:
-            raise ScenarioError(messages.unknown("layer", layer, radio.LAYERS), key=key, source=source.of(key))
+        if layer not in LAYERS:
+            raise ScenarioError(messages.unknown("layer", layer, LAYERS), key=key, source=source.of(key))
         if not inner:
             raise ScenarioError(f"write LAYER.KEY=VALUE, e.g. {layer}.kind=...", key=key, source=source.of(key))
         here = tables.setdefault(layer, {})

@@ -202,8 +202,8 @@ class Simulation:
         resolved = run.resolved() if run.operator.done else self._resolved  # with what was done live
         metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
         files = dict(run.files)
-        if run.inputs.content:
-            files[FILE] = run.inputs.content
+        if kept := run.inputs.content:  # in memory alone
+            files[FILE] = kept
         if run.bridge is not None:
             table = io.BytesIO()
             write_table(run.bridge.table(), table)

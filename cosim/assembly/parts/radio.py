@@ -1,7 +1,6 @@
-"""Types of the radio channel, and measurements of a channel without a run: coverage, broadcast trials, model curves."""
+"""Types of the radio channel."""
 
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.evaluation import broadcast_trial, coverage, model_curves
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.interfaces.layers import Frame, Links, PathLoss, Paths, Phy
 from vcmvsp.netsim.interfaces.radio import Radio
@@ -15,7 +14,4 @@ __all__ = [
     "Phy",
     "Radio",
     "RadioFederate",
-    "broadcast_trial",
-    "coverage",
-    "model_curves",
 ]

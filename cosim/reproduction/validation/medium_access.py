@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.assembly.parts.radio import Channel, broadcast_trial
+from vcmvsp.cosim.assembly.parts import channel_trial
+from vcmvsp.cosim.assembly.parts.radio import Channel
 from vcmvsp.cosim.reproduction.row import Row, absolute, relative
 from vcmvsp.cosim.reproduction.validation.channel_setup import channel, decided, send
 from vcmvsp.cosim.types import Array, FrameReport
@@ -136,8 +137,8 @@ def periodic(seeds: int = 20) -> Sequence[Row]:
         counts = []
         for seed in range(seeds):
             position = np.random.default_rng(seed).uniform(0.0, 200.0, (count, 3)) * (1.0, 1.0, 0.0)
-            plan = broadcast_trial.Broadcasts(position=position, rate_hz=10.0, size_bytes=100, duration_s=2.0, seed=seed)
-            counts.append(broadcast_trial.run(channel(preset, path_loss={"exponent": 2.0}), plan))
+            plan = channel_trial.Broadcasts(position=position, rate_hz=10.0, size_bytes=100, duration_s=2.0, seed=seed)
+            counts.append(channel_trial.run(channel(preset, path_loss={"exponent": 2.0}), plan))
         weights = [each["receptions"] for each in counts]
         delay_s = np.average([each["delay_s"]["mean"] for each in counts], weights=weights)
         share, case = float(np.mean([each["delivery_ratio"] for each in counts])), f"{preset}, {count} radios"
