@@ -14,13 +14,13 @@ export PYTHONDONTWRITEBYTECODE =
 
 setup: $(VENV)/.ready
 
-# uv, from PyPI, in an environment of its own, installs exactly what uv.lock says; where $(PYTHON) is newer than the 3.11 that
+# uv, from PyPI, in an environment of its own, installs what uv.lock says, and leaves alone what the user has installed; where $(PYTHON) is newer than the 3.11 that
 # PyBullet has wheels for, it finds or fetches a 3.11.
 $(VENV)/.ready: pyproject.toml uv.lock .python-version
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "vcmvsp needs Python 3.11: make PYTHON=/path/to/python3.11"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "this Python has no venv module; as root, run .ci/debian-packages"; exit 2; }
 	test -x $(UV) || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); }
-	$(UV) sync --frozen --quiet || $(UV) sync --frozen --quiet --system-certs  # behind a proxy with certificates of its own
+	$(UV) sync --frozen --inexact --quiet || $(UV) sync --frozen --inexact --quiet --system-certs  # behind a proxy with certificates of its own
 	@touch $@
 
 demo: setup

@@ -16,6 +16,7 @@ os.environ.setdefault("VCMVSP_COMPILED", "0")
 settings.register_profile("here", deadline=None)  # how long an example takes depends on what else the machine does
 settings.load_profile("here")
 
+pytest_plugins = ["tests.support.requirements"]
 DRAWN = Result._figures
 
 

@@ -131,7 +131,9 @@ def _examine_chunk(raw: bytes, known: list[Any]) -> dict[int, list[tuple[int, in
             assert each.id not in [other.id for other in known if type(other) is type(each)]
             if isinstance(each, records.Channel):
                 assert each.schema_id in [schema.id for schema in known if isinstance(schema, records.Schema)]
-                assert each.topic not in [channel.topic for channel in known if isinstance(channel, records.Channel)]
+                assert (each.topic, each.schema_id) not in [
+                    (channel.topic, channel.schema_id) for channel in known if isinstance(channel, records.Channel)
+                ]
             known.append(each)
     return entries
 

@@ -13,14 +13,11 @@ program, this file is the forwarder: ``namespaces.py TARGET LISTEN:PORT:MILLISEC
 import asyncio
 import os
 import random
-import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from typing import Self
-
-import pytest
 
 MIDDLE, RUN = "10.213.8.1", "10.213.9.1"
 PORT = 7447
@@ -40,13 +37,14 @@ class Network:
         self._forwarder: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
-        if os.geteuid() != 0 or shutil.which("ip") is None:
-            pytest.skip("network namespaces need root and the command ip")
+        from tests.support import requirements  # the forwarder has none
+
+        requirements.program("ip")
         try:
             self._build()
         except subprocess.CalledProcessError as error:
             self.close()
-            pytest.skip(f"no network of namespaces can be made here: {' '.join(error.cmd)}: {error.stderr.strip()}")
+            requirements.not_allowed(f"a network of namespaces: {' '.join(error.cmd)}: {error.stderr.strip()}")
         except BaseException:
             self.close()
             raise

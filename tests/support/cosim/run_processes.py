@@ -64,7 +64,7 @@ class Stage:
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     """Its exit code, and what it said on the way."""
-    _, said = process.communicate(timeout=100)
+    _, said = process.communicate(timeout=500)
     assert "Traceback" not in said
     return process.returncode, said
 

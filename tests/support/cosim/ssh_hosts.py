@@ -1,8 +1,6 @@
 """Another machine, as ssh sees it: one that is played by a script, or this one behind a real server of SSH."""
 
-import importlib.util
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -11,6 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+from tests.support import requirements
 
 PLAYED = """\
 #!/bin/sh
@@ -69,21 +69,17 @@ def played(folder: Path) -> Machine:
 
 def served(kind: str, folder: Path, port: int) -> Machine:
     """This machine, behind ``sshd`` of OpenSSH or ``asyncssh`` of PyPI, at a port, for whoever has the key in ``folder``."""
-    if not shutil.which("ssh") or not shutil.which("ssh-keygen"):
-        pytest.skip("this machine has no ssh")
-    sshd = shutil.which("sshd") or "/usr/sbin/sshd"
-    if kind == "sshd" and not Path(sshd).exists():
-        pytest.skip("this machine has no sshd")
-    if kind == "asyncssh" and not importlib.util.find_spec("asyncssh"):
-        pytest.skip("asyncssh is not installed")
+    for each in ("ssh", "ssh-keygen"):
+        requirements.program(each)
     folder.mkdir()
     for name in ("host", "user"):
-        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(folder / name)], check=True, timeout=30)
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(folder / name)], check=True, timeout=500)
     (folder / "config").write_text(SSHD.format(port=port, folder=folder))
     (folder / "known").write_text(f"[127.0.0.1]:{port} {(folder / 'host.pub').read_text()}")
-    command = [sshd, "-D", "-e", "-f", str(folder / "config")]
     if kind == "asyncssh":
         command = [sys.executable, "-c", ASYNCSSH, str(port), str(folder)]
+    else:
+        command = [str(requirements.program("sshd")), "-D", "-e", "-f", str(folder / "config")]
     server = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     last = time.monotonic() + 30.0
     while time.monotonic() < last and server.poll() is None:
@@ -95,6 +91,6 @@ def served(kind: str, folder: Path, port: int) -> Machine:
     else:
         server.kill()
         server.wait()
-        pytest.skip(f"{kind} does not start here (sshd wants /run/sshd where root starts it)")
+        pytest.skip(f"{kind} does not start (as root, sshd wants /run/sshd, which .ci/debian-packages makes)")
     options = ("-F", "none", "-i", str(folder / "user"), "-o", "IdentitiesOnly=yes", "-p", str(port))
     return Machine("127.0.0.1", (*options, "-o", f"UserKnownHostsFile={folder / 'known'}"), {}, server)

@@ -1,25 +1,25 @@
 """A page that can be looked at without a run: a scenery, how things stand in it, and a browser."""
 
 import math
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import pytest
 import viser
 
+from tests.support import requirements
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array, Follows, Image, Scan, States
+from vcmvsp.cosim.view.auth.web_server import close_server, open_server
 from vcmvsp.cosim.view.messages import Craft, Line, Link, Obstacle, Order, Pace, Scenery, Shown
 from vcmvsp.cosim.view.page.control_station import Station
 from vcmvsp.cosim.view.page.state import Known
 
 T = TypeVar("T")
-CHROMIUM = Path("/usr/bin/chromium")
+TOKEN = "a-secret-of-this-test"
 ARGUMENTS = [
     "--no-sandbox",
     "--disable-gpu",
@@ -214,24 +214,21 @@ class Looking:
 @contextmanager
 def looking(scene: Scenery) -> Iterator[Looking]:
     """A station whose server ends with it."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    server = open_server("127.0.0.1", 0, TOKEN)
     try:
         yield Looking(server, scene)
     finally:
-        server.stop()
+        close_server(server)
 
 
 @contextmanager
 def browser() -> Iterator[Any]:
     """A browser; where there is none, the test is skipped."""
-    if not CHROMIUM.exists():
-        pytest.skip("there is no /usr/bin/chromium")
-    api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-    with api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+    from playwright.sync_api import sync_playwright
+
+    chromium = requirements.program("chromium")
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS)
         try:
             yield started
         finally:

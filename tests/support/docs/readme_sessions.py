@@ -119,6 +119,17 @@ STORIES = (
                 why=NO_ROBOT,
             ),
             Step("vcmvsp emulate amigobot --port PTY", "--duration 0.2"),
+            Step(
+                "vcmvsp emulate amigobot --port tcp://:8101 --pose=-0.866,0.5,0 --ubisense udp://127.0.0.1:5010",
+                "--duration 0.2",
+                instead={"tcp://:8101": "tcp://:0"},
+                why="the port may be taken",
+            ),
+            Step(
+                "vcmvsp run hybrid-formation --set vehicle.car3.driver.port=tcp://127.0.0.1:8101",
+                instead={"run": "check"},
+                why=NO_ROBOT,
+            ),
             Step("vcmvsp new driver NAME", instead={"NAME": "crawler"}, why="the reader's name"),
         ),
     ),

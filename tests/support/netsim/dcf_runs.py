@@ -125,4 +125,7 @@ def fading(number: int, time: int, sender: int, to: int, size: int, priority: in
         rng = np.random.default_rng((number, attempt, start_ns))
         return level * rng.exponential(size=len(level)), rng.exponential(size=len(level))
 
-    return Offered(number, time, sender, to, size, priority, None, None, renew)
+    def answer(start_ns: int) -> float:
+        return float(np.random.default_rng((number, start_ns)).exponential())
+
+    return Offered(number, time, sender, to, size, priority, None, None, renew, answer)

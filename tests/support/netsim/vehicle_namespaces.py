@@ -3,25 +3,14 @@
 import asyncio
 import contextlib
 import os
-import shutil
 import socket
 from collections.abc import AsyncIterator, Sequence
-
-import pytest
 
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall
 from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 
 RUN = f"test{os.getpid()}"
-
-LACKS = namespaces.missing() or ("" if shutil.which("ip") else "the command ip")
-
-needs_spaces = pytest.mark.skipif(bool(LACKS), reason=f"namespaces need {LACKS}")
-
-
-def needs(command: str) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(shutil.which(command) is None, reason=f"there is no {command} here")
 
 
 @contextlib.asynccontextmanager

@@ -1,0 +1,55 @@
+"""Damaged scenarios, results and command lines get an answer: one message, soon, and nothing written elsewhere."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz import forked
+from tests.support.paths import ROOT
+
+
+@pytest.mark.timeout(1800)  # of processor time it takes a small part of that
+def test_a_few_cases_in_every_way() -> None:
+    """More of them: ``python -m tests.fuzz --cases 10000 --seed 1``."""
+    command = [sys.executable, "-m", "tests.fuzz", "--cases", "300"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def _refuse() -> None:
+    sys.stderr.write("give another one")
+    raise SystemExit(2)
+
+
+def _burn() -> None:
+    while time.process_time() < 60.0:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("command", "problem"),
+    [
+        (_refuse, ""),
+        (lambda: Path("out").write_text("x"), ""),
+        (lambda: sys.exit(1), "it fails without a word"),
+        (lambda: sys.exit(4), "exit code 4"),
+        (lambda: next(iter(())), "a traceback"),
+        (_burn, "s of processor time"),
+        (lambda: len(b"x" * 2**30), "MiB"),
+        (lambda: Path("beside").write_text("x"), "it wrote outside --out: beside"),
+        (lambda: Path("../../elsewhere").write_text("x"), "it wrote outside the folder: open"),
+    ],
+)
+def test_what_breaks_a_law_is_found(
+    command: Callable[[], object], problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(forked, "CPU_S", 1)
+    monkeypatch.setattr(forked, "main", lambda words: command())
+    (tmp_path / "here" / "case").mkdir(parents=True)
+    found = forked.problems([], tmp_path / "here" / "case")
+    assert problem in "\n".join(found)
+    assert bool(found) == bool(problem)

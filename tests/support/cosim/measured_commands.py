@@ -1,0 +1,60 @@
+"""Commands in processes of their own: what each answered, and what CPU time and memory it took.
+
+As a program: the most CPU time, s, then the commands, one per argument; one line of JSON for all. Each is a fork of this
+process, which has imported what they need, so that this is not done again for each.
+"""
+
+import importlib
+import json
+import os
+import resource
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from typing import NamedTuple
+
+SHARED = (
+    "vcmvsp.cosim.cli.app",
+    *("vcmvsp.cosim.runs.api", "vcmvsp.cosim.report.run_page", "vcmvsp.cosim.plots.run_plots", "vcmvsp.cosim.plots.style"),
+    *("vcmvsp.cosim.analysis.links", "vcmvsp.cosim.export.formats", "vcmvsp.cosim.studies.outputs"),
+)
+"""Modules that the readers of results import."""
+
+
+class Measured(NamedTuple):
+    """What a command gave and took."""
+
+    code: int
+    err: str
+    cpu_s: float
+    bytes: int
+
+
+def measured(commands: Sequence[str], most_cpu_s: int) -> list[Measured]:
+    """Run each; the system ends what takes more CPU time."""
+    line = [sys.executable, "-m", "tests.support.cosim.measured_commands", str(most_cpu_s), *commands]
+    done = subprocess.run(line, stdout=subprocess.PIPE, check=True, text=True)
+    return [Measured(*each) for each in json.loads(done.stdout)]
+
+
+def _run(command: str, most_cpu_s: int) -> Measured:
+    with tempfile.TemporaryFile() as said:
+        child = os.fork()
+        if child == 0:
+            resource.setrlimit(resource.RLIMIT_CPU, (most_cpu_s + 1, most_cpu_s + 1))
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            os.dup2(said.fileno(), 2)
+            sys.modules["vcmvsp.cosim.cli.app"].main(shlex.split(command))
+            sys.exit(0)
+        _, status, used = os.wait4(child, 0)
+        said.seek(0)
+        err = said.read().decode()
+    return Measured(os.waitstatus_to_exitcode(status), err, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss)
+
+
+if __name__ == "__main__":
+    for _name in SHARED:
+        importlib.import_module(_name)
+    sys.stdout.write(json.dumps([_run(each, int(sys.argv[1])) for each in sys.argv[2:]]))

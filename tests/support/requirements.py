@@ -1,0 +1,78 @@
+"""What tests need of the machine, and what the summary says of those that were left out.
+
+A program that is missing can be installed: a test that needs it is skipped, the summary says what to install, and where `CI` is
+set the test fails. What a machine does not allow (network namespaces, IPv6) cannot: that test is skipped and named everywhere.
+"""
+
+import os
+import shutil
+from collections import Counter
+from collections.abc import Generator
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from vcmvsp.netsim.bridge.gateways.ip import namespaces
+
+PACKAGES = {  # where a program and its package have different names
+    "ip": "iproute2",
+    "ping": "iputils-ping",
+    "ssh": "openssh-client",
+    "ssh-keygen": "openssh-client",
+    "sshd": "openssh-server",
+}
+NOT_ALLOWED = "this machine does not allow "
+
+
+def program(name: str) -> Path:
+    """Where a program is; the test is skipped where it is missing."""
+    path = shutil.which(name) or (shutil.which(name, path="/usr/sbin") if name == "sshd" else None)  # it wants its whole path
+    if path is None:
+        pytest.skip(f"there is no {name}: install the Debian package {PACKAGES.get(name, name)}")
+    return Path(path)
+
+
+def not_allowed(what: str) -> NoReturn:
+    pytest.skip(f"{NOT_ALLOWED}{what}")
+
+
+@pytest.fixture(scope="session")
+def namespaces_allowed() -> None:
+    if lacks := namespaces.missing():
+        not_allowed(f"network namespaces with programs in them: it lacks {lacks}")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "needs(*programs): skipped where one of them is missing, a failure where CI is set")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    for mark in item.iter_markers("needs"):
+        for name in mark.args:
+            program(name)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Where `CI` is set, whatever could be installed is."""
+    report = yield
+    reason = _reason(report)
+    if os.environ.get("CI") and report.skipped and not hasattr(report, "wasxfail") and NOT_ALLOWED not in reason:
+        report.outcome, report.longrepr = "failed", f"{reason} (CI is set: no test is left out for what can be installed)"
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    reasons = Counter(_reason(each) for each in terminalreporter.getreports("skipped"))
+    if reasons:
+        terminalreporter.section("not tested")
+    for reason, count in sorted(reasons.items()):
+        terminalreporter.line(f"{count} {'test' if count == 1 else 'tests'}: {reason}")
+    if any(NOT_ALLOWED not in each for each in reasons):
+        terminalreporter.line("As root, .ci/debian-packages installs all programs that tests need.")
+
+
+def _reason(report: pytest.TestReport) -> str:
+    said = report.longrepr
+    return said[2].removeprefix("Skipped: ") if isinstance(said, tuple) else ""
