@@ -23,7 +23,7 @@ from bench.asked import program
 from bench.crowds import RADIOS, Reached, reach, team
 from bench.federation import HERE
 from bench.growth import COUNTS, PARTS, costs, measured_case
-from bench.limits_files import Sizes, sizes
+from bench.limits_files import Sizes, resident, sizes
 from bench.limits_ways import ways
 from bench.measure import Row
 from bench.ns3.cases import Case
@@ -135,7 +135,8 @@ def files() -> Section:
     _tell("files")
     found: Sizes = sizes()
     _tell("memory")
-    held, peak = recording._bytes_per_row()
+    held, _ = recording._bytes_per_row()
+    most = resident()
     begun = measured_case("PyBullet, 802.11g")["start_mib"]
     each_kib = 1024.0 * (begun[-1] - begun[0]) / (COUNTS[-1] - COUNTS[0])
     lines = [
@@ -143,7 +144,7 @@ def files() -> Section:
         ("`states.parquet`", f"{found.states_state:.0f} B", ""),
         ("`radio.parquet`", "", f"{found.radio_reception:.1f} B"),
         ("memory while it goes on", "", f"{held:.0f} B"),
-        ("memory at most, at its end", "", f"{peak:.0f} B"),
+        ("resident memory at most, at its end", f"{10.0 * most.state:.0f} B", f"{most.reception:.0f} B"),
         (f"memory at its start, p2dx: {begun[0]:.0f} MiB for {COUNTS[0]}", f"{each_kib:.0f} KiB a vehicle", ""),
     ]
     return Section("files", ("", "a vehicle and simulated second, states at 10 Hz", "a frame and receiver"), lines)

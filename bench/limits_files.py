@@ -1,15 +1,20 @@
-"""How large the files of a run are, for each vehicle and for each frame at each of its receivers."""
+"""How large the files of a run are, and its memory, for each vehicle and for each frame at each of its receivers."""
 
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
 from bench.crowds import RADIOS, team
+from bench.measure import peak_mib
 from vcmvsp.cosim.runs import api
-from vcmvsp.cosim.tables.schema import read_table
+from vcmvsp.cosim.tables.schema import load, read_table
 
 VEHICLES, DURATION_S = 50, 10.0
 SILENT_HZ, TALKING_HZ = 1e-6, 10.0
+SHORT_S, LONG_S = 5.0, 20.0  # of a run whose memory is measured
+OFTEN_S, RARELY_S = 0.01, 1e3  # between recorded states
 
 
 class Sizes(NamedTuple):
@@ -50,3 +55,39 @@ def left(hz: float) -> Left:
         api.run(scenario, agents="inprocess", out=out)
         mcap, states, radio = ((out / name).stat().st_size for name in ("run.mcap", "states.parquet", "radio.parquet"))
         return Left(mcap, states, radio, read_table(out / "radio.parquet").num_rows)
+
+
+class Resident(NamedTuple):
+    """Bytes of resident memory that a run takes at most, its figures and its report included, for each of these."""
+
+    state: float
+    reception: float
+
+
+def resident() -> Resident:
+    """From what longer runs take more: one that records often and is silent, and one that talks and records rarely."""
+    per_row = []
+    for column, hz, period_s in ((0, SILENT_HZ, OFTEN_S), (1, TALKING_HZ, RARELY_S)):
+        short, long = (_fresh(hz, period_s, duration_s) for duration_s in (SHORT_S, LONG_S))
+        per_row.append((long[2] - short[2]) / (long[column] - short[column]))
+    return Resident(*per_row)
+
+
+def _fresh(hz: float, period_s: float, duration_s: float) -> tuple[float, ...]:
+    """`taken`, in a process of its own."""
+    command = [sys.executable, "-m", "bench.limits_files", *map(str, (hz, period_s, duration_s))]
+    return tuple(map(float, subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()))
+
+
+def taken(hz: float, period_s: float, duration_s: float) -> tuple[int, int, float]:
+    """Rows of states, rows of receptions, and the bytes that this process has held at most when the run is over."""
+    scenario = team({"kinematic": VEHICLES}, hz, RADIOS["802.11g with contention"], duration_s)
+    with tempfile.TemporaryDirectory() as folder:
+        api.run(scenario | {"record": {"period_s": period_s}}, agents="inprocess", out=Path(folder) / "run")
+        peak_bytes = peak_mib() * 2**20
+        left_tables = load(Path(folder) / "run")
+    return left_tables.states.num_rows, left_tables.radio.num_rows, peak_bytes
+
+
+if __name__ == "__main__":
+    print(*taken(*map(float, sys.argv[1:])))

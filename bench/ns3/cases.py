@@ -6,7 +6,7 @@ import numpy as np
 
 from bench.ns3.program import Floats
 
-SIZE = 100  # bytes of payload
+SIZE = 100  # bytes of payload, most often
 REFERENCE_LOSS_DB = {"b": 40.052, "g": 40.052, "a": 46.684}  # at 1 m: of the presets wifi-b, wifi-g, wifi-a
 _UNLOADED_MS = {"b-1": 1.33, "b-11": 0.341, "g-6": 0.264, "g-54": 0.1, "a-6": 0.242, "a-54": 0.078}
 
@@ -24,6 +24,7 @@ class Case:
     side_m: float = 200.0
     exponent: float = 2.0  # in 200 m: everybody hears everybody
     nakagami: float = 0.0  # m; 0: no fading
+    size: int = SIZE  # bytes of payload
     errors: str = "table"  # packet errors of OFDM: ns-3's default, or yans, nist
     unicast: bool = False  # to the next node instead of to all
     saturated: bool = False
@@ -39,7 +40,8 @@ class Case:
         more = f"-{self.side_m:g}m-n{self.exponent:g}" if (self.side_m, self.exponent) != (200.0, 2.0) else ""
         fading = f"-m{self.nakagami:g}" if self.nakagami else ""
         errors = f"-{self.errors}" if self.errors != "table" else ""
-        return f"{self.phy}-N{self.nodes}-{load}{more}{fading}{errors}{'-unicast' if self.unicast else ''}"
+        size = f"-{self.size}B" if self.size != SIZE else ""
+        return f"{self.phy}-N{self.nodes}-{load}{size}{more}{fading}{errors}{'-unicast' if self.unicast else ''}"
 
     @property
     def hidden(self) -> bool:
@@ -60,7 +62,7 @@ class Case:
             "standard": standard,
             "rate": rate,
             "hz": self.hz,
-            "size": SIZE,
+            "size": self.size,
             "exponent": self.exponent,
             "reference-loss": REFERENCE_LOSS_DB[standard],
             "duration": self.duration_s,
@@ -100,6 +102,8 @@ UNICAST = (
     *(Case(phy, n, 0, unicast=True, saturated=True, drain_s=0.6, seeds=5) for phy in PHYS for n in (2, 5, 10, 20)),
     Case("g-54", 20, 0, unicast=True, saturated=True, drain_s=0.6, errors="yans", seeds=5),
     *(Case(phy, 10, 20, unicast=True, seeds=20) for phy in ("b-11", "g-6")),
+    Case("g-24", 10, 50, side_m=100.0, exponent=3.0, nakagami=1.5, size=500, unicast=True, drain_s=0.8, seeds=10),
+    Case("b-5.5", 20, 20, side_m=100.0, exponent=3.0, nakagami=1.0, size=500, unicast=True, drain_s=0.8, seeds=10),
     *(
         Case(phy, n, 0, saturated=True, drain_s=0.6, duration_s=3.0, seeds=40 // n + 4)
         for phy in ("b-1", "g-6")

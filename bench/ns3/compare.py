@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.ns3.cases import CASES, SIZE, Case
+from bench.ns3.cases import CASES, Case
 from bench.ns3.program import Floats
 from bench.ns3.sample import BIN_M, Sample, command, ns3
 
@@ -54,7 +54,7 @@ def compare(case: Case, judge: Sequence[Sample], ours: Sequence[Sample], *, pair
     yield row("delivery ratio", lambda sample: sample.received.sum() / sample.wanted.sum(), 0.01)
     if case.saturated:
         yield row(
-            "throughput, kbit/s", lambda sample: 8e-3 * SIZE * sample.received.sum() / case.duration_s, 0.03, relative=True
+            "throughput, kbit/s", lambda sample: 8e-3 * case.size * sample.received.sum() / case.duration_s, 0.03, relative=True
         )
         return
     delays = np.concatenate([sample.delay_ns for sample in judge])

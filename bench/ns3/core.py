@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ from msgspec import convert
 from numpy.typing import NDArray
 
 from bench.ns3 import program
-from bench.ns3.cases import REFERENCE_LOSS_DB, SIZE, Case
+from bench.ns3.cases import REFERENCE_LOSS_DB, Case
 from bench.ns3.program import Floats, Frames
 from bench.ns3.sample import Sample, tally
 from vcmvsp.cosim.clock import SECOND_NS
@@ -48,7 +49,12 @@ class Air:
         loss_db = REFERENCE_LOSS_DB[standard] + 10.0 * case.exponent * np.log10(np.maximum(distance, 1.0))
         self.mean_mw: Floats = 10.0 ** ((self.phy.tx_power_dbm - loss_db) / 10.0)
         np.fill_diagonal(self.mean_mw, 0.0)
-        self._m, self._random, self._offered = case.nakagami, np.random.default_rng(seed), list[Offered]()
+        self._size, self._m, self._random, self._offered = (
+            case.size,
+            case.nakagami,
+            np.random.default_rng(seed),
+            list[Offered](),
+        )
 
     def open(self, keys: NDArray[np.uint64]) -> DcfMedium:
         """The core, with the keys (n,) of the radios."""
@@ -61,7 +67,9 @@ class Air:
         """The next one."""
         number = len(self._offered)
         power, patience = self._levels(sender)
-        frame = Offered(number, time_ns, sender, to, SIZE, 0, power, patience, lambda _attempt, _start: self._levels(sender))
+        renew, answer = partial(self._renewed, sender), partial(self._answer, sender, to)
+        faded = (None, None, renew, answer) if self._m and to >= 0 else (power, patience, renew)
+        frame = Offered(number, time_ns, sender, to, self._size, 0, *faded)
         self._offered.append(frame)
         return frame
 
@@ -74,6 +82,14 @@ class Air:
         if self._m:
             level = level * self._random.gamma(self._m, 1.0 / self._m, len(level))
         return level, self._random.exponential(size=len(level))
+
+    def _renewed(self, sender: int, _attempt: int, _start_ns: int) -> tuple[Floats, Floats]:
+        self._last = self._levels(sender)
+        return self._last
+
+    def _answer(self, sender: int, to: int, _start_ns: int) -> float:
+        """With a fading of its own, as in ns-3."""
+        return float(self._levels(sender)[0][to] / self._last[0][to])
 
     def frames(self, decided: list[Decided], n: int, case: Case) -> Frames:
         """What became of those that count."""

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from bench.ns3 import program
-from bench.ns3.cases import SIZE, Case
+from bench.ns3.cases import Case
 from bench.ns3.program import Floats, Frames, Ints
 from vcmvsp.cosim.clock import SECOND_NS
 
@@ -61,7 +61,7 @@ def command(case: Case, seed: int) -> Sample:
     with tempfile.TemporaryDirectory() as folder:
         places, out = Path(folder) / "positions.csv", Path(folder) / "frames.parquet"
         places.write_text("x,y,z\n" + "".join(f"{x!r},{y!r},{z!r}\n" for x, y, z in case.positions.tolist()))
-        words = ["--preset", f"wifi-{case.phy}", "--positions", str(places), "--rate", f"{case.hz}", "--size", f"{SIZE}"]
+        words = ["--preset", f"wifi-{case.phy}", "--positions", str(places), "--rate", f"{case.hz}", "--size", f"{case.size}"]
         words += ["--duration", f"{case.warmup_s + case.duration_s + case.drain_s}", "--seed", f"{seed}", "--out", str(out)]
         words += [word for key, value in keys.items() for word in ("--set", f"{key}={json.dumps(value)}")]
         program_ = Path(sys.executable).with_name("vcmvsp")

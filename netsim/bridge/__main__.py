@@ -1,4 +1,4 @@
-"""``python -P -m vcmvsp.netsim.bridge FD``, FD: the inherited end of the link to the run, which handles Ctrl-C."""
+"""``python -P -m vcmvsp.netsim.bridge FD [WARY]``, FD: the inherited end of the link to the run, which handles Ctrl-C."""
 
 import contextlib
 import gc
@@ -11,6 +11,7 @@ from pathlib import Path
 
 from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.netsim.bridge.process.bridge_process import Process
+from vcmvsp.netsim.bridge.process.messages import WARY
 from vcmvsp.netsim.bridge.process.pacer import new_loop
 
 NICE = -5  # where the system allows it: datagrams leave at their time while the run computes
@@ -29,7 +30,9 @@ def main() -> int:
     gc.freeze()  # what was made until now stays: nobody need look through it for garbage
     loop = new_loop()
     try:
-        return loop.run_until_complete(Process(Link(socket.socket(fileno=int(sys.argv[1]))), loop).serve())
+        return loop.run_until_complete(
+            Process(Link(socket.socket(fileno=int(sys.argv[1]))), loop, wary=WARY in sys.argv).serve()
+        )
     finally:
         loop.close()
 

@@ -9,9 +9,11 @@
     last = process.close()
 """
 
+import contextlib
 import subprocess
 import time
 from collections import deque
+from typing import ClassVar
 
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.processes.child_process import ending, linked
@@ -19,6 +21,7 @@ from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.process import messages
 
+MODULE = "vcmvsp.netsim.bridge"
 READY_S = 60.0  # for all doors to open
 CLOSE_S = 10.0  # for all to close,
 VEHICLE_S = 0.05  # and more for each vehicle
@@ -35,6 +38,8 @@ class Beside:
         killed: it had to be made to end.
     """
 
+    _prepared: ClassVar["tuple[subprocess.Popen[bytes], Link] | None"] = None
+
     def __init__(self, process: subprocess.Popen[bytes], end: Link, opening: messages.Opening) -> None:
         self._process, self._link, self.killed = process, end, False
         self._close_s = CLOSE_S + VEHICLE_S * len(opening.vehicles)
@@ -44,9 +49,15 @@ class Beside:
         self._leaving = self._closed = False
 
     @classmethod
+    def prepare(cls) -> None:
+        """Start the process for the next `start`, with rights that this process is about to give up."""
+        cls._prepared = linked(MODULE, messages.WARY)
+
+    @classmethod
     def start(cls, opening: messages.Opening) -> "Beside":
         """Start the process, which opens all doors; this does not wait for it."""
-        beside = cls(*linked("vcmvsp.netsim.bridge"), opening)
+        made, Beside._prepared = cls._prepared or linked(MODULE), None
+        beside = cls(*made, opening)
         beside.say(opening)
         return beside
 
@@ -135,8 +146,9 @@ class Beside:
         try:
             self._process.wait(DYING_S if self._link.ended else 0.0)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            with contextlib.suppress(PermissionError):  # it ends by itself, with the link
+                self._process.kill()
+                self._process.wait()
             self.killed = True
         self._link.close()
         return self._heard

@@ -1,5 +1,6 @@
 """A measured log: from where to where, and how strong."""
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -50,16 +51,15 @@ def read_links(path: Path) -> Links:
         UsageError: that names the file, the line and what is allowed.
     """
     lines = read_cells(path)
-    header = lines[0][1] if lines else []
+    _, header = next(lines, (0, []))
     if missing := [name for name in COLUMNS if name not in header]:
         found = ", ".join(header) or "nothing"
         raise UsageError(f"{path}: no column {', '.join(missing)}; wanted: {', '.join(COLUMNS)}[, received]; found: {found}")
     if twice := sorted({name for name in (*COLUMNS, "received") if header.count(name) > 1}):
         raise UsageError(f"{path}: column {', '.join(twice)} stands there twice")
-    rows = list(_rows(path, header, lines[1:]))
-    if not rows:
+    table = np.fromiter(itertools.chain.from_iterable(_rows(path, header, lines)), np.float64).reshape(-1, len(COLUMNS))
+    if not len(table):
         raise UsageError(f"{path}: no rows under the header")
-    table = np.array(rows, np.float64)
     return Links(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7])
 
 

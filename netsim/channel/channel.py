@@ -225,7 +225,8 @@ class Channel:
 
     def _behind(self) -> Outcomes:
         """What is behind reception, as it is now."""
-        loss, delay, outages = map(unless_nothing, (*self.operated.layers.values(), self.operated.outages))
+        now = self.operated.layers
+        loss, delay, outages = map(unless_nothing, (now["loss"], now["delay"], self.operated.outages))
         layers = loss, delay, self._script, self._trace, self._delivery
         return Outcomes(self.hearing, *layers, fades=self.fading is not None, outages=outages)
 

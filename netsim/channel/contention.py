@@ -55,12 +55,16 @@ class Contention:
             sent.tries.append((sent.level_dbm, sent.fading_db))
             return at_all(10.0 ** (sent.level_dbm / 10.0), row), patience
 
+        def answer(start_ns: int) -> float:
+            return self._levels.answer(sent, sent.meant.start, start_ns)
+
         power_mw, patience = (None, None) if self._levels.vary else renew(0, 0)
         if answerer is not None and self._levelled is not None:
             self._answers[sent.frame] = self._budgets.here(answerer.links).power_mw
         to, size, priority = -1 if answerer is None else answerer.row, sent.message.size_bytes, sent.message.priority
         self.waiting[sent.frame] = sent
-        offered = Offered(sent.frame, arrival_ns, row, to, size, priority, power_mw, patience, renew)
+        faded = answer if to >= 0 and self._levels.vary else None
+        offered = Offered(sent.frame, arrival_ns, row, to, size, priority, power_mw, patience, renew, faded)
         heappush(self._coming, (arrival_ns, sent.frame, offered))
 
     def advance(self, until_ns: int) -> list[tuple[Sent, OnAir]]:

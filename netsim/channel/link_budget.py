@@ -39,7 +39,7 @@ class Budgets:
         least_dbm: float,
     ) -> None:
         self.least_dbm = least_dbm  # that is noticed, unless a vehicle's own radio says otherwise
-        self._path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
+        self.path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
         self._phy, self._radios = phy, radios
         self._blocking = any(radio.body_loss_db for radio in radios.values())
         nothing_else = walls is None and shadowing is None and not self._blocking
@@ -109,7 +109,7 @@ class Budgets:
         tx = self._antennas[rows]
         rx = np.broadcast_to(self._antennas, (len(rows), *self._antennas.shape))[apart].reshape(len(rows), -1, 3)
         distance_m = sealed(distances(tx[:, None], rx))
-        path_loss: Any = self._path_loss
+        path_loss: Any = self.path_loss
         path_loss_db = sealed(path_loss.loss_db(distance_m))
         return Together(
             senders=senders,
@@ -127,7 +127,7 @@ class Budgets:
 
     def _work_out(self, links: Links, paths: Paths, row: int, *, bodies: bool) -> Mean:
         power_dbm, sensitivity_dbm = self._fixed_of(links)
-        path_loss_db = self._path_loss.loss_db(paths)
+        path_loss_db = self.path_loss.loss_db(paths)
         walls = materials = wall_loss_db = shadowing_db = None
         loss_db = path_loss_db
         if self._walls is not None:
@@ -199,7 +199,7 @@ class Budgets:
     def loss_db(self, tx: Floats, rx: Floats) -> Floats:
         """Mean loss from any point (3,) to others (n, 3), (n,) dB: path loss, walls and shadowing."""
         paths = Paths.between(tx, rx, self._seed)
-        return sum((layer.loss_db(paths) for layer in (self._walls, self._shadowing) if layer), self._path_loss.loss_db(paths))
+        return sum((layer.loss_db(paths) for layer in (self._walls, self._shadowing) if layer), self.path_loss.loss_db(paths))
 
     def _bodies_in_way(self, row: int) -> tuple[Floats, Ints]:
         own = [self._of(name) for name in self._names]

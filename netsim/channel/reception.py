@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, frozen
 from vcmvsp.netsim.channel.frames import Chorus, Sent
 from vcmvsp.netsim.channel.link_budget import Hearing
@@ -15,7 +16,6 @@ from vcmvsp.netsim.interfaces.link_draws import DELAY_SLOT, DELIVERY_SLOT, JAMME
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 RECEIVED = "received"
-UNDER_WAY = "under way"  # when the run ended
 JAMMED = "jammed"
 _FATES = {
     Fate.RECEIVED: RECEIVED,

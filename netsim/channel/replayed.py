@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
-from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
+from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, read_table
 from vcmvsp.cosim.types import Array, FrameReport, Message, frozen
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.runtime_changes import Operated
@@ -28,10 +27,10 @@ class RecordedFrames:
 
     def __init__(self, path: Path) -> None:
         try:
-            table = pq.read_table(path)
+            table = read_table(path)
         except OSError as error:
             raise UsageError(f"{path}: {error.strerror or error}") from error
-        except pa.ArrowException as error:
+        except (ValueError, pa.ArrowException) as error:
             raise UsageError(f"{path} cannot be read: {error}") from error
         kinds = dict(zip(table.schema.names, table.schema.types, strict=True))
         if wrong := [field.name for field in RADIO_SCHEMA if kinds.get(field.name) != field.type]:

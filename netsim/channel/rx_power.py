@@ -8,7 +8,7 @@ from vcmvsp.netsim.channel.mean_budget import Heard
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.layers import Fading
-from vcmvsp.netsim.interfaces.link_draws import ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
+from vcmvsp.netsim.interfaces.link_draws import ACK_FADING_SLOT, ERROR_SLOT, FADING_SLOT, RETRY_FADING_SLOT, SCRIPT_SLOT
 from vcmvsp.netsim.interfaces.medium import Codes, Fate
 
 
@@ -35,6 +35,19 @@ class Levels:
         if self._script is not None:
             level_dbm = level_dbm + self._script.gain_db(frame, sent.draw(SCRIPT_SLOT))
         sent.level_dbm = level_dbm
+
+    def answer(self, sent: Sent, place: int, start_ns: int) -> float:
+        """Fading of an acknowledgement from the receiver at ``place`` over that of the frame, a ratio of powers.
+
+        It fades as another frame at its own time: with the Doppler shift as far as the channel has changed since, else
+        independently. A traced level holds for both.
+        """
+        frame = sent.frame_at(start_ns, start_ns + sent.air_ns, sent.mean.level_dbm)
+        is_traced = self._trace is not None and not np.isnan(self._trace.level_dbm(frame)[place])
+        if self._fading is None or sent.fading_db is None or is_traced:
+            return 1.0
+        gain_db = self._fading.gain_db(frame, sent.draw(ACK_FADING_SLOT + sent.attempts))
+        return float(10.0 ** ((gain_db[place] - sent.fading_db[place]) / 10.0))
 
 
 def endured(sent: Sent, heard: Heard) -> Codes:

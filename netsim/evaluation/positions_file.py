@@ -19,12 +19,14 @@ def read_positions(path: Path) -> Floats:
     Raises:
         UsageError: naming file, line and column.
     """
-    rows = read_cells(path)
-    if rows and _is_header(rows[0][1], f"{path} line {rows[0][0]}"):
-        rows = rows[1:]
-    if not rows:
+    points: list[tuple[float, ...]] = []
+    for place, (number, cells) in enumerate(read_cells(path)):
+        where = f"{path} line {number}"
+        if place or not _is_header(cells, where):
+            points.append(_point(cells, where))
+    if not points:
         raise UsageError(f"{path}: has no positions; write a line x,y,z (metres) for each vehicle")
-    return np.array([_point(cells, f"{path} line {number}") for number, cells in rows])
+    return np.array(points)
 
 
 def _is_header(cells: list[str], where: str) -> bool:

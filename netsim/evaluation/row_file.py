@@ -1,5 +1,7 @@
 """Rows of ``radio.parquet`` that go to a file as frames are decided, for runs whose rows do not fit into memory."""
 
+import shutil
+import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -10,6 +12,7 @@ import pyarrow.parquet as pq
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table
 from vcmvsp.cosim.types import FrameReport
+from vcmvsp.cosim.util.files import PART
 
 ROWS = 1 << 18  # in a group, and those of one frame
 
@@ -23,7 +26,6 @@ class RowFile:
 
     def __init__(self, path: Path, facts: RunFacts, rows: int = ROWS) -> None:
         self._path, self._facts, self._rows = path, facts, rows
-        self._partial = path.parent / f".{path.name}.part"
         self._early: dict[int, FrameReport] = {}  # by frame: what was decided before a frame that was sent earlier
         self._next = 0
         self._batch: list[FrameReport] = []
@@ -40,6 +42,8 @@ class RowFile:
             "use_byte_stream_split": [field.name for field in schema if pa.types.is_floating(field.type)],
         }
         try:
+            self._beside = Path(tempfile.mkdtemp(prefix=".vcmvsp-", suffix=PART, dir=self._path.parent))
+            self._partial = self._beside / self._path.name
             self._writer = pq.ParquetWriter(self._partial, schema, compression="zstd", **options)
         except OSError as error:
             raise self._refused(error) from error
@@ -55,7 +59,7 @@ class RowFile:
         except OSError as problem:
             raise self._refused(problem) from problem
         finally:
-            self._partial.unlink(missing_ok=True)
+            shutil.rmtree(self._beside, ignore_errors=True)
 
     def add(self, report: FrameReport) -> None:
         """Take over one frame; every frame comes once, in any order."""

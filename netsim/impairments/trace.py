@@ -9,11 +9,14 @@ from typing import ClassVar, NamedTuple, NoReturn
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from pyarrow import csv, parquet
+from pyarrow import csv
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.tables.schema import read_table
+from vcmvsp.cosim.types import FileName
+from vcmvsp.cosim.util import limits
 from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Ints
 
 KEYS = ("time_s", "sender", "receiver")
@@ -68,7 +71,7 @@ class Trace:
         noise_dbm: what ``snr_db`` is counted from: the noise of the radio.
     """
 
-    file: str
+    file: FileName
     interpolate: bool = False
     noise_dbm: float | None = None
     cause: ClassVar[str] = "traced loss"
@@ -196,13 +199,14 @@ def _read(path: Path) -> pa.Table:
         raise ScenarioError(f"there is no file {path}", key="file")
     try:
         if path.suffix == ".parquet":
-            return parquet.read_table(path)
+            return read_table(path)
         kinds = {name: pa.string() if name in KEYS[1:] else pa.float64() for name in (*KEYS, *VALUES)}
+        limits.check_size(path, limits.CSV_BYTES)
         # One thread, so that errors name their row.
         return csv.read_csv(
             path, read_options=csv.ReadOptions(use_threads=False), convert_options=csv.ConvertOptions(column_types=kinds)
         )
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, ValueError, OSError) as error:
         _refuse(path, f"cannot be read: {error}")
 
 

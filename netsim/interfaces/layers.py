@@ -10,9 +10,24 @@ phy                         ``air_time_ns(size)``               how long is a fr
 mac                         ``open(...)``                       who may send when? (`netsim.interfaces.medium`)
 loss                        ``lost(frame, draw)``               which receivers lose a frame that their radio has received?
 delay                       ``delay_ns(frame, draw)``           how long after its sending may it arrive at the earliest?
+script                      ``gain_db(frame, draw)``,           as of fading, loss and delay; the delay counts beyond the
+                            ``lost(frame, draw)``,              frame's end
+                            ``delay_ns(frame, draw)``
+trace                       ``level_dbm(frame)``,               which level has it at each receiver? NaN: as the models say;
+                            ``lost(frame, draw)``,              as of loss and delay, on links that are ``traced``
+                            ``delay_ns(frame, draw)``,
+                            ``traced(frame)``
+jammer                      ``interference_mw(start_ns,         how much power of others reaches each receiver meanwhile?
+                            end_ns, rx, loss_db, where)``
+delivery                    ``open(count)``,                    when does what was received arrive, and a copy of it? -1: never
+                            ``deliver(sender_row, rows,
+                            received_ns, size_bytes, draw)``
 ==========================  ==================================  ================================================================
 
-``script``, ``trace``, ``jammer`` and ``delivery`` have a class each, and no kinds of one's own.
+A jammer is given ``loss_db(at, rx)``, the mean loss from a point (3,) to receivers (n, 3), (n,) dB, and ``where(name)``, the
+place of a vehicle. ``loss``, ``script``, ``trace`` and ``delivery`` have a ``cause`` too: what recordings say of what they
+lose. A trace says in ``columns`` which of ``snr_db``, ``rssi_dbm``, ``loss`` and ``delay_s`` it has. A trace or jammer that
+has vehicles' names tells them by ``names()``, a script by ``unmatched(vehicles)`` its key expressions that match no link.
 
 A layer is any object with the verb: no base class. It answers for all receivers at once, each receiver's answer depends on
 that receiver alone, and the same arguments give the same answer: a layer that needs chance takes it from ``draw``, or from

@@ -23,6 +23,7 @@ DELIVERY_SLOT = 6
 JAMMER_SLOT = 7
 ERROR_SLOT = 32  # and those behind it: one for each attempt to send the frame
 RETRY_FADING_SLOT = 64  # the same: fading of each attempt but the first
+ACK_FADING_SLOT = 96  # the same: fading of the acknowledgement of each attempt
 # Draws that do not go by frames.
 WAVE_SLOT = 16  # fading in time: the waves of a pair
 BURST_SLOT = 17  # bursts: what changes a link, and when

@@ -21,6 +21,9 @@ Codes = NDArray[np.uint8]
 Renew = Callable[[int, int], tuple[Floats, Floats]]
 """Of an attempt (0, 1, ...) that begins at a time (ns): levels (n,) mW and patience (n,), see `Offered`."""
 
+Answer = Callable[[int], float]
+"""Of the acknowledgement that begins at a time (ns): its fading over that of the attempt last renewed, a ratio of powers."""
+
 
 class Fate(IntEnum):
     """What became of a frame at one radio."""
@@ -47,6 +50,7 @@ class Offered(msgspec.Struct, frozen=True):
     power_mw: Floats | None  # (n,) its level at every radio, when nothing fades from attempt to attempt; else None
     patience: Floats | None  # (n,) exponential variates -log(1 - u): the frame survives while its hazard is less than this
     renew: Renew  # gives both for an attempt, where they are None or it is a retry
+    answer: Answer | None = None  # of an attempt that was renewed; None: the acknowledgement fades as the frame does
 
 
 class Decided(msgspec.Struct, frozen=True):

@@ -10,6 +10,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Decibels
 from vcmvsp.netsim.interfaces.layers import US, BitRate, Floats
 from vcmvsp.netsim.phy.error_rate import ErrorRate, erfc, hazard_of
+from vcmvsp.netsim.phy.fragments import LARGEST_MSDU_BYTES, over_frames
 from vcmvsp.netsim.phy.noise import ThermalNoise
 
 
@@ -18,7 +19,8 @@ class Dsss:
     """IEEE 802.11b at 1, 2, 5.5 or 11 Mbit/s with the long preamble.
 
     Air time (IEEE 802.11-2016, 15.2 and 16.2): preamble and header 192 us, then the PSDU, rounded up to 1 us. The PSDU is the
-    payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8.
+    payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8. An MSDU has 2304 bytes at most, 2296 of payload: a longer
+    message crosses as several frames, SIFS (10 us) apart, and is received or lost as one.
 
     Power, sensitivity and noise are those of ns-3.44: 16.0206 dBm (40 mW; ``WifiPhy::TxPowerStart``); a preamble is noticed
     from -82 dBm and 4 dB above noise and interference on (``ThresholdPreambleDetectionModel``), at every rate; the noise
@@ -46,9 +48,16 @@ class Dsss:
         return DsssErrors(self.rate_bps)
 
     def air_time_ns(self, size_bytes: int) -> int:
-        """192 us + 8 PSDU / rate, in whole microseconds."""
+        """192 us + 8 PSDU / rate, in whole microseconds, of each frame that the message needs, and the spaces between them."""
+        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: 192 + self._psdu_us(size), 10) * US
+
+    def payload_bits(self, size_bytes: int) -> int:
+        """Rate x the time behind preamble and header of all its frames: these bits an error rate counts."""
+        return round(self.rate_bps * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._psdu_us) / 1e6)
+
+    def _psdu_us(self, size_bytes: int) -> int:
         bits = 8 * (size_bytes + 36)
-        return (192 - (-bits * 1_000_000 // int(self.rate_bps))) * US
+        return -(-bits * 1_000_000 // int(self.rate_bps))
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,7 @@ class DsssErrors(ErrorRate):
 
     def payload(self, size_bytes: int) -> tuple[ErrorRate, int]:
         """Rate x the time behind the preamble, whole microseconds."""
-        return self, round(self.rate_bps * (Dsss(rate_bps=self.rate_bps).air_time_ns(size_bytes) - 192 * US) / 1e9)
+        return self, Dsss(rate_bps=self.rate_bps).payload_bits(size_bytes)
 
     @property
     def header(self) -> tuple[ErrorRate, int]:

@@ -9,7 +9,10 @@ import numpy as np
 from vcmvsp.cosim.types import Decibels
 from vcmvsp.netsim.interfaces.layers import US, Floats
 from vcmvsp.netsim.phy.error_rate import ErrorRate, hazard_of
+from vcmvsp.netsim.phy.fragments import over_frames
 from vcmvsp.netsim.phy.noise import ThermalNoise
+
+LARGEST_BYTES = 127 - 11  # payload of a frame
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,7 @@ class Ieee802154:
 
     def air_time_ns(self, size_bytes: int) -> int:
         """(6 + 11 + payload) x 32 us, of each frame that the message needs, and the spaces between them."""
-        frames = max(1, -(-size_bytes // (127 - 11)))
-        return ((size_bytes + frames * (6 + 11)) * 32 + (frames - 1) * 640) * US
+        return over_frames(size_bytes, LARGEST_BYTES, lambda size: (6 + 11 + size) * 32, 640) * US
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,7 @@ class OqpskErrors(ErrorRate):
 
     def payload(self, size_bytes: int) -> tuple[ErrorRate, int]:
         """250 kbit/s x the air time of all its frames: preamble, delimiter and length have to survive too."""
-        frames = max(1, -(-size_bytes // (127 - 11)))
-        return self, 8 * (size_bytes + frames * (6 + 11))
+        return self, over_frames(size_bytes, LARGEST_BYTES, lambda size: 8 * (6 + 11 + size))
 
     @property
     def header(self) -> tuple[ErrorRate, int]:

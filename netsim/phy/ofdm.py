@@ -24,6 +24,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Decibels
 from vcmvsp.netsim.interfaces.layers import US, BitRate, Floats
 from vcmvsp.netsim.phy.error_rate import ErrorRate, erfc, hazard_of
+from vcmvsp.netsim.phy.fragments import LARGEST_MSDU_BYTES, over_frames
 from vcmvsp.netsim.phy.noise import ThermalNoise
 
 # Modulation points M and code rate of each bit rate (IEEE 802.11-2016, table 17-4).
@@ -74,7 +75,8 @@ class Ofdm:
 
     Air time (IEEE 802.11-2016, 17.4.3 and 18.5.3): preamble and header 20 us, then symbols of 4 us with 16 bits of service, the
     PSDU and 6 bits of tail, the last one filled up; at 2.4 GHz 6 us of silence end it (signal extension). The PSDU is the
-    payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8.
+    payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8. An MSDU has 2304 bytes at most, 2296 of payload: a longer
+    message crosses as several frames, SIFS (10 us, at 5 GHz 16) apart, and is received or lost as one.
 
     Power, sensitivity and noise are those of ns-3.44, as for `netsim.phy.dsss.Dsss`: 16.0206 dBm, and -82 dBm for every
     rate. The standard asks for -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here the packet errors of ``error_model``
@@ -105,12 +107,13 @@ class Ofdm:
         return OfdmErrors(self.rate_bps, self.band, self.error_model)
 
     def air_time_ns(self, size_bytes: int) -> int:
-        """20 us + 4 us x ceil((22 + 8 PSDU) / (4 us x rate)), + 6 us at 2.4 GHz."""
-        return 20 * US + self._payload_us(size_bytes) * US
+        """20 us + 4 us x ceil((22 + 8 PSDU) / (4 us x rate)), + 6 us at 2.4 GHz; of all frames, with the spaces between."""
+        sifs_us = 10 if self.band == "2.4GHz" else 16
+        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: 20 + self._payload_us(size), sifs_us) * US
 
     def payload_bits(self, size_bytes: int) -> int:
         """Rate x the time behind preamble and header: these bits an error rate counts, filling and extension included."""
-        return int(self.rate_bps) // 1_000_000 * self._payload_us(size_bytes)
+        return int(self.rate_bps) // 1_000_000 * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_us)
 
     def _payload_us(self, size_bytes: int) -> int:
         bits = 22 + 8 * (size_bytes + 36)

@@ -17,9 +17,9 @@ import msgspec
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.rng import stream
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Message, Reception, Routed
 from vcmvsp.netsim.channel.datagrams import Carried, received
-from vcmvsp.netsim.channel.reception import UNDER_WAY
 from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, Router, Telling
 
 Put = Callable[[int, Message, int], tuple[int, list[FrameReport]]]

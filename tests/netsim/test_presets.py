@@ -20,6 +20,17 @@ def test_loss_and_delay_can_be_set_without_naming_a_kind(name: str) -> None:
     assert send(make_channel(name, delay={"seconds": 0.1}), 5.0).received_ns.tolist() == [100_000_000]
 
 
+@pytest.mark.parametrize("kinds", [("none", "script"), ("script", "none"), ("script",)])
+def test_the_only_kind_of_a_layer_need_not_be_named_wherever_it_stands(
+    kinds: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = {kind: builtin_kinds.KINDS["script"][kind] for kind in kinds}
+    monkeypatch.setattr(builtin_kinds, "KINDS", {**builtin_kinds.KINDS, "script": listed})
+    assert send(
+        make_channel("ideal", vehicles=["car0", "car1"], script={"changes": [{"from_s": 0.0, "to_s": 1.0, "loss": 1.0}]}), 5.0
+    ).outcome == ("scripted outage",)
+
+
 def test_a_preset_is_the_callers_own() -> None:
     preset("wss")["path_loss"]["exponent"] = 9.0
     assert preset("wss")["path_loss"]["exponent"] == 1.0

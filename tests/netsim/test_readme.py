@@ -12,10 +12,11 @@ from vcmvsp import netsim
 from vcmvsp.cosim.assembly import radio
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.testing import check_channel
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.link_budget import Hearing
-from vcmvsp.netsim.channel.reception import UNDER_WAY, Outcomes
+from vcmvsp.netsim.channel.reception import Outcomes
 from vcmvsp.netsim.channel.runtime_changes import Outages
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.delivery import Delivery

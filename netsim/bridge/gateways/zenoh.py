@@ -7,7 +7,6 @@ Queries, liveliness, and keys in which a part begins with ``@`` do not cross; ne
 
 import asyncio
 import contextlib
-import re
 import threading
 import time
 from collections import Counter
@@ -19,6 +18,7 @@ import msgspec
 import zenoh
 from zenoh.handlers import Callback
 
+from vcmvsp.cosim.endpoints import endpoint_of
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport import access_control, endpoints
 from vcmvsp.cosim.transport.zenoh_session import opened
@@ -53,8 +53,6 @@ what is for it, until it takes something again."""
 
 TOO_LONG = "longer than max_bytes"
 NO_ROOM = "dropped: more than the run deals with"
-
-_ENDPOINT = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#\s]+):(\d{1,5})")
 
 
 class Publication(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -162,13 +160,13 @@ class ZenohDoor:
         return found
 
     def _allowed(self, name: str, endpoint: str) -> str:
-        parts = _ENDPOINT.fullmatch(endpoint)
-        if not parts or not 0 < int(parts[2]) <= HIGHEST:
+        found = endpoint_of(endpoint)
+        if not found or found.protocol != "tcp" or not found.host or not found.port:
             raise ValueError(f"listen: '{endpoint}' of {name} must be tcp/HOST:PORT")
-        if not self._insecure and not endpoints.is_loopback(parts[1].strip("[]")):
+        if not self._insecure and not endpoints.is_loopback(found.host):
             problem = f"listen: {endpoint} of {name} lets in everybody who can reach that address"
             raise ValueError(f"{problem}: listen at 127.0.0.1 and come through ssh -L, or add insecure = true")
-        return endpoint
+        return str(found)
 
     def _on_sample(self, row: int, sample: zenoh.Sample) -> None:
         """In a thread of Zenoh's."""

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.config import binding, registry
-from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
 from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import Door, DoorError
@@ -27,7 +27,7 @@ from vcmvsp.netsim.bridge.process.datagram_store import Store
 from vcmvsp.netsim.bridge.process.gateway_context import OpenHall
 from vcmvsp.netsim.bridge.process.pacer import Delivery, Pacer
 
-OPENING_S = 10.0  # from the start to being told what to open
+OPENING_S = 60.0  # from the start to being told what to open
 CLOSE_S = 3.0  # for a door to close, or for last words,
 VEHICLE_S = 0.02  # and more for each vehicle
 RETRY_S = 0.001  # between two attempts to say something to a run that does not read
@@ -39,8 +39,8 @@ COUNTED_MOST = 100  # vehicles in a message
 class Process:
     """What the process does between its first word and its last."""
 
-    def __init__(self, link: Link, loop: asyncio.AbstractEventLoop) -> None:
-        self._link, self._loop = link, loop
+    def __init__(self, link: Link, loop: asyncio.AbstractEventLoop, *, wary: bool = False) -> None:
+        self._link, self._loop, self._wary = link, loop, wary
         self._over: asyncio.Future[str] = loop.create_future()  # why it ends; empty: it is to
         self._doors: list[tuple[str, Door]] = []
         self._begun: list[tuple[str, Door]] = []  # those that are open, or were to be
@@ -85,6 +85,8 @@ class Process:
         received = self._link.receive()
         if not received or not isinstance(opening := messages.downs.decode(received[0]), messages.Opening):
             raise DoorError("nobody told the bridge's process what to open: it is started by runs")
+        if self._wary:
+            _check(opening)
         self._store = Store(len(opening.vehicles), payloads=opening.payloads)
         self._hall = OpenHall(
             opening.run, opening.vehicles, self._loop, self._store, news=self._on_news, wanted=self._on_wanted
@@ -286,6 +288,18 @@ class Process:
         self._link.close()
 
 
+def _check(opening: messages.Opening) -> None:
+    """Refuse code that a run names, and names that lead elsewhere as files, to a process with root's rights."""
+    for spec in opening.doors:
+        if ":" in spec.kind:
+            raise DoorError(
+                f"bridge.{spec.name}: {spec.kind} would have root's rights: with sudo, only built-in doors are opened"
+            )
+    for name in (opening.run, *opening.vehicles):
+        if "/" in name or name in (".", ".."):
+            raise DoorError(f"'{name}': no network can have such a name")
+
+
 def _built(spec: messages.DoorSpec, folder: Path) -> Door:
     kind = registry.find("door", spec.kind, folder=folder, key=f"bridge.{spec.name}.kind")
     door: Door = binding.call(kind, spec.params, key=f"bridge.{spec.name}")
@@ -293,4 +307,4 @@ def _built(spec: messages.DoorSpec, folder: Path) -> Door:
 
 
 def _words(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}{place_of(error)}"
+    return f"{words_of(error)}{place_of(error)}"

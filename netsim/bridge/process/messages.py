@@ -11,6 +11,7 @@ import numpy as np
 from vcmvsp.cosim.types import Array, Traffic, Value, frozen
 from vcmvsp.cosim.util.codec import Decoder
 
+WARY = "wary"  # argument of a process that has more rights than the run, which therefore may not name code
 MOST_DUE = 5000  # deliveries in a message, and numbers of those that are settled
 MOST_LEVELS = 10_000  # in a message, if no row alone is longer
 

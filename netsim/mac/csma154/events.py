@@ -190,9 +190,11 @@ class Network:
 
     def _answer(self, now_ns: int, radio: Radio) -> Flight:
         assert radio.answers is not None  # noqa: S101 -- it does answer
-        sender = self._radios[radio.answers[0]]
+        sender, power_mw = self._radios[radio.answers[0]], self._levels[radio.row].copy()
+        if sender.frame is not None and sender.frame.number == radio.answers[1] and sender.frame.answer is not None:
+            power_mw[sender.row] *= sender.frame.answer(now_ns)
         luck = np.full(len(self._radios), sender.luck())
-        return Flight(radio.row, now_ns, now_ns + ACK_NS, self._levels[radio.row], luck, ACK_BITS)
+        return Flight(radio.row, now_ns, now_ns + ACK_NS, power_mw, luck, ACK_BITS)
 
     def _landed(self, now_ns: int, radio: Radio) -> None:
         flight = radio.flight

@@ -149,6 +149,7 @@ def start(s: State, rules: Rules, i: int, now: int) -> bool:
     if s.attempts[f] == 0 and s.row[f] != NOBODY:
         copy(s.levels[s.row[f]], s.level[i])
         copy(s.patiences[f], s.patience[i])
+        s.answer[i] = 1.0
     elif s.placed[i] != f:
         s.counts[WANTED] = f
         return False
@@ -175,10 +176,10 @@ def send(s: State, rules: Rules, i: int, now: int, air_ns: int) -> None:
 
 
 def acknowledge(s: State, rules: Rules, i: int, now: int) -> None:
-    """Radio i answers a unicast frame: over the way that it came, and elsewhere as strong as what it sent last."""
+    """Radio i answers a unicast frame: over the way that it came, faded anew, and elsewhere as strong as what it sent last."""
     f = s.acked[i]
     back = s.sender[f]
-    answer = s.level[back, i] * (s.power_mw[i] / s.power_mw[back])
+    answer = s.level[back, i] * (s.power_mw[i] / s.power_mw[back]) * s.answer[back]
     copy(s.heard[i], s.level[i])
     s.level[i, back] = answer
     s.patience[i] = s.doubt[i, draw(s, i)]

@@ -11,7 +11,7 @@ import numpy as np
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys
 from vcmvsp.netsim.interfaces.link_draws import BACKOFF_SLOT
-from vcmvsp.netsim.interfaces.medium import Codes, Decided, Offered, Renew
+from vcmvsp.netsim.interfaces.medium import Answer, Codes, Decided, Offered, Renew
 from vcmvsp.netsim.mac.dcf import events
 from vcmvsp.netsim.mac.dcf.batch import Batch
 from vcmvsp.netsim.mac.dcf.events import DRAWS, LEVELS, OUTPUT
@@ -81,7 +81,7 @@ class DcfMedium:
         self._free = free_numbers(0, len(self._state.behind))  # places of frames
         self._levels = Levels(self._state.levels)
         self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
-        self._renew: dict[int, Renew] = {}  # by their places
+        self._renew: dict[int, tuple[Renew, Answer | None]] = {}  # by their places
         self._undecided = 0
         self._sizes: dict[int, tuple[int, int, int]] = {}  # air time, bits and curve of frames
         self._decided: list[Batch] = []  # and not yet handed out
@@ -128,7 +128,7 @@ class DcfMedium:
         if frame.power_mw is not None and frame.patience is not None:
             row = self._levels.keep(frame.power_mw)
             self._state.patiences[place] = frame.patience
-        self._renew[place] = frame.renew
+        self._renew[place] = frame.renew, frame.answer
         self._put(place, frame.number, frame.time_ns, frame.sender, frame.size_bytes, row)
         self._state.to[place], self._state.priority[place] = frame.to, frame.priority
         self._arrive(place, 1, frame.time_ns)
@@ -238,8 +238,9 @@ class DcfMedium:
     def _ask(self) -> None:
         s = self._state
         place = int(s.counts[WANTED])
-        i = int(s.sender[place])
-        s.level[i], s.patience[i] = self._renew[place](int(s.attempts[place]), int(s.due[i]))
+        i, (renew, answer) = int(s.sender[place]), self._renew[place]
+        s.level[i], s.patience[i] = renew(int(s.attempts[place]), int(s.due[i]))
+        s.answer[i] = 1.0 if answer is None else answer(int(s.due[i] + s.air_ns[place]) + self._rules.sifs_ns)
         s.placed[i] = place
 
     def _draw(self) -> None:

@@ -111,6 +111,7 @@ class State(NamedTuple):
     # ... at each radio, (n, n)
     level: Floats  # mW
     heard: Floats  # mW, of acknowledgements
+    answer: Floats  # (n,) fading of the acknowledgement to each radio over that of its data frame, a ratio
     patience: Floats
     hazard: Floats
     least: Floats  # SINR
@@ -200,6 +201,7 @@ def new_state(
         air=ints(NOBODY),
         level=floats(n, n),
         heard=floats(n, n),
+        answer=np.ones(n),
         patience=floats(n, n),
         hazard=floats(n, n),
         least=floats(n, n),

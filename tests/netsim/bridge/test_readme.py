@@ -54,8 +54,8 @@ def test_the_worked_example(tmp_path: Path) -> None:
     try:
         lines = [run.stderr.readline() for _ in range(2)] if run.stderr else []  # from then on its ports are there
         started.append(ask := start("ask.py", stdout=subprocess.PIPE))
-        said = ask.communicate(timeout=60.0)[0].splitlines()
-        _, rest = run.communicate(timeout=60.0)
+        said = ask.communicate(timeout=500)[0].splitlines()
+        _, rest = run.communicate(timeout=500)
     finally:
         for process in started:
             process.kill()

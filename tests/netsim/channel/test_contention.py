@@ -1,22 +1,25 @@
 """Contention through the channel: messages in, reports out, whatever the mac."""
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import ks_2samp
 
 from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Message, Reception, States
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.reception import UNDER_WAY
 from vcmvsp.netsim.federate import RadioFederate
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.interfaces.layers import Floats, Phy
+from vcmvsp.netsim.interfaces.layers import Draw, Fading, Floats, Frame, Phy
+from vcmvsp.netsim.interfaces.medium import Decided, Offered
 from vcmvsp.netsim.interfaces.radio import Radio
 from vcmvsp.netsim.mac.csma154.parameters import Csma154
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
@@ -24,6 +27,7 @@ from vcmvsp.netsim.mac.ideal import Mac
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 from vcmvsp.netsim.phy.ofdm import Ofdm
+from vcmvsp.netsim.propagation.fading import Nakagami, Rayleigh, Rician
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 MS = 1_000_000
@@ -111,6 +115,92 @@ def test_who_answers_with_little_power_is_not_heard(phy: Phy, mac: Mac, power_db
     assert first.outcome == second.outcome == ("received",)
     started_ns = [int(each.received_ns[0]) - each.air_time_ns for each in (first, second)]
     assert (started_ns[1] - started_ns[0] > 4 * first.air_time_ns) == (power_dbm is not None)
+
+
+class Fade:
+    """100 dB for whatever begins in a time, ns; for nothing unless set."""
+
+    during_ns = range(0)
+
+    def gain_db(self, frame: Frame, draw: Draw) -> Floats:
+        return np.full(len(frame.paths.distance_m), -100.0 if frame.start_ns in self.during_ns else 0.0)
+
+
+@pytest.mark.parametrize(("phy", "mac", "pause_us"), [(Dsss(), Dcf(), 20), (Ofdm(), Dcf(), 20), (Ieee802154(), Csma154(), 200)])
+def test_an_acknowledgement_fades_at_its_own_time(phy: Phy, mac: Mac, pause_us: int) -> None:
+    """The data have arrived; where the channel fades just behind them, they are sent again before the next frame goes."""
+    fading, pauses = Fade(), []
+    for fades in (False, True):
+        channel = Channel(phy=phy, mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), fading=fading)
+        for _ in range(2):
+            channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=80, to="car1"), NAMES[:2], PLACES[:2])
+        first, second = channel.advance(10**10)
+        assert first.outcome == second.outcome == ("received",)
+        end_ns = int(first.received_ns[0])
+        fading.during_ns = range(end_ns, end_ns + pause_us * 1000)
+        pauses.append(int(second.received_ns[0]) - second.air_time_ns - end_ns)
+        assert (pauses[-1] > first.air_time_ns) == fades
+
+
+class Catch:
+    """A medium, and the mac that opens it, on which nothing is ever sent."""
+
+    def __init__(self) -> None:
+        self.offered: list[Offered] = []
+
+    def open(self, *_: Any) -> "Catch":
+        return self
+
+    def expect(self, frames: int) -> None:
+        pass
+
+    def offer(self, frame: Offered) -> None:
+        self.offered.append(frame)
+
+    def advance(self, until_ns: int) -> list[Decided]:
+        return []
+
+    def next_ns(self) -> int | None:
+        return None
+
+
+def gains(fading: Fading) -> tuple[Floats, Floats]:
+    """Of 2000 frames and of their acknowledgements 1 ms later, over the mean."""
+    mac = Catch()
+    channel = Channel(phy=Dsss(), mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), fading=fading)
+    data, answers = [], []
+    for k in range(2000):
+        channel.send(k * MS, Message(sender="car0", body={}, size_bytes=80, to="car2"), NAMES[:3], PLACES[:3])
+        channel.advance(k * MS)
+        frame = mac.offered[-1]
+        assert frame.answer is not None
+        data.append(frame.renew(0, k * MS)[0][2])
+        answers.append(data[-1] * frame.answer((k + 1) * MS))
+    return np.array(data) / np.mean(data), np.array(answers) / np.mean(data)
+
+
+@pytest.mark.parametrize("fading", [Rayleigh(), Nakagami(1.5), Rician(2.0)], ids=str)
+def test_without_doppler_an_acknowledgement_fades_independently(fading: Fading) -> None:
+    data, answers = gains(fading)
+    assert abs(np.corrcoef(data, answers)[0, 1]) < 4.5 / math.sqrt(len(data))
+    for gain in (data, answers):
+        assert abs(gain.mean() - 1.0) < 4.5 * math.sqrt((gain.var() + data.var()) / len(data))
+    assert ks_2samp(data, answers).pvalue > 1e-5
+
+
+@pytest.mark.parametrize("kind", [Rayleigh, Nakagami, Rician])
+def test_with_doppler_it_meets_the_channel_as_it_is_then(kind: Any) -> None:
+    """A millisecond later: what the next frame meets."""
+    data, answers = gains(kind(doppler_hz=50.0))
+    assert answers[:-1] == pytest.approx(data[1:])
+
+
+def test_where_nothing_fades_an_acknowledgement_is_as_strong_as_the_frame() -> None:
+    mac = Catch()
+    channel = Channel(phy=Dsss(), mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay())
+    channel.send(0, Message(sender="car0", body={}, size_bytes=80, to="car1"), NAMES[:2], PLACES[:2])
+    channel.advance(0)
+    assert mac.offered[0].answer is None
 
 
 def test_what_the_end_cuts_off_is_reported_as_under_way() -> None:

@@ -45,7 +45,7 @@ def reports(channel: Channel | RecordedChannel, sends: Sends, places: np.ndarray
 
 
 def table(found: Sequence[FrameReport]) -> pa.Table:
-    return radio_table(found, RunFacts(scenario="test", seed=1, end_ns=10**9, vehicles=NAMES))
+    return radio_table(found, RunFacts(scenario="test", seed=1, end_ns=10**12, vehicles=NAMES))
 
 
 def saved(folder: Path, found: Sequence[FrameReport]) -> Path:

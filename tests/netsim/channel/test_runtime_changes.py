@@ -185,6 +185,14 @@ def test_it_makes_no_difference_when_the_radio_hears_of_it(
     assert encode(fates(radio(preset, mac), events, asked=False)) == encode(whole)  # not even when it would like to
 
 
+def test_layers_go_by_their_names_in_whatever_order_they_stand() -> None:
+    channel = make_channel("ideal", loss={"kind": "bernoulli", "probability": 1.0})
+    channel.operated.layers = dict(reversed(list(channel.operated.layers.items())))
+    channel.change("radio.delay.seconds", 0.5)
+    (report,) = channel.send(0, Message(sender="a", body=b"", size_bytes=100), ("a", "b"), np.zeros((2, 3)))
+    assert report.outcome == ("random loss",)
+
+
 def test_a_new_start_forgets_what_was_done() -> None:
     offers = [(k * 1000, "car1", None) for k in range(50)]
     used, told = radio(), [outage(0, 20 * MS, "car1"), changed(0, "radio.loss.probability", 1.0)]

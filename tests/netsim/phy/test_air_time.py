@@ -10,6 +10,7 @@ from vcmvsp.netsim.interfaces.layers import Phy
 from vcmvsp.netsim.phy.constant_rate import ConstantRate
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154
+from vcmvsp.netsim.phy.ofdm import Ofdm
 
 PHYS: list[Phy] = [ConstantRate(), ConstantRate(rate_bps=54e6, overhead_s=20e-6), Dsss(), Dsss(rate_bps=5.5e6), Ieee802154()]
 
@@ -45,6 +46,18 @@ def test_802_15_4_splits_what_does_not_fit() -> None:
     phy = Ieee802154()
     assert phy.air_time_ns(117) == phy.air_time_ns(116) + 640_000 + phy.air_time_ns(1)
     assert phy.air_time_ns(1500) == 12 * (phy.air_time_ns(116) + 640_000) + phy.air_time_ns(1500 - 12 * 116)
+
+
+@pytest.mark.parametrize(
+    ("phy", "sifs_us"), [(Dsss(1e6), 10), (Dsss(11e6), 10), (Ofdm(6e6), 10), (Ofdm(54e6), 10), (Ofdm(6e6, "5GHz"), 16)]
+)
+def test_802_11_splits_what_does_not_fit_into_an_msdu(phy: Dsss | Ofdm, sifs_us: int) -> None:
+    """An MSDU has 2304 bytes, of which LLC and SNAP take 8."""
+    full_ns = phy.air_time_ns(2296) + sifs_us * 1000
+    assert phy.air_time_ns(2297) == full_ns + phy.air_time_ns(1)
+    assert phy.air_time_ns(14_622) == 6 * full_ns + phy.air_time_ns(14_622 - 6 * 2296)
+    bits = [phy.errors.payload(size)[1] for size in (2296, 14_622 - 6 * 2296, 14_622)]
+    assert bits[2] == 6 * bits[0] + bits[1]
 
 
 def test_constant_rate_air_time() -> None:

@@ -35,7 +35,7 @@ def test_the_worked_example(tmp_path: Path, order: tuple[str, ...]) -> None:
             started[name] = subprocess.Popen(
                 [sys.executable, *commands[name]], cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True
             )
-        outputs = {name: process.communicate(timeout=60.0)[0] for name, process in started.items()}
+        outputs = {name: process.communicate(timeout=500)[0] for name, process in started.items()}
     finally:
         for process in started.values():
             process.kill()

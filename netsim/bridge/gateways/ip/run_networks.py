@@ -20,7 +20,9 @@ from typing import NoReturn
 import msgspec
 
 from vcmvsp.cosim.types import Value
+from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces
+from vcmvsp.netsim.bridge.gateways.ip.caller import become, caller
 from vcmvsp.netsim.bridge.gateways.ip.interfaces import Port
 
 FOLDER = Path("/run/vcmvsp-net")
@@ -150,7 +152,7 @@ def clear(run: str, *, force: bool = False) -> None:
 
 
 def run_inside(network: Network, space: Space, command: Sequence[str]) -> NoReturn:
-    """Become a program in a vehicle's namespace, where the names of all vehicles are known.
+    """Become a program in a vehicle's namespace, where the names of all vehicles are known, of the user who called sudo.
 
     Raises:
         FileNotFoundError: there is no such program.
@@ -159,6 +161,8 @@ def run_inside(network: Network, space: Space, command: Sequence[str]) -> NoRetu
     namespaces.enter(space.namespace)
     names = FOLDER / network.run / _NAMES
     namespaces.cover({HOSTS: names} if HOSTS.exists() else {})
+    if (user := caller()) is not None:
+        become(user)
     for number in (signal.SIGPIPE, signal.SIGXFSZ):  # Python has them ignored, and programs inherit that
         signal.signal(number, signal.SIG_DFL)
     os.execvp(command[0], list(command))  # noqa: S606  no shell is wanted
@@ -203,8 +207,8 @@ def _check_routes(network: Network) -> None:
 def _known(folder: Path) -> Network | None:
     """What a folder tells; None: it is nobody's any more."""
     about = Network(run=folder.name, pid=0, spaces=())  # it is about to be told, or was taken away
-    with contextlib.suppress(FileNotFoundError, msgspec.MsgspecError):
-        about = msgspec.json.decode((folder / _ABOUT).read_bytes(), type=Network)
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        about = read_json((folder / _ABOUT).read_bytes(), Network)
     try:
         lock = os.open(folder / _LOCK, os.O_RDONLY)
     except (FileNotFoundError, NotADirectoryError):

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, until
-from tests.support.netsim.vehicle_namespaces import RUN, called, heard, left_over, needs, needs_spaces, opened, space, udp
+from tests.support.netsim.vehicle_namespaces import RUN, called, heard, left_over, opened, space, udp
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
@@ -27,7 +27,7 @@ from vcmvsp.netsim.bridge.gateways.ip import interfaces, namespaces, run_network
 from vcmvsp.netsim.bridge.gateways.ip.addresses import MEMBERSHIP, NO_ADDRESS
 from vcmvsp.netsim.bridge.gateways.ip.gateway import NO_ROOM, Ip
 
-pytestmark = needs_spaces
+pytestmark = [pytest.mark.needs("ip"), pytest.mark.usefixtures("namespaces_allowed")]
 
 CARS = ("car1", "car2", "car3")
 
@@ -109,7 +109,7 @@ def test_who_only_looks_on_sends_nothing() -> None:
     asyncio.run(body())
 
 
-@needs("ping")
+@pytest.mark.needs("ping")
 @pytest.mark.parametrize("to", ["10.77.0.2", "fd77::2"])
 def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
     def number(packet: bytes) -> int:
@@ -209,7 +209,7 @@ def test_what_is_no_packet_of_ip_is_no_harm() -> None:
     asyncio.run(body())
 
 
-@needs("ping")
+@pytest.mark.needs("ping")
 def test_real_machines_join_through_a_vehicle() -> None:
     """A namespace plays a robot with cables: it stands behind car1, through the host, as a machine in the lab would."""
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.support import requirements
 from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, until
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
@@ -86,7 +87,7 @@ def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
         with program(0, host):
             pass
     except OSError as error:
-        pytest.skip(f"this machine has no {host}: {error}")
+        requirements.not_allowed(f"sockets at {host}: {error}")
     asyncio.run(trial())
 
 

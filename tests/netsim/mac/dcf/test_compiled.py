@@ -1,6 +1,5 @@
 """One core at three speeds: vectors, loops, and loops that are compiled do the same to the last bit."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +40,6 @@ def bits(state: State) -> dict[str, bytes]:
     return {name: value.tobytes() for name, value in state._asdict().items() if name not in passed_on}
 
 
-@pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
-@pytest.mark.timeout(600)  # the first time it compiles
 @pytest.mark.parametrize("seed", range(16))
 def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
     frames, phy, mac = mixed(seed, frames=300), PHYS[seed % 4], MACS[seed // 4]
@@ -51,8 +48,6 @@ def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
     assert bits(machine._state) == bits(by_numpy._state)
 
 
-@pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
-@pytest.mark.timeout(600)
 def test_compiled_many_at_once_that_are_hidden_from_each_other() -> None:
     levels = square(40, 300.0, 3.0, 1)
     frames = periodic(levels, 20.0, 1000 * MS)

@@ -1,0 +1,219 @@
+"""Layers that somebody else has written: what they must have, and what becomes of an answer that makes no sense."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.netsim.channels import make_channel, send
+from vcmvsp.cosim.config.builtin_kinds import VERBS
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.interfaces import layers as protocols
+from vcmvsp.netsim.presets import LAYERS
+
+LEVELS = ["3.0", "np.ones(7)", "np.ones((n, 1))", "np.full(n, np.nan)", "np.full(n, np.inf)", "np.full(n, '3')", "None"]
+CHOICES = ["True", "np.ones(7, bool)", "np.zeros(n)", "np.zeros(n, int)", "np.full(n, np.nan)", "None"]
+TIMES = [
+    "5",
+    "np.ones(7, int)",
+    "np.zeros(n)",
+    "np.full(n, np.inf)",
+    "np.full(n, 2**63, np.uint64)",
+    "np.ones(n, bool)",
+    "None",
+]
+ANSWERS = {  # of a layer's verbs: arguments, where n is, a good answer, bad ones
+    "path_loss.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n)", LEVELS),
+    "walls.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n)", LEVELS),
+    "shadowing.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n, int)", LEVELS),
+    "fading.gain_db": ("frame, draw", "len(frame.receivers)", "np.ones(n, np.float32)", LEVELS),
+    "script.gain_db": ("frame, draw", "len(frame.receivers)", "np.ones(n)", LEVELS),
+    "script.lost": ("frame, draw", "len(frame.receivers)", "np.zeros(n, bool)", CHOICES),
+    "script.delay_ns": ("frame, draw", "len(frame.receivers)", "np.ones(n, int)", TIMES),
+    "trace.level_dbm": ("frame", "len(frame.receivers)", "np.full(n, np.nan)", [each for each in LEVELS if "nan" not in each]),
+    "trace.lost": ("frame, draw", "len(frame.receivers)", "np.zeros(n, bool)", CHOICES),
+    "trace.delay_ns": ("frame, draw", "len(frame.receivers)", "np.ones(n, int)", TIMES),
+    "trace.traced": ("frame", "len(frame.receivers)", "np.ones(n, bool)", CHOICES),
+    "jammer.interference_mw": ("start_ns, end_ns, rx, loss_db, where", "len(rx)", "np.zeros(n)", [*LEVELS, "np.full(n, -1.0)"]),
+    "phy.air_time_ns": ("size", "0", "np.int64(size + 1)", ["0", "1e3", "np.nan", "True", "np.ones(2, int)", "None"]),
+    "mac.open": ("phy, count, keys, noise_mw", "0", "None", ["3.0", "keys"]),
+    "loss.lost": ("frame, draw", "len(frame.receivers)", "np.zeros(n, bool)", CHOICES),
+    "delay.delay_ns": ("frame, draw", "len(frame.receivers)", "np.ones(n, np.int32)", TIMES),
+    "delivery.deliver": (
+        "sender_row, rows, received_ns, size, draw",
+        "len(rows)",
+        "(received_ns, np.full(n, -1))",
+        ["received_ns", "(3, 4)", "(received_ns * 1.0, received_ns)", "(received_ns - 9, received_ns)", "None"],
+    ),
+    "delivery.open": ("count", "0", "None", []),
+}
+ATTRIBUTES = "cause = 'mine'\n    columns = ('rssi_dbm', 'loss', 'delay_s')\n    tx_power_dbm, sensitivity_dbm = 0.0, -300.0\n"
+CASES = [(key, bad) for key, (_, _, _, bads) in ANSWERS.items() for bad in bads]
+
+
+def own(folder: Path, layer: str, failing: str = "", bad: str = "None", *, calls: int = 4, attributes: str = ATTRIBUTES) -> str:
+    """A kind: an own layer whose verb ``failing`` answers ``bad`` after some calls."""
+    text = f"import numpy as np\n\n\nclass Own:\n    {attributes}    calls = 0\n"
+    for key, (arguments, count, good, _) in ANSWERS.items():
+        if key.startswith(f"{layer}."):
+            text += f"\n    def {key.partition('.')[2]}(self, {arguments}):\n        n = {count}\n"
+            if key == failing:
+                text += f"        Own.calls += 1\n        if Own.calls > {calls}:\n            return {bad}\n"
+            text += f"        return {good}\n"
+    (folder / "own.py").write_text(text)
+    return f"{folder / 'own.py'}:Own"
+
+
+def scenario(layer: str, kind: str) -> dict[str, Any]:
+    """A vehicle that drives away from two others, and tells them ten times a second where it is."""
+    driver = {"name": "car0", "kind": "p2dx", "agent": {"kind": "trajectory", "path": "straight", "speed": 0.5}}
+    others = [{"name": f"car{i}", "kind": "p2dx", "pose": [-1.0, float(i), 0.0]} for i in (1, 2)]
+    return {
+        "name": "own-layers",
+        "duration_s": 2.0,
+        "physics": {"kind": "kinematic"},
+        "radio": {layer: {"kind": kind}},
+        "vehicle": [driver, *others],
+    }
+
+
+def air(layer: str, kind: str) -> Channel:
+    changes: Any = {layer: {"kind": kind}}
+    return make_channel(**changes)
+
+
+def send_often(channel: Channel) -> None:
+    for number in range(6):
+        send(channel, 10.0 + number, 20.0, sent_ns=number * 10**8)
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_a_layer_with_its_verbs_is_enough(layer: str, tmp_path: Path) -> None:
+    send_often(air(layer, own(tmp_path, layer)))
+
+
+@pytest.mark.parametrize(("verb", "bad"), CASES)
+def test_a_wrong_answer_is_one_error_that_names_layer_and_class(verb: str, bad: str, tmp_path: Path) -> None:
+    layer, _, method = verb.partition(".")
+    with pytest.raises((FederateError, ScenarioError)) as caught:  # the latter where a channel that is built asks
+        send_often(air(layer, own(tmp_path, layer, verb, bad, calls=0 if layer == "mac" else 4)))
+    assert f"{layer} Own (own.py line 4): {method} must return " in str(caught.value)
+
+
+@pytest.mark.parametrize("verb", ANSWERS)
+def test_a_layer_that_raises_is_named_with_the_line(verb: str, tmp_path: Path) -> None:
+    layer, _, method = verb.partition(".")
+    kind = own(tmp_path, layer, verb, "[][0]", calls=0)
+    line = next(k for k, text in enumerate((tmp_path / "own.py").read_text().splitlines(), 1) if "[][0]" in text)
+    with pytest.raises((FederateError, ScenarioError)) as caught:
+        send_often(air(layer, kind))
+    problem = f"IndexError: list index out of range (own.py line {line}, in {method})"
+    assert f"{layer} Own (own.py line 4): {problem}" in str(caught.value)
+
+
+@pytest.mark.parametrize("verb", ["path_loss.loss_db", "fading.gain_db", "loss.lost", "delay.delay_ns", "phy.air_time_ns"])
+def test_the_recording_until_a_wrong_answer_is_whole(verb: str, tmp_path: Path) -> None:
+    layer, bad = verb.partition(".")[0], ANSWERS[verb][3][0]
+    with pytest.raises(FederateError, match=rf"radio: {layer} Own \(own.py line 4\)") as caught:
+        vcmvsp.run(scenario(layer, own(tmp_path, layer, verb, bad)), out=tmp_path / "out")
+    assert caught.value.exit_code == 3
+    assert pq.read_table(tmp_path / "out" / "radio.parquet").num_rows == 2 * 4  # four frames, each to two vehicles
+    assert (tmp_path / "out" / "run.mcap").stat().st_size
+    done = vcmvsp_command("radio", str(tmp_path / "out"))
+    assert (done.code, done.err) == (0, "")
+
+
+@pytest.mark.parametrize("layer", ["loss", "script", "trace", "delivery"])
+@pytest.mark.parametrize("cause", ["", "cause = 'received'", "cause = 'under way'", "cause = ''", "cause = 3", "cause = None"])
+def test_what_loses_frames_must_have_a_cause_of_its_own(layer: str, cause: str, tmp_path: Path) -> None:
+    rest = "columns = ('loss',)\n"
+    kind = own(tmp_path, layer, attributes=f"{cause or 'pass'}\n    {rest}")
+    with pytest.raises(ScenarioError, match=rf"radio\.{layer}: {layer} Own \(own.py line 4\): (has no )?cause") as caught:
+        air(layer, kind)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("name", ["tx_power_dbm", "sensitivity_dbm", "noise_dbm", "preamble_snr_db", "errors"])
+@pytest.mark.parametrize("value", ["'3'", "float('nan')", "property(lambda self: [][0])"])
+def test_what_a_phy_says_of_itself_is_checked(name: str, value: str, tmp_path: Path) -> None:
+    kind = own(tmp_path, "phy", attributes=f"{ATTRIBUTES}    {name} = {value}\n")
+    with pytest.raises(ScenarioError, match=rf"radio\.phy: phy Own \(own.py line 4\): {name}"):
+        air("phy", kind)
+
+
+@pytest.mark.parametrize("layer", ["script", "trace", "jammer", "delivery"])
+def test_a_class_without_one_of_its_verbs_is_refused(layer: str, tmp_path: Path) -> None:
+    kind = own(tmp_path, layer)
+    for verb in re.findall(r"(\w+)\(", VERBS[layer]):
+        text = (tmp_path / "own.py").read_text()
+        (tmp_path / "own.py").write_text(text.replace(f"def {verb}(", "def other("))
+        with pytest.raises(ScenarioError, match=rf"is no {layer}: it has no {verb}\("):
+            air(layer, kind)
+        (tmp_path / "own.py").write_text(text)
+
+
+def test_a_medium_of_a_users_own_is_named_too(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "class Air:\n"
+        "    def expect(self, frames): pass\n"
+        "    def offer(self, frame): pass\n"
+        "    def advance(self, until_ns): return [3]\n"
+        "    def next_ns(self): return 1 / 0\n\n"
+        "class Own:\n"
+        "    def open(self, phy, count, keys, noise_mw): return Air()\n"
+    )
+    channel = air("mac", f"{tmp_path / 'own.py'}:Own")
+    message = vcmvsp.Message(sender="car0", body={}, size_bytes=9)
+    channel.send(0, message, ("car0", "car1"), np.zeros((2, 3)))
+    with pytest.raises(FederateError, match=r"mac Air \(own.py line 1\): ZeroDivisionError: .* \(own.py line 5, in next_ns\)"):
+        channel.next_ns()
+    with pytest.raises(FederateError, match=r"mac Air \(own.py line 1\): advance must return a list of Decided, not \[3\]"):
+        channel.advance(1)
+
+
+def test_answers_by_draws_are_checked(tmp_path: Path) -> None:
+    text = "class Own:\n    cause = 'mine'\n    lost = None\n    def lost(self, frame, draw): pass\n"
+    (tmp_path / "own.py").write_text(text + "    def lost_by(self, draws): return draws[..., 0]\n")
+    with pytest.raises(FederateError, match=r"loss Own \(own.py line 1\): lost_by must return an array of booleans"):
+        send_often(air("loss", f"{tmp_path / 'own.py'}:Own"))
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_commands_have_no_traceback_for_own_layers(layer: str, tmp_path: Path) -> None:
+    kind = own(tmp_path, layer, f"{layer}.loss_db", "3.0", calls=0, attributes="pass\n")
+    (tmp_path / "s.toml").write_text(
+        f"name = 's'\nduration_s = 1.0\n[physics]\nkind = 'kinematic'\n[radio.{layer}]\nkind = '{kind}'\n"
+        "[[vehicle]]\nname = 'car1'\nkind = 'p2dx'\n"
+    )
+    for command in (
+        ["check", str(tmp_path / "s.toml")],
+        ["pathloss", "--preset", "ideal", "--distance", "1:9:4", "--set", f"{layer}.kind={kind}"],
+    ):
+        done = vcmvsp_command(*command)
+        assert done.code in (0, 2, 3)
+        assert done.err.count("\n") <= 1, done.err
+        assert "Own" in done.err or done.code == 0
+
+
+def test_the_mean_levels_of_an_own_path_loss_are_checked(tmp_path: Path) -> None:
+    kind = own(tmp_path, "path_loss", "path_loss.loss_db", "3.0", calls=0)
+    done = vcmvsp_command("pathloss", "--preset", "ideal", "--distance", "1:9:4", "--set", f"path_loss.kind={kind}")
+    assert (done.code, done.out) == (3, "")
+    assert "path_loss Own (own.py line 4): loss_db must return an array" in done.err
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_every_verb_is_in_the_table_of_layers(layer: str) -> None:
+    table = re.sub(r"\s+", " ", protocols.__doc__ or "")
+    for verb in re.findall(r"(\w+)\(", VERBS[layer]):
+        assert layer in table
+        assert f"{verb}(" in table
+    assert {key.partition(".")[2] for key in ANSWERS if key.startswith(f"{layer}.")} == set(
+        re.findall(r"(\w+)\(", VERBS[layer])
+    )
