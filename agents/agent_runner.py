@@ -8,11 +8,11 @@ from typing import Any
 
 import msgspec
 
-from vcmvsp.agents.factory import Kinds, build
+from vcmvsp.agents.factory import Kinds, build, files_of
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.config import binding, messages
-from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of
+from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of, words_of
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.hosts.lost_agent import Absence
 from vcmvsp.cosim.types import Follows, Note, Period, Readings, Reception, VehicleState, Velocity, Waypoint
@@ -63,6 +63,7 @@ class Seat:
             known=tuple(binding.parameters(type(self.agent))),
             taken=taken,
             sensors=tuple(wanted or ()),
+            files=files_of(type(self.agent), params),
         )
         self._state: VehicleState | None = None
         self._readings = Readings()
@@ -158,8 +159,9 @@ class Seat:
             self._heard.clear()
         try:
             command = agent.act(seen, radio)
-        except KeyboardInterrupt:
-            raise
+        except KeyboardInterrupt as error:
+            about = f" in agent {self.spec.kind} of vehicle {self.vehicle}{place_of(error)}"
+            raise KeyboardInterrupt(about) from error
         except BaseException as error:  # as in `guarded`, a call less
             raise self._failure(error) from error
         if command is not None:
@@ -226,7 +228,7 @@ class Seat:
 
     def _failure(self, error: BaseException) -> AgentError:
         """What an agent raised, as an error that names agent, vehicle, and the line."""
-        cause = f"raised {type(error).__name__}: {error}{place_of(error)}"
+        cause = f"raised {words_of(error)}{place_of(error)}"
         return self._error(cause, details="".join(traceback.format_exception(error)))
 
     def _error(self, cause: str, *, details: str = "") -> AgentError:

@@ -26,9 +26,20 @@ class Kinds:
 
 
 def check_acts(kind: Any, name: str, key: str, source: str = "") -> None:
-    """Refuse a class without an `act` of its own."""
+    """Refuse what is no class of agents, or one without an `act` of its own."""
+    if not (isinstance(kind, type) and issubclass(kind, Agent)):
+        raise ScenarioError(
+            f"'{name}' is not derived from vcmvsp.Agent: write class {kind.__name__}(Agent)", key=key, source=source
+        )
     if kind.act is Agent.act:
         raise ScenarioError(f"'{name}' has no act(obs, radio) of its own", key=key, source=source)
+
+
+def files_of(kind: Any, params: Mapping[str, Any]) -> tuple[str, ...]:
+    """The files that parameters of an agent name, as they are written."""
+    names: dict[str, None] = {}
+    binding.with_files(kind, params, lambda name: str(names.setdefault(name)))
+    return tuple(names)
 
 
 def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[str, ...]]:
@@ -44,9 +55,10 @@ def build(spec: AgentSpec, kinds: Kinds) -> tuple[Agent, dict[str, Any], tuple[s
         for name, kept in spec.replaced.items()
         if name in params and name in known
     }
+    located = binding.with_files(kind, params, lambda name: str(registry.located(name, Path(spec.folder))))
     try:
         with registry.looking_in(Path(spec.folder)):
-            agent: Agent = binding.call(kind, params, key=key, origin=origin, also=binding.parameters(AgentTable))
+            agent: Agent = binding.call(kind, located, key=key, origin=origin, also=binding.parameters(AgentTable))
     except ScenarioError as error:
         name = error.key.removeprefix(f"{key}.")
         shared = name.partition(".")[0] in taken  # the first chunk: what is wrong may be inside a table

@@ -1,6 +1,7 @@
 """A process that hosts agents: started by a run (``runs = "process"``) or by hand (``vcmvsp agent``)."""
 
 import argparse
+import contextlib
 import io
 import os
 import re
@@ -8,19 +9,21 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from vcmvsp.agents.factory import check_acts
 from vcmvsp.agents.federate import AgentHost
-from vcmvsp.cosim.config import binding
+from vcmvsp.cosim.config import binding, registry, user_classes
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.hosts.host_client import serve
 from vcmvsp.cosim.hosts.protocol import PROTOCOL, Hello
 from vcmvsp.cosim.hosts.server import Desk
 from vcmvsp.cosim.scenario.schema import AgentTable
+from vcmvsp.cosim.transport import local_secret
 from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
 GRACE_S = 0.2
@@ -31,11 +34,13 @@ def host(
     vehicles: tuple[str, ...],
     *,
     kind: str | None = None,
-    folder: str = "",
+    allow: Iterable[str] = (),
+    code_folder: Path | None = None,
     params: dict[str, Any] | None = None,
     token: str = "",
     keys: Path | None = None,
     insecure: bool = False,
+    secret: Path | None = None,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Serve the agents of these vehicles to the run at ``endpoint`` until it ends; the answer is why it ended.
@@ -43,12 +48,14 @@ def host(
     Args:
         endpoint: Zenoh endpoint of the run, e.g. ``tcp/127.0.0.1:7447``.
         vehicles: whose agents to run.
-        kind: the agent's class; None: what the scenario says.
-        folder: where a relative file of ``kind`` is.
+        kind: the agent's class, a file relative to the current folder; None: what the scenario says.
+        allow: other classes that the run may ask for, as modules or files.
+        code_folder: of Python files that the run may ask for by file name; None: none.
         params: parameters that win over the scenario's.
         token: proves that this host was started by the run itself, which knows it by its first vehicle.
         keys: file with the certificate of this machine.
-        insecure: do without one, although the run is on another machine.
+        insecure: do without one, although the run is on another machine or of another user.
+        secret: file with that of a run without certificates (`cosim.transport.local_secret`); None: this user's own.
         on_state: told what is being waited for.
     """
     for vehicle in vehicles:
@@ -56,6 +63,11 @@ def host(
             raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -")
     if strange := [name for name in params or {} if name in binding.parameters(AgentTable)]:
         raise UsageError(f"--set {strange[0]}: that is for the scenario to say; a host sets parameters of its agent")
+    named = user_classes.classes_in([*allow, kind, params])
+    may_load = contextlib.nullcontext() if token else user_classes.only(user_classes.HostCode(named, code_folder, on_state))
+    if kind is not None:  # its own fault is said here: the run goes on waiting
+        with user_classes.only(user_classes.HostCode(named, code_folder)):
+            check_acts(registry.find("agent", kind, key="", origin=binding.Named("vcmvsp agent")), kind, "")
     bundle = None
     if keys is not None:
         from vcmvsp.cosim.security import certificates
@@ -65,14 +77,22 @@ def host(
             on_state(warning)
         bundle.speaks_for(vehicles)
     if not token:  # whom a run has started it has also told where to dial
-        endpoint_rules(endpoint, bundle, insecure=insecure, side="host")
+        endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side="host")
 
     def hello(host_id: str) -> Hello:
-        return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=folder, params=params or {}, token=token)
+        return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=str(Path.cwd()), params=params or {}, token=token)
 
-    with threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
+    with may_load, threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
         login = (vehicles[0], token) if token else None
-        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, login=login, on_state=on_state)
+        return serve(
+            hello,
+            Desk(AgentHost),
+            endpoint,
+            bundle=bundle,
+            login=login,
+            secret=local_secret.given(secret, insecure=insecure),
+            on_state=on_state,
+        )
 
 
 def _end_with_parent(pipe: io.FileIO) -> None:

@@ -24,10 +24,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
-from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, Log, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.scenario.schema import RealVehicle
-from vcmvsp.cosim.types import Array, Halted, States, VehicleState
+from vcmvsp.cosim.types import Array, Follows, Halted, Outage, States, VehicleState
 from vcmvsp.hardware.real_vehicle import Seat
 from vcmvsp.hardware.stations import Connections
 
@@ -45,7 +45,7 @@ class Hardware:
         vehicles: what they are.
         run: name of the run.
         clock: paces the run; its times are those of the robots.
-        radius_m: of all vehicles of the run, by name.
+        radius_m: of a circle around the body of each vehicle of the run, by name.
         tell: takes lines for the user.
         log: takes what a replay needs: key, time, value.
         connect: to the robots; else they only stand where they start, as long as a scenario is being checked.
@@ -75,10 +75,19 @@ class Hardware:
         self._connections: Connections | None = None
         self._world: tuple[int, States] | None = None  # and when that was
         self._published_ns = -1
+        self._lost = set[str]()  # vehicles without which the run goes on
 
     def start(self, run: RunInfo) -> int:
-        """Connect to all robots at once; they stand still until their first command."""
-        self._needed = Needed(run)
+        """Connect to all robots at once; they stand still until their first command.
+
+        Raises:
+            ScenarioError: robots cannot keep away from a vehicle whose radius is not known.
+        """
+        for name in run.vehicles:
+            if self.names != (name,) and not 0.0 < (radius_m := self._radius_m.get(name, 0.0)) < np.inf:
+                problem = f"{name} has a radius of {radius_m:g} m: real vehicles cannot keep away from it; give its kind a hull"
+                raise ScenarioError(problem, key=f"vehicle.{name}.kind")
+        self._needed, self._end_ns = Needed(run), run.duration_ns
         if self._connect:
             driven = [seat.vehicle for seat in self._seats.values()]
             self._connections = Connections(driven, self._run, self._tell, run.periods_s)
@@ -95,15 +104,18 @@ class Hardware:
             if seat.over is not None:
                 raise seat.over
             seat.hear()
+            if seat.lost is not None and seat.vehicle.name not in self._lost:
+                events += self._go_on_without(seat.vehicle, now_ns)
         if now_ns != self._published_ns and self._needed.hits(now_ns):
             self._published_ns = now_ns
-            events = [event for seat in self._seats.values() for event in seat.publish(now_ns)]
+            events += [event for seat in self._seats.values() for event in seat.publish(now_ns)]
         elif any(seat.over for seat in self._seats.values()):  # raised at the next step, when this is recorded
-            events = [event for seat in self._seats.values() for event in seat.last_words(now_ns)]
+            events += [event for seat in self._seats.values() for event in seat.last_words(now_ns)]
         for event in events:
-            self._log(event.key, event.time_ns, event.value)
+            key = f"{event.value.vehicles[0]}/outage" if isinstance(event.value, Outage) else event.key
+            self._log(key, event.time_ns, event.value)
         for name, seat in self._seats.items():
-            seat.order(self._others(name))
+            seat.order(self._others(name), now_ns=now_ns)
         return Step(events, self._next(now_ns))
 
     def states(self, now_ns: int) -> list[VehicleState]:
@@ -134,6 +146,19 @@ class Hardware:
         else:
             self._seats[event.key.partition("/")[0]].command(event)
 
+    def _go_on_without(self, vehicle: RealVehicle, now_ns: int) -> list[Event]:
+        """End the station of a robot that is lost; a vehicle that is removed has no radio, and no place, any more."""
+        self._lost.add(vehicle.name)
+        if self._connections is not None:
+            self._connections.drop(vehicle.name)
+        if vehicle.on_lost == "hold":
+            return []
+        gone = Outage(vehicles=(vehicle.name,), until_ns=self._end_ns)
+        return [
+            Event("operator/outage", now_ns, gone),  # as if an operator had switched its radio off
+            Event(f"{vehicle.name}/follows", now_ns, Follows(leader=None)),
+        ]
+
     def _next(self, now_ns: int) -> int | None:
         needed_ns = self._needed.after(now_ns)
         return needed_ns if needed_ns is None or not self._connect else min(needed_ns, HEARTBEAT.after(now_ns))
@@ -147,5 +172,5 @@ class Hardware:
         own = world.names.index(name)
         distance = np.linalg.norm(world.position - world.position[own], axis=1)
         rows = [row for row in np.argsort(distance, kind="stable")[: MOST + 1].tolist() if row != own]
-        radii = [self._radius_m.get(world.names[row], 0.0) for row in rows]
+        radii = [self._radius_m[world.names[row]] for row in rows]
         return np.column_stack([world.position[rows] + age_s * world.velocity[rows], world.velocity[rows], radii])

@@ -11,7 +11,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.frames import Quaternion
 from vcmvsp.cosim.recording.external_inputs import REFLECTED, Input
-from vcmvsp.cosim.types import ORIGIN, Odometry, Vec3, VehicleState
+from vcmvsp.cosim.types import ORIGIN, Odometry, Outage, Vec3, VehicleState
 
 
 class Playback:
@@ -55,7 +55,7 @@ class Playback:
             if topic == REFLECTED and isinstance(value, VehicleState):
                 self._tracks[vehicle].add(time_ns, value)
             else:
-                self._recorded.append(Event(key, time_ns, value))
+                self._recorded.append(Event("operator/outage" if isinstance(value, Outage) else key, time_ns, value))
         if missing := [name for name, track in self._tracks.items() if not track.times_ns]:
             there = ", ".join(sorted({key.partition("/")[0] for key, _, _ in inputs})) or "nobody"
             raise UsageError(f"the recording does not say where {', '.join(missing)} was; it has {there}")

@@ -15,10 +15,22 @@ from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead, planar
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
 from vcmvsp.cosim.scenario.schema import RealVehicle
-from vcmvsp.cosim.types import Array, Fix, Incident, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
-from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.cosim.types import (
+    ORIGIN,
+    Array,
+    Fix,
+    Incident,
+    Measured,
+    Odometry,
+    RealStatus,
+    VehicleState,
+    Velocity,
+    Waypoint,
+)
+from vcmvsp.hardware.drivers.base import DriverError, Notice
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, Order, Report
 
+LOST = "its robot is lost"
 HALTED = "operator's halt"
 """Among the causes of a status: an intervention of the run holds the vehicle, until it lets it go."""
 KEPT_NS = 2 * SECOND_NS  # of reports: a run that is later than this on the wall clock is told of newer ones
@@ -47,6 +59,7 @@ class Seat:
         self.vehicle, self._clock = vehicle, clock
         self.station: Station | None = None  # None: not connected
         self.over: VcmvspError | None = None  # why the run is to end, once that is recorded
+        self.lost: VcmvspError | None = None  # why the run goes on without its robot
         self.halted = False  # it is to stand whatever its agent commands, until it is let go
         self._heard_ns = self._looked_ns = 0  # when the station was last heard, and asked, on the monotonic clock
         x, y, yaw = vehicle.start
@@ -54,7 +67,7 @@ class Seat:
         self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
         self._history: deque[Report] = deque()  # oldest first
         self._fresh: list[Report] = []  # heard since the last publication
-        self._command: tuple[Velocity | None, int] = (None, 0)  # and when it was given, ns of the monotonic clock
+        self._command: tuple[Velocity | None, int, int] = (None, 0, 0)  # given when: by the monotonic clock, by the run's
         self._orders, self._shown = 0, (0, self._still)
         self._asked = (-1, self._still)
 
@@ -66,14 +79,14 @@ class Seat:
             problem = "was given a Waypoint, which real vehicles do not take: send Velocity"
             raise FederateError(self.vehicle.name, problem)
         if isinstance(event.value, Velocity):
-            self._command = event.value, self._clock.monotonic_ns(event.time_ns)
+            self._command = event.value, self._clock.monotonic_ns(event.time_ns), event.time_ns
 
-    def order(self, others: Array | None, stop: str = "") -> None:
-        """Say what is wanted now: that this is said, and when, is what the station waits for."""
+    def order(self, others: Array | None, stop: str = "", *, now_ns: int | None = None) -> None:
+        """Say what is wanted now, at this time of the run: that this is said, and when, is what the station waits for."""
         if self.station is None:
             return
         self._orders += 1
-        command, given_ns = self._command
+        command, given_ns, since_ns = self._command
         if self.halted and command is not None:
             command = Velocity()  # as old as that of the agent, who must be heard all the same
         self.station.order(
@@ -82,6 +95,7 @@ class Seat:
                 sent_ns=time.monotonic_ns(),
                 command=command,
                 command_ns=given_ns if command is not None else None,
+                command_age_ns=None if command is None or now_ns is None else now_ns - since_ns,
                 others=others,
                 stop=stop,
             )
@@ -96,7 +110,7 @@ class Seat:
         try:
             reports = self.station.reports()
         except DriverError as error:
-            self.over = error
+            self._lose(error)
             return
         for report in reports:
             self._fresh.append(report)
@@ -115,9 +129,25 @@ class Seat:
         self._looked_ns = now_ns
         if now_ns - self._heard_ns > SILENT_NS:
             happened = f"its station has said nothing for {SILENT_NS / SECOND_NS:g} s"
-            self.over = FederateError(
-                self.vehicle.name, f"{happened}: it hangs; look after the robot, which its watchdog stops"
-            )
+            advice = "it hangs; look after the robot, which its watchdog stops"
+            self._lose(FederateError(self.vehicle.name, f"{happened}: {advice}"))
+
+    def _lose(self, error: VcmvspError) -> None:
+        """End the run, or go on with a vehicle that stands where its robot was last, and takes no commands any more."""
+        if self.vehicle.on_lost == "stop":
+            self.over = error
+            return
+        self.lost, self.station = error, None
+        now_ns = time.monotonic_ns()
+        notice = Notice(time_ns=now_ns, what="lost", cause=str(error))
+        last = self._history[-1] if self._history else Report(number=0, time_ns=now_ns)
+        told = Report(number=last.number, time_ns=now_ns, state=self._rested(now_ns), causes=(LOST,), notices=(notice,))
+        self._fresh.append(told)
+        self._history.append(told)
+
+    def _rested(self, at_ns: int) -> VehicleState:
+        """Where it is taken to be, at rest."""
+        return msgspec.structs.replace(self._state(at_ns), velocity=ORIGIN, angular_velocity=ORIGIN)
 
     def state(self, now_ns: int) -> VehicleState:
         """Where the vehicle is at a logical time, by dead reckoning from the report that is next before it."""

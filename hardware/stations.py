@@ -58,6 +58,10 @@ class Connections:
             vehicle = emulated.reached
         self._stations[vehicle.name] = Station.start(mission(vehicle, self._run, self._periods_s.get(vehicle.name, 0.0)))
 
+    def drop(self, name: str) -> None:
+        """End the station of a robot that is lost, without which the run goes on."""
+        self._stations.pop(name).close(time.monotonic())
+
     def close(self) -> None:
         """Have all robots stop, then let go of them; emulated ones go last.
 

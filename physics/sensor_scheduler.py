@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
-from vcmvsp.cosim.errors import FederateError, ScenarioError, VcmvspError, place_of
+from vcmvsp.cosim.config.messages import show
+from vcmvsp.cosim.errors import FederateError, ScenarioError, VcmvspError, place_of, words_of
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Later, Reading
@@ -170,12 +171,12 @@ def _measure(scene: Scene, members: Sequence[Fitted], rngs: Sequence[np.random.G
         row_of = _rows(scene)
         rows = [row_of[each.vehicle] for each in members]
         readings = kind.measure_all(sensors, scene, rows, rngs)
-    except VcmvspError:
+    except (VcmvspError, KeyboardInterrupt):
         raise
-    except Exception as error:
-        raise FederateError("physics", f"{_named(members)}: {type(error).__name__}: {error}{place_of(error)}") from error
+    except BaseException as error:  # whatever somebody's own sensor raises
+        raise FederateError("physics", f"{_named(members)}: {words_of(error)}{place_of(error)}") from error
     if wrong := [each for each in readings if not isinstance(each, Reading)]:
-        raise FederateError("physics", f"{_named(members)}: measure must return a reading, not {wrong[0]!r}")
+        raise FederateError("physics", f"{_named(members)}: measure must return a reading, not {show(wrong[0])}")
     return readings
 
 

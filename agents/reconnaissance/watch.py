@@ -13,7 +13,7 @@ from vcmvsp.agents.reconnaissance.recognition.detector import SMALLEST_PX
 from vcmvsp.cosim.agent import Observation, VehicleInfo
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import Image, Positive, Sighting, Vec3
+from vcmvsp.cosim.types import FileName, Image, Positive, Sighting, Vec3
 
 STEEPEST = math.cos(math.radians(30.0))  # tilted further, a camera does not show targets as they look from above
 RELIABLE = math.cos(math.radians(20.0))  # tilted further, more than a few of them are missed
@@ -24,7 +24,7 @@ class Wanted(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """A target to look for."""
 
     name: str  # for whoever looks at what was found
-    picture: str  # an image file, square: how it looks from above; relative to the scenario's folder
+    picture: FileName  # an image file, square: how it looks from above; relative to the scenario's folder
     size_m: Positive = 2.0  # of a side
 
 

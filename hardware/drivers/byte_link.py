@@ -10,11 +10,11 @@ import socket
 import time
 from pathlib import Path
 from typing import Protocol
-from urllib.parse import urlsplit
 
 import serial  # type: ignore[import-untyped]
 from serial.tools.list_ports import comports  # type: ignore[import-untyped]
 
+from vcmvsp.cosim.endpoints import endpoint_of, with_slash
 from vcmvsp.cosim.util.polling import readable, writable
 from vcmvsp.hardware.drivers.base import LinkLost, PortError
 
@@ -61,12 +61,12 @@ class Line(Protocol):
 def open_line(url: str, baud: int) -> Line:
     """Open ``/dev/ttyUSB0``, the path of a pseudo-terminal, or ``socket://host:port``; a serial port for this process alone.
 
-    ``tcp://host:port`` is the same as the latter.
+    ``tcp`` is the same as ``socket``, and ``/`` as ``://``.
 
     Raises:
         PortError: it cannot be opened.
     """
-    if url.startswith(("socket://", "tcp://")):
+    if with_slash(url).startswith(("socket/", "tcp/")):
         return _Tcp(url)
     if "://" in url:
         raise PortError(url, "this kind of port is not known", "give a serial port such as /dev/ttyUSB0, or socket://host:port")
@@ -126,11 +126,7 @@ class _Tcp:
 
     def __init__(self, url: str) -> None:
         self._url = url
-        parts = urlsplit(url)
-        try:
-            host, port = parts.hostname, parts.port
-        except ValueError:  # no number, or too large
-            host, port = None, None
+        _, host, port = endpoint_of(url) or ("", "", None)
         if not host or not port:
             raise PortError(url, "this is no address", "write socket://host:port, such as socket://localhost:8101")
         try:

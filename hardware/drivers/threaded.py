@@ -11,6 +11,7 @@ from collections import deque
 from typing import Protocol
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, Notice, Sample, What
@@ -141,7 +142,7 @@ class Threaded:
             self._ready.set()
 
     def _broken(self, error: Exception) -> DriverError:
-        return DriverError(self.device, f"the driver failed ({type(error).__name__}: {error})", "report this")
+        return DriverError(self.device, f"the driver failed ({words_of(error)})", "report this")
 
     def _notice(self, what: What, cause: str) -> None:
         with self._lock:

@@ -2,8 +2,8 @@
 
 import errno
 import socket
-from urllib.parse import urlsplit
 
+from vcmvsp.cosim.endpoints import bracketed, endpoint_of
 from vcmvsp.hardware.drivers.base import PortError
 
 LARGEST_BYTES = 65535
@@ -31,7 +31,7 @@ class Datagrams:
             self._socket.close()
             raise _problem(url, host, port, error) from None
         self._socket.setblocking(False)
-        self.url = f"udp://{host}:{self._socket.getsockname()[1]}"
+        self.url = f"udp://{bracketed(host)}:{self._socket.getsockname()[1]}"
 
     def fileno(self) -> int:
         """For poll."""
@@ -58,13 +58,9 @@ def address(url: str) -> tuple[str, int]:
     Raises:
         ValueError: it is none.
     """
-    parts = urlsplit(url)
-    try:
-        host, port = parts.hostname, parts.port
-    except ValueError:  # no number, or too large
-        host, port = None, None
-    if parts.scheme != "udp" or not host or port is None or parts.path not in ("", "/"):
-        raise ValueError(f"an address to listen on is written udp://host:port, such as udp://0.0.0.0:5010, not '{url}'")
+    protocol, host, port = endpoint_of(url) or ("", "", None)
+    if protocol != "udp" or not host or port is None:
+        raise ValueError(f"listen = '{url}': an address to listen on is written udp://host:port, such as udp://0.0.0.0:5010")
     return host, port
 
 

@@ -13,6 +13,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport import access_control
 from vcmvsp.cosim.transport.zenoh_session import opened
@@ -99,7 +100,7 @@ class ExternalPose(Source):
         )
         placing = Placing(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
         super().__init__(f"{key} at {endpoint}", Reader(sigma_rad), placing, words)
-        self._endpoint, self._mode = endpoint, mode
+        self._endpoint, self._mode = with_slash(endpoint), mode
         self._session: zenoh.Session | None = None
 
     def open(self) -> None:

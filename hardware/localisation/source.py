@@ -10,6 +10,7 @@ from collections import deque
 from typing import Literal, NamedTuple, Protocol
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.types import Fix
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, Notice
 from vcmvsp.hardware.localisation import Located
@@ -179,7 +180,7 @@ def as_failure(device: str, error: Exception) -> Exception:
     """What a thread died of, as an error that says where."""
     if isinstance(error, DriverError):
         return error
-    return DriverError(device, f"its reader raised {type(error).__name__}: {error}", "please report this")
+    return DriverError(device, f"its reader raised {words_of(error)}", "please report this")
 
 
 def _listed(tags: set[str]) -> str:

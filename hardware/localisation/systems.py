@@ -12,6 +12,7 @@ from typing import Annotated, Protocol, runtime_checkable
 import msgspec
 
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
+from vcmvsp.cosim.transport.endpoints import check_interfaces
 from vcmvsp.cosim.types import Fix, NonNegative, Positive, Vec3
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.drivers.byte_link import Line, open_line
@@ -57,7 +58,8 @@ class Ubisense(PortSource):
     """Ubisense tags, from datagrams of the location engine ("on the wire" protocol).
 
     Args:
-        listen: where this machine hears them, ``udp://address:port``; 0.0.0.0 is any of its interfaces.
+        listen: where this machine hears them, ``udp://address:port``; 0.0.0.0 is any of its interfaces, and needs ``insecure``.
+        insecure: ``listen`` may be all interfaces: whoever reaches one of them can tell positions.
         tag: hexadecimal number of the vehicle's tag; empty: the only one that is heard.
         sigma_m: standard deviation of x and y where a datagram says none.
         latency_s: between measuring and arriving, at least.
@@ -69,13 +71,14 @@ class Ubisense(PortSource):
         self,
         *,
         listen: str = "udp://127.0.0.1:5010",
+        insecure: bool = False,
         tag: str = "",
         sigma_m: Positive = 0.15,
         latency_s: NonNegative = 0.1,
         offset: Vec3 = AT_REST,
         turn_rad: float = 0.0,
     ) -> None:
-        address(listen)
+        check_interfaces(address(listen)[0], insecure=insecure)
         words = Words(
             f"does the location engine send datagrams to {listen}, and is the tag awake?",
             "datagrams come but none are Ubisense's: does something else send to this port?",

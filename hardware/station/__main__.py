@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding, registry
-from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
 from vcmvsp.cosim.processes.local_link import Link
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.polling import readable
@@ -68,7 +68,7 @@ class Serving:
         except ScenarioError as error:
             failed, advice = str(error), "correct the scenario"
         except Exception as error:
-            failed, advice = f"{type(error).__name__}: {error}{place_of(error)}", "report this to who wrote the driver"
+            failed, advice = f"{words_of(error)}{place_of(error)}", "report this to who wrote the driver"
         finally:
             halted = self._onboard.halted if self._onboard is not None else ""
             for problem in self._close(failed or halted or self._ending or "the station ends"):

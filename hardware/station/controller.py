@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # it brings all kinds of readers with it
 
 AT_REST = (0.01, 0.02)  # m/s, rad/s: slower than this, a robot stands
 STUCK, STUCK_S = "stuck", 2.0  # s: longer than any robot takes to begin to move
+RUN_LATE_S = 0.15  # s: orders are said again every 0.1 s at least, so that more is the lateness of the run
 CREEPS = 0.05  # m/s: slower than that, a robot may stand for lack of force
 KEPT = 200  # notices and fixes, while the run does not take them
 
@@ -49,6 +50,7 @@ class Onboard:
         self._stands, self._released = True, False  # a driver that is open holds its robot at zero speed
         self._place: Vec3 | None = None  # where it was taken to be at the last turn
         self._sent = 0.0  # forward speed that it was told last, m/s
+        self._late_s = 0.0  # what of the age of its command is the lateness of the run
         self._pushed_ns: int | None = None  # since when it does not do so
         self._stuck = False
         self._wanted_ns: int | None = None  # since when it is to drive, and never could
@@ -201,12 +203,20 @@ class Onboard:
         return decision.causes
 
     def _heard(self, now_ns: int, here: Estimate | None) -> Heard:
-        """Who was heard when; of a command, its age at the run is added to the time since it came."""
+        """Who was heard when; of a command, its age at the run is added to the time since it came.
+
+        For what of that age is the lateness of the run, the agent cannot help: the robot goes on within its limits for as long
+        as a run may be silent.
+        """
         order, heard_ns = self._order, min(self._order_heard_ns, now_ns)
         command_ns: int | None = None
         if order.command is not None:
-            age_ns = 0 if order.command_ns is None else max(0, order.sent_ns - order.command_ns)
-            command_ns = heard_ns - age_ns
+            sent_ns = order.sent_ns if order.command_ns is None else order.command_ns
+            age_ns = max(0, order.sent_ns - sent_ns) + now_ns - heard_ns
+            own_ns = order.sent_ns - sent_ns if order.command_age_ns is None else order.command_age_ns
+            late_ns = max(0, age_ns - max(0, own_ns))
+            self._late_s = late_ns / SECOND_NS
+            command_ns = now_ns - age_ns + min(late_ns, round((self._mission.safety.federation_s or 0.0) * SECOND_NS))
         return Heard(
             operator_ns=None if self._operator_ns is None else min(self._operator_ns, now_ns),
             command_ns=command_ns,
@@ -236,8 +246,11 @@ class Onboard:
         match cause:
             case Cause.OPERATOR:
                 return f"nothing was heard of the operator for {safety.operator_s:g} s"
+            case Cause.COMMAND if self._order.command is None:
+                return "there is no command"
             case Cause.COMMAND:
-                return f"no command for {safety.command_s:g} s" if self._order.command is not None else "there is no command"
+                late = f": the run is late by {self._late_s:.2f} s" if self._late_s > RUN_LATE_S else ""
+                return f"no command for {safety.command_s:g} s{late}"
             case Cause.POSITIONING:
                 limit = f" (time-out {safety.positioning_s:g} s)" if safety.positioning_s else ""
                 return f"its position is not known: positions or odometry stay away{limit}"

@@ -69,6 +69,7 @@ class Order(Value, frozen=True, kw_only=True):
     sent_ns: int
     command: Velocity | None = None  # None: there was none yet
     command_ns: int | None = None  # when it was given
+    command_age_ns: int | None = None  # by the run's time, which its own lateness does not count in; None: by its clock
     others: Array | None = None  # (n, 7): x y z m, vx vy vz m/s, radius m of every other vehicle
     stop: str = ""  # why the robot must stop now; it stays so until the station ends
     leave: bool = False  # stop the robot, close everything, and end

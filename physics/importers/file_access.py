@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.util import limits
 
 
 def require_file(path: str) -> None:
@@ -20,8 +21,8 @@ def text_of(path: Path) -> str:
         ScenarioError: it cannot be read, or is no UTF-8.
     """
     try:
-        return path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return limits.read_text(path)
+    except (OSError, ValueError) as error:
         raise ScenarioError(f"cannot be read as text: {error}", source=str(path)) from error
 
 

@@ -1,6 +1,5 @@
 """Buildings from GeoJSON: footprints with heights, as OpenStreetMap, city registers and GIS programs export them."""
 
-import json
 import math
 import re
 import sys
@@ -12,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import Array, NonNegative, Positive
+from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive
+from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.physics.importers.file_access import require_file, text_of
 from vcmvsp.physics.world.polygons import problem_of
 from vcmvsp.physics.world.solids import Color, Point2, Prism
@@ -32,7 +32,7 @@ class GeoJson(Surroundings):
     at its ``min_height``. Longitudes and latitudes become metres east and north of the origin.
     """
 
-    path: str  # of the file
+    path: FileName  # of the file
     origin: Point2 | None = (
         None  # longitude, latitude, degrees (metric: x, y, m) of the world's origin; None: the middle of all
     )
@@ -57,8 +57,8 @@ class GeoJson(Surroundings):
         """
         path = Path(self.path)
         try:
-            content = json.loads(text_of(path))
-        except json.JSONDecodeError as error:
+            content = read_json(text_of(path))
+        except ValueError as error:
             raise ScenarioError(f"is not JSON: {error}", source=str(path)) from error
         found = list(_footprints(content, path))
         if not found:

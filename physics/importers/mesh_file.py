@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import Positive, Vec3
+from vcmvsp.cosim.types import FileName, Positive, Vec3
+from vcmvsp.cosim.util import limits
 from vcmvsp.physics.importers.file_access import library, require_file
 from vcmvsp.physics.world.solids import Color, Mesh
 from vcmvsp.physics.world.world import World
@@ -19,7 +20,7 @@ from vcmvsp.physics.worlds.surroundings import Surroundings
 class MeshFile(Surroundings):
     """One mesh (kind ``mesh``): OBJ, STL, PLY, GLB and what else trimesh reads (``pip install trimesh``)."""
 
-    path: str  # of the file
+    path: FileName  # of the file
     scale: Positive = 1.0  # multiplies its coordinates, e.g. 0.001 for millimetres
     up: Literal["z", "y"] = "z"  # which of its axes points up: CAD has z, computer graphics y
     position: Vec3 = (0.0, 0.0, 0.0)  # of its origin, m, world
@@ -48,6 +49,7 @@ class MeshFile(Surroundings):
         """
         trimesh = library("trimesh", self.path, "trimesh")
         try:
+            limits.check_archive(Path(self.path))
             corners = np.array(trimesh.load_mesh(self.path, process=False).triangles, np.float64)
         except Exception as error:  # whatever a reader of some format trips over
             problem = (

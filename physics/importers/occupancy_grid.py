@@ -9,7 +9,9 @@ import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import rotate2
-from vcmvsp.cosim.types import Array, Positive
+from vcmvsp.cosim.types import Array, FileName, Positive
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import DEEPEST
 from vcmvsp.physics.importers.file_access import library, require_file, text_of
 from vcmvsp.physics.world.floor import read_picture
 from vcmvsp.physics.world.solids import Box, Color
@@ -29,7 +31,7 @@ class Map(Surroundings):
     ``occupied_thresh`` (http://wiki.ros.org/map_server). Walls are put together from few boxes, each an obstacle to the radio.
     """
 
-    path: str  # of the YAML file
+    path: FileName  # of the YAML file
     height: Positive = 2.0  # of the walls, m
     material: str = "concrete"  # of the walls
     color: Color | None = None  # of the walls; None: that of the material
@@ -75,7 +77,9 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     """The keys of a map's YAML file that count here, checked."""
     yaml = library("yaml", str(path), "pyyaml")
     try:
-        content = yaml.safe_load(text_of(path))
+        text = text_of(path)
+        _check_yaml(text, yaml)
+        content = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError) as error:  # the latter for a date that there is none of
         raise ScenarioError(f"is not YAML: {error}", source=str(path)) from error
     if not isinstance(content, dict):
@@ -105,6 +109,16 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         "negate": number("negate", 0, -1.0, 2.0) != 0.0,
         "occupied_thresh": number("occupied_thresh", 0.65, -1e-9, 1.0 + 1e-9),
     }
+
+
+def _check_yaml(text: str, yaml: Any) -> None:
+    """Refuse, by a `ValueError`, what takes the parser very long, and aliases, a few of which may stand for gigabytes."""
+    limits.within(len(text), limits.YAML_BYTES, "characters of YAML")
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST or isinstance(event, yaml.AliasEvent):
+            raise ValueError("no map is so deep, or has an alias")
 
 
 def occupied_cells(about: dict[str, Any], path: Path) -> Array:

@@ -1,6 +1,5 @@
 """A world in a TOML file of its own, with the keys that a scenario's ``[world]`` has."""
 
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,8 @@ import msgspec
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import NonNegative
+from vcmvsp.cosim.types import FileName, NonNegative
+from vcmvsp.cosim.util.documents import read_toml
 from vcmvsp.physics.importers.file_access import require_file, text_of
 from vcmvsp.physics.world.world import Light, Wind, World
 from vcmvsp.physics.worlds.boxes import Empty
@@ -23,7 +23,7 @@ class File:
     Pictures are looked for beside the file.
     """
 
-    path: str  # of the TOML file
+    path: FileName  # of the TOML file
     floor_friction: NonNegative | None = None  # multiplies the friction of what rolls or slides; None: the file's
     wind: Wind | None = None  # air that moves; None: the file's
     light: Light | None = None  # where the sun is; None: the file's
@@ -42,8 +42,8 @@ class File:
         path = Path(self.path)
         text = text_of(path)
         try:
-            content = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+            content = read_toml(text)
+        except ValueError as error:
             raise ScenarioError(f"is not TOML: {error}", source=str(path)) from error
         source = Source(str(path), path.parent, text)
         listed = binding.call(Empty, content, origin=source)

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import Array, NonNegative, Positive, Vec3
+from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive, Vec3
+from vcmvsp.cosim.util import limits
 from vcmvsp.physics.vehicles.models import GroundVehicle
 from vcmvsp.physics.vehicles.quadrotor import Quadrotor
 
@@ -41,7 +42,7 @@ class UrdfDrive(GroundVehicle):
     The root link's x points forward, its z up. Wheels are links with a sphere or a cylinder, on joints that turn.
     """
 
-    file: str  # of the URDF, in a scenario relative to its folder
+    file: FileName  # of the URDF, in a scenario relative to its folder
     left_wheel: str  # name of the joint
     right_wheel: str  # name of the joint
     wheel_friction: NonNegative = 0.9  # times the floor's; rubber on a hard floor, assumed
@@ -94,7 +95,7 @@ class UrdfQuadrotor(Quadrotor):
     ``mass_kg`` and ``inertia`` need not be given: the file says them. The hull is a cylinder all the same.
     """
 
-    file: str  # of the URDF, in a scenario relative to its folder
+    file: FileName  # of the URDF, in a scenario relative to its folder
 
     def __post_init__(self) -> None:
         mass, inertia = _Tree(self.file).whole()
@@ -115,8 +116,9 @@ class _Tree:
     def __init__(self, file: str) -> None:
         self.path = Path(file).resolve()
         try:
+            limits.check_size(self.path, limits.JSON_BYTES)
             root = ET.parse(self.path).getroot()  # noqa: S314  # the user's own file
-        except (OSError, UnicodeDecodeError) as error:
+        except (OSError, ValueError) as error:
             raise ScenarioError(f"{self.path} cannot be read: {error}", key="file") from error
         except ET.ParseError as error:
             raise ScenarioError(f"{self.path} is no XML: {error}", key="file") from error
@@ -124,10 +126,20 @@ class _Tree:
         self._joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
         if root.tag != "robot" or not self._links:
             raise ScenarioError(f"{self.path} is no URDF: it has no <robot> with links", key="file")
+        self._check_meshes(root)
         try:
             self._check()
         except ValueError as error:
             raise ScenarioError(f"{self.path}: a number cannot be read: {error}", key="file") from error
+
+    def _check_meshes(self, root: ET.Element) -> None:
+        """Refuse meshes that are no files; those of a ``package://`` are the engine's to find."""
+        for mesh in root.iter("mesh"):
+            name = mesh.get("filename", "")
+            if "://" not in name and not (self.path.parent / name).is_file():
+                raise ScenarioError(
+                    f"{self.path.name} names the mesh {name!r}, and there is no such file beside it", key="file"
+                )
 
     def _check(self) -> None:
         for name, link in self._links.items():

@@ -8,7 +8,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.types import Array, Positive
+from vcmvsp.cosim.types import Array, FileName, Positive
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.pictures import decoded
 from vcmvsp.physics.world.solids import Color, Point2, rectangle
 
 MOST_PIXELS = 1 << 24  # of a painted picture: 48 MiB
@@ -38,7 +40,7 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     width: float = 0.0
     center: Point2 = (0.0, 0.0)
     radius: float = 0.0
-    picture: str = ""
+    picture: FileName = ""
     size: tuple[Positive, Positive] = (1.0, 1.0)
     yaw_rad: float = 0.0
 
@@ -67,7 +69,7 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         marks: painted over it, one after the other, as far as the picture reaches.
     """
 
-    picture: str = ""
+    picture: FileName = ""
     center: Point2 = (0.0, 0.0)
     size: tuple[Positive, Positive] = (1.0, 1.0)
     color: Color = (196, 196, 188)
@@ -150,9 +152,12 @@ def read_picture(path: str) -> Array:
 
     problem, pixels = problem_of_picture(path), None
     if not problem:
-        pixels = cv2.imread(path, cv2.IMREAD_COLOR)
+        try:
+            pixels = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR)
+        except OSError as error:
+            problem = f"{path} cannot be read: {error.strerror or error}"
     if pixels is None:
-        raise ValueError(problem or f"{path} is a picture, but broken: save it again")
+        raise ValueError(problem or f"{path} is a picture, but broken: save it again{limits.PICTURE}")
     return np.ascontiguousarray(pixels[:, :, ::-1])
 
 

@@ -9,7 +9,7 @@ from itertools import accumulate, pairwise
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.types import Positive
+from vcmvsp.cosim.types import FileName, Positive
 from vcmvsp.physics.world.solids import Color, Point2
 
 
@@ -29,7 +29,7 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """
 
     name: str = ""
-    picture: str = ""
+    picture: FileName = ""
     color: Color = (224, 32, 160)
     size: Positive = 2.0
     place: Point2 | None = None

@@ -358,5 +358,5 @@ sys.exit(40 + ("pybullet" in sys.modules))
 
 @pytest.mark.parametrize(("kind", "code"), [("KinematicPhysics", 40), ("BulletPhysics", 41)])
 def test_nothing_is_printed_and_only_bullet_loads_pybullet(kind: str, code: int) -> None:
-    done = subprocess.run([sys.executable, "-c", QUIET.format(kind=kind)], capture_output=True, check=False, timeout=60)
+    done = subprocess.run([sys.executable, "-c", QUIET.format(kind=kind)], capture_output=True, check=False, timeout=500)
     assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")

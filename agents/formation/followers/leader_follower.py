@@ -8,15 +8,17 @@ import math
 from typing import Any
 
 from vcmvsp.agents.avoidance import Avoidance
+from vcmvsp.agents.avoidance.settings import body_of
 from vcmvsp.agents.avoidance.steering import Steering
 from vcmvsp.agents.formation.followers.feed_forward import Feed, Feeding
 from vcmvsp.agents.formation.followers.leader_follower_law import Place, formation_law, point_of
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
 from vcmvsp.agents.formation.reports.report import LeaderState, accelerations, measured_speeds
 from vcmvsp.agents.formation.reports.sending import Sending
-from vcmvsp.agents.formation.team.formation import Formation
+from vcmvsp.agents.formation.team.formation import Formation, Passage
 from vcmvsp.agents.formation.team.membership import Membership
 from vcmvsp.agents.formation.team.passage import scanners
+from vcmvsp.agents.formation.team.visible_members import VisibleMembers
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.frames import yaw_of
@@ -134,27 +136,25 @@ class LeaderFollower(Agent):
 
     def start(self, info: VehicleInfo) -> None:
         """Refuse a leader that does not take part, and a formation that does not fit; find the place in it."""
+        self._member.start(info, "trajectory, route, teleop")
         if self._steering is not None:
             self._steering.start(info)
-        self._member.start(info, "trajectory, route, teleop")
+            self._visible = self._member.lookout or VisibleMembers(body_of(info), Passage())
         self.note(**self._member.notes)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Follow the newest report, around what stands in the way."""
         v, w, leader = self._wanted(obs, radio)
         if self._steering is not None:
-            lookout, settings = self._member.lookout, self._steering.settings
-            mates = self._member.listening, self.estimator
-            if lookout is not None:
-                obs = lookout.without_members(obs, *mates, settings.scanner)
+            settings, mates = self._steering.settings, (self._member.listening, self.estimator)
+            obs = self._visible.without_members(obs, *mates, settings.scanner)
             decision = (
                 self._steering.limit(obs, (v, w))
                 if leader is None
                 else self._steering.drive(obs, (v, w), point_of(leader, self.place), (leader.x, leader.y))
             )
-            v, w = decision.velocity[0], decision.yaw_rate
-            if lookout is not None:
-                v = lookout.behind_members(obs, v, *mates, settings.approach)
+            v = self._visible.behind_members(obs, decision.velocity[0], *mates, settings.approach)
+            w = decision.yaw_rate
             self.note(**self._steering.notes)
         if leader is not None:
             self._v, self._w = v, w

@@ -15,6 +15,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
+from vcmvsp.cosim.util import limits
+
 Speeds = tuple[float, float]  # forward, m/s, and turning, rad/s
 
 KEYBOARD = "keyboard"
@@ -204,9 +206,10 @@ class Table:
 
 def _rows(path: Path) -> Sequence[tuple[float, float, float]]:
     try:
+        limits.check_size(path, limits.JSON_BYTES)
         with path.open(newline="", encoding="utf-8") as file:
             lines = [line for line in csv.reader(file) if line]
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise ValueError(f"device = {str(path)!r} cannot be read: {error}") from error
     rows: list[tuple[float, float, float]] = []
     for number, line in enumerate(lines, 1):

@@ -8,7 +8,9 @@ A leader of your own says how it moves, and need not care about the rest::
 """
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.steering import Steering
@@ -24,7 +26,7 @@ from vcmvsp.cosim.types import NonNegative, Positive, Velocity
 
 Extra = Literal["a", "plan"]
 
-PLAN = 20  # speeds that a plan tells besides those of now
+PlanTicks = Annotated[int, msgspec.Meta(ge=1, le=100)]
 
 
 class Leader(Agent):
@@ -32,6 +34,7 @@ class Leader(Agent):
 
     Args:
         tell: what reports hold besides pose and speeds, whatever the estimator: ``a`` (accelerations), ``plan``.
+        plan_ticks: how many ticks ahead a plan tells; a follower that hears less often than that has to guess.
         estimator: of those who follow; what it needs is told, and sending when needed reckons with it.
         horizon_s: of that estimator, s.
         fade_s: of that estimator, s.
@@ -45,6 +48,7 @@ class Leader(Agent):
         self,
         *,
         tell: tuple[Extra, ...] = (),
+        plan_ticks: PlanTicks = 20,
         estimator: str | Estimator = "dr",
         horizon_s: NonNegative = 2.0,
         fade_s: Positive = 1.0,
@@ -55,7 +59,7 @@ class Leader(Agent):
     ) -> None:
         self.estimator = estimator_of(estimator, horizon_s=horizon_s, fade_s=fade_s)
         wanted = {*tell, *getattr(self.estimator, "needs", ())}
-        self._tells_a, self._tells_plan = "a" in wanted, "plan" in wanted
+        self._tells_a, self._plan_ticks = "a" in wanted, plan_ticks if "plan" in wanted else 0
         self._reporter = Reporter(sending, self.estimator)
         check_silence(self._reporter.sending, formation)
         self._formation, self._clock_bound_s = formation, clock_bound_s
@@ -114,7 +118,7 @@ class Leader(Agent):
             last_v, last_w = self._last or (v, w)
             more["a"], more["al"] = (v - last_v) / self._period_s, (w - last_w) / self._period_s
             self._last = v, w
-        if self._tells_plan and (plan := self.ahead(PLAN)):
+        if self._plan_ticks and (plan := self.ahead(self._plan_ticks)):
             more["plan"], more["dt"] = [speed for pair in plan for speed in pair], self._period_s
         self._reporter.tell(radio, obs, v, w, **more)
         return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)

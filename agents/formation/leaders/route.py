@@ -41,7 +41,7 @@ class Route(Leader):
         lookahead_m: shorter keeps nearer to the way, longer is smoother and bears more lag: at least ``speed`` times 1 s.
         arrive_m: a point is reached from this near.
         deceleration: at the last point, m/s2.
-        leading: tell, estimator, horizon_s, fade_s, sending, formation, avoidance and clock_bound_s, as of every `Leader`.
+        leading: tell, plan_ticks, estimator, horizon_s, fade_s, sending, formation, avoidance, clock_bound_s, as of `Leader`.
     """
 
     def __init__(

@@ -25,7 +25,7 @@ class Teleop(Leader):
         yaw_acceleration: of the ramp, rad/s2.
         axes: of a joystick: which two tell the speed and the yaw rate.
         deadband: of a joystick: the share of an axis about its middle that counts as none.
-        leading: tell, estimator, horizon_s, fade_s, sending, formation, avoidance and clock_bound_s, as of every `Leader`.
+        leading: tell, plan_ticks, estimator, horizon_s, fade_s, sending, formation, avoidance, clock_bound_s, as of `Leader`.
     """
 
     def __init__(

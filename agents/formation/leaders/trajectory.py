@@ -47,7 +47,7 @@ class Trajectory(Leader):
         sway_s: period of ``slalom`` and of the turning in ``stopgo``, s.
         surge_s: period of the speed in ``stopgo``, s.
         path_seed: which random path.
-        leading: tell, estimator, horizon_s, fade_s, sending, formation, avoidance and clock_bound_s, as of every `Leader`.
+        leading: tell, plan_ticks, estimator, horizon_s, fade_s, sending, formation, avoidance, clock_bound_s, as of `Leader`.
     """
 
     def __init__(

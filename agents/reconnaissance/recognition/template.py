@@ -11,6 +11,8 @@ from vcmvsp.agents.reconnaissance.recognition.colour import Hues, hues
 from vcmvsp.agents.reconnaissance.recognition.polar import COARSE, FULL, Signature
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.pictures import decoded
 
 PATCH = 48  # px: pictures are compared at this size
 CAMERA_BLUR_PX = 0.8  # standard deviation of what a pixel of the camera averages, px of its picture
@@ -46,12 +48,11 @@ class Target:
     def load(cls, name: str, path: Path | str, size_m: float) -> "Target":
         """Reads the picture from a file (PNG, JPEG, ...)."""
         try:
-            coded = np.frombuffer(Path(path).read_bytes(), np.uint8)
-        except OSError as error:
+            read = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR_RGB)
+        except (OSError, ValueError) as error:
             raise ScenarioError(f"cannot read the picture of {name}: {error}", key="picture") from error
-        read = cv2.imdecode(coded, cv2.IMREAD_COLOR_RGB) if coded.size else None
         if read is None:
-            raise ScenarioError(f"{path} is not a picture that can be read", key="picture")
+            raise ScenarioError(f"{path} is not a picture that can be read{limits.PICTURE}", key="picture")
         return cls(name, read, size_m)
 
     def template(self, side_px: int) -> "Template":

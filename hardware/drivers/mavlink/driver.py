@@ -45,8 +45,9 @@ class MavlinkDriver(Wired):
     Multicopters take a velocity in the world and a yaw rate; rovers and boats a forward speed and a yaw rate.
 
     Args:
-        address: ``udpin:0.0.0.0:14540`` (wait for the vehicle there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT``,
+        address: ``udpin:127.0.0.1:14540`` (wait for the vehicle there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT``,
             or a serial port such as ``/dev/ttyACM0``.
+        insecure: ``udpin:`` may be all interfaces, 0.0.0.0: whoever reaches one of them can speak for the vehicle.
         system_id: of the vehicle; 0: the only one that speaks there.
         own_id: ours, different from that of any ground station in the same network. PX4's data-link failsafe watches over it;
             ArduPilot's only if it is that of SYSID_MYGCS.
@@ -72,6 +73,7 @@ class MavlinkDriver(Wired):
         self,
         *,
         address: str,
+        insecure: bool = False,
         system_id: SystemId = 0,
         own_id: OwnId = 245,
         baud: Baud = 57_600,
@@ -106,7 +108,7 @@ class MavlinkDriver(Wired):
             reconnect_s=reconnect_s,
         )
         self.peer: Peer | None = None  # once it is connected
-        self._system_id, self._baud, self._origin = system_id, baud, origin
+        self._system_id, self._baud, self._origin, self._insecure = system_id, baud, origin, insecure
         self._kind = None if autopilot == "auto" else autopilot
         self._encode = Encoder(Sender(system=own_id, component=mavlink.MAV_COMP_ID_MISSIONPLANNER))
         self._orders = Orders(
@@ -143,7 +145,7 @@ class MavlinkDriver(Wired):
         orders = self._orders
         if self._ready.is_set():
             orders = msgspec.structs.replace(orders, switch_mode=False, arm=False, takeoff_m=None)
-        self._link = open_link(self.device, self._baud)
+        self._link = open_link(self.device, self._baud, insecure=self._insecure)
         began_ns = time.monotonic_ns()
         peer = self._find(self._link, began_ns + seconds_to_ns(within_s), within_s)
         self._link.answer(peer.source)

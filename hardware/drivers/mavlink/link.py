@@ -8,14 +8,15 @@ import re
 import socket
 from typing import Any, Protocol
 
+from vcmvsp.cosim.transport.endpoints import check_interfaces
 from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.drivers.byte_link import Line, open_line
 
 DATAGRAM = 65_535
 DATAGRAMS = 100  # read at a time
 SOURCES = 32  # that are listened to while the vehicle is looked for; a new one takes the place of the oldest
-_ADVICE = "write udpin:0.0.0.0:14540, udpout:HOST:PORT, tcp:HOST:PORT or a serial port such as /dev/ttyACM0"
-_NETWORK = re.compile(r"(udpin|udpout|tcp|socket):(?://)?(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
+_ADVICE = "write udpin:127.0.0.1:14540, udpout:HOST:PORT, tcp:HOST:PORT or a serial port such as /dev/ttyACM0"
+_NETWORK = re.compile(r"(udpin|udpout|tcp|socket)(?:://|:|/)(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
 Heard = list[tuple[str, bytes]]  # source, bytes
 
 
@@ -38,8 +39,10 @@ class Link(Protocol):
         """Free the port. Never raises."""
 
 
-def open_link(address: str, baud: int) -> Link:
+def open_link(address: str, baud: int, *, insecure: bool = False) -> Link:
     """Open ``udpin:HOST:PORT`` (wait there), ``udpout:HOST:PORT`` (speak first), ``tcp:HOST:PORT`` or a serial port.
+
+    ``/`` and ``://`` are the same as the first ``:``.
 
     Raises:
         PortError: it cannot be opened.
@@ -54,6 +57,12 @@ def open_link(address: str, baud: int) -> Link:
         raise PortError(address, f"there is no port {port}", "ports are from 1 to 65535")
     if scheme in ("tcp", "socket"):
         return _Stream(open_line(f"socket://{match[2]}:{port}", baud))
+    if scheme == "udpin":
+        try:
+            check_interfaces(host, insecure=insecure)
+        except ValueError as error:
+            problem, _, advice = str(error).partition(": ")
+            raise PortError(address, problem, advice) from None
     return _Udp(address, host, port, listens=scheme == "udpin")
 
 

@@ -12,6 +12,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.zenoh_session import opened
 from vcmvsp.hardware.drivers.base import PortError
@@ -47,7 +48,7 @@ class Node:
 
     def __init__(self, endpoint: str, mode: Mode, mapping: Mapping, endpoints: tuple[Endpoint, ...]) -> None:
         self._mapping = mapping
-        self._session = _session(endpoint, mode)
+        self._session = _session(with_slash(endpoint), mode)
         self._ids: dict[Endpoint, bytes] = {}
         self._kept: list[Any] = []  # whatever is undeclared when nobody holds it
         try:

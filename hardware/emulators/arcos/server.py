@@ -121,6 +121,8 @@ class Pty:
         self.url, self._link = os.ttyname(self._there), link
         if link is not None:
             try:
+                if link.is_symlink() and _is_left(link.readlink(), self.url):
+                    link.unlink()
                 link.symlink_to(self.url)
             except OSError:
                 self.close_ends()
@@ -158,6 +160,11 @@ class Pty:
         """Free the pseudo-terminal alone."""
         os.close(self._there)
         os.close(self._here)
+
+
+def _is_left(terminal: Path, own: str) -> bool:
+    """Whether an emulator that was killed left a link to this terminal, which is gone, or is ours by now."""
+    return terminal.parent == Path("/dev/pts") and (not terminal.exists() or str(terminal) == own)
 
 
 class _Tcp(Tcp):

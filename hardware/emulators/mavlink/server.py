@@ -12,6 +12,7 @@ import threading
 import time
 from typing import Any
 
+from vcmvsp.cosim.endpoints import bracketed
 from vcmvsp.hardware.emulators.device_server import LOOPBACK, Serving, Tcp
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 
@@ -34,7 +35,7 @@ class _Udp:
         except OSError:
             self._socket.close()
             raise
-        self.url = f"udpin:{_bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{self._socket.getsockname()[1]}"
+        self.url = f"udpin:{bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{self._socket.getsockname()[1]}"
 
     def waits_on(self) -> int:
         return self._socket.fileno()
@@ -111,7 +112,3 @@ def serve_udp(vehicle: Vehicle, *, to: tuple[str, int] | None = None) -> Served:
 def serve_tcp(vehicle: Vehicle, *, host: str = LOOPBACK, port: int = 0) -> Served:
     """Serve it at a TCP port, as ArduPilot's simulator does at 5760; 0: any that is free."""
     return Served(vehicle, _Tcp(host, port))
-
-
-def _bracketed(host: str) -> str:
-    return f"[{host}]" if ":" in host else host

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from typing import Any
-from urllib.parse import urlsplit
 
 import msgspec
 
@@ -24,6 +23,7 @@ from vcmvsp.hardware.emulators.device_server import LOOPBACK
 from vcmvsp.hardware.emulators.positioning.tags import Errors
 from vcmvsp.hardware.emulators.programs.arcos import KINDS, Rig, device_of
 from vcmvsp.hardware.emulators.programs.options import PtyPort, RobotOptions, Tags, UdpAddress
+from vcmvsp.hardware.localisation.datagrams import address
 from vcmvsp.hardware.localisation.ubisense import tag_of
 
 EMULATED = "emulated"
@@ -113,9 +113,9 @@ def _errors(positioning: dict[str, Any]) -> Errors:
 
 def _free(listen: str) -> tuple[str, int]:
     """Where datagrams are to go that are listened for there; port 0 becomes one that is free."""
-    parts = urlsplit(listen)
-    if parts.port:
-        return LOOPBACK, parts.port
+    _, port = address(listen)
+    if port:
+        return LOOPBACK, port
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind((LOOPBACK, 0))
         return LOOPBACK, int(probe.getsockname()[1])

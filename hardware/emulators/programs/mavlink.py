@@ -3,13 +3,14 @@
 import contextlib
 from typing import Any
 
+from vcmvsp.cosim.endpoints import endpoint_of
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.types import ORIGIN, Vec3
 from vcmvsp.hardware.emulators.device_server import LOOPBACK
 from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
 from vcmvsp.hardware.emulators.programs.arcos import Ready, alive, until_interrupted, wait
-from vcmvsp.hardware.emulators.programs.options import address_of, duration_of
+from vcmvsp.hardware.emulators.programs.options import duration_of
 
 TCP_PORT = 5760  # of ArduPilot's simulator
 
@@ -77,11 +78,11 @@ def serve(vehicle: Vehicle, port: str) -> Served:
     Raises:
         UsageError: the port cannot be had.
     """
-    host, number = address_of(port) if port.startswith(("udp://", "tcp://")) else ("", None)
+    protocol, host, number = endpoint_of(port) or ("", "", None)
     try:
-        if port.startswith("tcp://"):
+        if protocol == "tcp":
             return serve_tcp(vehicle, host=host or LOOPBACK, port=TCP_PORT if number is None else number)
-        if host and number:
+        if protocol == "udp" and host and number:
             return serve_udp(vehicle, to=(host, number))
     except OSError as error:
         raise UsageError(f"--port {port}: {error.strerror or error}") from None

@@ -3,10 +3,10 @@
 import math
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import urlsplit
 
 import msgspec
 
+from vcmvsp.cosim.endpoints import bracketed, endpoint_of, with_slash
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.types import Positive
 from vcmvsp.hardware.emulators.arcos.serial_line import Faults
@@ -38,7 +38,7 @@ class UdpAddress(NamedTuple):
     @property
     def url(self) -> str:
         """As it is written."""
-        return f"udp://{self.host}:{self.port}"
+        return f"udp://{bracketed(self.host)}:{self.port}"
 
 
 class Tags(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,9 +67,11 @@ class RobotOptions(msgspec.Struct, frozen=True, kw_only=True):
 
 def port_of(text: str) -> PtyPort | TcpPort:
     """``PTY``, ``tcp://HOST:PORT`` (no host: this machine alone; no port: 8101) or the path of a link that is to be made."""
-    if text.startswith(("tcp://", "socket://")):
-        host, port = address_of(text)
-        return TcpPort(host or LOOPBACK, TCP_PORT if port is None else port)
+    if with_slash(text).startswith(("tcp/", "socket/")):
+        found = endpoint_of(text)
+        if found is None:
+            raise UsageError(f"--port {text}: write tcp://HOST:PORT, a port from 0 to 65535 and nothing behind it")
+        return TcpPort(found.host or LOOPBACK, TCP_PORT if found.port is None else found.port)
     link = pty_of(text)
     if link is None:
         raise UsageError(f"--port {text}: write PTY, tcp://HOST:PORT, or a path such as /tmp/robot")
@@ -85,8 +87,8 @@ def pty_of(text: str) -> PtyPort | None:
 
 def udp_of(text: str, option: str) -> UdpAddress:
     """``udp://HOST:PORT``."""
-    host, port = address_of(text) if text.startswith("udp://") else ("", None)
-    if not host or not port:
+    protocol, host, port = endpoint_of(text) or ("", "", None)
+    if protocol != "udp" or not host or not port:
         raise UsageError(f"{option} {text}: write udp://HOST:PORT, e.g. udp://{LOOPBACK}:5000")
     return UdpAddress(host, port)
 
@@ -197,15 +199,3 @@ def _number(text: str, where: str) -> float:
     if not math.isfinite(number):
         raise UsageError(f"{where}: '{text}' is no number")
     return number
-
-
-def address_of(text: str) -> tuple[str, int | None]:
-    """Host, or nothing, and port, if there is one, of ``scheme://HOST:PORT``."""
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname or "", parts.port
-    except ValueError:
-        raise UsageError(f"{text}: the port must be a number from 0 to 65535") from None
-    if parts.path.strip("/") or parts.query or "@" in parts.netloc:
-        raise UsageError(f"{text}: write {parts.scheme}://HOST:PORT, and nothing behind it")
-    return host, port

@@ -51,7 +51,7 @@ def robot(
     except ValueError:
         raise UsageError(f"--vehicle {vehicle!r}: a name has letters, digits, _ and -") from None
     bundle, foreign = _bundle(keys, vehicle, tell)
-    endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
+    connect = endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
     program = Program(vehicle, built(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
     before = {each: signal.signal(each, program.told_to_end) for each in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -46,7 +46,7 @@ class Dialled:
 
     def __init__(self, endpoint: str, bundle: "Bundle | None", vehicle: str) -> None:
         self._name = key_names.OPEN if bundle is None else bundle.name
-        self._session = dial(endpoint, bundle, _give_up)
+        self._session = dial(endpoint, bundle, _give_up, secret="")
         self.id = str(self._session.zid())
         self._news: queue.SimpleQueue[Told | Literal["gone"]] = queue.SimpleQueue()
         try:

@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 
 from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, Notice, PortError, Sample
@@ -190,7 +191,7 @@ class Aboard:
 
 def _failure(device: str, error: Exception) -> Failure:
     if not isinstance(error, DriverError):
-        happened = plain(f"its driver failed ({type(error).__name__}: {error})")
+        happened = plain(f"its driver failed ({words_of(error)})")
         return Failure(kind="driver", device=plain(device), happened=happened, advice="report this to who wrote the driver")
     kinds: dict[type[DriverError], Literal["port", "handshake", "lost"]]
     kinds = {PortError: "port", HandshakeError: "handshake", LinkLost: "lost"}

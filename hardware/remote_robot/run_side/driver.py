@@ -64,7 +64,7 @@ class ZenohDriver(Talking):
         if vehicle and not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
             raise ScenarioError(f"must have letters, digits, _ and - only, not {vehicle!r}", key="vehicle")
         try:
-            _check(listen, keys, insecure=insecure)
+            listen = _check(listen, keys, insecure=insecure)
         except UsageError as error:
             raise ScenarioError(str(error), key="listen") from None
         super().__init__(
@@ -84,6 +84,9 @@ class ZenohDriver(Talking):
     def invitation(self) -> str:
         """The command line that starts the robot's program."""
         keys = f"--keys {self._vehicle}.keys" if self._secure else "--insecure"
+        with contextlib.suppress(UsageError):  # which opening it tells
+            if (certified := self._admission.keys()) is not None:
+                keys = f"--keys {certified.file_of(self._vehicle)}"
         where = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/HOST:", self._listen)
         return f"vcmvsp robot --vehicle {self._vehicle} --driver KIND:ADDRESS --connect {where} {keys}"
 
@@ -212,8 +215,8 @@ class ZenohDriver(Talking):
         return LinkLost(self.device, f"{lost.happened}, and it was not back within {self._reconnect_s:g} s", lost.advice)
 
 
-def _check(listen: str, keys: str, *, insecure: bool) -> None:
-    """Raise `UsageError` if it may not listen there so; the keys themselves are read when it is opened."""
+def _check(listen: str, keys: str, *, insecure: bool) -> str:
+    """Where it listens, if it may; the keys themselves are read when it is opened."""
     if keys and insecure:
         raise UsageError("keys and insecure exclude one another: leave one of them out")
-    endpoints.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")
+    return endpoints.endpoint_rules(listen, keys or None, insecure=insecure, side="driver")

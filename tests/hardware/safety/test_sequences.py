@@ -29,7 +29,7 @@ stretches = st.builds(
 )
 
 
-@pytest.mark.timeout(7200 if SEQUENCES > 1000 else 120)
+@pytest.mark.timeout(7200 if SEQUENCES > 1000 else 600)
 @pytest.mark.parametrize("flies", [False, True], ids=["ground", "air"])
 @settings(max_examples=SEQUENCES, deadline=None)
 @given(

@@ -198,6 +198,41 @@ def test_a_command_that_is_old_stops_the_robot_until_there_is_a_new_one() -> Non
     assert station.drive(1.0, v=0.4).causes == ()
 
 
+@pytest.mark.parametrize("late_ms", [245, 400])
+def test_one_late_tick_of_the_run_stops_no_robot(late_ms: int) -> None:
+    station = Station(mission(command_s=0.5, federation_s=0.5))
+    station.drive(1.0, v=0.4)
+    given_ns = 5 * station.ns
+
+    def order(number: int, age_ms: int, in_run_ms: int) -> Order:
+        command = Velocity(linear=(0.4, 0.0, 0.0))
+        sent_ns, own_ns = given_ns + age_ms * MS, in_run_ms * MS
+        return Order(number=number, sent_ns=sent_ns, command=command, command_ns=given_ns, command_age_ns=own_ns)
+
+    station.ns += TURN_MS * MS
+    station.said.append(station.onboard.turn(station.ns, order(1000, 200, 200)))  # a slow agent
+    station.drive(late_ms / 1000)  # the run says nothing
+    station.ns += TURN_MS * MS
+    station.said.append(station.onboard.turn(station.ns, order(1001, 220 + late_ms, 220)))  # the agent is not to blame
+    assert station.stops == []
+    assert station.driver.pose[0] > 0.4 * (1.0 + late_ms / 1000) - 0.2
+
+
+def test_a_stop_for_lack_of_commands_names_the_run_where_that_is_late() -> None:
+    station = Station(mission(command_s=0.5, federation_s=0.5))
+    station.drive(1.0, v=0.4)
+    given_ns = 5 * station.ns
+    for number in range(60):  # it speaks, but its time goes at half the pace of the clock, and its agent is as slow
+        station.ns += TURN_MS * MS
+        age_ns = (number + 1) * TURN_MS * MS
+        command = Velocity(linear=(0.4, 0.0, 0.0))
+        sent_ns, half_ns = given_ns + age_ns, age_ns // 2
+        order = Order(number=1000 + number, sent_ns=sent_ns, command=command, command_ns=given_ns, command_age_ns=half_ns)
+        station.said.append(station.onboard.turn(station.ns, order))
+        station.onboard.delivered()
+    assert station.stops == ["no command for 0.5 s: the run is late by 0.51 s"]
+
+
 @pytest.mark.parametrize("operator", [0.5, None])
 def test_an_operator_who_falls_silent_stops_it_for_good(operator: float | None) -> None:
     station = Station(mission(operator_s=operator))

@@ -40,7 +40,6 @@ def write_stl(folder: Path, binary: bool, corners: Any = CORNERS) -> str:
 
 @pytest.mark.parametrize("form", ["obj", "stl", "ascii stl"])
 def test_a_mesh_is_placed_in_the_world(tmp_path: Path, form: str) -> None:
-    pytest.importorskip("trimesh")
     path = write_obj(tmp_path) if form == "obj" else write_stl(tmp_path, form == "stl")
     world = MeshFile(path=path, scale=0.5, yaw_rad=0.5 * math.pi, position=(10.0, 0.0, 1.0), material="metal").build()
     (mesh,) = world.solids
@@ -53,7 +52,6 @@ def test_a_mesh_is_placed_in_the_world(tmp_path: Path, form: str) -> None:
 
 
 def test_y_may_point_up(tmp_path: Path) -> None:
-    pytest.importorskip("trimesh")
     (mesh,) = MeshFile(path=write_obj(tmp_path, ((0, 0, 0), (3, 0, 0), (0, 5, 0), (0, 0, 1))), up="y").build().solids
     assert isinstance(mesh, Mesh)
     assert mesh.triangles.reshape(-1, 3).max(axis=0).tolist() == [3.0, 0.0, 5.0]
@@ -62,7 +60,6 @@ def test_y_may_point_up(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["obj", "stl", "ascii stl"])
 def test_a_mesh_with_nan_is_refused_with_its_triangle(tmp_path: Path, form: str) -> None:
-    pytest.importorskip("trimesh")
     broken = (*CORNERS[:3], (0, 0, math.nan))
     path = write_obj(tmp_path, broken) if form == "obj" else write_stl(tmp_path, form == "stl", broken)
     with pytest.raises(ScenarioError, match=r"part\.\w+: triangle 1 has a corner that is not finite \(3 of 4 have\)"):
@@ -71,7 +68,6 @@ def test_a_mesh_with_nan_is_refused_with_its_triangle(tmp_path: Path, form: str)
 
 @pytest.mark.parametrize(("name", "text"), [("part.obj", "v 0 0 0\n"), ("part.stl", "solid\nendsolid\n"), ("part.xyzzy", "?")])
 def test_files_without_a_mesh_are_refused(tmp_path: Path, name: str, text: str) -> None:
-    pytest.importorskip("trimesh")
     (tmp_path / name).write_text(text)
     with pytest.raises(ScenarioError, match=r"part\.\w+: (holds no triangles|trimesh cannot read it)"):
         MeshFile(path=str(tmp_path / name)).build()

@@ -62,7 +62,6 @@ def area_of(world: World) -> float:
 
 @pytest.mark.parametrize(("image", "ascii_"), [("map.pgm", False), ("map.pgm", True), ("map.png", False)])
 def test_a_map_becomes_walls(tmp_path: Path, image: str, ascii_: bool) -> None:
-    pytest.importorskip("yaml")
     world = Map(path=str(write_map(tmp_path, GREY, image, ascii_)), height=1.5).build()
     boxes = [solid for solid in world.solids if isinstance(solid, Box)]
     assert sorted((box.center, box.size) for box in boxes) == [
@@ -73,7 +72,6 @@ def test_a_map_becomes_walls(tmp_path: Path, image: str, ascii_: bool) -> None:
 
 
 def test_threshold_negation_and_yaw(tmp_path: Path) -> None:
-    pytest.importorskip("yaml")
     assert area_of(Map(path=str(write_map(tmp_path, GREY, occupied_thresh=0.6))).build()) == pytest.approx(4 * 0.25)
     assert area_of(Map(path=str(write_map(tmp_path, GREY, negate=1))).build()) == pytest.approx(8 * 0.25)
     world = Map(path=str(write_map(tmp_path, GREY, origin=[1.0, 2.0, 0.5 * math.pi]))).build()
@@ -101,7 +99,6 @@ def test_threshold_negation_and_yaw(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_with_a_map_is_said(tmp_path: Path, keys: dict[str, Any], words: tuple[str, ...]) -> None:
-    pytest.importorskip("yaml")
     write_map(tmp_path, GREY)
     content = {"image": "map.pgm", "resolution": 0.5, "origin": [-1.0, -2.0, 0.0], **keys}
     (tmp_path / "map.yaml").write_text("".join(f"{key}: {value}\n" for key, value in content.items()))

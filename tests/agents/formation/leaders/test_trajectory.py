@@ -111,6 +111,14 @@ def test_a_plan_is_what_comes_and_changes_nothing(path: Any, period_s: float) ->
         np.testing.assert_allclose(np.reshape(told[tick]["plan"], (20, 2)), plain[tick + 1 : tick + 21], atol=1e-9)
 
 
+@pytest.mark.parametrize("ticks", [1, 7, 60])
+def test_how_far_a_plan_reaches_is_said(ticks: int) -> None:
+    plain = commands(Trajectory("random"), 20.0)[:, 1:]
+    told = reports(Trajectory("random", estimator="plan", plan_ticks=ticks), 20.0)
+    for tick in range(len(told) - ticks):
+        np.testing.assert_allclose(np.reshape(told[tick]["plan"], (ticks, 2)), plain[tick + 1 : tick + 1 + ticks], atol=1e-9)
+
+
 def test_accelerations_are_differences_of_commands() -> None:
     t, v, w = commands(Trajectory("random"), 30.0).T
     told = reports(Trajectory("random", estimator="acc"), 30.0)

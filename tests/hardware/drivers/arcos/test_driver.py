@@ -337,5 +337,5 @@ def test_what_was_not_opened() -> None:
 def test_a_process_that_forgets_to_close_ends_and_its_robot_stops() -> None:
     code = "import sys; from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver; ArcosDriver(sys.argv[1]).open()"
     with serve_pty(Device(IMPATIENT)) as served:
-        subprocess.run([sys.executable, "-c", code, served.url], check=True, timeout=30, cwd=ROOT)
+        subprocess.run([sys.executable, "-c", code, served.url], check=True, timeout=500, cwd=ROOT)
         eventually(lambda: served.device.watchdog_stopped)

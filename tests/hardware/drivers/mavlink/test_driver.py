@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.support import requirements
 from tests.support.cosim.run_processes import reserved
 from tests.support.hardware import driver_runs
 from tests.support.hardware.driver_runs import eventually, fly, rest
@@ -19,6 +20,7 @@ from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.drivers.mavlink.codec import mavlink
 from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
+from vcmvsp.hardware.drivers.mavlink.link import open_link
 from vcmvsp.hardware.emulators.mavlink.server import Served, serve_tcp, serve_udp
 from vcmvsp.hardware.emulators.mavlink.telemetry import SITE
 from vcmvsp.hardware.emulators.mavlink.vehicle import Vehicle
@@ -127,7 +129,7 @@ def test_an_emulated_vehicle_speaks_to_any_machine(to: str) -> None:
         try:
             ear.bind((to, 0))
         except OSError:
-            pytest.skip("this machine has no IPv6")
+            requirements.not_allowed("IPv6")
         ear.settimeout(20.0)
         with serve_udp(Vehicle(**QUICK), to=(to, ear.getsockname()[1])) as served:
             _, (source, *_) = ear.recvfrom(4096)
@@ -337,3 +339,9 @@ def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
             with pytest.raises(RuntimeError, match="open already"):
                 driver.open()
     assert served.vehicle.mode == "HOLD"
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "[::]"])
+def test_all_interfaces_must_be_asked_for(host: str) -> None:
+    with pytest.raises(PortError, match=r"lets in everybody .* add insecure = true"):
+        open_link(f"udpin:{host}:14540", 57_600)

@@ -1,5 +1,6 @@
 """The emulated robot at a port, and the line to it. Only what concerns ports runs at the pace of the wall clock."""
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -140,6 +141,25 @@ def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
     link.touch()
     with pytest.raises(FileExistsError):
         serve_pty(Device(AMIGO), link=link)
+
+
+def test_a_link_that_a_killed_emulator_left_is_replaced_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    link = tmp_path / "robot"
+    link.symlink_to("/dev/pts/99999999")  # its terminal is gone
+    with serve_pty(Device(AMIGO), link=link):
+        assert link.exists()
+    ends = os.openpty()
+    name = os.ttyname(ends[1])
+    link.symlink_to(name)  # which somebody else has
+    with pytest.raises(FileExistsError):
+        serve_pty(Device(AMIGO), link=link)
+    elsewhere = tmp_path / "other"
+    elsewhere.symlink_to(tmp_path / "nothing")  # no terminal: not ours to remove
+    with pytest.raises(FileExistsError):
+        serve_pty(Device(AMIGO), link=elsewhere)
+    monkeypatch.setattr("pty.openpty", lambda: ends)  # its number was free, and is ours now
+    with serve_pty(Device(AMIGO), link=link):
+        assert str(link.readlink()) == name
 
 
 def test_a_port_in_use_is_refused() -> None:
