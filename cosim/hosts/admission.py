@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from vcmvsp.cosim.agent import AgentSpec
-from vcmvsp.cosim.config import messages, registry
+from vcmvsp.cosim.config import messages, registry, user_classes
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.hosts.protocol import Hello
 
@@ -71,7 +71,7 @@ def _same(one: str, other: str) -> bool:
 
 
 def _target(kind: str) -> str:
-    if registry.is_file_kind(kind):
+    if user_classes.is_file_kind(kind):
         return os.path.basename(kind)  # noqa: PTH119  of "folder/file.py:Class", which is no path
     with contextlib.suppress(VcmvspError):
         return registry.target("agent", kind)

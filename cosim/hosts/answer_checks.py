@@ -5,8 +5,7 @@ or the recording says why. Causes are worded to stand behind ``gave an answer th
 """
 
 import math
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -14,9 +13,11 @@ import tomli_w
 
 from vcmvsp.cosim.agent import LARGEST_MESSAGE_BYTES, SHOWN, AgentInfo, AgentSpec, Shown, check_body, unfit
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
+from vcmvsp.cosim.config.source_code import MOST_FILES
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.scenario.schema import AgentTable
 from vcmvsp.cosim.types import Follows, Message, Note, Presence, Velocity, Waypoint
+from vcmvsp.cosim.util.documents import read_toml
 from vcmvsp.cosim.util.text import LONGEST_DETAILS, LONGEST_LINE, LONGEST_NAME, plain
 
 if TYPE_CHECKING:
@@ -136,6 +137,7 @@ def built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
             _agent(info, wanted[info.vehicle])
         except ValueError as error:
             raise ValueError(f"an agent for {info.vehicle} with {error}") from None
+    _code(answer.code, wanted)
     hears = {f"{spec.vehicle}/{what}" for spec in specs for what in _HEARS}
     sees = {f"{spec.vehicle}/{what}" for spec in specs for what in (*_SEES, *spec.sensors)}
     for keys, allowed in ((answer.reads, hears), (answer.latest, sees)):
@@ -146,6 +148,14 @@ def built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
             raise ValueError(f"it wants to listen to {next(key for key in keys if keys.count(key) > 1)} twice")
 
 
+def _code(code: Mapping[str, Mapping[str, str]], wanted: Collection[str]) -> None:
+    for vehicle, files in code.items():
+        if vehicle not in wanted or len(files) > 2 * MOST_FILES:
+            raise ValueError(f"source code of {plain(vehicle, LONGEST_NAME)} that was not asked for, or of too many files")
+        if any(plain(text, LONGEST_LINE) != text for text in (*files, *files.values())):
+            raise ValueError(f"source code of {vehicle} with names that are too long or cannot be shown")
+
+
 def _agent(info: AgentInfo, spec: AgentSpec) -> None:
     _ticks(info.ticks, spec.period_s)
     if info.latency_ns != seconds_to_ns(spec.latency_s):
@@ -154,14 +164,14 @@ def _agent(info: AgentInfo, spec: AgentSpec) -> None:
         raise ValueError(f"the class {plain(info.agent, LONGEST_NAME)}, expected {spec.kind}")
     if strange := [name for name in info.taken if name not in spec.defaults]:
         raise ValueError(f"a default that [agents] does not have: {plain(strange[0], LONGEST_NAME)}")
-    for names, what in ((info.known, "parameters"), (info.sensors, "sensors")):
+    for names, what in ((info.known, "parameters"), (info.sensors, "sensors"), (info.files, "files")):
         if len(names) > 1000 or any(plain(name, LONGEST_NAME) != name for name in names):
             raise ValueError(f"{what} that are too many, too long or cannot be shown")
     if strange := [name for name in info.params if name not in info.known or name in _OF_SCENARIO]:
         raise ValueError(f"a parameter that it cannot have: {plain(strange[0], LONGEST_NAME)}")
     try:
         text = tomli_w.dumps(info.params)
-        tomllib.loads(text)
+        read_toml(text)
     except (TypeError, ValueError, RecursionError, AttributeError) as error:
         raise ValueError(f"parameters that a scenario cannot say: {plain(str(error))}") from None
     if len(text) > LARGEST_PARAMS_BYTES:

@@ -3,7 +3,7 @@
 import queue
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 from zenoh.handlers import Callback
@@ -11,7 +11,7 @@ from zenoh.handlers import Callback
 from vcmvsp.cosim.errors import FederateError, UsageError
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.server import Desk
-from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
+from vcmvsp.cosim.transport import access_control, key_names, local_secret, tls_diagnosis
 from vcmvsp.cosim.transport.zenoh_session import common_names, opened, threads
 
 if TYPE_CHECKING:
@@ -25,6 +25,9 @@ _READS = "(rx: (handover: app))"
 """Of Zenoh's threads in a host, that which waits for the socket also reads what comes, and calls back: as Zenoh has it, it
 would wake another one for each message, a tenth of an exchange. Callbacks of a host only hand over, so that nothing blocks it.
 Another one writes, so that the link lives while a callback waits for an agent that holds Python's lock."""
+Secret = str | None
+"""Of a run; empty: it lets anybody in."""
+NO_RUN = "what listens there is no run of this user; --secret FILE or --insecure joins another's"
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500}  # of a link that broke
 
 
@@ -35,6 +38,7 @@ def serve(
     *,
     bundle: "Bundle | None" = None,
     login: tuple[str, str] | None = None,
+    secret: Secret = None,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Run a host: dial in, wait for a run, answer its questions until it ends, and give the reason for its end.
@@ -45,6 +49,7 @@ def serve(
         endpoint: of the hub, e.g. ``tls/192.168.1.10:7447``; it need not be there yet.
         bundle: certificate of this host; None: plain TCP.
         login: name and password of a host that the run itself has started.
+        secret: as of `dial`.
         on_state: told what is being waited for.
 
     Raises:
@@ -53,7 +58,7 @@ def serve(
     """
     name = key_names.OPEN if bundle is None else bundle.name
     with threads(_READS):
-        session = dial(endpoint, bundle, on_state, login)
+        session = dial(endpoint, bundle, on_state, login, secret=secret)
     with session:
         host = str(session.zid())
         questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
@@ -70,7 +75,7 @@ def serve(
         welcome = _join(session, name, hello(host))
         on_state("joined; waiting for the run to begin")
         try:
-            _answer(questions, desk, says, session, welcome.patience_s, on_state)
+            _answer(questions, desk, says, session, welcome, on_state)
             if desk.failure is not None:
                 raise desk.failure
             return desk.ended or ""
@@ -85,14 +90,14 @@ def _answer(
     desk: Desk,
     says: zenoh.Publisher,
     session: zenoh.Session,
-    patience_s: float,
+    welcome: protocol.Welcome,
     on_state: Callable[[str], None],
 ) -> None:
     """Answer until the run ends. One that is out of reach is waited for; what it asks again is not done again.
 
     Its last answer may be cut off, too: it stays until the run waits for none any more, or does not come back.
     """
-    answers = _Answers(desk)
+    answers, patience_s = _Answers(desk), welcome.patience_s
     hub = hub_of(session)
     there = True
     while not answers.known:
@@ -109,7 +114,7 @@ def _answer(
             if there and desk.ended is None and hub_of(session) not in (hub, ""):
                 raise FederateError("the run", "is gone: another one listens there now; start this host again")
         elif answer := answers.to(question.payload.to_bytes()):
-            says.put(answer)
+            says.put(protocol.sealed(welcome.seal, answer) if welcome.seal else answer)
 
 
 class _Answers:
@@ -157,26 +162,39 @@ def hub_of(session: zenoh.Session) -> str:
 
 
 def dial(
-    endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None], login: tuple[str, str] | None = None
+    endpoint: str,
+    bundle: "Bundle | None",
+    on_state: Callable[[str], None],
+    login: tuple[str, str] | None = None,
+    *,
+    secret: Secret = None,
 ) -> zenoh.Session:
-    """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between."""
+    """A client session to the hub, as soon as there is one. Short attempts, so that Ctrl-C is heard in between.
+
+    Args:
+        endpoint: of the hub.
+        bundle: certificate of this machine; None: plain TCP.
+        on_state: told what is being waited for.
+        login: name and password of a host that the run itself has started.
+        secret: of the run, where there is no certificate; None: that which this user's run has left on this machine.
+    """
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
-    secure = {} if bundle is None else access_control.machine_security(bundle)
-    if login is not None:
-        secure = access_control.child_security(*login)
     told = ""
     while True:
+        secure = access_control.child_security(*login) if login else dialling(endpoint, bundle, secret)
         try:
-            session = opened(own, secure, f"cannot connect to '{endpoint}'")
-            break
+            if secure is not None:  # else it may be anybody who listens there
+                session = opened(own, secure, f"cannot connect to '{endpoint}'")
+                break
         except UsageError as error:
             if "Unable to connect" not in str(error):
                 raise
         refusal = tls_diagnosis.diagnose(endpoint, bundle)
         if refusal is not None and refusal.final:
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
-        waits = f"waiting for a run at {endpoint}" + (f": {refusal.why}" if refusal else "")
+        why = refusal.why if refusal else "" if bundle else NO_RUN
+        waits = f"waiting for a run at {endpoint}" + (f": {why}" if why else "")
         if waits != told:
             on_state(waits)
             told = waits
@@ -188,6 +206,16 @@ def dial(
             session.close()  # type: ignore[no-untyped-call]
             raise
     return session
+
+
+def dialling(endpoint: str, bundle: "Bundle | None", secret: Secret) -> dict[str, Any] | None:
+    """What the configuration of a client needs; None: it has neither certificate nor secret (arguments as of `dial`)."""
+    if bundle is not None:
+        return access_control.machine_security(bundle)
+    password = local_secret.found(endpoint) if secret is None else secret
+    if password is None:
+        return None
+    return access_control.child_security(key_names.OPEN, password) if password else {}
 
 
 def _join(session: zenoh.Session, name: str, hello: protocol.Hello) -> protocol.Welcome:

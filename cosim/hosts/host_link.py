@@ -31,6 +31,8 @@ class LinkCallbacks(NamedTuple):
     """Says how the host has ended; an empty answer: that is not known, and it may come back."""
     noticed: Callable[[bool], None] = lambda _: None
     """Called by Zenoh's thread, at once, when the host gets out of reach (False), and when it is back."""
+    forged: Callable[[], None] = lambda: None
+    """Called when another session first answers in the host's place; its answers are dropped."""
     released: Callable[[bool], None] = lambda _: None
     """Releases whatever runs the host; told whether it has answered to the last."""
 
@@ -45,11 +47,13 @@ class ZenohLink:
         session: the hub's.
         key: under which the host is asked.
         callbacks: what it asks and reports.
-        stranger: it may flood the run with answers to nothing, which are then dropped; children of a run do not.
+        seal: key of the seals on its answers (`protocol.sealed`); empty for a child of this run, which needs none. Answers of
+            strangers are also limited in number, for they may answer what nobody has asked.
         cut_deadline_s: for how long it may be out of reach, whatever it was asked.
 
     Attributes:
         cuts_s: for how long it was out of reach, each time that the run waited for it.
+        forged: answers of another session than the one that joined.
     """
 
     leaving = False
@@ -61,7 +65,7 @@ class ZenohLink:
         key: str,
         callbacks: LinkCallbacks = QUIET,
         *,
-        stranger: bool = True,
+        seal: bytes,
         cut_deadline_s: float = math.inf,
     ) -> None:
         self._news: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()  # answers, and whether the host is there
@@ -69,7 +73,8 @@ class ZenohLink:
         self._ask = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
         self._answers = zenoh.KeyExpr(key_names.answer_key(key))
         # A callback in Python costs more than it does: in a thread of Zenoh's, each call has memory mapped for its frames.
-        take = self._on_answer if stranger else self._news.put
+        take = self._on_answer if seal else self._news.put
+        self._seal, self.forged = seal, 0
         self._hears = session.declare_subscriber(self._answers, Callback(take, indirect=False))
         self._number = 0
         self._asked_at = 0.0  # when all that is open was last asked
@@ -85,6 +90,11 @@ class ZenohLink:
         self._callbacks.noticed(there)
 
     def _on_answer(self, sample: zenoh.Sample) -> None:
+        if not protocol.is_sealed(self._seal, sample.payload.to_bytes()):
+            self.forged += 1
+            if self.forged == 1:
+                self._callbacks.forged()
+            return
         if self._news.qsize() < len(self._open) + _SPARE:
             self._news.put(sample)
 
@@ -153,7 +163,7 @@ class ZenohLink:
                 self._cut = self._cut or time.monotonic()
                 self._check_whether_ended()
             return None
-        content = news.payload.to_bytes()
+        content = news.payload.to_bytes()[protocol.SEAL if self._seal else 0 :]
         if len(content) < protocol.number.size or news.key_expr != self._answers:
             return None  # no answer of ours: a key with wildcards may be meant for many
         number, oldest = protocol.number.unpack_from(content)[0], self._open[0]

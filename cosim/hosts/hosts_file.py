@@ -12,8 +12,7 @@
 
 import re
 import sys
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,11 @@ import msgspec
 import tomli_w
 
 from vcmvsp.cosim.config import binding, messages
+from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.types import Name
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_toml
 
 HERE = (sys.executable, "-P", "-m", "vcmvsp.cosim.cli.app")
 
@@ -60,9 +62,15 @@ class HostTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             return ("vcmvsp",) if self.ssh else HERE
         return (self.command,) if isinstance(self.command, str) else self.command
 
-    def arguments(self, connect: str, *, insecure: bool) -> list[str]:
-        """What vcmvsp is told there, but for keys."""
-        words = ["agent", *(f"--vehicle={vehicle}" for vehicle in self.vehicles), f"--connect={connect}"]
+    def arguments(self, connect: str, code: Sequence[str], *, insecure: bool) -> list[str]:
+        """What vcmvsp is told there, but for keys.
+
+        Args:
+            connect: endpoint to dial.
+            code: options that name the classes which it may run (`cosim.config.user_classes.host_options`).
+            insecure: dial without a certificate.
+        """
+        words = ["agent", *(f"--vehicle={vehicle}" for vehicle in self.vehicles), f"--connect={connect}", *code]
         words += [f"--set={key}={toml(value)}" for key, value in self.set.items()]
         words += ["--insecure"] if insecure else []
         return words
@@ -83,13 +91,13 @@ def read(path: Path) -> HostsTable:
         UsageError: it cannot be read.
     """
     try:
-        text = path.read_text("utf-8")
-        raw = tomllib.loads(text)
+        text = limits.read_text(path)
+        raw = read_toml(text)
     except OSError as error:
         raise UsageError(f"--hosts {path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
-    lines = _Lines(str(path), text)
+    lines = Source(str(path), path.parent, text)
     listed = binding.call(HostsTable, raw, origin=lines)
     if not listed.host:
         raise ScenarioError("needs at least one [[host]]", source=str(path))
@@ -132,22 +140,3 @@ def toml(value: object) -> str:
 
 def _scalar(value: object) -> str:
     return tomli_w.dumps({"v": value}).removeprefix("v = ").rstrip("\n")
-
-
-class _Lines:
-    """Places of keys of a hosts file: a `cosim.config.binding.Origin` that knows hosts by number (``host[1].vehicles``)."""
-
-    def __init__(self, name: str, text: str) -> None:
-        self._name, self._lines = name, dict[str, int]()
-        here, count = "", 0
-        for number, line in enumerate(text.splitlines(), 1):
-            if re.match(r"\s*\[\[\s*host\s*\]\]", line):
-                here, count = f"host[{count}]", count + 1
-                self._lines[here] = number
-            elif key := re.match(r"\s*([A-Za-z0-9_-]+)\s*=", line):
-                self._lines.setdefault(messages.join(here, key[1]), number)
-
-    def of(self, key: str) -> str:
-        while key and key not in self._lines:
-            key = re.sub(r"[.\[][^.\[]*$|^[^.\[]*$", "", key)  # what it is in
-        return f"{self._name} line {self._lines[key]}" if key else self._name

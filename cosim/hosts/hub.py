@@ -5,10 +5,10 @@ import functools
 import json
 import math
 import queue
+import secrets
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import zenoh
@@ -54,6 +54,7 @@ class Hub:
         endpoint: Zenoh endpoint to listen on, e.g. ``tls/0.0.0.0:7447``; port 0 takes a free one.
         keys: the certificates of those who may come; None: anybody may.
         children: names and passwords of those who may come, where they are this process's own; None: others may.
+        secret: of those others, where there are no certificates; None: anybody may come.
         patience_s: wall-clock seconds for which hosts are to wait for a run that they are cut off from.
         cut_deadline_s: wall-clock seconds after which a host out of reach is given up.
 
@@ -67,6 +68,7 @@ class Hub:
         keys: "Keys | None" = None,
         *,
         children: Mapping[str, str] | None = None,
+        secret: str | None = None,
         patience_s: float = 2.0,
         cut_deadline_s: float = math.inf,
     ) -> None:
@@ -78,9 +80,10 @@ class Hub:
         self._strangers = children is None
         with contextlib.ExitStack() as meanwhile:
             meanwhile.enter_context(threads("()" if self._strangers else _READS))
-            if children is not None:
-                folder = meanwhile.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-"))
-                secure = access_control.merge(secure, access_control.children_security(children, Path(folder)))
+            passwords = {key_names.OPEN: secret} if secret else children
+            if passwords is not None:
+                known = meanwhile.enter_context(tempfile.TemporaryFile())  # without a name: a run that is killed leaves nothing
+                secure = access_control.merge(secure, access_control.children_security(passwords, known))
             self.session = opened(config, secure, f"cannot listen on '{endpoint}'")
         self.endpoint = self._locator()
         self._keys, self._patience_s, self._cut_deadline_s = keys, patience_s, cut_deadline_s
@@ -109,7 +112,7 @@ class Hub:
             self._reply(query, "that was no greeting of a vcmvsp host")
             return None
 
-        denied = None
+        denied, proof = None, secrets.token_bytes(protocol.SEAL)
         if hello.protocol != protocol.PROTOCOL:
             denied = f"this run speaks protocol {protocol.PROTOCOL}, the host {hello.protocol}: use the same vcmvsp version"
         elif self._keys is not None:
@@ -119,11 +122,14 @@ class Hub:
             denied = access_control.admission(current, machine[0], hello.vehicles)
 
         def link(callbacks: LinkCallbacks) -> ZenohLink:
-            made = ZenohLink(self.session, key, callbacks, stranger=self._strangers, cut_deadline_s=self._cut_deadline_s)
+            seal = proof if self._strangers else b""
+            made = ZenohLink(self.session, key, callbacks, seal=seal, cut_deadline_s=self._cut_deadline_s)
             self._links[machine] = made
             return made
 
-        return Knock(hello, machine, denied, functools.partial(self._reply, query), link)
+        return Knock(
+            hello, machine, denied, functools.partial(self._reply, query, seal=proof if self._strangers else b""), link
+        )
 
     def open(self) -> None:
         """Somebody is missing: let those who come wait to be heard (`next_hello`)."""
@@ -178,9 +184,10 @@ class Hub:
     def _refuse(self, query: zenoh.Query) -> None:
         self._reply(query, "it has begun, and nobody is missing")
 
-    def _reply(self, query: zenoh.Query, refused: str | None) -> None:
+    def _reply(self, query: zenoh.Query, refused: str | None, *, seal: bytes = b"") -> None:
+        welcome = protocol.Welcome(refused, self._patience_s, b"" if refused else seal)
         with query:
-            query.reply(query.key_expr, protocol.encode(protocol.Welcome(refused=refused, patience_s=self._patience_s)))
+            query.reply(query.key_expr, protocol.encode(welcome))
 
     def _locator(self) -> str:
         """Where the session really listens (the admin space knows the port that 0 became)."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.agent import AgentSpec
+from vcmvsp.cosim.config import user_classes
 from vcmvsp.cosim.errors import AgentError, UsageError
 from vcmvsp.cosim.scenario.schema import AgentsTable
 from vcmvsp.cosim.util.text import Tell
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
 
 POLL_S = 0.05
+SAY_S = 5.0  # who is awaited is said so often
 GONE_S = 10.0  # a host that is out of reach for so long while it is to build its agents is given up
 MOST_TOLD = 100  # different reasons for which hosts were refused
 
@@ -55,17 +57,22 @@ class Entrance:
     ) -> None:
         from vcmvsp.cosim.hosts.event_publisher import Topics
         from vcmvsp.cosim.hosts.hub import Hub
+        from vcmvsp.cosim.transport import local_secret
 
         self._tell, self._keys, self._insecure = tell, keys, insecure
         self._news: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # of Zenoh's threads, for the user
         self._refused: set[str] = set()  # what has been said of those who were refused
-        certificates = self._certificates(agents.listen, specs)
+        self._certified, listen = self._certificates(agents.listen, specs)
         with contextlib.ExitStack() as stack:
-            self.hub = Hub(
-                agents.listen, certificates, patience_s=patience_s(agents, specs), cut_deadline_s=cut_deadline_s(agents)
-            )
+            secret = None if self._certified or insecure else local_secret.made()
+            wait_s, cut_s = patience_s(agents, specs), cut_deadline_s(agents)
+            self.hub = Hub(listen, self._certified, secret=secret, patience_s=wait_s, cut_deadline_s=cut_s)
             stack.callback(self.hub.close)
-            self.topics = Topics(self.hub.session, about, certificates)
+            if secret:
+                stack.enter_context(local_secret.published(self.hub.endpoint, secret))
+            elif not self._certified:
+                tell(f"caution: whoever can reach {self.hub.endpoint} can host agents of this run and watch it (--insecure)")
+            self.topics = Topics(self.hub.session, about, self._certified)
             stack.callback(self.topics.close)
             threading.Thread(target=self._tell_news, daemon=True).start()
             stack.callback(self._news.put, None)
@@ -86,7 +93,14 @@ class Entrance:
         self._tell(f"waiting for {len(specs)} agents at {self.hub.endpoint}; start each with")
         for spec in specs:
             how = ["--vehicle", spec.vehicle, "--connect", self.hub.endpoint]
-            how += ["--keys", f"{spec.vehicle}.keys"] if self._keys else ["--insecure"] if self._insecure else []
+            how += (
+                ["--keys", self._certified.file_of(spec.vehicle)]
+                if self._certified
+                else ["--insecure"]
+                if self._insecure
+                else []
+            )
+            how += user_classes.host_options([spec.kind, spec.params, spec.defaults], spec.folder)
             self._tell(shlex.join(["vcmvsp", "agent", spec.kind or "MODULE_OR_FILE:Class", *how]))
 
     def let_in(self, knock: "Knock", refusal: str | None) -> "ZenohLink | None":
@@ -103,15 +117,18 @@ class Entrance:
         def noticed(there: bool) -> None:
             self.note(f"the host of {who} is {'back' if there else 'out of reach'}")
 
-        return knock.answer(refusal, LinkCallbacks(noticed=noticed))
+        def forged() -> None:
+            self.note(f"another session answers in place of the host of {who}: its answers are dropped and counted")
+
+        return knock.answer(refusal, LinkCallbacks(noticed=noticed, forged=forged))
 
     def _tell_news(self) -> None:
         """Tell what has happened as it happens, however long that takes: Zenoh's threads have other things to do."""
         while (text := self._news.get()) is not None:
             self._tell(text)
 
-    def _certificates(self, listen: str, specs: Sequence[AgentSpec]) -> "Keys | None":
-        """What the user says of who may come from elsewhere, checked."""
+    def _certificates(self, listen: str, specs: Sequence[AgentSpec]) -> "tuple[Keys | None, str]":
+        """What the user says of who may come from elsewhere, and where to, checked."""
         from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
         keys = None
@@ -121,11 +138,11 @@ class Entrance:
             keys = certificates.load(self._keys)
             if warning := keys.check():
                 self._tell(warning)
-        endpoint_rules(listen, keys, insecure=self._insecure)
+        listen = endpoint_rules(listen, keys, insecure=self._insecure)
         if keys and (lacking := keys.lacking([spec.vehicle for spec in specs])):
             command = f"vcmvsp keys vehicle {lacking[0]} --keys {self._keys}"
             raise UsageError(f"no machine has a certificate for {', '.join(lacking)}: {command}")
-        return keys
+        return keys, listen
 
 
 def knocking(
@@ -147,8 +164,11 @@ def knocking(
     Raises:
         AgentError: it is too late; naming those of the missing whom the run needs.
     """
-    last = time.monotonic() + timeout_s
+    last, say = time.monotonic() + timeout_s, time.monotonic() + SAY_S
     while vehicles := missing():
+        if time.monotonic() > say:
+            say += SAY_S
+            tell(awaited(vehicles))
         if time.monotonic() > last:
             cause = f"did not join within {timeout_s:g} s (agents.join_timeout_s)"
             if needed := tuple(filter(indispensable, vehicles)):
@@ -157,6 +177,23 @@ def knocking(
             return
         if knock := hub.next_hello(POLL_S):
             yield knock
+
+
+def awaited(vehicles: Sequence[str]) -> str:
+    """What a user is told who sees nothing happen."""
+    return f"still waiting for the host of {', '.join(vehicles)}"
+
+
+@contextlib.contextmanager
+def telling_of(vehicles: Sequence[str], tell: Tell) -> Iterator[None]:
+    """Tell, once, who is awaited where that takes long."""
+    timer = threading.Timer(SAY_S, tell, [awaited(vehicles)])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def patience_s(agents: AgentsTable, specs: Sequence[AgentSpec]) -> float:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
+from vcmvsp.cosim.config.source_code import difference, fingerprint
 from vcmvsp.cosim.errors import AgentError, ScenarioError
 from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import admission
-from vcmvsp.cosim.hosts.listener import Entrance, cut_deadline_s, indispensable, knocking, patience_s
+from vcmvsp.cosim.hosts.listener import Entrance, cut_deadline_s, indispensable, knocking, patience_s, telling_of
 from vcmvsp.cosim.hosts.protocol import Built, Machine
 from vcmvsp.cosim.hosts.remote_host import RemoteHost
 from vcmvsp.cosim.hosts.server import BuildsHost, Desk, HostFederate
@@ -69,6 +70,7 @@ class Hosts:
         self._elsewhere: list[RemoteHost] = []  # those whose hosts may be replaced
         self._specs: dict[str, AgentSpec] = {}  # of those, as their hosts have them
         self._wanted: dict[str, AgentSpec] = {}  # ... as the scenario has them
+        self._other_code: dict[str, str] = {}  # how the code of a vehicle's host differs from this machine's
         self._waiting: dict[str, AgentSpec] = {}  # who has not joined before the run began
 
     def close(self) -> None:
@@ -83,6 +85,20 @@ class Hosts:
             if link.cuts_s:
                 cuts.setdefault(vehicles, []).extend(link.cuts_s)
         return cuts
+
+    @property
+    def forged(self) -> dict[str, int]:
+        """How many answers another session gave in place of a host, by its vehicles; they were dropped."""
+        return {vehicles: link.forged for vehicles, link in self._links if link.forged}
+
+    @property
+    def unrepeatable(self) -> list[str]:
+        """What hosts did that a repetition of the run does not."""
+        lost = [loss for host in self.federates if isinstance(host, RemoteHost) for loss in host.losses]
+        return [
+            *(f"the host of {vehicle} ran other code: {how}" for vehicle, how in sorted(self._other_code.items())),
+            *(f"the host of {vehicles} was lost at {time_s:g} s: {cause}" for vehicles, time_s, cause in lost),
+        ]
 
     def start(self, specs: Mapping[str, Sequence[AgentSpec]], objects: Mapping[str, Agent]) -> None:
         """Start the hosts of all agents, or wait for them.
@@ -100,7 +116,9 @@ class Hosts:
         for where, group in sorted(specs.items()):
             start[where](group)
         if self._observed and self.entrance is None:
-            self.listen()
+            endpoint = self.listen().hub.endpoint
+            nobody = 'no agent has runs = "zenoh" (--agents zenoh), so that the run waits for no host'
+            self._tell(f"{endpoint} is for vcmvsp watch alone: {nobody}")
 
     @property
     def topics(self) -> "Topics | None":
@@ -201,7 +219,9 @@ class Hosts:
             crews.append(self._crew_at(link, specs))
         for crew in crews:
             try:
-                self._add_host([crew], crew.build())
+                with telling_of(crew.vehicles, self._tell):
+                    built = crew.build()
+                self._add_host([crew], built)
             except (AgentError, ScenarioError) as error:
                 asked_for = [self._wanted.get(vehicle) for vehicle in crew.vehicles]
                 if not all(spec is not None and not indispensable(spec) for spec in asked_for):
@@ -226,12 +246,24 @@ class Hosts:
         self._add(host)
 
     def _crew(self, link: Link, specs: Sequence[AgentSpec]) -> Crew:
-        return Crew(link, specs, deadline_s=self._agents.deadline_s, build_s=self._agents.join_timeout_s)
+        timeouts = {"deadline_s": self._agents.deadline_s, "build_s": self._agents.join_timeout_s}
+        return Crew(link, specs, **timeouts, on_built=self._compare_code)
 
     def _crew_at(self, link: "ZenohLink", specs: Sequence[AgentSpec]) -> Crew:
         who = ", ".join(spec.vehicle for spec in specs)
         self._links.append((who, link))
         return self._crew(link, specs)
+
+    def _compare_code(self, built: Built) -> None:
+        """Tell where a host that somebody else has started runs other source code than this machine has."""
+        for vehicle, code in built.code.items():
+            if (spec := self._wanted.get(vehicle)) is None:
+                continue
+            own = spec if vehicle not in self.kinds else msgspec.structs.replace(spec, kind=self.kinds[vehicle])
+            how = difference(fingerprint(own), code)
+            if how and self._other_code.get(vehicle) != how:
+                self._other_code[vehicle] = how
+                self._tell(f"the host of {vehicle} runs other code than this machine: {how}")
 
     def _add(self, host: HostFederate) -> None:
         self.federates.append(host)

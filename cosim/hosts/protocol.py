@@ -10,6 +10,8 @@ question   meaning                                         answer
 =========  ==============================================  =========================
 """
 
+import hashlib
+import hmac
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +24,7 @@ from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.hosts.array_codec import Unpacker, pack
 from vcmvsp.cosim.util import codec
 
-PROTOCOL = 8
+PROTOCOL = 9
 """Version of this table; a host of another version is refused."""
 
 
@@ -47,6 +49,7 @@ class Welcome(msgspec.Struct, frozen=True, tag=True):
 
     refused: str | None = None
     patience_s: float = 2.0  # how long the host is to wait for a run that it is cut off from
+    seal: bytes = b""  # key of the seals of its answers, which the hub tells its session alone; empty: they need none
 
 
 class Build(msgspec.Struct, frozen=True, tag=True):
@@ -80,6 +83,7 @@ class Built(msgspec.Struct, frozen=True, tag=True):
     agents: tuple[AgentInfo, ...]
     reads: tuple[str, ...]
     latest: tuple[str, ...]
+    code: dict[str, dict[str, str]] = {}  # of each vehicle (`cosim.config.source_code.fingerprint`)
 
 
 class Stepped(msgspec.Struct, frozen=True, tag=True):
@@ -132,6 +136,19 @@ FAREWELL = 0
 
 number = struct.Struct("<Q")
 """Before each answer: the number of its question."""
+
+SEAL = 16  # bytes
+
+
+def sealed(key: bytes, answer: bytes) -> bytes:
+    """An answer with its seal in front (keyed BLAKE2, RFC 7693): another session cannot answer in a host's place."""
+    return hashlib.blake2b(answer, key=key, digest_size=SEAL).digest() + answer
+
+
+def is_sealed(key: bytes, content: bytes) -> bool:
+    """Whether `sealed` has given this."""
+    return hmac.compare_digest(sealed(key, content[SEAL:]), content)
+
 
 _MANY = 8  # events of a step, from which on it costs less to send arrays together than each in its place
 

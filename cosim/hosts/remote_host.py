@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from vcmvsp.cosim.agent import AgentSpec
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import AgentError, FederateError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts import protocol
@@ -29,6 +30,9 @@ class RemoteHost:
         missing: specs of the latter.
         door: looks whether somebody knocks; called at each tick at which an agent is away.
         tell: takes lines for the user.
+
+    Attributes:
+        losses: vehicles, time (s) and cause of each loss of a host.
     """
 
     slot = wake_slot = Slot.AGENT
@@ -63,6 +67,7 @@ class RemoteHost:
         self._may_go_on = policies != {"stop"}
         self._replaceable = frozenset(self.latest) if "hold" in policies else frozenset()
         self._following: set[str] = set()  # who means to keep a place
+        self.losses: list[tuple[str, float, str]] = []
         self._failed: dict[str, Crew] = {}  # agents that failed inside a host that is still there
 
     def start(self, run: RunInfo) -> int | None:
@@ -88,6 +93,7 @@ class RemoteHost:
         if self._replaceable:
             self._kept.update((event.key, event) for event in inbox if event.key in self._replaceable)
         if self._missing:
+            self.losses += [(spec.vehicle, now_ns / SECOND_NS, "it has no host yet") for spec in self._missing]
             asked.events += self._leave(self._missing, now_ns, "it has no host yet")
             self._missing = ()
         if self._away:
@@ -165,6 +171,7 @@ class RemoteHost:
         """A host has not answered: what its vehicles do from now on; the error itself, if one of them must not be lost."""
         if crew.indispensable:
             raise error
+        self.losses.append((", ".join(crew.vehicles), now_ns / SECOND_NS, error.cause))
         self._crews.remove(crew)
         for asked in self._asked:
             asked.crews = [each for each in asked.crews if each is not crew]

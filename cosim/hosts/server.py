@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
-from vcmvsp.cosim.errors import FederateError, Interrupted, VcmvspError
+from vcmvsp.cosim.config.source_code import fingerprint
+from vcmvsp.cosim.errors import FederateError, Interrupted, VcmvspError, words_of
 from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import protocol
 
@@ -42,7 +43,7 @@ class Desk:
             self.failure = Interrupted("interrupted at its host")
         except BaseException as error:  # a host must answer, whatever its agents do
             details = "".join(traceback.format_exception(error))
-            self.failure = FederateError("host", f"{type(error).__name__}: {error}", details=details)
+            self.failure = FederateError("host", words_of(error), details=details)
         self.ended = str(self.failure)
         return protocol.encode(protocol.Failed.of(self.failure))
 
@@ -51,7 +52,8 @@ class Desk:
             if self._federate is not None:
                 raise FederateError("host", "was asked to build twice")
             self._federate = self._builds("host", question.specs)
-            return protocol.Built(self._federate.agents, self._federate.reads, self._federate.latest)
+            code = {spec.vehicle: fingerprint(spec) for spec in question.specs}
+            return protocol.Built(self._federate.agents, self._federate.reads, self._federate.latest, code)
         if isinstance(question, protocol.End):
             self.ended = question.reason
             self.close()

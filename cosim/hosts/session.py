@@ -68,6 +68,7 @@ class Crew:
         specs: the agents that it is to build, which it is asked at once.
         deadline_s: wall-clock seconds within which it has to answer a step.
         build_s: the same for building its agents, which may load large libraries.
+        on_built: takes what the host says that it has built.
 
     Attributes:
         alive: it may still answer.
@@ -75,8 +76,16 @@ class Crew:
         late: how many it had not answered when it was lost.
     """
 
-    def __init__(self, link: Link, specs: Sequence[AgentSpec], *, deadline_s: float, build_s: float) -> None:
-        self.link, self.specs = link, tuple(specs)
+    def __init__(
+        self,
+        link: Link,
+        specs: Sequence[AgentSpec],
+        *,
+        deadline_s: float,
+        build_s: float,
+        on_built: Callable[[protocol.Built], None] = lambda _: None,
+    ) -> None:
+        self.link, self.specs, self._on_built = link, tuple(specs), on_built
         self.vehicles = tuple(spec.vehicle for spec in specs)
         self._deadline_s, self._build_s = deadline_s, build_s
         self._released = False
@@ -100,6 +109,7 @@ class Crew:
             answer_checks.built(answer, self.specs)
         except ValueError as error:
             raise self._unreadable(str(error)) from error
+        self._on_built(answer)
         return answer
 
     def stepped(self, effects: Mapping[str, int], names: frozenset[str]) -> list[Event]:

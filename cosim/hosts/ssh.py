@@ -50,6 +50,7 @@ def script(
     folder: str = "",
     keys: str = "",
     bundle: str = "",
+    secret: str = "",
     name: str = "host",
 ) -> str:
     """What ``sh`` (POSIX) is to do: run a command until it ends or the standard input closes, and end as it did.
@@ -61,19 +62,20 @@ def script(
         folder: to go to first.
         keys: file there, for ``--keys``.
         bundle: or its content, which is sent; the file then exists as long as the command runs, and nobody else can read it.
+        secret: the same for ``--secret``; not both.
         name: of that file.
     """
     lines = ["export PYTHONUNBUFFERED=1"]  # what agents print is heard at once, and not lost when they are killed
     words = [*map(path, command), *map(shlex.quote, options)]
-    if bundle:
+    if bundle or secret:
         file = f'"$vault"/{shlex.quote(name)}.keys'
         lines += [
             "vault=$(umask 077 && mktemp -d) || exit 1",
             """trap 'rm -rf -- "$vault"' EXIT""",
             "trap 'exit 129' HUP INT TERM",
         ]
-        lines += [f"(umask 077 && cat >{file}) <<'{_END_OF_KEYS}'", bundle.rstrip("\n"), _END_OF_KEYS]
-        words += ["--keys", file]
+        lines += [f"(umask 077 && cat >{file}) <<'{_END_OF_KEYS}'", (bundle or secret).rstrip("\n"), _END_OF_KEYS]
+        words += ["--keys" if bundle else "--secret", file]
     if folder:
         lines += [f"cd -- {path(folder)} || exit 1"]
     if keys:

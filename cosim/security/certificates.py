@@ -23,6 +23,8 @@ import msgspec
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import x509
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_json
 
 Role = Literal["host", "observer"]
 HUB = "hub"
@@ -82,6 +84,11 @@ class Keys(msgspec.Struct, frozen=True):
         served = {vehicle for entry in self.members if entry.until > x509.now() for vehicle in entry.vehicles}
         return [vehicle for vehicle in vehicles if vehicle not in served]
 
+    def file_of(self, vehicle: str) -> str:
+        """Name of the file of a machine that has a valid certificate for this vehicle's agent."""
+        names = [entry.name for entry in self.members if entry.until > x509.now() and vehicle in entry.vehicles]
+        return f"{names[0] if names else vehicle}{SUFFIX}"
+
     def check(self) -> str | None:
         """Raise `UsageError` if the hub's certificate is out of date; a warning if it soon will be."""
         remedy = f"vcmvsp keys hub --keys {self.folder}"
@@ -127,7 +134,7 @@ def load(folder: Path) -> Keys:
     if not (folder / INDEX).exists():
         raise UsageError(f"{folder}: holds no authority; make one with: vcmvsp keys init {folder}")
     try:
-        index = msgspec.json.decode((folder / INDEX).read_bytes(), type=Index)
+        index = read_json(limits.read_bytes(folder / INDEX), Index)
         ca, hub, key = ((folder / name).read_text() for name in ("ca.pem", "hub.pem", "hub.key"))
         x509.check_together(x509.Signed(key, hub), ca)
         _, names, since, until = x509.facts(hub)

@@ -15,6 +15,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from vcmvsp.cosim.util.files import write_whole
+
 BACKDATED = dt.timedelta(hours=1)  # clocks of machines differ
 _PEM = re.compile(r"-----BEGIN ([A-Z ]+)-----.*?-----END \1-----", re.DOTALL)
 
@@ -139,10 +141,7 @@ def is_address(name: str) -> bool:
 
 def write(path: Path, text: str) -> None:
     """Write what only the owner may read, at once whole: never half a file in place of a good one."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:  # noqa: PTH123  Path sets no mode
-        file.write(text)
-    part.replace(path)
+    write_whole(path, text, 0o600)
 
 
 def _server_name(name: str) -> x509.GeneralName:

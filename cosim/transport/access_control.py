@@ -7,8 +7,7 @@ without a reply, and a put goes nowhere.
 
 import base64
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.key_names import ABOUT, HUB_ALIVE, JOIN, TOPICS, about_key, greet_key, join_key
@@ -29,7 +28,7 @@ LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_
 ROBOT_LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_ROBOT}}}}
 """The same, where a driver waits for a robot."""
 
-LOG = "error,zenoh_link_tls=warn"
+LOG = "error,zenoh_link_tls=warn,zenoh::net::routing::hat::broker::pubsub=off"
 """What Zenoh is to log in a hub with certificates: why it turned somebody away at the door is said nowhere else."""
 
 Config = dict[str, Any]
@@ -77,17 +76,17 @@ def driver_security(keys: "Keys", vehicle: str) -> Config:
     return config | {"access_control": rules.config()}
 
 
-def children_security(passwords: Mapping[str, str], folder: Path) -> Config:
+def children_security(passwords: Mapping[str, str], known: IO[bytes]) -> Config:
     """What the configuration of a hub needs that only the run's own children may reach, though all on this machine find it.
 
     Args:
         passwords: of each, by its name.
-        folder: of this user alone, until the session is open; no password passes over the link.
+        known: a file of this process alone, until the session is open; no password passes over the link.
     """
-    known = folder / "passwords"
-    known.write_text("".join(f"{name}:{password}\n" for name, password in passwords.items()))
+    known.write("".join(f"{name}:{password}\n" for name, password in passwords.items()).encode())
+    known.seek(0)
     config = child_security(*next(iter(passwords.items())))
-    config["transport"]["auth"]["usrpwd"]["dictionary_file"] = str(known)
+    config["transport"]["auth"]["usrpwd"]["dictionary_file"] = f"/dev/fd/{known.fileno()}"
     return config
 
 

@@ -1,32 +1,34 @@
 """Where a run may listen and machines may dial: beyond this machine not without certificates, unless the user wants it so."""
 
 import ipaddress
-import re
+import socket
 from typing import TYPE_CHECKING, Literal
 
+from vcmvsp.cosim.endpoints import Endpoint, endpoint_of
 from vcmvsp.cosim.errors import UsageError
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle, Keys
-
-_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#\s]+):(\d{1,5})")
-
 
 Side = Literal["run", "host", "observer", "driver", "robot"]
 
 
 def endpoint_rules(
     endpoint: str, keys: "Keys | Bundle | str | None" = None, *, insecure: bool = False, side: Side = "run"
-) -> None:
-    """Raise `UsageError` if this endpoint may not be used so: beyond this machine certificates are a must.
+) -> str:
+    """The endpoint as Zenoh writes it, if it may be used so: beyond this machine certificates are a must.
 
     Args:
-        endpoint: ``tcp/HOST:PORT`` or ``tls/HOST:PORT``.
+        endpoint: ``tcp/HOST:PORT`` or ``tls/HOST:PORT``, or the same with ``://``.
         keys: certificates that the user has named, or where they are.
         insecure: the user wants to do without them.
         side: who asks, for the message.
+
+    Raises:
+        UsageError: it may not, or is no endpoint.
     """
-    protocol, host, _ = parts(endpoint)
+    protocol, host, port = parts(endpoint)
+    endpoint = str(Endpoint(protocol, host, port))
     how, command = {
         "run": ("--keys DIR", "make it with: vcmvsp keys init DIR"),
         "host": ("--keys FILE", "made on the run's machine with: vcmvsp keys vehicle NAME --keys DIR"),
@@ -46,6 +48,7 @@ def endpoint_rules(
     if protocol == "tcp" and not insecure and not is_loopback(host):
         problem = "plain TCP lets in everybody who can reach that address"
         raise UsageError(f"{endpoint}: {problem}: use {tls} {how} ({command}), or add {anyway} where you trust everybody")
+    return endpoint
 
 
 def is_loopback(host: str) -> bool:
@@ -56,13 +59,24 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
+def check_interfaces(host: str, *, insecure: bool) -> None:
+    """Refuse to hear datagrams on all interfaces, with a `ValueError`, unless the user has said so: anybody may send."""
+    try:
+        numeric = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST)[0][4][0]
+    except OSError:  # a name
+        return
+    if not insecure and ipaddress.ip_address(str(numeric).partition("%")[0]).is_unspecified:
+        problem = f"{host} lets in everybody who can reach any address of this machine"
+        raise ValueError(f"{problem}: listen at the address of one interface, or add insecure = true where you trust everybody")
+
+
 def parts(endpoint: str) -> tuple[str, str, int]:
     """Protocol, host (an IPv6 address without its brackets) and port.
 
     Raises:
         UsageError: it is no endpoint.
     """
-    found = _ENDPOINT.fullmatch(endpoint)
-    if not found or int(found[3]) > 65535:
+    found = endpoint_of(endpoint)
+    if not found or found.protocol not in ("tcp", "tls") or not found.host or found.port is None:
         raise UsageError(f"'{endpoint}': must be tcp/HOST:PORT or tls/HOST:PORT, e.g. tls/192.168.1.10:7447")
-    return found[1], found[2].strip("[]"), int(found[3])
+    return found.protocol, found.host, found.port

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+import msgspec
 import numpy as np
 
 from vcmvsp.cosim.agent import AgentInfo
@@ -26,6 +27,7 @@ def scenery_of(
     live: bool = False,
     may: Sequence[str] = (),
     keys: Mapping[str, float] | None = None,
+    drawn: Mapping[str, Craft] | None = None,
 ) -> Scenery:
     """What does not change during a run of a scenario. No agent, radio or engine is built for it.
 
@@ -37,6 +39,7 @@ def scenery_of(
         live: it is a run that goes on.
         may: tags of the orders that it obeys.
         keys: of the scenario, that may be changed, and their values.
+        drawn: vehicles as a recording draws them, for those whose classes may not be imported (`registry.own_code`).
 
     Raises:
         ScenarioError: the world, or the kind of a vehicle, cannot be built.
@@ -50,7 +53,7 @@ def scenery_of(
         scenario=scenario.name,
         seed=scenario.seed,
         duration_ns=seconds_to_ns(scenario.duration_s),
-        vehicles=tuple(_craft(each, scenario, source, agents.get(each.name), kinds) for each in scenario.vehicle),
+        vehicles=tuple(_craft(each, scenario, source, agents.get(each.name), kinds, drawn or {}) for each in scenario.vehicle),
         vertices=frozen(vertices, np.float32),
         triangles=frozen(triangles, np.uint32),
         colors=frozen(world.mesh_colors()),
@@ -63,15 +66,23 @@ def scenery_of(
     )
 
 
-def _craft(vehicle: VehicleTable, scenario: Scenario, source: Source, info: AgentInfo | None, kinds: VehicleKinds) -> Craft:
-    model = _model(vehicle, source, kinds)
+def _craft(
+    vehicle: VehicleTable,
+    scenario: Scenario,
+    source: Source,
+    info: AgentInfo | None,
+    kinds: VehicleKinds,
+    drawn: Mapping[str, Craft],
+) -> Craft:
     agent, period_s = _agent(vehicle, scenario, info)
-    return Craft(
-        name=vehicle.name,
+    if vehicle.name in drawn and not registry.may_import("vehicle", vehicle.kind):
+        body = drawn[vehicle.name]
+    else:
+        model = _model(vehicle, source, kinds)
+        body = Craft(name=vehicle.name, kind="", size=model.hull.size, offset=model.hull.offset, flies=flies(model))
+    return msgspec.structs.replace(
+        body,
         kind=vehicle.kind,
-        size=model.hull.size,
-        offset=model.hull.offset,
-        flies=flies(model),
         real=vehicle.is_real,
         agent=agent,
         period_s=period_s,
@@ -86,7 +97,7 @@ def _model(vehicle: VehicleTable, source: Source, kinds: VehicleKinds) -> Vehicl
         kinds[vehicle.kind] = registry.find("vehicle", vehicle.kind, folder=source.folder, key=f"{key}.kind", origin=source)
     kind = kinds[vehicle.kind]
     params = {name: value for name, value in vehicle.params.items() if name in binding.parameters(kind)}
-    return binding.call(kind, factory.found(params, source), key=key, origin=source)
+    return binding.call(kind, factory.found(kind, params, source, key), key=key, origin=source)
 
 
 def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) -> tuple[str, float | None]:

@@ -15,6 +15,7 @@ from zenoh.handlers import Callback
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO
+from vcmvsp.cosim.hosts.host_client import NO_RUN, dialling
 from vcmvsp.cosim.hosts.observers.watcher import PATIENCE_S, POLL_S, ask, greeted, which
 from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
 from vcmvsp.cosim.transport.zenoh_session import common_names, opened
@@ -30,12 +31,13 @@ Check = tuple[str, bool, str]
 """What was tried, whether it works, and what there is to say about it."""
 
 
-def examine(endpoint: str, bundle: "Bundle | None") -> Iterator[Check]:
+def examine(endpoint: str, bundle: "Bundle | None", secret: str | None = None) -> Iterator[Check]:
     """Try all that a machine needs of a run at an endpoint, one after the other; the first that fails ends it.
 
     Args:
         endpoint: where the run listens.
         bundle: certificate of this machine; None: plain TCP.
+        secret: of the run, without a certificate, as of `cosim.hosts.host_client.dial`.
     """
     if bundle is not None:
         own = _own_certificate(bundle)
@@ -43,9 +45,10 @@ def examine(endpoint: str, bundle: "Bundle | None") -> Iterator[Check]:
         if not own[1]:
             return
     refusal = tls_diagnosis.diagnose(endpoint, bundle)
-    session = None if refusal else _session(endpoint, bundle)
+    session = None if refusal else _session(endpoint, bundle, secret)
     if session is None:
-        yield ("endpoint", False, f"{endpoint}: {refusal.why if refusal else 'it breaks off every connection'}")
+        why = refusal.why if refusal else "it breaks off every connection" if bundle else NO_RUN
+        yield ("endpoint", False, f"{endpoint}: {why}")
         return
     with session:
         yield ("endpoint", True, f"{endpoint}: a run answers there" if bundle else f"{endpoint}: something listens there")
@@ -65,14 +68,16 @@ def _own_certificate(bundle: "Bundle") -> Check:
     return ("certificate", True, f"{words}; {warning}" if warning else words)
 
 
-def _session(endpoint: str, bundle: "Bundle | None") -> zenoh.Session | None:
+def _session(endpoint: str, bundle: "Bundle | None", secret: str | None) -> zenoh.Session | None:
     """A client session, tried for as long as a listener may pause after a connection that came to nothing."""
     connect = {"endpoints": [endpoint], "timeout_ms": 0}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     last = time.monotonic() + PATIENCE_S
     while time.monotonic() < last:
         try:
-            return opened(own, {} if bundle is None else access_control.machine_security(bundle), "")
+            if (secure := dialling(endpoint, bundle, secret)) is None:
+                return None
+            return opened(own, secure, "")
         except UsageError:
             time.sleep(POLL_S)
     return None

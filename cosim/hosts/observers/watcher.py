@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import zenoh
 from zenoh.handlers import Callback
 
@@ -13,6 +12,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts.event_publisher import About, stamp
 from vcmvsp.cosim.hosts.host_client import dial, hub_of
 from vcmvsp.cosim.transport import access_control, key_names, tls_diagnosis
+from vcmvsp.cosim.util.documents import read_json
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
@@ -34,7 +34,7 @@ class Seen(NamedTuple):
     def value(self) -> Any:
         """The value, of lists, mappings, numbers and strings; None: it cannot be read."""
         try:
-            return msgspec.json.decode(self.payload)
+            return read_json(self.payload)
         except (ValueError, RecursionError):
             return None
 
@@ -44,6 +44,7 @@ def watch(
     topics: Sequence[str] = ("**",),
     *,
     bundle: "Bundle | None" = None,
+    secret: str | None = None,
     every_s: float = 0.0,
     on_state: Callable[[str], None] = lambda _: None,
 ) -> Generator[list[Seen], None, None]:
@@ -53,6 +54,7 @@ def watch(
         endpoint: where the run listens.
         topics: key expressions of what to hear, e.g. ``car2/*``.
         bundle: certificate of this observer; None: plain TCP.
+        secret: of the run, without a certificate, as of `cosim.hosts.host_client.dial`.
         every_s: collect for so long before giving what has come.
         on_state: told what is being waited for, and how it ended.
 
@@ -63,7 +65,7 @@ def watch(
     if bundle is not None and bundle.role != "observer":
         owner = ", ".join(bundle.vehicles)
         raise UsageError(f"{bundle.path}: is for the host of {owner}; to watch use what 'vcmvsp keys observer NAME' makes")
-    with dial(endpoint, bundle, on_state) as session:
+    with dial(endpoint, bundle, on_state, secret=secret) as session:
         name = key_names.OPEN if bundle is None else bundle.name
         about = greeted(session, name)
         inbox: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
@@ -158,9 +160,10 @@ def ask(session: zenoh.Session, name: str, payload: bytes = b"") -> About | None
     for reply in session.get(key_names.about_key(name), payload=payload, timeout=PATIENCE_S):
         if reply.ok is not None:
             try:
-                return msgspec.json.decode(reply.ok.payload.to_bytes(), type=About)
+                answer: About = read_json(reply.ok.payload.to_bytes(), About)
             except ValueError:
                 return None
+            return answer
     return None
 
 

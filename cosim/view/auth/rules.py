@@ -1,22 +1,30 @@
-"""Access rules of the page: which requests and messages pass, how others are refused, what browsers are told to keep to."""
+"""Access rules of the page: which requests and messages pass, how others are refused, what browsers are told to keep to.
+
+A browser loads ``entry.html``, which anybody may have, with status 403 if the URL has no token. It keeps the token in
+``sessionStorage``, which each tab and port has to itself, loads viser's page with it, and offers it as a sub-protocol when that
+page connects. Nothing is kept in a cookie: browsers send it to every other port of this machine.
+"""
 
 import hmac
 import ipaddress
 import secrets
 import socket
 import urllib.parse
-from collections.abc import Callable
 from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
+    from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 
-    Answer = Callable[..., Response | None]  # of a connection and a request
 
+ENTRY = (Path(__file__).parent / "entry.html").read_text("utf-8")
+PAGE = "/page"  # of viser
+NO_TOKEN = "Open the URL that was printed, with its token.\n"  # noqa: S105  a sentence
 MOST_PAGES = 32  # that are connected at a time
 ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  a word of the user's
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -79,31 +87,25 @@ class Gate:
         port: likewise.
         token: what those who are let in bring.
         protocol: what their page speaks.
+        page: its HTML.
     """
 
-    def __init__(self, host: str, port: int, token: str, protocol: str) -> None:
-        self.port, self._token, self._protocol = port, token.encode(), protocol
+    def __init__(self, host: str, port: int, token: str, protocol: str, page: str) -> None:
+        self.port, self._token, self._protocol, self._page = port, token.encode(), protocol, page
         self._names = {"127.0.0.1", "localhost", "::1", host.lower()}
         self._anywhere = host in ANYWHERE
         if self._anywhere:
             self._names.add(socket.gethostname().lower())
-        self._cookie = f"vcmvsp-view-{port}"  # cookies know no ports
 
-    def before(self, process_request: "Answer") -> "Answer":
-        """What answers a request: the gate, and behind it what did before."""
+    def answer(self, connection: "ServerConnection", request: "Request") -> "Response | None":
+        """What a request gets; None: it may open a connection."""
+        nonce = secrets.token_urlsafe(16)
+        response = self._answer(connection, request, nonce)
+        if response is not None:
+            self._add_headers(request, response, nonce)
+        return response
 
-        def answer(connection: "ServerConnection", request: "Request") -> "Response | None":
-            response = self._answer(connection, request)
-            if response is None:
-                response = process_request(connection, request)
-            if response is not None:
-                self._add_headers(request, response)
-            return response
-
-        return answer
-
-    def _answer(self, connection: "ServerConnection", request: "Request") -> "Response | None":
-        """A refusal, or the cookie; None: the request may pass."""
+    def _answer(self, connection: "ServerConnection", request: "Request", nonce: str) -> "Response | None":
         headers = request.headers
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         upgrade = bool(headers.get_all("Upgrade"))
@@ -112,13 +114,22 @@ class Gate:
         own = {f"{scheme}://{hosts[0]}" for scheme in ("http", "https")}
         if not own.issuperset(origins) or len(origins) > 1 or (upgrade and not origins):
             return connection.respond(HTTPStatus.FORBIDDEN, "A page from elsewhere may not connect to this one.\n")
-        if not upgrade and (given := _tokens(request.path)):
-            return self._welcome(connection) if self._is_token(given[0]) else self._refuse(connection)
-        if not any(self._is_token(each) for each in self._cookies(headers.get_all("Cookie"))):
-            return self._refuse(connection)
-        if not upgrade:
-            return None
-        offered = {each.strip() for value in headers.get_all("Sec-WebSocket-Protocol") for each in value.split(",")}
+        if upgrade:
+            return self._connecting(connection, headers)
+        path = request.path.partition("?")[0]
+        if path == "/":
+            known = self._has_token("", *_tokens(request.path)[:1])
+            return _html(connection, HTTPStatus.OK if known else HTTPStatus.FORBIDDEN, ENTRY.replace("NONCE", nonce))
+        if not self._has_token("Bearer ", *headers.get_all("Authorization")):
+            return connection.respond(HTTPStatus.FORBIDDEN, NO_TOKEN)
+        if path != PAGE:
+            return connection.respond(HTTPStatus.NOT_FOUND, "There is no such page.\n")
+        return _html(connection, HTTPStatus.OK, self._page)
+
+    def _connecting(self, connection: "ServerConnection", headers: "Headers") -> "Response | None":
+        offered = [each.strip() for value in headers.get_all("Sec-WebSocket-Protocol") for each in value.split(",")]
+        if not self._has_token("token.", *offered):
+            return connection.respond(HTTPStatus.FORBIDDEN, NO_TOKEN)
         if self._protocol not in offered or headers.get_all("Upgrade") != ["websocket"]:
             return connection.respond(HTTPStatus.BAD_REQUEST, f"This page speaks {self._protocol}: load it again.\n")
         if len(connection.server.connections) >= MOST_PAGES:
@@ -136,30 +147,18 @@ class Gate:
             return False
         return name in self._names or (self._anywhere and _is_address(name))  # no name can be bound to where it is none
 
-    def _is_token(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(errors="replace"), self._token)
+    def _has_token(self, scheme: str, *given: str) -> bool:
+        tokens = (each.removeprefix(scheme) for each in given if each.startswith(scheme))
+        return any(hmac.compare_digest(token.encode(errors="replace"), self._token) for token in tokens)
 
-    def _cookies(self, values: list[str]) -> list[str]:
-        pairs = [each.strip().partition("=") for value in values for each in value.split(";")]
-        return [value for name, _, value in pairs if name == self._cookie]
-
-    def _refuse(self, connection: "ServerConnection") -> "Response":
-        return connection.respond(HTTPStatus.FORBIDDEN, "Open the URL that was printed, with its token.\n")
-
-    def _welcome(self, connection: "ServerConnection") -> "Response":
-        response = connection.respond(HTTPStatus.SEE_OTHER, "")
-        response.headers["Location"] = "/"
-        response.headers["Set-Cookie"] = f"{self._cookie}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
-        response.headers["Cache-Control"] = "no-store"
-        return response
-
-    def _add_headers(self, request: "Request", response: "Response") -> None:
+    def _add_headers(self, request: "Request", response: "Response", nonce: str) -> None:
         hosts = request.headers.get_all("Host")
         own = f" ws://{hosts[0]} wss://{hosts[0]}" if len(hosts) == 1 and self._is_ours(hosts[0]) else ""
         rules = {
             "default-src": "'none'",
-            "script-src": "'self' 'unsafe-inline' 'unsafe-eval' blob:",  # viser's page unpacks itself
-            "style-src": "'self' 'unsafe-inline'",
+            "script-src": f"'nonce-{nonce}' 'unsafe-eval' blob:",  # viser's page unpacks itself, and its workers are blobs
+            "style-src-elem": f"'nonce-{nonce}'",
+            "style-src-attr": "'unsafe-inline'",  # words on the page are set with them
             "img-src": "'self' data: blob:",
             "font-src": "'self' data:",
             "connect-src": f"'self' data: blob:{own}",
@@ -169,10 +168,18 @@ class Gate:
             "frame-ancestors": "'none'",
         }
         response.headers["Content-Security-Policy"] = "; ".join(f"{name} {value}" for name, value in rules.items())
+        response.headers["Cache-Control"] = "no-store"
         response.headers["X-Content-Type-Options"] = "nosniff"
         response.headers["X-Frame-Options"] = "DENY"
         response.headers["Referrer-Policy"] = "no-referrer"
         response.headers["Cross-Origin-Resource-Policy"] = "same-origin"
+
+
+def _html(connection: "ServerConnection", status: HTTPStatus, text: str) -> "Response":
+    response = connection.respond(status, text)
+    response.headers.pop("Content-Type", None)
+    response.headers["Content-Type"] = "text/html; charset=utf-8"
+    return response
 
 
 def _tokens(path: str) -> list[str]:

@@ -1,8 +1,8 @@
 """Who may see the page: every request and every connection must bring the token that was printed with the URL.
 
 The web server is viser's, which lets everybody in. While it is made, what it serves with is put behind a gate: the token comes
-once in the URL and then as a cookie; the name that the page was dialled by must be ours (else a foreign name may have been
-bound to this machine), and a page from elsewhere may not connect. Afterwards the gate is tried, lest a new viser goes round it.
+with each request; the name that the page was dialled by must be ours (else a foreign name may have been bound to this machine),
+and a page from elsewhere may not connect. Afterwards the gate is tried, lest a new viser goes round it.
 It is plain HTTP: for other machines, put an SSH tunnel or a proxy with TLS before it.
 """
 
@@ -15,18 +15,17 @@ import socket
 import warnings
 from collections.abc import Awaitable, Callable, Iterator
 from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.view.auth.rules import Gate, is_fit
+from vcmvsp.cosim.view.auth.rules import MOST_PAGES, Gate, is_fit
 
 if TYPE_CHECKING:
     import viser
     from websockets.asyncio.server import ServerConnection
 
-    from vcmvsp.cosim.view.auth.rules import Answer
-
-MOST_SOCKETS = 128  # that are open at a time, requests for files included
+MOST_SOCKETS = 128  # that are open at a time: connections of pages, requests, and half-open ones
 LARGEST = 1 << 20  # bytes of a message from a page
 CHECK_S = 10.0
 
@@ -49,15 +48,16 @@ def open_server(host: str, port: int, token: str) -> "viser.ViserServer":
     import viser
     from websockets.asyncio import server as served
 
+    page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
     sock = _bound(host, port)
-    gate = Gate(host, sock.getsockname()[1], token, f"viser-v{viser.__version__}")
+    gate = Gate(host, sock.getsockname()[1], token, f"viser-v{viser.__version__}", page)
     serve = served.serve
 
-    def guarded(handler: Callable[..., Awaitable[None]], *_: object, process_request: "Answer", **options: Any) -> object:
+    def guarded(handler: Callable[..., Awaitable[None]], *_: object, **options: Any) -> object:
         asyncio.get_running_loop().set_exception_handler(lambda _, context: _logger.debug("%s", context))
         options |= {"sock": sock, "max_size": LARGEST, "server_header": None}
-        options |= {"logger": _logger, "create_connection": _connection()}
-        return serve(_calm(handler), process_request=gate.before(process_request), **options)
+        options |= {"logger": _logger, "create_connection": _connection(), "process_request": gate.answer}
+        return serve(_calm(handler), **options)
 
     warnings.filterwarnings("ignore", r"\[viser\]")  # of messages that it does not understand
     served.serve = guarded  # type: ignore[assignment,misc]
@@ -108,12 +108,14 @@ def _bound(host: str, port: int) -> socket.socket:
 def _connection() -> type["ServerConnection"]:
     """Connections of which there are not too many, and that take only what a page may send."""
     from websockets.asyncio.server import ServerConnection
+    from websockets.protocol import State
 
     class Guarded(ServerConnection):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
-            if len(self.server.handlers) > MOST_SOCKETS:
-                self.transport.abort()
+            brief = [each for each in self.server.handlers if each.state is not State.OPEN and not each.transport.is_closing()]
+            if len(brief) > MOST_SOCKETS - MOST_PAGES:
+                brief[0].transport.abort()  # the oldest: a request that is meant is answered long before its turn
 
         async def recv(self, decode: bool | None = None) -> Any:
             while True:

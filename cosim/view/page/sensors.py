@@ -8,6 +8,7 @@ import viser
 
 from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of
 from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sightings
+from vcmvsp.cosim.util import pictures
 from vcmvsp.cosim.util.palette import PROBABILITY, rgb
 from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.page.state import Known
@@ -150,7 +151,7 @@ def _pixels(picture: Image | Sightings) -> Array | None:
     if isinstance(picture, Image):
         pixels = np.asarray(picture.pixels)
     else:
-        decoded = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_COLOR)
+        decoded = pictures.decoded(picture.jpeg, cv2.IMREAD_COLOR)
         if decoded is None:
             return None
         pixels = np.ascontiguousarray(decoded[..., ::-1])

@@ -28,6 +28,7 @@ from vcmvsp.cosim.types import (
     States,
     frozen,
 )
+from vcmvsp.cosim.util.documents import json_reader
 from vcmvsp.cosim.view.messages import Line, Link
 
 _WORDS = {number: word for word, number in LEVELS.items()}
@@ -93,22 +94,22 @@ class _Frame(msgspec.Struct):
     outcome: tuple[str, ...]
 
 
-_read_sweep = msgspec.json.Decoder(LaserScan).decode
-_read_picture = msgspec.json.Decoder(RawImage).decode
-_read_calibration = msgspec.json.Decoder(CameraCalibration).decode
-_read_jpeg = msgspec.json.Decoder(CompressedImage).decode
-_read_sightings = msgspec.json.Decoder(ImageAnnotations).decode
-_read_grid = msgspec.json.Decoder(Grid).decode
-_read_fix = msgspec.json.Decoder(_Fix).decode
-_read_frames = msgspec.json.Decoder(_Frames).decode
-_read_note = msgspec.json.Decoder(_Note).decode
-_read_frame = msgspec.json.Decoder(_Frame).decode
-_read_log = msgspec.json.Decoder(Log).decode
-state_of = msgspec.json.Decoder(State).decode
-follows_of = msgspec.json.Decoder(Follows).decode
-presence_of = msgspec.json.Decoder(Presence).decode
-real_of = msgspec.json.Decoder(RealStatus).decode
-halted_of = msgspec.json.Decoder(Halted).decode
+_read_sweep = json_reader(LaserScan)
+_read_picture = json_reader(RawImage)
+_read_calibration = json_reader(CameraCalibration)
+_read_jpeg = json_reader(CompressedImage)
+_read_sightings = json_reader(ImageAnnotations)
+_read_grid = json_reader(Grid)
+_read_fix = json_reader(_Fix)
+_read_frames = json_reader(_Frames)
+_read_note = json_reader(_Note)
+_read_frame = json_reader(_Frame)
+_read_log = json_reader(Log)
+state_of = json_reader(State)
+follows_of = json_reader(Follows)
+presence_of = json_reader(Presence)
+real_of = json_reader(RealStatus)
+halted_of = json_reader(Halted)
 
 
 def states_of(names: tuple[str, ...], rows: Sequence[State]) -> States:

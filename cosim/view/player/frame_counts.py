@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.documents import json_reader
 
 ROWS_BETWEEN = 1 << 17  # of frame and receiver, between two sums that are kept: counting so many takes a third of a millisecond
 
@@ -18,7 +19,7 @@ class _Frame(msgspec.Struct):
     received_ns: list[int]
 
 
-_read_frame = msgspec.json.Decoder(_Frame).decode
+_read_frame = json_reader(_Frame)
 
 
 class Counts:

@@ -17,9 +17,11 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
+from vcmvsp.cosim.recording.mcap_reader import indexed
+from vcmvsp.cosim.util import limits
+
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
-LARGEST = 1 << 30  # bytes of a chunk: what ends one is a message, of a few megabytes at most
 KEPT_BYTES = 32 << 20  # of chunks, for the next look
 TOO_SOON = "it ends too soon: its run goes on, or was killed"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the rest
@@ -109,6 +111,11 @@ class Messages:
         """
         self._wanted, self._taker = wanted, taker
         stream, size = self._stream, os.fstat(self._stream.fileno()).st_size
+        try:
+            self._counts = indexed(stream)
+        except ValueError as error:
+            return str(error)
+        stream.seek(0)
         if stream.read(len(MAGIC)) != MAGIC:
             return "it is no MCAP file" if size >= len(MAGIC) else TOO_SOON
         place = len(MAGIC)
@@ -149,8 +156,9 @@ class Messages:
         return raw
 
     def _unpacked(self, part: _Part) -> bytes:
-        if part.length < 0 or part.size > LARGEST:
+        if part.length < 0:
             raise ValueError(f"a chunk of {part.size} bytes in {part.length}")
+        limits.within(part.size, limits.CHUNK_BYTES, "bytes in a chunk")
         self._stream.seek(part.start)
         data = self._codec.decompress(self._stream.read(part.length), part.size, asbytes=True)
         if len(data) != part.size or zlib.crc32(data) != part.crc:
@@ -171,15 +179,18 @@ class Messages:
         part = _Part(start + place + 8, length - place - 8, size, crc)  # 8: the length, once more
         raw = self._unpacked(part)
         self._parts.append(part)
-        self._walk(raw, len(self._parts) - 1 << _OFFSET_BITS)
+        self._walk(raw, len(self._parts) - 1 << _OFFSET_BITS, sum(next(self._counts, {}).values()) or part.size)
 
-    def _walk(self, raw: bytes, base: int) -> None:
-        """Note the messages of a chunk; ``base`` stands for the chunk in what is noted."""
+    def _walk(self, raw: bytes, base: int, left: int) -> None:
+        """Note the messages of a chunk, ``left`` at most; ``base`` stands for the chunk in what is noted."""
         place, size, channels = 0, len(raw), self._channels
         record, head, time_ns = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns
         while place < size:
             opcode, length = record(raw, place)
             if opcode == MESSAGE:
+                left -= 1
+                if left < 0:
+                    raise ValueError("a chunk holds more messages than its index says")
                 channel, _, time_ns = head(raw, place + _START)
                 if (known := channels[channel]) is not None:
                     topic, taker = known
@@ -200,7 +211,7 @@ class Messages:
         name, _ = _word(raw, place + _CHANNEL.size)
         self._channels[number] = None
         if self._wanted(name, self._schemas[schema]):
-            topic = self.topics[name] = Topic(name, self._schemas[schema])
+            topic = self.topics.setdefault(name, Topic(name, self._schemas[schema]))  # a channel for each type of message
             self._channels[number] = topic, self._taker(name)
 
 

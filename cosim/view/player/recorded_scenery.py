@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.assembly import recorded_world
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import frozen
+from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.cosim.view.messages import Craft, Scenery
 from vcmvsp.cosim.view.scenery import scenery_of
 
@@ -35,18 +37,25 @@ class Stage:
     world: "World | None" = None
 
 
-def stage_of(path: Path, vehicles: Sequence[str]) -> Stage:
-    """The stage that a run's resolved scenario describes.
+def stage_of(path: Path, vehicles: Sequence[str], drawing: bytes | None, *, trust: bool = False) -> Stage:
+    """The stage that a run's resolved scenario describes; what is not built in, as the recording draws it.
+
+    Args:
+        path: of the scenario.
+        vehicles: in their order.
+        drawing: the message that draws them, if there is one.
+        trust: import classes that are not built in.
 
     Raises:
-        ScenarioError: it cannot be built any more.
+        ScenarioError, UsageError: it cannot be built any more.
         ValueError: it has other vehicles than the recording.
     """
     scenario, source = scenarios.load(path)
     if tuple(each.name for each in scenario.vehicle) != tuple(vehicles):
         raise ValueError(f"{path} is of another run than the recording beside it")
-    world, _ = worlds.build(scenario.world, source, seed=scenario.seed)
-    return Stage(scenery_of(scenario, source, world=world, may=MAY), world)
+    with registry.own_code(trust):
+        world = recorded_world.world_in(path.parent, scenario, source)
+        return Stage(scenery_of(scenario, source, world=world, may=MAY, drawn=_drawn(vehicles, drawing)), world)
 
 
 def bare_stage(about: Mapping[str, str], vehicles: Sequence[str], drawing: bytes | None) -> Stage:
@@ -60,12 +69,12 @@ def bare_stage(about: Mapping[str, str], vehicles: Sequence[str], drawing: bytes
     Raises:
         ValueError: it is no such message.
     """
-    radius_m, seed = {} if drawing is None else _radii(drawing), about.get("seed", "")
+    seed = about.get("seed", "")
     scenery = Scenery(
         scenario=about.get("scenario", ""),
         seed=int(seed) if seed.isdecimal() else 0,
         duration_ns=0,
-        vehicles=tuple(_craft(name, radius_m.get(name, DEFAULT_RADIUS_M)) for name in vehicles),
+        vehicles=tuple(_drawn(vehicles, drawing).values()),
         vertices=frozen(np.zeros((0, 3)), np.float32),
         triangles=frozen(np.zeros((0, 3)), np.uint32),
         colors=frozen(np.zeros((0, 3)), np.uint8),
@@ -93,10 +102,9 @@ class _Drawing(msgspec.Struct):
     entities: tuple[_Entity, ...]
 
 
-def _radii(drawing: bytes) -> dict[str, float]:
-    entities = msgspec.json.decode(drawing, type=_Drawing).entities
-    return {each.id: 0.5 * each.cylinders[0].size.x for each in entities if each.cylinders}
-
-
-def _craft(name: str, radius_m: float) -> Craft:
-    return Craft(name=name, kind="", size=(2.0 * radius_m, 2.0 * radius_m, radius_m))
+def _drawn(vehicles: Sequence[str], drawing: bytes | None) -> dict[str, Craft]:
+    """Vehicles as big as they are drawn."""
+    shown: _Drawing = _Drawing(()) if drawing is None else read_json(drawing, _Drawing)
+    width_m = {each.id: each.cylinders[0].size.x for each in shown.entities if each.cylinders}
+    sizes = {name: width_m.get(name, 2.0 * DEFAULT_RADIUS_M) for name in vehicles}
+    return {name: Craft(name=name, kind="", size=(size, size, 0.5 * size)) for name, size in sizes.items()}

@@ -12,7 +12,7 @@ import msgspec
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.recording.foxglove.agent_displays import PICTURE
-from vcmvsp.cosim.recording.run_mcap import CALIBRATION
+from vcmvsp.cosim.recording.run_mcap import CALIBRATION, MOVING, SCENE
 from vcmvsp.cosim.types import Fix, Image, Scan, Sightings, States
 from vcmvsp.cosim.view.messages import Line, Scenery, Shown
 from vcmvsp.cosim.view.player import decoding as values
@@ -24,7 +24,6 @@ T = TypeVar("T")
 FILE = "run.mcap"
 LINES = 200  # of the log, at once
 FRAMES, LOG, HALTED = "radio/frame", "log", "operator/halted"
-DRAWING, MOVING = "world/scene", "world/moving"
 SCAN, IMAGE, FIX = "foxglove.LaserScan", "foxglove.RawImage", "foxglove.PoseInFrame"  # schemas
 STATE, HEARD, NOTE, SIGHTINGS = "state", "heard", "note", "sightings"  # of each vehicle
 NEWEST: Mapping[str, tuple[str, Callable[[bytes], Any]]] = {
@@ -45,6 +44,7 @@ class Recording:
 
     Args:
         run_dir: the folder.
+        trust: import classes that its scenario names and that are not built in, for exact shapes.
 
     Attributes:
         vehicles: of the run, in its order.
@@ -56,8 +56,8 @@ class Recording:
         UsageError: there is no such folder, or nothing of a recording in it.
     """
 
-    def __init__(self, run_dir: str | Path) -> None:
-        self._folder = Path(run_dir)
+    def __init__(self, run_dir: str | Path, trust: bool = False) -> None:
+        self._folder, self._trust = Path(run_dir), trust
         self._file = _opened(self._folder)
         self._collected = Accumulator(self._file.about)
         try:
@@ -141,16 +141,18 @@ class Recording:
     def _staged(self) -> Stage:
         """Where the run took place; without its scenario, or its world, the vehicles are shown alone."""
         path, why = self._folder / "scenario.toml", "there is no scenario.toml (yet)"
+        topic = self._file.topics.get(SCENE)
+        drawing = None if topic is None else self._message(topic, 0, bytes)
         if path.is_file():
             try:
-                return stage_of(path, self.vehicles)
+                return stage_of(path, self.vehicles, drawing, trust=self._trust)
             except (VcmvspError, ValueError) as error:
                 why = str(error)
         self.troubles.append(f"the world is not shown: {why}")
-        drawing = self._file.topics.get(DRAWING)
-        if drawing is None:
-            return bare_stage(self._file.about, self.vehicles, None)
-        return self._message(drawing, 0, lambda data: bare_stage(self._file.about, self.vehicles, data))
+        try:
+            return bare_stage(self._file.about, self.vehicles, drawing)
+        except ValueError as error:
+            raise UsageError(f"{self._folder / FILE}: the message that draws the vehicles cannot be read: {error}") from error
 
     def _sensors(self, vehicle: str, kinds: Mapping[str, str]) -> dict[str, str]:
         """Names and kinds of a vehicle's sensors that there are readings of."""
@@ -327,7 +329,7 @@ def _is_wanted(topic: str, schema: str) -> bool:
     """Whether messages of a topic are shown."""
     what = topic.partition("/")[2]
     of_vehicle = what in NEWEST or what in (STATE, HEARD, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
-    of_run = topic in (FRAMES, LOG, HALTED, MOVING, DRAWING)
+    of_run = topic in (FRAMES, LOG, HALTED, MOVING, SCENE)
     return of_vehicle or of_run or _is_reading(schema) or schema == FIX or topic.endswith(f"/{CALIBRATION}")
 
 

@@ -117,9 +117,7 @@ def test_who_does_not_belong_is_refused(stage: ByHand) -> None:
     code, said = ended(stage.host("leader_folower"))
     assert code == 2
     assert "did you mean 'leader_follower'" in said
-    assert "did you mean 'leader_follower'" in ended(run)[1]
-    assert run.returncode == 2
-    assert not stage.out.exists()
+    assert (ended(stage.host())[0], ended(run)[0]) == (0, 0)  # the run waits on for a host that it can use
 
 
 def test_a_vehicle_has_one_host(stage: ByHand) -> None:
@@ -252,7 +250,7 @@ def test_whatever_is_asked_again_and_in_whatever_order_each_question_is_worked_o
     session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: ["hub"]))
     says = types.SimpleNamespace(put=said.append)
     with pytest.raises(FederateError, match="is gone"):
-        host_client._answer(inbox, Desk(), says, session, 0.001, lambda _: None)  # type: ignore[arg-type]
+        host_client._answer(inbox, Desk(), says, session, protocol.Welcome(None, 0.001), lambda _: None)  # type: ignore[arg-type]
     assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
     expected, done, kept = list[bytes](), 0, set[int]()
     for number, oldest in asked:

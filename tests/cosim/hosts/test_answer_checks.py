@@ -232,9 +232,9 @@ def answer(**changes: Any) -> protocol.Built:
         "taken": (),
     }
     agents = [AgentInfo(**each) for each in (first, second)]
-    latest = [f"{vehicle}/{what}" for vehicle in ("car2", "car3") for what in ("estimate", "odometry", "fix")]
-    said = {"agents": agents, "reads": ["car2/heard", "car3/heard"], "latest": [*latest, "car2/lidar"], **whole}
-    return protocol.Built(*(tuple(said[name]) for name in ("agents", "reads", "latest")))
+    sees = [f"{vehicle}/{what}" for vehicle in ("car2", "car3") for what in ("estimate", "odometry", "fix")]
+    said = {"agents": agents, "reads": ["car2/heard", "car3/heard"], "latest": [*sees, "car2/lidar"], **whole}
+    return protocol.Built(tuple(said["agents"]), tuple(said["reads"]), tuple(said["latest"]))
 
 
 def test_what_was_asked_for_is_taken_in_any_order() -> None:

@@ -82,7 +82,10 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
             bundle = authority.issue(tmp_path / "keys", "machine", ["car1", "car2"])
             with_keys, host_keys = ["--keys", "keys"], ["--keys", str(bundle.path)]
         run = stage.start("run", "garbage.toml", "--listen", endpoint, *with_keys, "--realtime", "--out", "out")
-        hosts = [stage.start("agent", "--vehicle", name, "--connect", endpoint, *host_keys) for name in ("car1", "car2")]
+        hosts = [
+            stage.start("agent", "--vehicle", name, "--folder", ".", "--connect", endpoint, *host_keys)
+            for name in ("car1", "car2")
+        ]
         wait_for(stage.out / "run.mcap")
         draw, connections = random.Random(1), list[socket.socket]()
         for number in range(CONNECTIONS):

@@ -280,9 +280,8 @@ def test_a_host_that_cannot_start_ends_the_waiting_in_words(stage: Launching, ma
         assert not stage.out.exists()
 
 
+@pytest.mark.needs("ssh")
 def test_a_machine_that_ssh_cannot_reach_ends_the_waiting(stage: Launching) -> None:
-    if not shutil.which("ssh"):
-        pytest.skip("this machine has no ssh")
     options = '["-F", "none", "-p", "1"]'
     connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
     stage.hosts(f'{connect}[[host]]\nssh = "127.0.0.1"\nssh_options = {options}\nvehicles = ["car2", "car3"]\n')
@@ -370,8 +369,7 @@ def test_what_is_wrong_with_a_file_of_hosts_is_said_before_anything_starts(
     assert not Path("out").exists()
 
 
-NAMES = ("sh", "dash", "bash", "zsh", "mksh", "yash", "busybox")
-SHELLS = {os.path.realpath(path): path for name in NAMES if (path := shutil.which(name))}.values()  # sh is one of the others
+SHELLS = [pytest.param(each, marks=pytest.mark.needs(each)) for each in ("sh", "bash", "zsh", "mksh", "yash", "busybox")]
 WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 
 

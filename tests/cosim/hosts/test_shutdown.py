@@ -55,7 +55,7 @@ def answered(*asked: Asked | bool, patience_s: float = PATIENCE_S, hubs: str = "
     found = itertools.chain(hubs, itertools.repeat(hubs[-1]))
     session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: [next(found)]))
     says = types.SimpleNamespace(put=said.append)
-    host_client._answer(inbox, Desk(), says, session, patience_s, lambda _: None)  # type: ignore[arg-type]
+    host_client._answer(inbox, Desk(), says, session, protocol.Welcome(None, patience_s), lambda _: None)  # type: ignore[arg-type]
     return said, [inbox.get() for _ in range(inbox.qsize())]
 
 
@@ -99,7 +99,7 @@ def test_an_answer_that_is_lost_with_the_link_at_the_end_comes_when_the_link_is_
         def hello(own: str) -> protocol.Hello:
             return protocol.Hello(own, protocol.PROTOCOL, ("car2",))
 
-        ends.append(host_client.serve(hello, Desk(cut), f"tcp/127.0.0.1:{between.port}"))  # type: ignore[arg-type]
+        ends.append(host_client.serve(hello, Desk(cut), f"tcp/127.0.0.1:{between.port}", secret=""))  # type: ignore[arg-type]
 
     ends = list[str]()
     hosting = threading.Thread(target=host)

@@ -4,7 +4,6 @@ import contextlib
 import datetime as dt
 import os
 import random
-import shutil
 import socket
 import subprocess
 import sys
@@ -15,6 +14,7 @@ import msgspec
 import pytest
 import zenoh
 
+from tests.support import requirements
 from tests.support.cosim.run_processes import reserved
 from tests.support.cosim.secure_hub import PATIENCE_S, QUIET, Hub, answering, bundle, dial, greet, issued, start, until
 from tests.support.paths import ROOT
@@ -254,8 +254,7 @@ def other_machine() -> Iterator[tuple[str, str]]:
     space, near, far = (f"vc{os.getpid()}{end}" for end in "snf")
     third, fourth = divmod(os.getpid() % 2**14 * 4, 256)
     there, here = f"10.214.{third}.{fourth + 1}", f"10.214.{third}.{fourth + 2}"
-    if os.geteuid() != 0 or shutil.which("ip") is None:
-        pytest.skip("network namespaces need root and the command ip")
+    requirements.program("ip")
 
     def ip(*arguments: str) -> None:
         subprocess.run(["ip", *arguments], check=True, capture_output=True, text=True)
@@ -263,12 +262,12 @@ def other_machine() -> Iterator[tuple[str, str]]:
     try:
         ip("netns", "add", space)
     except subprocess.CalledProcessError as error:
-        pytest.skip(f"no network namespace can be made here: {error.stderr.strip()}")
+        requirements.not_allowed(f"network namespaces: {error.stderr.strip()}")
     try:
         try:
             ip("link", "add", near, "type", "veth", "peer", "name", far, "netns", space)
         except subprocess.CalledProcessError as error:
-            pytest.skip(f"no link between namespaces can be made here: {error.stderr.strip()}")
+            requirements.not_allowed(f"links between network namespaces: {error.stderr.strip()}")
         ip("addr", "add", f"{here}/30", "dev", near)
         ip("link", "set", near, "up")
         ip("-n", space, "addr", "add", f"{there}/30", "dev", far)

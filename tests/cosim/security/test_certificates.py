@@ -4,6 +4,7 @@ import base64
 import contextlib
 import datetime as dt
 import json
+import os
 import ssl
 from collections.abc import Callable
 from pathlib import Path
@@ -50,6 +51,30 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[dt.timedelta], None]:
         monkeypatch.setattr(signing, "now", lambda: real() + by)
 
     return turn
+
+
+def test_a_key_goes_into_no_file_that_was_there_before(tmp_path: Path) -> None:
+    folder, before = tmp_path / "keys", os.umask(0)
+    try:
+        authority.init(folder)
+        victims = [folder / f".{name}.{os.getpid()}" for name in ("ca.key", "hub.key", "car2.keys")]
+        victims += [folder / f".{name}.part" for name in ("ca.key", "hub.key", "car2.keys")]
+        for victim in victims:
+            victim.touch(mode=0o666)
+        opened = [victim.open() for victim in victims]
+        for name in ("ca.key", "hub.key"):
+            (folder / name).unlink()
+            (folder / name).symlink_to(victims[0])
+        authority.init(folder, force=True)
+        authority.issue(folder, "car2", ["car2"])
+    finally:
+        os.umask(before)
+    for file in opened:
+        with file:
+            assert file.read() == ""
+    for name in ("ca.key", "hub.key", "car2.keys"):
+        assert not (folder / name).is_symlink()
+        assert (folder / name).stat().st_mode & 0o777 == 0o600
 
 
 def shake(server_files: tuple[Path, Path], client_file: Path, ca: Path, host: str) -> str:

@@ -42,9 +42,9 @@ def digest_of(folder: Path) -> Any:
 def test_a_router_between_a_run_and_its_hosts_changes_no_bit(stage: Stage) -> None:
     beyond = stage.another_port()
     with zenoh.open(zenoh.Config.from_json5(configuration(stage.port, beyond))) as router:
-        run = stage.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{stage.port}", "--out", "out")
+        run = stage.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{stage.port}", "--insecure", "--out", "out")
         dialled = f"tcp/127.0.0.1:{beyond}"
-        hosts = [stage.start("agent", "--vehicle", name, "--connect", dialled) for name in HOSTED]
+        hosts = [stage.start("agent", "--vehicle", name, "--connect", dialled, "--insecure") for name in HOSTED]
         code, said = ended(run)
         assert code == 0, said
         assert [ended(host)[0] for host in hosts] == [0, 0]

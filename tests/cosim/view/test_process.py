@@ -72,8 +72,7 @@ def dialled(url: str) -> Connection:
     return connect(
         f"ws://{parts.netloc}/",
         origin=Origin(f"http://{parts.netloc}"),
-        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
-        additional_headers={"Cookie": f"vcmvsp-view-{parts.port}={token}"},
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}"), Subprotocol(f"token.{token}")],
         compression=None,
         max_size=None,
         open_timeout=PATIENCE_S,

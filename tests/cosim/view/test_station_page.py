@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.cosim.view_pages import Looking, browser, looking, picture, positions, scenery, shown
+from tests.support.cosim.view_pages import TOKEN, Looking, browser, looking, picture, positions, scenery, shown
 from vcmvsp.cosim.types import Array, Mosaic
 from vcmvsp.cosim.view.messages import Outage, Sensors
 
@@ -26,7 +26,7 @@ class Page:
         opened.on("console", lambda message: self.problems.append(message.text) if message.type == "error" else None)
         opened.on("pageerror", lambda error: self.problems.append(str(error)))
         opened.on("request", lambda request: self.requests.append(request.url))
-        opened.goto(looked.url)
+        opened.goto(f"{looked.url}/?token={TOKEN}")
         opened.wait_for_function(
             "window.__viserSceneTree?.getState()['/vehicles/ground'] !== undefined", timeout=PATIENCE_S * 1e3
         )
@@ -199,6 +199,32 @@ def test_the_camera_goes_along(page: Page) -> None:
         page.until(lambda place=place: np.allclose(client.camera.look_at, place, atol=0.02))  # type: ignore[misc]
         assert np.linalg.norm(client.camera.position - place) < 13.0
     page.looked.use("Camera follows", False)
+
+
+def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any) -> None:
+    assert page.page.url == f"{page.looked.url}/"
+    assert page.page.context.cookies() == []
+    assert page.page.evaluate("sessionStorage.getItem('token')") == TOKEN
+    stranger = chromium.new_page()
+    stranger.goto(page.looked.url)
+    stranger.get_by_text("Open the URL that was printed, with its token.").wait_for(timeout=PATIENCE_S * 1e3)
+    stranger.close()
+
+
+def test_a_script_in_what_is_shown_does_not_run(page: Page) -> None:
+    violations = """() => new Promise(resolve => {
+        document.addEventListener("securitypolicyviolation", event => resolve(event.effectiveDirective), { once: true });
+        document.body.insertAdjacentHTML("beforeend", "<img src='data:,' onerror='window.canary = 1'>");
+    })"""
+    assert page.page.evaluate(violations) == "script-src-attr"
+    assert page.page.evaluate("window.canary") is None
+    page.problems.clear()
+
+
+def test_a_page_that_is_loaded_again_is_there_again(page: Page) -> None:
+    page.page.reload()
+    page.page.get_by_text("circle, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
+    page.problems.clear()  # its URL has no token any more, which the browser mentions
 
 
 def test_nothing_comes_from_elsewhere_and_nothing_fails(page: Page) -> None:

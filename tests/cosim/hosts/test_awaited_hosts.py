@@ -1,0 +1,80 @@
+"""What a user is told who waits: who is awaited, with which key file, and where a run waits for nobody."""
+
+import threading
+from pathlib import Path
+
+import pytest
+
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.studies import two
+from vcmvsp.cosim.errors import AgentError, ScenarioError
+from vcmvsp.cosim.hosts import listener
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.security import authority, certificates
+
+
+class Nobody:
+    """Where nobody knocks."""
+
+    def next_hello(self, timeout_s: float) -> None:
+        return None
+
+
+def test_who_does_not_come_is_named_while_it_is_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, said = [100.0], list[str]()
+
+    def later() -> float:
+        now[0] += 1.0
+        return now[0]
+
+    monkeypatch.setattr("vcmvsp.cosim.hosts.listener.time.monotonic", later)
+    with pytest.raises(AgentError, match="did not join within 60 s"):
+        list(listener.knocking(Nobody(), 60.0, lambda: ["car2", "car3"], said.append))  # type: ignore[arg-type]
+    assert set(said) == {"still waiting for the host of car2, car3"}
+    assert len(said) >= 3
+
+
+def test_who_does_not_build_its_agents_is_named_and_who_does_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    told, said = threading.Event(), list[str]()
+
+    def tell(text: str) -> None:
+        said.append(text)
+        told.set()
+
+    with listener.telling_of(["car1"], tell):
+        pass  # at once
+    monkeypatch.setattr(listener, "SAY_S", 0.0)
+    with listener.telling_of(["car2"], tell):
+        assert told.wait(60.0)
+    assert said == ["still waiting for the host of car2"]
+
+
+def test_a_run_that_listens_and_waits_for_no_host_says_so() -> None:
+    said: list[str] = []
+    vcmvsp.run(two(duration_s=0.1), listen="tcp://127.0.0.1:0", tell=said.append, mcap=False)
+    (line,) = [each for each in said if "waits for no host" in each]
+    assert line.startswith("tcp/127.0.0.1:")
+    assert "--agents zenoh" in line
+
+
+def test_the_file_that_is_named_is_that_of_the_machine(tmp_path: Path) -> None:
+    authority.init(tmp_path / "keys")
+    authority.issue(tmp_path / "keys", "laptop", ["car3", "car4"])
+    keys = certificates.load(tmp_path / "keys")
+    assert keys.file_of("car4") == "laptop.keys"
+    assert (keys.folder / keys.file_of("car4")).is_file()
+
+
+def test_the_command_for_another_machine_has_its_file_and_the_agents_class(tmp_path: Path) -> None:
+    assert vcmvsp_command("keys", "init", str(tmp_path / "keys")).code == 0
+    made = vcmvsp_command("keys", "vehicle", "car3", "car4", "--as", "laptop", "--keys", str(tmp_path / "keys"))
+    assert "--vehicle car3 --vehicle car4 --connect tls/HOST:PORT --keys laptop.keys [MODULE_OR_FILE:Class]" in made.out
+
+
+def test_a_file_that_is_not_there_is_said_with_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("platform.node", lambda: "robot-7")
+    wrong = two()
+    wrong["vehicle"][1]["agent"] = {"kind": "nowhere.py:Agent"}
+    with pytest.raises(ScenarioError, match=r"there is no file .*nowhere\.py on robot-7"):
+        api.check(wrong)

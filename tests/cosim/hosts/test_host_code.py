@@ -1,0 +1,194 @@
+"""A host of agents runs what its own command line names: no run can have it execute anything else."""
+
+import json
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import vcmvsp
+from tests.support.cosim.run_processes import Stage, ended
+
+SCENARIO = """
+name = "far"
+duration_s = 1.0
+[physics]
+kind = "kinematic"
+[radio]
+preset = "ideal"
+[agents]
+join_timeout_s = 60.0
+deadline_s = 30.0
+[vehicles]
+kind = "kinematic"
+[[vehicle]]
+name = "car1"
+agent = { kind = "trajectory" }
+[[vehicle]]
+name = "car2"
+pose = [-1.0, 0.0, 0.0]
+agent = { kind = "leader_follower", leader = "car1", runs = "zenoh" }
+"""
+ESTIMATOR = """
+import pathlib, sys
+if "agent" in sys.argv:  # in a host, not in the run
+    pathlib.Path({canary!r}).touch()
+from vcmvsp.agents.formation.reports.prediction import Hold
+class Own(Hold):
+    pass
+"""
+AGENT = """
+import pathlib, sys
+if "agent" in sys.argv:  # in a host, not in the run
+    pathlib.Path({canary!r}).touch()
+from vcmvsp import Agent, Velocity
+class Straight(Agent):
+    def act(self, obs, radio):
+        return Velocity(linear=(0.3, 0.0, 0.0))
+"""
+
+
+class Place(Stage):
+    """A run in one folder, its host in another; files of the run leave a canary when they are imported."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.canary, self.away = folder / "canary", folder / "away"
+        self.away.mkdir()
+        (folder / "est.py").write_text(ESTIMATOR.format(canary=str(self.canary)))
+        (folder / "straight.py").write_text(AGENT.format(canary=str(self.canary)))
+        (folder / "far.toml").write_text(SCENARIO)
+
+    def run_with(self, *settings: str) -> None:
+        sets = [word for each in settings for word in ("--set", each)]
+        self.run = self.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{self.port}", "--out", "out", *sets)
+
+    def host(self, *words: str) -> tuple[int, str]:
+        """Exit code of a host in the other folder, and what it said."""
+        self.folder, home = self.away, self.folder
+        try:
+            return ended(self.start("agent", *words, "--vehicle", "car2", "--connect", f"tcp/127.0.0.1:{self.port}"))
+        finally:
+            self.folder = home
+
+    def printed(self) -> list[str]:
+        """The words of the command that the run prints for its host."""
+        assert self.run.stderr is not None
+        line = next(line for line in self.run.stderr if line.startswith("vcmvsp agent"))
+        return shlex.split(line)[2:]
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    with Place(tmp_path) as made:
+        yield made
+
+
+@pytest.mark.parametrize("given", [(), ("leader_follower",)], ids=["the scenario's class", "a class of its own"])
+@pytest.mark.parametrize(
+    "setting",
+    ["agents.estimator={}/est.py:Own", "agents.estimator=est.py:Own", "vehicle.car2.agent.kind={}/straight.py:Straight"],
+)
+def test_a_file_that_the_run_names_is_not_executed(place: Place, given: tuple[str, ...], setting: str) -> None:
+    if given and "kind" in setting:
+        given = ("straight.py:Straight",)  # of a folder where there is none
+    place.run_with(setting.format(place.folder))
+    code, said = place.host(*given)
+    assert code == 2 or "there is no file" in said or "--folder DIR" in said
+    assert code != 0
+    assert not place.canary.exists()
+    assert ended(place.run)[0] != 0
+
+
+def test_a_module_that_the_run_names_is_not_imported(place: Place) -> None:
+    (place.away / "mine.py").write_text(ESTIMATOR.format(canary=str(place.canary)))
+    place.run_with("vehicle.car2.agent.estimator=mine:Own")
+    code, said = place.host()
+    assert code != 0
+    assert "the run asks for 'mine:Own'" in said
+    assert "--allow mine:Own" in said
+    assert not place.canary.exists()
+    ended(place.run)
+
+
+def test_a_folder_of_the_host_is_searched_by_file_name(place: Place) -> None:
+    """The run says another folder, even an absolute one; the host's own copy is used, and named."""
+    mine = place.away / "own"
+    mine.mkdir()
+    (mine / "est.py").write_text(ESTIMATOR.format(canary=str(place.away / "used")))
+    place.run_with(f"agents.estimator={place.folder}/est.py:Own")
+    code, said = place.host("--folder", "own")
+    assert code == 0, said
+    assert f"Own comes from {mine / 'est.py'}" in said
+    assert (place.away / "used").exists()
+    assert not place.canary.exists()
+    assert ended(place.run)[0] == 0
+
+
+@pytest.mark.parametrize("setting", ["agents.estimator=est.py:Own", "vehicle.car2.agent.kind=straight.py:Straight"])
+def test_the_printed_command_works_as_it_is(place: Place, setting: str) -> None:
+    """On the same machine, from any folder, and with the bytes of one process."""
+    if "kind" in setting:
+        text = (
+            (place.folder / "far.toml").read_text().replace('kind = "leader_follower", leader = "car1"', 'kind = "trajectory"')
+        )
+        (place.folder / "far.toml").write_text(text)
+    place.run_with(setting)
+    words = place.printed()
+    place.folder, home = place.away, place.folder
+    host = place.start("agent", *words)
+    place.folder = home
+    assert [ended(host)[0], ended(place.run)[0]] == [0, 0]
+    key, _, value = setting.partition("=")
+    expected = vcmvsp.run(place.folder / "far.toml", set={key: value}, agents="inprocess", mcap=False).metrics["digest"]
+    assert json.loads((place.out / "metrics.json").read_text())["digest"] == expected
+
+
+HELPER = "SPEED = {speed}"
+DRIVER = """
+from helper import SPEED
+from vcmvsp import Agent, Velocity
+class Straight(Agent):
+    def act(self, obs, radio):
+        return Velocity(linear=(SPEED, 0.0, 0.0))
+"""
+
+
+def test_other_source_code_than_the_runs_own_is_named_and_recorded(place: Place) -> None:
+    """At once, in about.json, in the report and by a replay, which runs this machine's code; imported files count."""
+    text = (
+        (place.folder / "far.toml")
+        .read_text()
+        .replace('kind = "leader_follower", leader = "car1"', 'kind = "straight.py:Straight"')
+    )
+    (place.folder / "far.toml").write_text(text)
+    for folder, speed in ((place.folder, 0.3), (place.away, 0.5)):
+        (folder / "helper.py").write_text(HELPER.format(speed=speed))
+        (folder / "straight.py").write_text(DRIVER)
+    place.run_with()
+    code, said = place.host("straight.py:Straight")
+    assert code == 0, said
+    code, said = ended(place.run)
+    assert code == 0
+    why = "helper.py differs"
+    assert f"the host of car2 runs other code than this machine: {why}" in said
+    about = json.loads((place.out / "about.json").read_text())
+    assert about["unrepeatable"] == [f"the host of car2 ran other code: {why}"]
+    assert why in (place.out / "report.html").read_text()
+    (place.out / "helper.py").write_text(HELPER.format(speed=0.3))
+    code, said = ended(place.start("replay", "out", "--agents", "inprocess"))
+    assert code == 1
+    assert f"differs from out: the host of car2 ran other code: {why}" in said
+
+
+def test_the_same_source_code_is_not_remarked(place: Place) -> None:
+    (place.away / "est.py").write_text((place.folder / "est.py").read_text())
+    place.run_with("vehicle.car2.agent.estimator=est.py:Own")
+    code, said = place.host("--folder", ".")
+    assert code == 0, said
+    code, said = ended(place.run)
+    assert (code, "other code" in said) == (0, False)
+    code, said = ended(place.start("replay", "out", "--agents", "inprocess"))
+    assert code == 0
+    assert "same: the digest is that of out" in said

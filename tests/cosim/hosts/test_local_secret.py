@@ -1,0 +1,148 @@
+"""A run without certificates is for the programs of one user: others can neither dial in, nor answer in a host's place."""
+
+import json
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from tests.support.cosim.run_processes import Stage, ended, wait_for
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.host_client import dialling
+from vcmvsp.cosim.transport import access_control, key_names, local_secret
+from vcmvsp.cosim.transport.zenoh_session import opened
+
+SCENARIO = """
+name = "near"
+duration_s = {duration}
+[physics]
+kind = "kinematic"
+[radio]
+preset = "ideal"
+[agents]
+join_timeout_s = 60.0
+deadline_s = 30.0
+[vehicles]
+kind = "kinematic"
+[[vehicle]]
+name = "car1"
+agent = {{ kind = "trajectory", runs = "zenoh" }}
+"""
+
+
+class Place(Stage):
+    """A run that listens without certificates, and sessions that dial it."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
+
+    def run(self, *more: str, duration: float = 1.0) -> "subprocess.Popen[str]":
+        (self.folder / "near.toml").write_text(SCENARIO.format(duration=duration))
+        return self.start("run", "near.toml", "--listen", self.endpoint, "--out", "out", *more)
+
+    def host(self, *more: str) -> "subprocess.Popen[str]":
+        return self.start("agent", "--vehicle", "car1", "--connect", self.endpoint, *more)
+
+    def session(self, secret: str | None) -> zenoh.Session:
+        own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [self.endpoint], "timeout_ms": 0}}
+        return opened(own, access_control.child_security(key_names.OPEN, secret) if secret else {}, "no")
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Place]:
+    (tmp_path / "runtime").mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
+    with Place(tmp_path) as made:
+        yield made
+
+
+def test_only_who_has_the_secret_can_dial_a_run_and_its_user_needs_no_option(place: Place) -> None:
+    run = place.run("--realtime", duration=20.0)
+    host = place.host()
+    wait_for(place.out / "run.mcap")
+    for secret in (None, "guessed"):
+        with pytest.raises(UsageError):
+            place.session(secret)
+    place.session(local_secret.found(place.endpoint)).close()  # type: ignore[no-untyped-call]
+    assert dialling(place.endpoint, None, None) is not None
+    run.kill()
+    ended(run)
+    ended(host)
+
+
+def test_a_host_does_not_join_a_stranger_that_listens_where_a_run_was(place: Place, tmp_path: Path) -> None:
+    """Without a run of its own user there it waits, and says so; with --insecure it is told to join whoever it is."""
+    run = place.run("--insecure")
+    waiting = place.host()
+    assert waiting.stderr is not None
+    next(line for line in waiting.stderr if "no run of this user" in line)
+    waiting.kill()
+    assert ended(place.host("--insecure"))[0] == 0
+    code, said = ended(run)
+    assert code == 0
+    assert "caution: whoever can reach" in said
+
+
+def test_the_file_is_for_its_user_alone_and_goes_with_the_run(place: Place, tmp_path: Path) -> None:
+    with local_secret.published(place.endpoint, "s3cret"):
+        (file,) = (tmp_path / "runtime" / "vcmvsp").iterdir()
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
+        assert local_secret.found(place.endpoint) == "s3cret"
+    assert not file.exists()
+    file.parent.chmod(0o755)
+    with pytest.raises(UsageError, match="chmod 700"), local_secret.published(place.endpoint, "s3cret"):
+        pass
+
+
+FORGER = """
+import sys, time, zenoh
+from vcmvsp.cosim.hosts import protocol
+from vcmvsp.cosim.hosts.host_client import dialling
+from vcmvsp.cosim.transport.zenoh_session import opened
+own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [sys.argv[1]], "timeout_ms": 0}}
+with opened(own, dialling(sys.argv[1], None, None), "no") as session:
+    keys = []
+    def asked(sample):
+        answer = str(sample.key_expr).removesuffix("ask") + "answer"
+        (number, _), body = protocol.numbers.unpack_from(sample.payload.to_bytes()), b""
+        session.put(answer, b"x" * protocol.SEAL + protocol.number.pack(number) + protocol.encode(protocol.Stepped([])))
+    session.declare_subscriber("vcmvsp/host/*/*/ask", asked)
+    print("listening", flush=True)
+    time.sleep(100)
+"""
+
+
+def test_an_answer_of_another_session_is_dropped_counted_and_named(place: Place) -> None:
+    """Even of one that has the secret: the run's bytes are those without it."""
+    first, host = place.run(duration=3.0), place.host()
+    assert [ended(each)[0] for each in (first, host)] == [0, 0]
+    honest = json.loads((place.out / "metrics.json").read_text())["digest"]
+    run = place.run("--realtime", "--force", duration=3.0)
+    assert run.stderr is not None
+    next(line for line in run.stderr if "vcmvsp agent" in line)
+    with subprocess.Popen([sys.executable, "-c", FORGER, place.endpoint], stdout=subprocess.PIPE, text=True) as forger:
+        assert forger.stdout is not None
+        assert forger.stdout.readline() == "listening\n"
+        host = place.host()
+        code, said = ended(run)
+        forger.kill()
+    assert ended(host)[0] == 0
+    assert code == 0
+    assert "another session answers in place of the host of car1" in said
+    about = json.loads((place.out / "about.json").read_text())
+    assert about["forged_answers"]["car1"] > 0
+    assert json.loads((place.out / "metrics.json").read_text())["digest"] == honest
+
+
+def test_a_seal_is_of_its_key_and_its_answer() -> None:
+    sealed = protocol.sealed(b"k" * protocol.SEAL, b"answer")
+    assert protocol.is_sealed(b"k" * protocol.SEAL, sealed)
+    assert not protocol.is_sealed(b"l" * protocol.SEAL, sealed)
+    assert not any(protocol.is_sealed(b"k" * protocol.SEAL, sealed[:n]) for n in range(len(sealed)))
