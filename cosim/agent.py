@@ -108,6 +108,7 @@ class AgentInfo(Value, frozen=True, kw_only=True):
     known: tuple[str, ...]  # the names of all its parameters
     taken: tuple[str, ...]  # the [agents] defaults that it takes
     sensors: tuple[str, ...] = ()  # what it says that it looks at
+    files: tuple[str, ...] = ()  # those that its parameters name, as they are written
 
 
 class Radio:

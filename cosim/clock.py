@@ -14,6 +14,7 @@ Sleep = Callable[[float], bool | None]
 """Waits for so many seconds, or is woken before: whether it was."""
 
 SLIPS = 1000  # that are remembered, for times before them
+LONGEST_SLEEP_S = 3600.0  # the system refuses centuries
 LISTEN_NS = 20_000_000  # between two looks at what those want who look on
 
 
@@ -160,7 +161,7 @@ class WallClock:
         """Sleep until ``due_ns``; if that has passed already, go on at once and say by how much."""
         wall_due = self.monotonic_ns(due_ns)
         while (left := wall_due - self._now()) > 0:
-            if self.sleep(left / SECOND_NS):
+            if self.sleep(min(left / SECOND_NS, LONGEST_SLEEP_S)):
                 return min(0, self.logical_ns(self._now()) - due_ns)
         return -left
 

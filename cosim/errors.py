@@ -15,6 +15,19 @@ from pathlib import Path
 from typing import Any
 
 
+def said_by(error: BaseException) -> str:
+    """What an error says: one of somebody's own may fail at that, too."""
+    try:
+        return str(error)
+    except BaseException:
+        return "(it fails to say what)"
+
+
+def words_of(error: BaseException) -> str:
+    """Type and words of an error, as the middle of a message."""
+    return f"{type(error).__name__}: {said_by(error)}"
+
+
 def place_of(error: BaseException) -> str:
     """Where an error arose, as the end of a message: `` (file.py line 12, in act)``; empty if that is not known."""
     frames = [each for each in traceback.extract_tb(error.__traceback__)[1:] if "importlib" not in each.filename]

@@ -10,13 +10,14 @@ import numpy as np
 
 from vcmvsp.cosim.assembly import radio, worlds
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import messages
+from vcmvsp.cosim.config import messages, registry
+from vcmvsp.cosim.config.builtin_kinds import KINDS
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.recording.run_tables import tables_of
 from vcmvsp.cosim.scenario import loader as scenario
 from vcmvsp.cosim.scenario.schema import Scenario
-from vcmvsp.cosim.tables.schema import load_tables
 from vcmvsp.cosim.types import Array, Vec3
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class Site(msgspec.Struct, frozen=True):
     solids: Sequence[Any]  # of the world
     radios: "Mapping[str, Radio]"  # by vehicle
     places: Mapping[str, Vec3]  # of the vehicles, m, world
+    not_executed: tuple[str, ...] = ()  # tables of the scenario whose classes were not imported
 
 
 class Map(msgspec.Struct, frozen=True, kw_only=True):
@@ -54,6 +56,7 @@ class Map(msgspec.Struct, frozen=True, kw_only=True):
     places: Mapping[str, Vec3]  # of the vehicles
     others: Mapping[str, tuple[float, float]]  # level and success at each other vehicle's own antenna
     solids: Sequence[Any]  # of the world
+    not_executed: tuple[str, ...] = ()  # tables of the scenario whose classes were not imported
 
 
 def site_of(parsed: Scenario, source: Source) -> Site:
@@ -68,6 +71,29 @@ def site_of(parsed: Scenario, source: Source) -> Site:
     return Site(channel, world.solids, radios, places)
 
 
+def recorded_site(folder: Path, parsed: Scenario, source: Source) -> Site:
+    """The same for the scenario of a recorded run, within what may be imported (`registry.own_code`).
+
+    In place of the layers that may not stand those of the preset, in place of such a world what the recording draws of it.
+    """
+    from vcmvsp.cosim.assembly.recorded_world import world_in
+
+    known, own = without_own_layers(parsed)
+    world = world_in(folder, parsed, source)
+    channel, radios, _ = radio.channel_of(known, source, solids=world.solids)
+    if not registry.may_import("world", parsed.world.get("kind", "empty")):
+        own = (*own, "world")
+    return Site(channel, world.solids, radios, {each.name: each.start[0] for each in parsed.vehicle}, own)
+
+
+def without_own_layers(parsed: Scenario) -> tuple[Scenario, tuple[str, ...]]:
+    """A scenario without the layers of its radio whose classes may not be imported, and the names of these."""
+    kinds = {name: table["kind"] for name, table in parsed.radio.items() if isinstance(table, Mapping) and "kind" in table}
+    own = tuple(f"radio.{name}" for name, kind in kinds.items() if name in KINDS and not registry.may_import(name, kind))
+    layers = {name: value for name, value in parsed.radio.items() if f"radio.{name}" not in own}
+    return msgspec.structs.replace(parsed, radio=layers), own
+
+
 def coverage(
     what: str | Path | Mapping[str, Any],
     vehicle: str,
@@ -78,6 +104,7 @@ def coverage(
     resolution_m: float | None = None,
     seed: int | None = None,
     set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
+    trust: bool = False,
 ) -> Map:
     """Where the frames of a vehicle arrive.
 
@@ -90,6 +117,7 @@ def coverage(
         resolution_m: from place to place; default: about 150 places along the longer side.
         seed: instead of the scenario's.
         set: key path -> value, as for a run.
+        trust: of a run: import classes of its scenario that are not built in.
 
     Raises:
         ScenarioError: the scenario has no such radio.
@@ -99,7 +127,11 @@ def coverage(
         raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
     folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
     parsed, source = scenario.load(_scenario_in(folder) if folder else what, settings=set, seed=seed)
-    site = site_of(parsed, source)
+    if folder is None:
+        site = site_of(parsed, source)
+    else:
+        with registry.own_code(trust):
+            site = recorded_site(folder, parsed, source)
     if vehicle not in site.places:
         raise UsageError(messages.unknown("vehicle", vehicle, site.places))
     if at_s is not None:
@@ -135,6 +167,7 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
         places=site.places,
         others=dict(zip(others, zip(there.level_dbm.tolist(), there.success.tolist(), strict=True), strict=True)),
         solids=site.solids,
+        not_executed=site.not_executed,
     )
 
 
@@ -176,7 +209,7 @@ def _scenario_in(folder: Path) -> Path:
 def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:
     """Where the vehicles of a run were, at the last recorded instant up to a time."""
     try:
-        moved = motion(load_tables(folder).states)
+        moved = motion(tables_of(folder).states)
     except (OSError, ValueError) as error:  # a damaged table
         raise UsageError(f"{folder} cannot be read: {error}") from error
     instant = int(np.searchsorted(moved.time_ns, at_s * SECOND_NS, side="right")) - 1
@@ -194,6 +227,7 @@ def to_table(found: Map) -> dict[str, Any]:
         **{name: getattr(found, name) for name in names},
         "vehicles": {name: list(place) for name, place in found.places.items()},
         "at_vehicles": {name: {"level_dbm": level, "success": success} for name, (level, success) in found.others.items()},
+        **({"not_executed": list(found.not_executed)} if found.not_executed else {}),
         "heard_share": heard_share(found),
         "mean_success": float(found.success.mean()),
         **{f"{name}_m" if name in ("x", "y") else name: getattr(found, name).tolist() for name in arrays},
@@ -214,4 +248,9 @@ def summary(found: Map) -> str:
         f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, all places taken together"
     ]
     lines += [f"  {name}: {level:.1f} dBm, {100.0 * success:.1f} % arrive" for name, (level, success) in found.others.items()]
+    if found.not_executed:
+        own = ", ".join(found.not_executed)
+        lines.append(
+            f"  not executed: the classes of {own}; in their place: the preset's layers, the world as recorded, of concrete"
+        )
     return "\n".join(lines) + "\n"

@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.analysis.coverage import site_of
-from vcmvsp.cosim.analysis.links import NUMBERS, UNDER_WAY, Frames, Log, Pair
+from vcmvsp.cosim.analysis.coverage import without_own_layers
+from vcmvsp.cosim.analysis.links import NUMBERS, Frames, Log, Pair
+from vcmvsp.cosim.assembly.radio import channel_of
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.scenario import loader
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 
 Budget = dict[str, Any]
 Report = Mapping[str, Any]  # see `frame_report`
@@ -24,7 +27,7 @@ _NEGLIGIBLE_DB = 1e-6
 _HEARS_ALL_DBM = -200.0
 
 
-def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True) -> dict[str, Any]:
+def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True, trust: bool = False) -> dict[str, Any]:
     """One frame of a link.
 
     Args:
@@ -32,6 +35,7 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
         pair: sender, receiver.
         which: the frame's number; ``lost``, the first that was lost; ``worst``, the one with the lowest SINR on the air.
         with_scenario: build the run's radio, too, which knows what the receiver needs. It may take longer than all the rest.
+        trust: import classes of the scenario's radio that are not built in; else nothing is told of a ``phy`` that is not.
 
     Raises:
         UsageError: there is no such frame on this link.
@@ -40,9 +44,8 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
     frame = frames.where(np.arange(len(frames)) == _find(log, frames, pair, which))
     row: dict[str, Any] = {name: frame[name].tolist()[0] for name in NUMBERS}
     outcome, materials = frame.words("outcome")[0], frame.words("wall_materials")[0]
-    if row["received_ns"] > log.facts.end_ns:
-        outcome = UNDER_WAY
-    radio = _radio(log, pair) if with_scenario else None
+    with registry.own_code(trust):
+        radio = _radio(log, pair) if with_scenario else None
     report = {
         "sender": pair[0],
         "receiver": pair[1],
@@ -94,11 +97,13 @@ def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
     path = log.folder / "scenario.toml"
     if not path.is_file():
         return None
-    site = site_of(*loader.load(path))
-    if not all(name in site.radios for name in pair):
+    parsed, source = loader.load(path)
+    known, own = without_own_layers(parsed)
+    channel, radios, _ = channel_of(known, source, solids=())
+    if "radio.phy" in own or not all(name in radios for name in pair):
         return None
-    phy, sender, receiver = site.channel.phy, site.radios[pair[0]], site.radios[pair[1]]
-    hearing, least_dbm = site.channel.hearing, site.channel.budgets.least_dbm
+    phy, sender, receiver = channel.phy, radios[pair[0]], radios[pair[1]]
+    hearing, least_dbm = channel.hearing, channel.budgets.least_dbm
     sensitivity = least_dbm if receiver.sensitivity_dbm is None else receiver.sensitivity_dbm
     return {
         "power_dbm": phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm,
@@ -150,7 +155,7 @@ def _survival(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> float 
 def why(report: Report) -> str:
     """The outcome, and what would have had to be different."""
     outcome = report["outcome"]
-    if outcome == "under way":
+    if outcome == UNDER_WAY:
         return "under way: the run ended before it had arrived"
     if not report["air_time_s"]:
         return f"lost: {outcome}: it had waited {1e3 * report['queue_s']:.3f} ms and was never sent"

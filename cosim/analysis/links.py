@@ -5,7 +5,7 @@ received nor lost. Levels and ratios are those of frames that were on the air. W
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,13 @@ import pyarrow as pa
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import messages
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.recording.run_tables import tables_of
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
-from vcmvsp.cosim.tables.schema import load_tables
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import Array
 
 SCHEMA = "vcmvsp.radio/1"
-RECEIVED, UNDER_WAY = "received", "under way"
+RECEIVED = "received"
 _NAMES = ("sender", "receiver", "outcome", "wall_materials")
 NUMBERS = (
     *("frame", "sent_ns", "received_ns", "size_bytes", "distance_m", "rssi_dbm", "delay_ns", "snr_db", "sinr_db"),
@@ -36,16 +37,17 @@ class Log:
 
     Args:
         folder: that a run has left.
+        tell: takes a line for the user: that the run was cut, and how far its recording goes.
 
     Raises:
         UsageError: it is no such folder, or its tables cannot be read.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no directory of a run; for a scenario, ask for --coverage VEHICLE")
         try:
-            recording = load_tables(folder)
+            recording = tables_of(folder, tell)
         except (OSError, ValueError) as error:  # a damaged table
             raise UsageError(f"{folder} cannot be read: {error}") from error
         missing = [name for name in (*_NAMES, *NUMBERS) if name not in recording.radio.column_names]
@@ -53,9 +55,7 @@ class Log:
             raise UsageError(f"{folder}: radio.parquet has no {missing[0]}: it was written by another version; run it again")
         self.folder, self.facts = folder, recording.facts
         self._columns, self._words = _columns(recording.radio)
-        received_ns = self._columns["received_ns"]
-        late = (received_ns > self.facts.end_ns) | (self._columns["outcome"] == self._code("outcome", UNDER_WAY))
-        self._columns["under_way"] = late
+        self._columns["under_way"] = self._columns["outcome"] == self._code("outcome", UNDER_WAY)
         self._rows = self._by_link()
 
     @property

@@ -38,6 +38,10 @@ class Placement:
         names = [each.name for each in scenario.vehicle]
         if unknown := [name for name in objects if name not in names]:
             raise ScenarioError(messages.unknown("vehicle", unknown[0], names), key="agents")
+        for name, each in objects.items():
+            if not isinstance(each, Agent):
+                made = f"a class: write {each.__name__}(...)" if isinstance(each, type) else messages.show(each)
+                raise ScenarioError(f"must be an object of a class derived from vcmvsp.Agent, not {made}", key=f"agents.{name}")
         self.specs: dict[str, list[AgentSpec]] = {}
         self.where: dict[str, str] = {}
         self.kinds: dict[str, str] = {}

@@ -11,7 +11,7 @@ from operator import attrgetter
 import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
-from vcmvsp.cosim.config.binding import non_finite
+from vcmvsp.cosim.config.binding import problem_of, unfit_number
 from vcmvsp.cosim.config.messages import unknown
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
@@ -65,8 +65,8 @@ class Operator:
             ValueError: it cannot be done, and why.
         """
         raw = msgspec.to_builtins(intervention)
-        if (bad := non_finite(raw)) is not None:
-            raise ValueError(f"{bad} is no number to do anything with")
+        if (bad := unfit_number(raw)) is not None:
+            raise ValueError(f"every number {problem_of(bad)}")
         checked = msgspec.convert(raw, type(intervention))  # ranges, which no constructor looks at
         self._check(checked, self._asked)
         match checked:

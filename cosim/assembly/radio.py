@@ -1,6 +1,7 @@
 """From ``[radio]`` to a channel: a preset, and what is changed of its layers."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,6 +117,7 @@ def build(
     Returns:
         The `netsim.channel.channel.Channel`, and the table with everything filled in.
     """
+    from vcmvsp.netsim.channel import user_layers
     from vcmvsp.netsim.channel.channel import Channel
     from vcmvsp.physics.line_of_sight.sightline import Sightline
 
@@ -130,26 +132,31 @@ def build(
         raise ScenarioError(messages.unknown("preset", str(preset), PRESETS), key=where, source=source.of(where))
     base, layers, resolved = preset_of(preset), {}, {"preset": preset}
     offered: dict[str, Any] = {"sightline": Sightline(solids)}
-    for name in LAYERS:
-        where, own = messages.join(key, name), radio.get(name, {})
-        if not isinstance(own, dict):
-            raise ScenarioError(f"must be a table, not {messages.show(own)}", key=where, source=source.of(where))
-        content = _merged(name, base[name], own)
-        layers[name], resolved[name] = factory.build(
-            name, content, key=where, source=source, portable=portable, offered=offered, keep=keep
-        )
-        if name == "phy":
-            offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
-    _check_mac(layers, key, source)
-    _check_names(layers, vehicles, key, source)
-    return Channel(**layers, radios=radios), resolved
+    try:
+        for name in LAYERS:
+            where, own = messages.join(key, name), radio.get(name, {})
+            if not isinstance(own, dict):
+                raise ScenarioError(f"must be a table, not {messages.show(own)}", key=where, source=source.of(where))
+            content, guard = _merged(name, base[name], own), partial(user_layers.guarded, name)
+            layers[name], resolved[name] = factory.build(
+                name, content, key=where, source=source, portable=portable, offered=offered, keep=keep, guard=guard
+            )
+            user_layers.check_attributes(name, layers[name])
+            if name == "phy":
+                offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
+        _check_mac(layers, key, source)
+        _check_names(layers, vehicles, key, source)
+        return Channel(**layers, radios=radios), resolved
+    except user_layers.LayerError as error:
+        where = messages.join(key, error.layer)
+        raise ScenarioError(error.cause, key=where, source=source.of(where)) from error
 
 
 def _merged(layer: str, base: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
     """The preset's table with what is changed of it; another kind has a table of its own."""
-    only_kind = len(builtin_kinds.KINDS[layer]) == 2  # besides "none"
-    if own and base["kind"] == "none" and only_kind:
-        return {"kind": next(iter(builtin_kinds.KINDS[layer])), **own}
+    kinds = [kind for kind in builtin_kinds.KINDS[layer] if kind != "none"]
+    if own and base["kind"] == "none" and len(kinds) == 1:
+        return {"kind": kinds[0], **own}
     return {**base, **own} if own.get("kind", base["kind"]) == base["kind"] else own
 
 
@@ -167,11 +174,11 @@ def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
 def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, source: Source) -> None:
     """Layers that name vehicles must mean those that there are."""
     for layer in ("trace", "jammer"):
-        for name in layers[layer].names() if layers[layer] else ():
+        for name in getattr(layers[layer], "names", tuple)():  # one's own may name none
             if name not in vehicles:
                 where = messages.join(key, layer)
                 raise ScenarioError(messages.unknown("vehicle", name, vehicles), key=where, source=source.of(where))
-    for expression in layers["script"].unmatched(vehicles) if layers["script"] else ():
+    for expression in getattr(layers["script"], "unmatched", lambda _: ())(vehicles):
         where = messages.join(key, "script.changes")
         problem = f"links = {expression!r} stands for no link; vehicles: {', '.join(vehicles)}"
         raise ScenarioError(problem, key=where, source=source.of(where))

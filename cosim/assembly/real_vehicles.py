@@ -9,6 +9,7 @@ import msgspec
 from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
+from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.scenario.schema import SIMULATED, RealVehicle, SafetyTable, Scenario, VehicleTable
@@ -85,6 +86,7 @@ def _described(
         flies=flying,
         positioning=_twin(vehicle),
         seed=scenario.seed,
+        on_lost=(vehicle.agent and vehicle.agent.on_lost) or scenario.agents.on_lost,
     )
     try:
         check_safety(described)
@@ -107,7 +109,7 @@ def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
     for each in found:
         for table_, params in (("driver", each.driver_params), ("localisation", each.localisation_params)):
             for name in sorted(ADDRESSES & {*params}):
-                address, key = str(params[name]), f"vehicle.{each.name}.{table_}.{name}"
+                address, key = with_slash(str(params[name])), f"vehicle.{each.name}.{table_}.{name}"
                 if address in taken and address != "emulated" and not address.endswith(":0"):
                     problem = f"'{address}' is that of {taken[address]}, too: each vehicle needs one of its own"
                     raise ScenarioError(problem, key=key, source=source.of(key))

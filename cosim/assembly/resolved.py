@@ -10,7 +10,7 @@ from typing import Any
 
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import binding, registry
+from vcmvsp.cosim.config import binding, registry, user_classes
 from vcmvsp.cosim.config import factory as component
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.scenario.schema import ClockTable, Scenario, VehicleTable
@@ -57,8 +57,10 @@ class Resolution:
             kind: as it is written.
             foreign: a host elsewhere says so, which may name any file of this machine: only those beside the scenario are kept.
         """
-        path = registry.file_of(kind, self._source.folder)
-        if not registry.is_file_kind(kind) or not path.is_file():  # that of a host elsewhere is not on this machine
+        if not user_classes.is_file_kind(kind):
+            return kind
+        path = registry.located(kind.rpartition(":")[0], self._source.folder)
+        if not path.is_file():  # that of a host elsewhere is not on this machine
             return kind
         if foreign and self._lies_elsewhere(path):
             return kind
@@ -82,7 +84,7 @@ class Resolution:
             foreign: vehicles whose hosts somebody has started elsewhere.
         """
         scenario, agents = self._scenario, self._scenario.agents
-        told = {info.vehicle: info for info in infos}
+        told, files = {info.vehicle: info for info in infos}, {name for info in infos for name in info.files}
         shared, of_agents = self._shared_by_vehicles(), self._shared_by_agents(infos)
         return {
             "name": scenario.name,
@@ -91,7 +93,7 @@ class Resolution:
             **self.tables,
             "agents": {
                 **_present(period_s=agents.period_s, latency_s=agents.latency_s, on_lost=agents.on_lost, hold_s=agents.hold_s),
-                **{name: self._kept(value) for name, value in of_agents.items()},
+                **{name: self._kept(value, files) for name, value in of_agents.items()},
             },
             **({"clock": binding.plain(scenario.clock)} if scenario.clock != ClockTable() else {}),
             **({"safety": binding.plain(scenario.safety)} if any("driver" in each for each in self.real.values()) else {}),
@@ -163,16 +165,16 @@ class Resolution:
             hold_s=own.hold_s if own else None,
         )
         taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
-        params = {name: self._kept(value, foreign) for name, value in info.params.items() if name not in taken}
+        params = {name: self._kept(value, info.files, foreign) for name, value in info.params.items() if name not in taken}
         return {"agent": {**full, **params}}
 
-    def _kept(self, value: Any, foreign: bool = False, name: str = "") -> Any:
-        """A parameter of an agent; a Python file (``file.py:Class``) or ``picture`` that it or a table in it names is kept."""
+    def _kept(self, value: Any, files: Collection[str] = (), foreign: bool = False) -> Any:
+        """A parameter of an agent; one of ``files``, or a Python file (``file.py:Class``), that stands in it is kept."""
         if isinstance(value, dict):
-            return {name: self._kept(each, foreign, name) for name, each in value.items()}
+            return {name: self._kept(each, files, foreign) for name, each in value.items()}
         if isinstance(value, list):
-            return [self._kept(each, foreign) for each in value]
-        if name == "picture" and isinstance(value, str):
+            return [self._kept(each, files, foreign) for each in value]
+        if isinstance(value, str) and value in files:
             path = registry.located(value, self._source.folder)
             return self.keep(path) if path.is_file() and not (foreign and self._lies_elsewhere(path)) else value
         return self.portable(value, foreign=foreign) if isinstance(value, str) else value

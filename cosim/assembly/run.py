@@ -185,8 +185,10 @@ def assemble(
     robots = None
     if real and playback is None:
         from vcmvsp.hardware.federate import Hardware
+        from vcmvsp.physics.vehicles.specification import body_of
 
-        robots = Hardware(real, run=scenario.name, clock=wall, radius_m=radius_m, tell=tell, log=inputs.on, connect=connect)
+        around = {name: body_of(model).radius_m for name, model in fleet.models.items()}
+        robots = Hardware(real, run=scenario.name, clock=wall, radius_m=around, tell=tell, log=inputs.on, connect=connect)
     outside = playback or robots
     programs = bridge.of_scenario(
         scenario, source, resolution, air=air, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
@@ -234,6 +236,10 @@ def assemble(
     )
 
 
+SLOWEST = 1e-6
+"""Simulated seconds per second of wall time; the quickest is its inverse."""
+
+
 def clock_of(scenario: Scenario, speed: float | None, *, replayed: bool) -> Clock:
     """The clock of a run: the wall clock if a speed is given, or if a real robot or a program at wall pace takes part.
 
@@ -242,6 +248,9 @@ def clock_of(scenario: Scenario, speed: float | None, *, replayed: bool) -> Cloc
         speed: simulated seconds per second of wall time; None: as fast as possible, or 1 with robots and programs.
         replayed: robots and programs are those of a recording, which keeps no pace.
     """
+    if speed is not None and not SLOWEST <= speed <= 1.0 / SLOWEST:
+        problem = f"must be a positive number, from {SLOWEST:g} to {1.0 / SLOWEST:g}; without it a run is as fast as possible"
+        raise UsageError(f"--realtime {speed:g}: {problem}")
     if scenario.real and not replayed and speed not in (None, 1.0):
         names = ", ".join(scenario.real)
         raise UsageError(f"--realtime {speed:g}: real vehicles ({names}) keep to the wall clock, at speed 1")

@@ -73,8 +73,8 @@ class Fleet:
 
     def _model(self, vehicle: VehicleTable) -> "Vehicle":
         key, kind = f"vehicle.{vehicle.name}", self._class(vehicle)
-        own, also = factory.found(self._own(vehicle), self._source), {*binding.parameters(VehicleTable)} - {"params"}
-        self._resolution.vehicles[vehicle.name] = factory.kept(binding.complete(kind, own), self._resolution.keep)
+        own, also = factory.found(kind, self._own(vehicle), self._source, key), {*binding.parameters(VehicleTable)} - {"params"}
+        self._resolution.vehicles[vehicle.name] = factory.kept(kind, binding.complete(kind, own), self._resolution.keep)
         model: Vehicle = binding.call(kind, own, key=key, origin=self._source, also=also)
         return model
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from vcmvsp.cosim.config import builtin_kinds, factory, messages
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.errors import ScenarioError, UsageError, place_of
+from vcmvsp.cosim.errors import ScenarioError, UsageError, place_of, words_of
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.files import write_whole
 
 if TYPE_CHECKING:
     from vcmvsp.physics.world.world import World as World  # noqa: PLC0414  for packages above, which import no part
@@ -74,8 +75,10 @@ def build(
             raise  # in a file that the scenario names
         where = messages.join("world", error.key)
         raise ScenarioError(error.problem, key=where, source=source.of(where)) from error
-    except Exception as error:
-        problem = f"{type(maker).__name__}.build raised {type(error).__name__}: {error}{place_of(error)}"
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever somebody's own world raises
+        problem = f"{type(maker).__name__}.build raised {words_of(error)}{place_of(error)}"
         raise ScenarioError(problem, key="world", source=source.of("world")) from error
     if not isinstance(world, World):
         problem = f"{type(maker).__name__}.build must return a World, not {messages.show(world)}"
@@ -113,7 +116,7 @@ def draw(world: "World", target: Path) -> None:
 
     png = world_picture.png(np.hstack(world_picture.draw_world(world)))
     try:
-        target.write_bytes(png)
+        write_whole(target, png)
     except OSError as error:
         raise UsageError(f"--png {target}: cannot be written: {error.strerror}") from error
 

@@ -16,7 +16,7 @@ from vcmvsp.cosim.cli.keys import keys_app
 from vcmvsp.cosim.cli.kinds import list_command, reference_command, show_command, world_command
 from vcmvsp.cosim.cli.net import net_app
 from vcmvsp.cosim.cli.new import new_command
-from vcmvsp.cosim.cli.options import say
+from vcmvsp.cosim.cli.options import DATA, PROGRAM, say
 from vcmvsp.cosim.cli.outputs import export_command, plot_command, report_command
 from vcmvsp.cosim.cli.radio import channel_command, pathloss_command, per_command, radio_command
 from vcmvsp.cosim.cli.remote import agent_command, watch_command
@@ -25,7 +25,8 @@ from vcmvsp.cosim.cli.robot import operator_command, robot_command, stop_command
 from vcmvsp.cosim.cli.run import check_command, drive_command, launch_command, replay_command, run_command
 from vcmvsp.cosim.cli.study import study_command
 from vcmvsp.cosim.cli.view import view_command
-from vcmvsp.cosim.errors import Interrupted, VcmvspError
+from vcmvsp.cosim.config.messages import show
+from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 
 HANGS_UP = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
 """The end of a terminal is Ctrl-C too, unless somebody wants it ignored, as nohup does."""
@@ -39,29 +40,29 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-app.command("run")(run_command)
+app.command("run", epilog=PROGRAM)(run_command)
 app.command("agent")(agent_command)
-app.command("check")(check_command)
-app.command("plot")(plot_command)
+app.command("check", epilog=PROGRAM)(check_command)
+app.command("plot", epilog=DATA)(plot_command)
 app.command("doctor")(doctor_command)
-app.command("drive")(drive_command)
-app.command("replay")(replay_command)
-app.command("export")(export_command)
-app.command("report")(report_command)
-app.command("launch")(launch_command)
-app.command("study")(study_command)
+app.command("drive", epilog=PROGRAM)(drive_command)
+app.command("replay", epilog=PROGRAM)(replay_command)
+app.command("export", epilog=DATA)(export_command)
+app.command("report", epilog=DATA)(report_command)
+app.command("launch", epilog=PROGRAM)(launch_command)
+app.command("study", epilog=PROGRAM)(study_command)
 app.command("figure")(figure_command)
 app.command("validate")(validate_command)
 app.command("bench")(bench_command)
 app.command("new")(new_command)
 app.command("reference")(reference_command)
 app.command("list")(list_command)
-app.command("show")(show_command)
-app.command("world")(world_command)
-app.command("radio")(radio_command)
-app.command("calibrate")(calibrate_command)
-app.command("calibrate-recognition")(calibrate_recognition_command)
-app.command("view")(view_command)
+app.command("show", epilog=PROGRAM)(show_command)
+app.command("world", epilog=PROGRAM)(world_command)
+app.command("radio", epilog=f"{DATA} {PROGRAM}")(radio_command)
+app.command("calibrate", epilog=PROGRAM)(calibrate_command)
+app.command("calibrate-recognition", epilog=PROGRAM)(calibrate_recognition_command)
+app.command("view", epilog=DATA)(view_command)
 app.command("watch")(watch_command)
 app.command("channel")(channel_command)
 app.command("per")(per_command)
@@ -95,6 +96,11 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:  # the reader of our output has left, as `| head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
+    except OSError as error:  # a name that is too long, a folder that cannot be read, a disk that is full
+        if error.filename is None:
+            raise
+        say(f"vcmvsp: {show(str(error.filename))}: {error.strerror}")
+        raise SystemExit(UsageError.exit_code) from None
 
 
 def _with_speed(arguments: list[str]) -> list[str]:

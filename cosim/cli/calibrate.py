@@ -13,7 +13,7 @@ import typer
 from vcmvsp.cosim.cli.options import AsJson
 from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.terminal.progress import Shown
-from vcmvsp.cosim.util.files import to_json
+from vcmvsp.cosim.util.files import to_json, write_whole, writing
 from vcmvsp.cosim.util.text import stdout_to_stderr
 
 if TYPE_CHECKING:
@@ -73,9 +73,10 @@ def write_calibration(folder: Path, calibration: "Calibration", figure_data: "Fi
     from vcmvsp.cosim.plots.calibration_plot import draw_calibration
     from vcmvsp.cosim.plots.style import save_png
 
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "radio.toml").write_text(calibration.toml(), "utf-8")
-    save_png(draw_calibration(**figure_data._asdict()), folder / "calibration.png")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / "radio.toml", calibration.toml())
+        save_png(draw_calibration(**figure_data._asdict()), folder / "calibration.png")
 
 
 def calibrate_recognition_command(

@@ -8,7 +8,6 @@ import contextlib
 import io
 import os
 import sys
-import tomllib
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from inspect import signature
@@ -21,6 +20,7 @@ from typer.models import ParameterInfo
 from vcmvsp.cosim.cli.kinds import GROUPS
 from vcmvsp.cosim.cli.new import PARTS
 from vcmvsp.cosim.config import builtin_kinds, registry
+from vcmvsp.cosim.util.documents import read_toml
 
 VARIABLE = "_VCMVSP_COMPLETE"
 INDEX = Path(__file__).resolve().parents[1] / "reference" / "reference_keys.tsv"  # of `cosim.reference.index`
@@ -178,7 +178,7 @@ def _content(ctx: typer.Context) -> dict[str, Any]:
     name = _first(ctx, "scenario") or _first(ctx, "world")
     shipped = registry.SHIPPED / f"{name}.toml"
     try:
-        return tomllib.loads((shipped if shipped.is_file() else Path(name)).read_text("utf-8"))
+        return read_toml((shipped if shipped.is_file() else Path(name)).read_text("utf-8"))
     except (OSError, ValueError):
         return {}
 

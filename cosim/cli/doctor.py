@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, DialInsecurely
+from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, SecretOfRun
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.util.text import stdout_to_stderr
 
@@ -23,6 +23,7 @@ def doctor_command(
     ] = None,
     keys: Annotated[Path | None, typer.Option(metavar="FILE", help="This machine's certificate, for --connect.")] = None,
     insecure: DialInsecurely = False,
+    secret: SecretOfRun = None,
     json: AsJson = False,
 ) -> None:
     """Check this installation and make two short runs, or check the way to a run on another machine.
@@ -31,7 +32,7 @@ def doctor_command(
     """
     if connect is None and (keys is not None or insecure):
         raise UsageError("--keys and --insecure say how to reach a run: add --connect ENDPOINT")
-    checks = installation() if connect is None else connection(connect, keys, insecure=insecure)
+    checks = installation() if connect is None else connection(connect, keys, insecure=insecure, secret=secret)
     if json:
         with stdout_to_stderr():
             checks = iter(list(checks))
@@ -70,22 +71,26 @@ def installation() -> "Iterator[Check]":
             yield name, False, f"{error}"
 
 
-def connection(endpoint: str, keys: Path | None = None, *, insecure: bool = False) -> "Iterator[Check]":
+def connection(
+    endpoint: str, keys: Path | None = None, *, insecure: bool = False, secret: Path | None = None
+) -> "Iterator[Check]":
     """How well the run at an endpoint can be reached with this certificate.
 
     Raises:
         UsageError: the endpoint is none, or may not be dialled so, or the file is none of a machine.
     """
     from vcmvsp.cosim.hosts.observers.reachability import examine
-    from vcmvsp.cosim.transport.endpoints import endpoint_rules
+    from vcmvsp.cosim.transport import local_secret
+    from vcmvsp.cosim.transport.endpoints import Side, endpoint_rules
 
     bundle = None
     if keys is not None:
         from vcmvsp.cosim.security import certificates
 
         bundle = certificates.load_bundle(keys)
-    endpoint_rules(endpoint, bundle, insecure=insecure, side="observer" if bundle and bundle.role == "observer" else "host")
-    return examine(endpoint, bundle)
+    side: Side = "observer" if bundle and bundle.role == "observer" else "host"
+    endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side=side)
+    return examine(endpoint, bundle, local_secret.given(secret, insecure=insecure))
 
 
 def _python() -> str:

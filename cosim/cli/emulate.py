@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, pose_of
+from vcmvsp.cosim.cli.options import PROGRAM, AsJson, pose_of
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.util.text import stdout_to_stderr
 
@@ -117,7 +117,7 @@ def robot_command(
 
 
 for _name in ("amigobot", "p2dx", "amigo-sh"):
-    emulate_app.command(_name)(robot_command)
+    emulate_app.command(_name, epilog=PROGRAM)(robot_command)
 
 
 @emulate_app.command("ubisense")

@@ -78,7 +78,9 @@ def vehicle_command(
     if as_ is None and len(vehicle) > 1:
         raise UsageError("several vehicles: give their machine a name, with --as HOST")
     bundle = authority.issue(keys, as_ or vehicle[0], vehicle, days=days, out=out, force=force)
-    _say_bundle(bundle, f"there: vcmvsp agent --vehicle {' --vehicle '.join(bundle.vehicles)} --connect")
+    _say_bundle(
+        bundle, f"there: vcmvsp agent --vehicle {' --vehicle '.join(bundle.vehicles)} --connect", " [MODULE_OR_FILE:Class]"
+    )
 
 
 @keys_app.command("observer")
@@ -141,6 +143,6 @@ def _say_hub(keys: "Keys") -> None:
     sys.stdout.write(f"next, for each machine: vcmvsp keys vehicle NAME --keys {keys.folder}\n")
 
 
-def _say_bundle(bundle: "Bundle", then: str) -> None:
+def _say_bundle(bundle: "Bundle", then: str, last: str = "") -> None:
     sys.stdout.write(f"{bundle.path}: valid until {bundle.until:%Y-%m-%d}; it is a secret; copy it to its machine\n")
-    sys.stdout.write(f"{then} tls/HOST:PORT --keys {bundle.path.name}\n")
+    sys.stdout.write(f"{then} tls/HOST:PORT --keys {bundle.path.name}{last}\n")

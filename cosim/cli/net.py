@@ -1,5 +1,6 @@
 """``vcmvsp net``: a network of vehicles for programs as they are, each vehicle a machine of its own (``[bridge.ip]``)."""
 
+import contextlib
 import json as jsons
 import sys
 from collections.abc import Iterator, Sequence
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.cli.options import PROGRAM, AsJson
 from vcmvsp.cosim.cli.run import Force, Out, Quiet, ScenarioName, Seed, Sets, View, ViewHost, ViewPort, conduct
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view import HOST, PORT
@@ -28,7 +29,7 @@ net_app = typer.Typer(
 )
 
 
-@net_app.command("up")
+@net_app.command("up", epilog=PROGRAM)
 def up_command(
     scenario: ScenarioName,
     duration: Annotated[
@@ -49,7 +50,8 @@ def up_command(
 ) -> None:
     """Run a scenario with a network for its vehicles' programs, at wall pace.
 
-    What a killed run of the same name has left is cleared away first.
+    What a killed run of the same name has left is cleared away first. With sudo, only what makes the interfaces has root's
+    rights: the scenario runs as the user who called it.
 
     Example: vcmvsp net up formation-circle --duration 600 --set radio.loss.probability=0.1
     """
@@ -59,12 +61,14 @@ def up_command(
     from vcmvsp.cosim.scenario import loader as scenarios
 
     _check_rights()
+    networks.leave_root()
     sets = list(set_ or [])
     if duration is not None:
         sets.append(f"duration_s={duration}")
     parsed, _ = scenarios.load(scenario, settings=scenarios.settings_of(sets), seed=seed)
     try:
-        networks.check_free(parsed.name)
+        with contextlib.suppress(PermissionError):  # the process that makes the interfaces will see
+            networks.check_free(parsed.name)
     except OSError as error:
         raise UsageError(str(error)) from error
     doors = [name for name, content in parsed.bridge.doors.items() if bridge.kind_of(name, content) == "ip"]

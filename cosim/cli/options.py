@@ -16,7 +16,19 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout and n
 KeysOfVehicle = Annotated[
     Path | None, typer.Option(metavar="FILE", help="This machine's certificate ('vcmvsp keys vehicle NAME').")
 ]
-DialInsecurely = Annotated[bool, typer.Option("--insecure", help="Dial another machine without certificates.")]
+DialInsecurely = Annotated[bool, typer.Option("--insecure", help="Dial without certificate or secret, whoever listens.")]
+SecretOfRun = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Secret of a run without certificates; default: of your own runs here.")
+]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Execute classes of its own that the folder's scenario names, where these tell more.")
+]
+DATA = "A folder of results is data: nothing of it is executed."
+PROGRAM = (
+    "A scenario is a program: the classes that it names are imported and may do whatever you may. "
+    "Give none of people whose programs you would not start."
+)
+"""In the help of commands: `DATA` where they read what a run has left, `PROGRAM` where they import what a scenario names."""
 
 
 def pose_of(text: str | None) -> "Vec3 | None":

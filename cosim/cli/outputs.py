@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from vcmvsp.cosim.cli.options import Trust, say
 from vcmvsp.cosim.cli.run import Quiet
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.terminal.progress import Shown
@@ -17,14 +18,15 @@ def plot_command(
     run_dir: RunDir,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to put the figures [RUN_DIR].")] = None,
     svg: Annotated[bool, typer.Option("--svg", help="As drawings (SVG) instead of pictures (PNG).")] = False,
+    trust: Trust = False,
 ) -> None:
-    """Draw the figures of a run again.
+    """Draw the figures of a run again; also of one that was killed, as far as its recording goes.
 
     Example: vcmvsp plot runs/formation-circle-1
     """
     from vcmvsp.cosim.runs import api
 
-    for path in api.plot(run_dir, out or run_dir, svg=svg):
+    for path in api.plot(run_dir, out or run_dir, svg=svg, tell=say, trust=trust):
         sys.stdout.write(f"{path}\n")
 
 
@@ -35,6 +37,7 @@ def report_command(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where to put the page [report.html in that folder].")
     ] = None,
+    trust: Trust = False,
 ) -> None:
     """Make report.html of a run or a study again, in one file: figures, numbers, losses and why, how to repeat it.
 
@@ -53,7 +56,7 @@ def report_command(
     if out is not None and out.is_dir():
         raise UsageError(f"--out {out}: is a folder; name a file, e.g. {out / 'report.html'}")
     with writing(out or folder):
-        path = outputs.report_again(folder, out) if (folder / PLAN).is_file() else _of_run(folder, out)
+        path = outputs.report_again(folder, out) if (folder / PLAN).is_file() else _of_run(folder, out, trust=trust)
     sys.stdout.write(f"{path}\n")
 
 
@@ -83,13 +86,13 @@ def export_command(
         sys.stdout.write(f"{path}\n")
 
 
-def _of_run(folder: Path, out: Path | None) -> Path:
+def _of_run(folder: Path, out: Path | None, *, trust: bool) -> Path:
     from vcmvsp.cosim.plots.style import svg
     from vcmvsp.cosim.report import run_page
     from vcmvsp.cosim.runs.result import figures_again
 
     try:
-        figures = figures_again(folder)
+        figures = figures_again(folder, trust=trust)
     except UsageError:  # its tables are not there, or damaged: the page says so
         figures = {}
     return run_page.write(folder, {name: svg(figure) for name, figure in figures.items()}, out)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.cli.options import AsJson, Trust, say
 from vcmvsp.cosim.errors import Interrupted, ScenarioError, UsageError
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def radio_command(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Map: change a key of the scenario.")
     ] = None,
     json: AsJson = False,
+    trust: Trust = False,
 ) -> None:
     """Explain the radio: delivery, losses and link budgets of a run; coverage of a scenario.
 
@@ -66,14 +67,14 @@ def radio_command(
     if coverage is None:
         if given:
             raise UsageError(f"--{next(iter(given))} goes with --coverage VEHICLE")
-        answer, text = _explained(Path(what), link, frame)
+        answer, text = _explained(Path(what), link, frame, trust=trust)
     else:
         if link is not None or frame is not None:
             raise UsageError("--coverage draws a map; --link and --frame ask about a run: give one or the other")
         for name, value in given.items():
             if isinstance(value, float) and not (math.isfinite(value) and (name != "resolution" or value > 0.0)):
                 raise UsageError(f"--{name} {value}: must be a {'positive' if name == 'resolution' else 'finite'} number")
-        answer, text = _drawn(what, coverage, given, json=json)
+        answer, text = _drawn(what, coverage, given, json=json, trust=trust)
     if json:
         from vcmvsp.cosim.util.files import to_json
 
@@ -167,14 +168,12 @@ def pathloss_command(
     Example: vcmvsp pathloss --preset wifi-b-1 --set path_loss.exponent=2 --distance 10:100:10
     """
     from vcmvsp.cosim.assembly.parts import channel_curves as curves
-    from vcmvsp.cosim.config import factory
 
     distance_m = curves.grid(distance, "--distance")
     if distance_m.min() < 0.0:
         raise UsageError(f"--distance {distance}: no distance is negative")
-    channel, resolved, source = _channel(preset, set_)
-    path_loss, _ = factory.build("path_loss", resolved["path_loss"], key="path_loss", source=source)
-    _print({"preset": preset}, curves.mean_levels(path_loss, channel.phy, distance_m), json=json)
+    channel = _channel(preset, set_)[0]
+    _print({"preset": preset}, curves.mean_levels(channel.budgets.path_loss, channel.phy, distance_m), json=json)
 
 
 def _plain(value: object) -> object:
@@ -186,10 +185,10 @@ def _plain(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _explained(folder: Path, link: str | None, frame: str | None) -> tuple[dict[str, Any], str]:
+def _explained(folder: Path, link: str | None, frame: str | None, *, trust: bool) -> tuple[dict[str, Any], str]:
     from vcmvsp.cosim.analysis import link_text, links
 
-    log = links.Log(folder)
+    log = links.Log(folder, say)
     head = {"schema": links.SCHEMA, "scenario": log.facts.scenario, "seed": log.facts.seed}
     pairs = log.pairs(link or "*/*")
     single = link is not None and not set("*?[") & set(link)
@@ -198,7 +197,7 @@ def _explained(folder: Path, link: str | None, frame: str | None) -> tuple[dict[
 
         if not single:
             raise UsageError(f"--frame {frame} needs one link: give --link SENDER/RECEIVER")
-        report = frame_report(log, pairs[0], frame)
+        report = frame_report(log, pairs[0], frame, trust=trust)
         return {**head, "frame": report}, link_text.frame_text(report)
     if single:
         found = links.link_report(log, pairs[0])
@@ -210,13 +209,14 @@ def _explained(folder: Path, link: str | None, frame: str | None) -> tuple[dict[
     return {**head, "links": rows}, text
 
 
-def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool) -> tuple[dict[str, Any], str]:
+def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:
     from vcmvsp.cosim.analysis import coverage as maps
     from vcmvsp.cosim.scenario import loader
 
     names = {"at": "at_s", "size": "size_bytes", "height": "height_m", "resolution": "resolution_m", "seed": "seed"}
     settings = loader.settings_of(given.get("set", []))
-    found = maps.coverage(what, vehicle, set=settings, **{names[name]: given[name] for name in given if name in names})
+    options = {names[name]: given[name] for name in given if name in names}
+    found = maps.coverage(what, vehicle, set=settings, trust=trust, **options)
     answer = maps.to_table(found)
     out = given.get("out")
     if json and out is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, say
+from vcmvsp.cosim.cli.options import AsJson, DialInsecurely, KeysOfVehicle, SecretOfRun, say
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.util.text import plain
 
@@ -34,10 +34,19 @@ def agent_command(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the agent, instead of the scenario's."),
     ] = None,
+    folder: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Python files here may run if the run asks for them by file name.")
+    ] = None,
+    allow: Annotated[
+        list[str] | None, typer.Option(metavar="CLASS", help="Another MODULE_OR_FILE:Class that the run may ask for.")
+    ] = None,
     keys: KeysOfVehicle = None,
     insecure: DialInsecurely = False,
+    secret: SecretOfRun = None,
 ) -> None:
     """Host agents for a run that is started with --agents zenoh.
+
+    The host loads built-in classes, and those that this command line names or that lie in --folder; no others.
 
     Example: vcmvsp agent my_agent.py:KeepGap --vehicle car2 --connect tls/192.168.1.10:7447 --keys car2.keys
     """
@@ -48,10 +57,12 @@ def agent_command(
         connect,
         tuple(vehicle),
         kind=kind,
-        folder=str(Path.cwd()),
+        allow=allow or (),
+        code_folder=folder,
         params=scenarios.settings_of(set_ or []),
         keys=keys,
         insecure=insecure,
+        secret=secret,
         on_state=say,
     )
     say(why)
@@ -63,6 +74,7 @@ def watch_command(
         Path | None, typer.Option(metavar="FILE", help="This observer's certificate ('vcmvsp keys observer NAME').")
     ] = None,
     insecure: DialInsecurely = False,
+    secret: SecretOfRun = None,
     topic: Annotated[
         list[str] | None, typer.Option(metavar="KEYEXPR", help="What to hear, e.g. 'car2/*'; repeat for several [**].")
     ] = None,
@@ -76,6 +88,7 @@ def watch_command(
     Example: vcmvsp watch tls/192.168.1.10:7447 --keys anna.keys --topic 'car2/*'
     """
     from vcmvsp.cosim.hosts.observers.watcher import watch
+    from vcmvsp.cosim.transport import local_secret
     from vcmvsp.cosim.transport.endpoints import endpoint_rules
 
     bundle = None
@@ -85,9 +98,10 @@ def watch_command(
         bundle = certificates.load_bundle(keys)
         if warning := bundle.check():
             say(warning)
-    endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
+    endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
     newest_only = not json and sys.stdout.isatty()
-    batches = watch(endpoint, topic or ["**"], bundle=bundle, every_s=REFRESH_S if newest_only else 0.0, on_state=say)
+    every_s, password = REFRESH_S if newest_only else 0.0, local_secret.given(secret, insecure=insecure)
+    batches = watch(endpoint, topic or ["**"], bundle=bundle, secret=password, every_s=every_s, on_state=say)
     left = sys.maxsize if count is None else count
     with contextlib.closing(batches):
         for batch in batches:

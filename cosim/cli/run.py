@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson
+from vcmvsp.cosim.cli.options import AsJson, say
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.util.text import stdout_to_stderr
 from vcmvsp.cosim.view import HOST, PORT
@@ -120,18 +120,26 @@ def replay_command(
 ) -> None:
     """Run a recorded run again, changed or not: real vehicles do what they did then, algorithms run anew.
 
-    Unchanged it gives the same numbers. Classes out of Python files are the copies that the run has kept in RUN_DIR.
+    Unchanged it gives the same numbers, or says why not (exit code 1).
+
+    Classes out of Python files are the copies that the run has kept in RUN_DIR.
 
     Example: vcmvsp replay runs/formation-circle-1 --set agents.estimator=hold
     """
-    from vcmvsp.cosim.runs.replay import beside, replay
+    from vcmvsp.cosim.runs.replay import beside, comparison, replay
 
     def again(_: str, **given: Any) -> "Result":
         return replay(run_dir, **{**given, "numbered": out is None}, twin=twin, radio=radio)
 
     scenario, folder = str(run_dir / "scenario.toml"), beside(run_dir) if out is None else out
     options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}
-    conduct(again, scenario, set_ or [], folder, seed=seed, realtime=None, json=json, quiet=quiet, **options)
+    result = conduct(again, scenario, set_ or [], folder, seed=seed, realtime=None, json=json, quiet=quiet, **options)
+    if seed is None and not set_ and not twin:
+        same, words = comparison(run_dir, result)
+        if not (same and quiet):
+            say(words)
+        if not same:
+            raise typer.Exit(1)
 
 
 def drive_command(
@@ -161,7 +169,7 @@ def drive_command(
 
 
 def check_command(scenario: ScenarioName, set_: Sets = None) -> None:
-    """Check every key, kind and period of a scenario; run nothing.
+    """Check every key, kind and period of a scenario: import and start all that it names, simulate nothing.
 
     Example: vcmvsp check my_scenario.toml
     """
@@ -193,7 +201,7 @@ def conduct(
     quiet: bool,
     page: tuple[str, int] | None = None,
     **options: object,
-) -> None:
+) -> "Result":
     """Call `vcmvsp.run`, or what takes its place; show progress and what came out, on a page too where there is one."""
     from vcmvsp.cosim.scenario import loader as scenarios
     from vcmvsp.cosim.terminal.progress import Progress, lateness, summary
@@ -201,8 +209,6 @@ def conduct(
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the current one is not a good place for the files of a run")
-    if realtime is not None and not 0.0 < realtime < float("inf"):
-        raise UsageError(f"--realtime {realtime}: must be a positive number")
     settings = scenarios.settings_of(sets)
     with contextlib.ExitStack() as stack:
         viewing = None if page is None else stack.enter_context(_viewing(page))
@@ -231,6 +237,7 @@ def conduct(
             sys.stdout.flush()
             sys.stderr.write("The page shows the end of the run until you press Ctrl-C.\n")
             viewing.stay()
+    return result
 
 
 def _viewing(page: tuple[str, int]) -> "Viewing":

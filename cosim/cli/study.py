@@ -86,11 +86,10 @@ def study_command(
     elif not quiet:
         sys.stdout.write(f"{plan.scenario}: {plan.size} runs, {len(points)} points with {len(plan.seeds)} seeds each\n")
         sys.stdout.write(_table(points, list(plan.vary), plan.metrics))
-        if failed:
-            sys.stdout.write(f"failed:  {len(failed)} runs, the first with: {failed[0]}\n")
         sys.stdout.write(f"results: {studied.folder}\n")
-    if len(failed) == plan.size:
-        raise VcmvspError(f"every run failed, the first with: {failed[0]}")
+    if failed:
+        which = "every run" if len(failed) == plan.size else f"{len(failed)} of {plan.size} runs"
+        raise VcmvspError(f"{which} failed, the first with: {failed[0]}")
 
 
 def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vcmvsp.cosim.cli.options import AsJson, say
+from vcmvsp.cosim.cli.options import AsJson, Trust, say
 from vcmvsp.cosim.errors import Interrupted
 from vcmvsp.cosim.view import HOST, PORT
 
@@ -25,6 +25,7 @@ def view_command(
     port: Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Where the page is; 0: any that is free.")] = PORT,
     host: Annotated[str, typer.Option(metavar="HOST", help="Address of this machine on which it is.")] = HOST,
     json: AsJson = False,
+    trust: Trust = False,
 ) -> None:
     """Show a recorded run in the browser: open the URL that is printed. Ctrl-C ends it.
 
@@ -36,7 +37,7 @@ def view_command(
     from vcmvsp.cosim.view.player.recording import Recording
 
     try:
-        with contextlib.closing(Recording(run_dir)) as recording:
+        with contextlib.closing(Recording(run_dir, trust)) as recording:
             for trouble in recording.troubles:
                 say(f"{run_dir}: {trouble}")
             _serve(Player(recording), recording, host, port, as_json=json)

@@ -10,13 +10,14 @@ import math
 import re
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar
 
 import msgspec
 
 from vcmvsp.cosim.config.messages import describe, join, unknown, unlike
-from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.errors import ScenarioError, place_of, said_by, words_of
 
 T = TypeVar("T")
 
@@ -108,13 +109,7 @@ def call(
         if name not in known:
             where = join(key, name)
             raise ScenarioError(unknown("key", name, [*known, *also]), key=where, source=origin.of(where))
-    values = {}
-    for name, parameter in known.items():
-        where = join(key, name)
-        if name in table:
-            values[name] = convert(table[name], parameter.annotation, key=where, origin=origin)
-        elif parameter.required:
-            raise ScenarioError(f"is missing; it must be {describe(parameter.annotation)}", key=where, source=origin.of(key))
+    values = dict(_values(known, table, key, origin))
     try:
         return target(**given, **values)
     except ScenarioError as error:
@@ -122,13 +117,30 @@ def call(
             raise
         where = join(key, error.key)
         raise ScenarioError(error.problem, key=where, source=origin.of(where)) from error
-    except (Exception, SystemExit) as error:
-        problem = str(error)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever somebody's own class raises
+        problem = said_by(error)
         if not isinstance(error, ValueError):
-            problem = f"{target.__name__} raised {type(error).__name__}: {error}{place_of(error)}"
+            problem = f"{target.__name__} raised {words_of(error)}{place_of(error)}"
         mentioned = [name for name in values if re.search(rf"\b{name}\b", problem)]  # a constructor says which one it means
-        where = join(key, mentioned[0]) if len(mentioned) == 1 else key
+        where = join(key, mentioned[0]) if len(mentioned) == 1 and _is_named(mentioned[0], problem) else key
         raise ScenarioError(problem, key=where, source=origin.of(where)) from error
+
+
+def _values(known: Mapping[str, Parameter], table: Mapping[str, Any], key: str, origin: Origin) -> Iterator[tuple[str, Any]]:
+    """The values that a table gives to known parameters, by name."""
+    for name, parameter in known.items():
+        where = join(key, name)
+        if name in table:
+            yield name, convert(table[name], parameter.annotation, key=where, origin=origin)
+        elif parameter.required:
+            raise ScenarioError(f"is missing; it must be {describe(parameter.annotation)}", key=where, source=origin.of(key))
+
+
+def _is_named(name: str, problem: str) -> bool:
+    """Whether a word of a message is the name of a parameter: at its beginning, quoted, with a value, or no English word."""
+    return "_" in name or re.search(rf"^{name}\b|['\"`]{name}['\"`]|\b{name} ?[=:'\"]", problem) is not None
 
 
 def fitted(value: object, annotation: object, kept: Collection[str]) -> object:
@@ -151,10 +163,58 @@ def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iter
     return full
 
 
+def with_files(target: Callable[..., Any], table: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """The table with file names in it changed: what ``target`` annotates as `FileName` or ``pathlib.Path``, at any depth."""
+    known = parameters(target)
+    return {name: _with_files(each, known[name].annotation, change) if name in known else each for name, each in table.items()}
+
+
+def _with_files(value: Any, annotation: object, change: Callable[[str], str]) -> Any:
+    if isinstance(value, str):
+        return change(value) if value and _names_file(annotation) else value
+    if isinstance(value, Mapping):
+        items = [typing.get_args(each)[1] for each in _alternatives(annotation) if typing.get_origin(each) in (dict, Mapping)]
+        known = {} if items else _known(annotation, value)
+        of = {name: known[name].annotation if name in known else items[0] if items else Any for name in value}
+        return {name: _with_files(each, of[name], change) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_files(each, _item(annotation, number), change) for number, each in enumerate(value)]
+    return value
+
+
+def _alternatives(annotation: object) -> list[object]:
+    """The annotations of a union, or the only one."""
+    inner = typing.get_args(annotation) if typing.get_origin(annotation) in (typing.Union, types.UnionType) else (annotation,)
+    return list(inner)
+
+
+def _names_file(annotation: object) -> bool:
+    """Whether a string of this annotation is the name of a file."""
+    metas = [meta for each in _alternatives(annotation) for meta in typing.get_args(each)[1:] if isinstance(meta, msgspec.Meta)]
+    return Path in _alternatives(annotation) or any((meta.extra or {}).get("file") for meta in metas)
+
+
+def _holds_path(annotation: object) -> bool:
+    """Whether a value of this annotation may hold a path, as any table may."""
+    return annotation is Path or bool(structs(annotation)) or any(map(_holds_path, typing.get_args(annotation)))
+
+
+def _path(kind: type, value: object) -> Path:
+    if kind is Path and isinstance(value, str):
+        return Path(value)
+    raise TypeError(f"no {kind.__name__}")
+
+
+def _text(value: object) -> str:
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} is nothing that TOML has")
+
+
 def plain(value: object) -> Any:
     """The value in types that TOML has; None where there is none."""
     try:
-        return _without_none(msgspec.to_builtins(value, builtin_types=()))
+        return _without_none(msgspec.to_builtins(value, builtin_types=(), enc_hook=_text))
     except TypeError:
         return None
 
@@ -169,10 +229,10 @@ def _without_none(value: object) -> object:
 
 def convert(value: object, annotation: object, *, key: str = "", origin: Origin | None = None) -> Any:
     """The value as its annotation wants it, or a `ScenarioError` that says what is allowed."""
-    if (bad := non_finite(value)) is not None:
-        raise _refused(f"must be finite, not {bad}", key, origin)
+    if (bad := unfit_number(value)) is not None:
+        raise _refused(problem_of(bad), key, origin)
     try:
-        return msgspec.convert(value, annotation)
+        return msgspec.convert(value, annotation, dec_hook=_path if _holds_path(annotation) else None)
     except msgspec.ValidationError as error:
         words, _, inside = str(error).partition(" - at `$")
         if isinstance(error.__cause__, ValueError):  # of a table's own
@@ -244,9 +304,14 @@ def _refused(problem: str, key: str, origin: Origin | None) -> ScenarioError:
     return ScenarioError(problem, key=key, source=(origin or Named()).of(key))
 
 
-def non_finite(value: object) -> float | None:
-    """The first NaN or infinity inside the value."""
-    if isinstance(value, float):
-        return None if math.isfinite(value) else value
+def unfit_number(value: object) -> float | None:
+    """The first NaN, infinity or integer of more than 64 bits inside the value."""
+    if isinstance(value, float | int):
+        return None if (-(2**63) <= value < 2**64 if isinstance(value, int) else math.isfinite(value)) else value
     inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
-    return next((bad for each in inside if (bad := non_finite(each)) is not None), None)
+    return next((bad for each in inside if (bad := unfit_number(each)) is not None), None)
+
+
+def problem_of(bad: float) -> str:
+    """What is wrong with an unfit number, in words."""
+    return "must fit into 64 bits" if isinstance(bad, int) else f"must be finite, not {bad}"

@@ -14,9 +14,6 @@ Portable = Callable[[str], str]
 Keep = Callable[[Path], str]
 """Keeps a file that the scenario uses; how the resolved scenario names it."""
 
-FILES = ("file", "path", "picture")
-"""Keys that name a file, relative to the scenario's folder, wherever they stand in a table (`registry.located`)."""
-
 
 def name_of(path: Path) -> str:
     """For a scenario that is not kept: the file where it is."""
@@ -38,6 +35,7 @@ def build(
     offered: Mapping[str, Any] | None = None,
     absent: Mapping[str, Any] | None = None,
     keep: Keep = name_of,
+    guard: Callable[[Any], Any] = lambda kind: kind,
 ) -> tuple[Any, dict[str, Any]]:
     """Build what a table with a ``kind`` describes.
 
@@ -51,6 +49,7 @@ def build(
         offered: the same, for those who have such a parameter.
         absent: arguments for parameters whose default is None, where the table has none.
         keep: what becomes of files that it names.
+        guard: from the class that was found to the one that is built.
 
     Returns:
         The object, and the table with all its defaults.
@@ -59,33 +58,27 @@ def build(
     if not isinstance(kind, str):
         allowed = ", ".join(builtin_kinds.KINDS[group])
         raise ScenarioError(f"must be a string, one of {allowed}", key=f"{key}.kind", source=source.of(f"{key}.kind"))
-    target = registry.find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source)
+    target = guard(registry.find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source))
     known = binding.parameters(target)
     given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
-    params = found(source.kept(content, key, known), source)
+    params = found(target, source.kept(content, key, known), source, key)
     unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *given}
     given |= {name: value for name, value in (absent or {}).items() if name in unset}
     built = binding.call(target, params, key=key, origin=source, given=given)
     for path in getattr(built, "files", tuple)():  # those that its own files name
-        keep(path)
-    return built, {"kind": portable(kind), **kept(binding.complete(target, params, without=given), keep)}
+        if path.is_file():  # else whoever reads it says so
+            keep(path)
+    return built, {"kind": portable(kind), **kept(target, binding.complete(target, params, without=given), keep)}
 
 
-def found(params: Mapping[str, Any], source: Source) -> dict[str, Any]:
-    """Parameters with the files that they name where these really are."""
-    return dict(_with_files(params, lambda name: str(registry.located(name, source.folder))))
+def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source, key: str) -> dict[str, Any]:
+    """The parameters of ``target``, at a key path, with the files that they name where these really are."""
+    try:
+        return binding.with_files(target, params, lambda name: str(registry.located(name, source.folder)))
+    except ScenarioError as error:
+        raise ScenarioError(error.problem, key=key, source=source.of(key)) from error
 
 
-def kept(params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
-    """Parameters with the files that they name kept, as far as there are such, by the names under which they are."""
-    return dict(_with_files(params, lambda name: keep(Path(name)) if Path(name).is_file() else name))
-
-
-def _with_files(content: object, change: Callable[[str], str]) -> Any:
-    """A table with the names of the files in it changed."""
-    if isinstance(content, Mapping):
-        return {
-            name: change(value) if name in FILES and isinstance(value, str) and value else _with_files(value, change)
-            for name, value in content.items()
-        }
-    return [_with_files(each, change) for each in content] if isinstance(content, list) else content
+def kept(target: Callable[..., Any], params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
+    """The parameters with the files that they name kept, as far as there are such, by the names under which they are."""
+    return binding.with_files(target, params, lambda name: keep(Path(name)) if Path(name).is_file() else name)

@@ -5,6 +5,7 @@ import difflib
 import types
 import typing
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -34,7 +35,7 @@ def describe(annotation: object) -> str:
         bounds = [
             f"{sign} {limit if isinstance(limit, str) else format(limit, 'g')}" for sign, limit in limits if limit is not None
         ]
-        return " ".join([describe(inner[0]), " and ".join(bounds)])
+        return f"{describe(inner[0])} {' and '.join(bounds)}".rstrip()
     if origin is typing.Literal:
         return f"one of {', '.join(map(repr, inner))}"
     if origin in (typing.Union, types.UnionType):
@@ -57,10 +58,20 @@ def join(*parts: str) -> str:
 
 
 def show(value: object) -> str:
-    """The value for a message, cut where it is long."""
-    text = repr(value)
+    """The value for a message, cut where it is long; what fails to show itself, as integers of 4301 digits do, by its type."""
+    try:
+        text = repr(value)
+    except Exception:
+        text = f"a {type(value).__name__} that cannot be shown"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 _SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
-_WORDS: dict[object, str] = {Any: "any value", float: "a number", int: "a whole number", str: "a string", bool: "true or false"}
+_WORDS: dict[object, str] = {
+    Any: "any value",
+    float: "a number",
+    int: "a whole number",
+    str: "a string",
+    Path: "the name of a file",
+    bool: "true or false",
+}

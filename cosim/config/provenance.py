@@ -1,9 +1,12 @@
 """Where a scenario came from: its file, the lines of its keys, and what the command line has set instead."""
 
+import functools
 import re
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+from vcmvsp.cosim.config.key_lines import lines_of, prefixes
 
 
 class Source:
@@ -11,7 +14,7 @@ class Source:
 
     def __init__(self, name: str, folder: Path, text: str = "") -> None:
         self.name, self.folder = name, folder
-        self._lines = _lines_of(text)
+        self._text = text
         self._set: dict[str, str] = {}
 
     def note_set(self, key: str, argument: str) -> None:
@@ -35,40 +38,30 @@ class Source:
 
     def of(self, key: str) -> str:
         """The argument that set the key or something in it, or file and line."""
-        for prefix in _prefixes(key):
+        for prefix in prefixes(key):
             if prefix in self._set:
                 return self._set[prefix]
         inside = [argument for path, argument in self._set.items() if path.startswith(f"{key}.")]
         if key and inside:
             return inside[-1]
-        of_all = re.sub(r"^(vehicle\.[^.]*?)\d+(?=\.|$)", r"\1", key)  # one of many that stand in one table
-        line = next((self._lines[prefix] for prefix in (*_prefixes(key), *_prefixes(of_all)) if prefix in self._lines), None)
-        return f"{self.name} line {line}" if line and key else self.name
+        for place in _places(key):
+            if place in self._set:
+                return self._set[place]
+            if place in self._lines:
+                return f"{self.name} line {self._lines[place]}"
+        return self.name
+
+    @functools.cached_property
+    def _lines(self) -> dict[str, int]:
+        return lines_of(self._text)
 
 
-_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
-_KEY = re.compile(r"^\s*([A-Za-z0-9_.\"'-]+)\s*=\s*(.*)$")
-
-
-def _lines_of(text: str) -> dict[str, int]:
-    """Key path -> line, for messages: table headers and keys that begin a line, vehicles by name."""
-    found: dict[str, int] = {}
-    here, pending, vehicle = "", {}, "vehicle"
-    for number, line in enumerate(text.splitlines(), 1):
-        if header := _HEADER.match(line):
-            here = header[2].replace("vehicle", vehicle, 1) if header[2].startswith("vehicle.") else header[2]
-            pending = {here: number}
-            if here != "vehicle":
-                found.setdefault(here, number)
-        elif key := _KEY.match(line):
-            pending[f"{here}.{key[1]}".lstrip(".")] = number
-            if here == "vehicle" and key[1] == "name":
-                here = vehicle = f"vehicle.{key[2].split('#')[0].strip().strip(chr(34) + chr(39))}"
-                pending = {path.replace("vehicle", here, 1): line_number for path, line_number in pending.items()}
-        found.update({path: line_number for path, line_number in pending.items() if path != "vehicle"})
-    return found
-
-
-def _prefixes(key: str) -> list[str]:
-    parts = re.sub(r"\[\d+\]", "", key).split(".")  # items of a list stand in its lines
-    return [".".join(parts[:length]) for length in range(len(parts), 0, -1)]
+def _places(key: str) -> Iterator[str]:
+    """Where a key may stand, the likeliest first; a copy of a vehicle stands in one table for many, and in that of all."""
+    for prefix in prefixes(key):
+        yield prefix
+        if vehicle := re.fullmatch(r"vehicle\.([^.\[]*?)(\d*)((?:[.\[].*)?)", prefix):
+            stem, number, rest = vehicle.groups()
+            yield from (f"vehicle.{stem}{number[:length]}{rest}" for length in reversed(range(len(number))))
+            if rest:
+                yield f"vehicles{rest}"

@@ -11,16 +11,21 @@ import importlib
 import importlib.machinery
 import importlib.metadata
 import importlib.util
+import os
+import platform
+import re
 import sys
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from vcmvsp.cosim.config.binding import Named, Origin
 from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, VERBS
-from vcmvsp.cosim.config.messages import unknown
-from vcmvsp.cosim.errors import ScenarioError, place_of
+from vcmvsp.cosim.config.messages import show, unknown
+from vcmvsp.cosim.config.user_classes import HostCode, NoCode, allowed_code, is_file_kind, only
+from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
 
@@ -36,8 +41,14 @@ def located(name: str, folder: Path | None = None) -> Path:
         name: as it is written.
         folder: the scenario's; default: that of `looking_in`, or the current one.
     """
-    own, shipped = ((each / name).resolve() for each in (folder or _folder.get() or Path(), SHIPPED))
-    return shipped if shipped.is_file() and not own.exists() else own
+    folder = folder or _folder.get() or Path()
+    is_shipped = os.path.realpath(folder) == str(SHIPPED)
+    places = (SHIPPED, Path()) if is_shipped else (folder, SHIPPED)  # what a built-in scenario has not, --set has named
+    try:
+        first, second = (Path(os.path.realpath(each / name)) for each in places)
+        return first if first.exists() or not (is_shipped or second.is_file()) else second
+    except (OSError, ValueError) as error:  # too long for the system, or with a zero in it
+        raise ScenarioError(f"{show(name)} cannot be the name of a file") from error
 
 
 @contextlib.contextmanager
@@ -48,6 +59,16 @@ def looking_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         _folder.reset(token)
+
+
+def own_code(trusted: bool) -> AbstractContextManager[None]:
+    """While results are read: whether classes that are not built in may be imported."""
+    return contextlib.nullcontext() if trusted else only(NoCode())
+
+
+def may_import(group: str, kind: object) -> bool:
+    """Whether `find` imports the class of a kind: that of a built-in one always, any other unless `own_code` says no."""
+    return not isinstance(allowed_code.get(), NoCode) or (isinstance(kind, str) and kind in KINDS[group])
 
 
 def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind", origin: Origin | None = None) -> Any:
@@ -61,24 +82,33 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         origin: where the scenario came from, for messages.
 
     Raises:
-        ScenarioError: there is no such kind, or what it names cannot be imported.
+        ScenarioError: there is no such kind, what it names cannot be imported, or may not be (`own_code`).
     """
     origin = origin or Named()
     aim = target(group, kind, key=key, origin=origin)
     where, _, name = aim.rpartition(":")
-    path = file_of(kind, folder or _folder.get()).resolve() if is_file_kind(kind) else None
+    code = None if kind in KINDS[group] else allowed_code.get()
+    try:
+        path = _file_of(kind, code, folder)
+    except ScenarioError as error:
+        raise ScenarioError(error.problem, key=key, source=origin.of(key)) from error
     if path and not path.is_file():
-        raise ScenarioError(f"there is no file {path}", key=key, source=origin.of(key))
+        raise ScenarioError(f"there is no file {path} on {platform.node()}", key=key, source=origin.of(key))
     try:
         module = load_file(path) if path else importlib.import_module(where)
-    except (Exception, SystemExit) as error:
-        problem = f"'{where}' cannot be imported: {type(error).__name__}: {error}{place_of(error)}"
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever somebody's own module raises
+        problem = f"'{where}' cannot be imported: {words_of(error)}{place_of(error)}"
         raise ScenarioError(problem, key=key, source=origin.of(key)) from error
+    if code:
+        code.took(kind, module)
     found = getattr(module, name, None)
     if found is None:
         raise ScenarioError(f"'{where}' has no class '{name}'", key=key, source=origin.of(key))
-    if aim != NOTHING and not (callable(found) and hasattr(found, VERBS[group].partition("(")[0])):
-        problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {VERBS[group]}"
+    lacking = [verb for verb in re.findall(r"\w+(?:\(.*?\))?", VERBS[group]) if not hasattr(found, verb.partition("(")[0])]
+    if aim != NOTHING and (lacking or not callable(found)):
+        problem = f"'{kind}' is no {group.replace('_', '-')}: it has no {', '.join(lacking) or VERBS[group]}"
         raise ScenarioError(problem, key=key, source=origin.of(key))
     return found
 
@@ -97,14 +127,11 @@ def target(group: str, kind: str, *, key: str = "kind", origin: Origin | None = 
     return others[kind]
 
 
-def file_of(kind: str, folder: Path | None) -> Path:
-    """The Python file of a ``file.py:Class`` kind."""
-    return (folder or Path()) / kind.rpartition(":")[0]
-
-
-def is_file_kind(kind: str) -> bool:
-    """Whether a kind names a file rather than a module or a short name."""
-    return kind.rpartition(":")[0].endswith(".py")
+def _file_of(kind: str, code: HostCode | None, folder: Path | None) -> Path | None:
+    """The Python file of a kind; None: it is no file's."""
+    if code is not None:
+        return code.file_of(kind)
+    return located(kind.rpartition(":")[0], folder) if is_file_kind(kind) else None
 
 
 def load_file(path: Path) -> ModuleType:

@@ -1,7 +1,8 @@
 """A recording as CSV files, for spreadsheets and whatever else reads nothing better; units stand in the headers.
 
 ``states.csv`` has the true states, ``radio.csv`` the columns of ``radio.parquet``, a row per frame and receiver,
-``commands.csv`` what agents commanded, ``notes.csv`` what they noted. Each sensor that gives numbers has a file of its name,
+``commands.csv`` what agents commanded, ``notes.csv`` what they noted; of real vehicles, ``real.csv`` has how they stood and why
+they were held back, ``incidents.csv`` what befell them. Each sensor that gives numbers has a file of its name,
 with the vehicles below one another. Times are those of the run, s; an empty cell is a number that there was not. Scans,
 pictures and maps are not exported: they are no rows.
 """
@@ -14,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import csv as arrow_csv
@@ -23,7 +25,7 @@ from vcmvsp.cosim.recording.foxglove.messages import PoseInFrame
 from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, read_table
-from vcmvsp.cosim.types import FrameReport, Imu, Odometry, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import FrameReport, Imu, Incident, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 
 AXES = "xyz"
 TURN = ("qw", "qx", "qy", "qz")  # world_from_body
@@ -38,7 +40,7 @@ COLUMNS: Mapping[type[Tabular], Sequence[str]] = {
     Waypoint: ("to_x_m", "to_y_m", "to_z_m", "to_yaw_rad", "speed_m_s"),
 }
 """The columns of each type of value; what comes by name, as notes do, has its names for columns."""
-FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates"}
+FILES = {"state": "states", "command": "commands", "note": "notes", "estimate": "estimates", "incident": "incidents"}
 """By topic, where the name is another than the topic's."""
 RADIO = "radio"
 
@@ -94,9 +96,20 @@ def _row(value: object) -> Mapping[str, Any] | None:
     names = getattr(value, "values", None)
     if isinstance(names, dict):
         return names
+    if isinstance(value, RealStatus | Incident):
+        return _of_real_vehicle(value)
     if not isinstance(value, Tabular):
         return None
     return {name: _said(cell) for name, cell in zip(COLUMNS[type(value)], _cells(value), strict=True)}
+
+
+def _of_real_vehicle(value: RealStatus | Incident) -> Mapping[str, object]:
+    if isinstance(value, Incident):
+        return {"what": value.what, "cause": value.cause, "happened_s": value.happened_ns / SECOND_NS}
+    cells = {name: _said(cell) for name, cell in msgspec.structs.asdict(value).items() if name != "sent"}
+    sent = [None] * 4 if value.sent is None else _cells(value.sent)
+    told = {f"sent_{name}": cell for name, cell in zip(COLUMNS[Velocity], sent, strict=True)}
+    return {**cells, "causes": "; ".join(value.causes), **told}
 
 
 def _said(cell: object) -> object:

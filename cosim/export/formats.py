@@ -2,12 +2,12 @@
 
 import contextlib
 import functools
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.recorded_run import FILE, Source
+from vcmvsp.cosim.util.files import replacing
 
 FOLDERS = ("rosbag2", "csv")
 NAMES = {"rosbag2": "rosbag2", "csv": "csv", "mp4": "run.mp4", "layout": "layout.json"}
@@ -110,22 +110,10 @@ def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:
 
 @contextlib.contextmanager
 def _whole(path: Path) -> Iterator[Path]:
-    """A place beside the output, of the same name; what is there in the end takes the output's place, if all went well."""
-    beside = path.parent / f".{path.name}.part"
+    """As `replacing`, in a folder that need not be there yet."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(beside, ignore_errors=True)  # of an export that was killed
-        beside.mkdir()
-        place = beside / path.name
-        try:
+        with replacing(path) as place:
             yield place
-            if place.is_dir():
-                path.mkdir(exist_ok=True)
-                for each in sorted(place.iterdir()):
-                    each.replace(path / each.name)
-            else:
-                place.replace(path)
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error

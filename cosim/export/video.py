@@ -18,6 +18,7 @@ from vcmvsp.cosim.recording.foxglove.messages import FrameTransforms, SceneEntit
 from vcmvsp.cosim.recording.recorded_run import Source, Values
 from vcmvsp.cosim.tables.schema import NOT_LOST
 from vcmvsp.cosim.types import Array, FrameReport, VehicleState
+from vcmvsp.cosim.util.film import write_film
 from vcmvsp.cosim.util.palette import rgb_of
 
 FPS = 20
@@ -35,7 +36,7 @@ FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
 
 
 def write_video(source: Source, path: Path, progress: Callable[[float], None]) -> None:
-    """Write an MP4 file (MPEG-4 part 2).
+    """Write an MP4 file (`cosim.util.film`).
 
     Args:
         source: the recording.
@@ -43,21 +44,17 @@ def write_video(source: Source, path: Path, progress: Callable[[float], None]) -
         progress: called with the part of the film that is done, 0 to 1.
 
     Raises:
-        UsageError: the recording shows no vehicle, or this OpenCV writes no films.
+        UsageError: the recording shows no vehicle.
+        OSError: the file cannot be written.
     """
-    import cv2
-
     film = _Film(source)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, film.size)
-    if not writer.isOpened():
-        problem = "this OpenCV writes no MPEG-4 films"
-        raise UsageError(f"--mp4: {problem}; install one that does: pip install opencv-python-headless")
-    try:
+
+    def frames() -> Iterator[Array]:
         for number, frame in enumerate(film.frames(), 1):
-            writer.write(frame)
+            yield frame
             progress(number / film.count)
-    finally:
-        writer.release()
+
+    write_film(path, frames(), FPS)
 
 
 class _Ways:
@@ -92,11 +89,6 @@ class _Film:
         self.count = self._end_ns // self.step_ns + 1
         self._lay_out()
         self._base = self._ground()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height, px."""
-        return self._width, self._height
 
     def frames(self) -> Iterator[Array]:
         """The pictures, one after another: (height, width, 3) uint8, blue, green, red."""

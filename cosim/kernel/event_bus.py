@@ -8,7 +8,7 @@ import heapq
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 
-from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.errors import FederateError, words_of
 from vcmvsp.cosim.federate import Event, Federate, Slot
 from vcmvsp.cosim.util.key_expressions import matches
 
@@ -93,8 +93,10 @@ class Exchange:
             try:
                 for event in events:
                     observe(event)
-            except (Exception, SystemExit) as error:
-                raise FederateError("recording", f"{type(error).__name__}: {error}") from error
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # whatever somebody's own observer raises
+                raise FederateError("recording", words_of(error)) from error
             for index in readers:
                 inboxes[index] += events
             for index in keepers:

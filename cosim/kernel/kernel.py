@@ -21,7 +21,7 @@ import simpy
 from threadpoolctl import threadpool_limits
 
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, WallClock
-from vcmvsp.cosim.errors import FederateError, VcmvspError
+from vcmvsp.cosim.errors import FederateError, VcmvspError, words_of
 from vcmvsp.cosim.federate import Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting
 from vcmvsp.cosim.kernel.event_bus import Exchange, Observer
 from vcmvsp.cosim.util.polling import readable
@@ -52,7 +52,8 @@ class Kernel:
         strict: bool = False,
     ) -> None:
         self.run_info, self.now_ns = run, 0
-        self.late_ns: list[int] = []  # how late instants began at which agents act, and others that were too late, in order
+        self.late_ns: list[int] = []  # how late each tick of agents began, what the run slipped since the tick before included
+        self._slipped_ns = 0  # since the last tick
         self._has_agents = any(each.slot is Slot.AGENT for each in federates)
         self._federates = sorted(federates, key=lambda each: each.name)
         self._blames = [_blame(each) for each in self._federates]
@@ -128,8 +129,11 @@ class Kernel:
 
     def _note_late(self, when: int, late_ns: int) -> None:
         too_late = self._tolerance_ns is not None and late_ns > self._tolerance_ns
-        if self._clock.speed is not None and (too_late or self._is_tick(when)):
-            self.late_ns.append(late_ns)
+        if self._clock.speed is not None and self._is_tick(when):
+            self.late_ns.append(self._slipped_ns + late_ns)
+            self._slipped_ns = 0
+        elif too_late:
+            self._slipped_ns += late_ns
         if too_late and not self._strict:
             self._clock.slip(late_ns)
         elif too_late:
@@ -138,7 +142,10 @@ class Kernel:
 
     def _is_tick(self, when: int) -> bool:
         """Whether agents act at this instant, where there are any."""
-        return not self._has_agents or ((when, Slot.AGENT) in self._due and when < self.run_info.duration_ns)
+        if not self._has_agents:
+            return True
+        due = self._due.get((when, Slot.AGENT), ())  # an answer may be due in it, too, or who is woken
+        return when < self.run_info.duration_ns and any(self._next[index] == when for index in due)
 
     def _await(self, wait: Callable[[], T]) -> T:
         self.waiting = True
@@ -266,4 +273,4 @@ class _blame:  # noqa: N801  reads as a word: with _blame(federate)
     def __exit__(self, kind: object, error: BaseException | None, _: object) -> None:
         if error is not None and not isinstance(error, VcmvspError | KeyboardInterrupt):
             details = "".join(traceback.format_exception(error))
-            raise FederateError(self._name, f"{type(error).__name__}: {error}", details=details) from error
+            raise FederateError(self._name, words_of(error), details=details) from error

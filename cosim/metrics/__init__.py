@@ -32,6 +32,8 @@ is None, never NaN::
     radio                           of the whole run, but for the ages
       frames                        frames that entered the channel
       receptions, delivery_ratio    frames received, and their share of frame x receiver
+      under_way                     how many had neither arrived nor been lost when the run ended: frame x receiver is the sum
+                                    of receptions, losses and these
       losses.<cause>                how many were lost, by cause
       delay_s                       mean, p50, p95, p99, max; from sending to reception
       age_s                         of information, in the window (`ages`)
@@ -69,6 +71,7 @@ is None, never NaN::
       reconnects                    how often its link was lost and came back
       stops.<cause>                 how often it was stopped
       limited_s                     time in which it was told something else than its agent wanted
+      limited_by_s.<cause>          of that, by cause; `limits` of speed and acceleration where nothing else held it back
       frames_too_early              receptions of its frames after a delay below its own median age: no real link is so quick
     safety
       collisions                    touches that began

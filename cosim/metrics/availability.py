@@ -15,6 +15,7 @@ from vcmvsp.cosim.metrics.radio import Receptions, quantiles
 from vcmvsp.cosim.types import Array, Incident, Presence, RealStatus
 
 SPREAD = ("p50", "p99", "max")
+LIMITS = "limits"  # among the causes of a `RealStatus`: of speed and acceleration
 
 
 def agent_metrics(
@@ -88,7 +89,6 @@ def _of_one(
 ) -> dict[str, Any]:
     statuses = [status for _, status in told]
     ages_s = _numbers([each.age_s for each in statuses])
-    limited_ns = sum(after - now for (now, status), (after, _) in itertools.pairwise(told) if status.causes)
     latency_s = float(np.median(ages_s)) if ages_s.size else None
     return {
         "age_s": quantiles(ages_s, SPREAD),
@@ -99,9 +99,19 @@ def _of_one(
         "gated": max((each.gated for each in statuses), default=0),
         "reconnects": max(0, max((each.link for each in statuses), default=0) - 1),
         "stops": dict(sorted(Counter(each.cause for each in incidents if each.what == "stopped").items())),
-        "limited_s": limited_ns / SECOND_NS,
+        "limited_s": sum(after - now for (now, status), (after, _) in itertools.pairwise(told) if status.causes) / SECOND_NS,
+        "limited_by_s": limited_by_s(told),
         "frames_too_early": None if latency_s is None else int(np.count_nonzero(delays_s < latency_s)),
     }
+
+
+def limited_by_s(told: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
+    """How long each cause held a real vehicle back; its limits, which act whenever it gains speed, where nothing else did."""
+    by_ns = Counter[str]()
+    for (now, status), (after, _) in itertools.pairwise(told):
+        others = [cause for cause in status.causes if cause != LIMITS]
+        by_ns.update(dict.fromkeys(others or status.causes, after - now))
+    return {cause: held_ns / SECOND_NS for cause, held_ns in sorted(by_ns.items())}
 
 
 def _delays_s(got: Receptions, sender: str) -> Array:

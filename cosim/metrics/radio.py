@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import Array
 
 
@@ -59,22 +60,22 @@ def _codes(names: Sequence[str], others: Sequence[str]) -> Array:
     return np.array([numbered.get(each, -1) for each in others], np.int32)
 
 
-def radio_metrics(radio: pa.Table, ages: dict[str, float | None], end_ns: int) -> dict[str, Any]:
+def radio_metrics(radio: pa.Table, ages: dict[str, float | None]) -> dict[str, Any]:
     """The ``radio`` part: counts of the whole run, delays of all receptions, ages as given.
 
     A frame that is still under way when the run ends is neither received nor lost.
     """
     outcomes, code = names_of(radio, "outcome")
     counts = dict(zip(outcomes, np.bincount(code, minlength=len(outcomes)).tolist(), strict=True))
-    received = numbers(radio, "received_ns", null=-1)
-    late = int((received > end_ns).sum())
-    got, decided = counts.get("received", 0) - late, radio.num_rows - late - counts.pop("under way", 0)
+    got, under_way = counts.get("received", 0), counts.pop(UNDER_WAY, 0)
+    decided = radio.num_rows - under_way
     delays = numbers(radio, "delay_ns", null=-1)
-    delays = delays[(delays >= 0) & (received <= end_ns)] / SECOND_NS
+    delays = delays[delays >= 0] / SECOND_NS
     return {
         "frames": int(np.count_nonzero(np.diff(numbers(radio, "frame"), prepend=-1))),  # the rows of a frame are together
         "receptions": got,
         "delivery_ratio": got / decided if decided else None,
+        "under_way": under_way,
         "losses": {cause: counts[cause] for cause in sorted(counts) if cause != "received" and counts[cause]},
         "delay_s": quantiles(delays, ("mean", "p50", "p95", "p99", "max")),
         "age_s": ages,

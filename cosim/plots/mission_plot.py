@@ -23,6 +23,7 @@ from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
 from vcmvsp.cosim.recording.mission_log import MissionLog, surest_map
 from vcmvsp.cosim.types import Array, Sighting, Sightings
 from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, color_of
+from vcmvsp.cosim.util.pictures import decoded
 
 INSTANTS = 4  # at which the map is shown, evenly to the end of the run
 SHEET = 12  # pictures with detections, at most
@@ -90,7 +91,7 @@ def detections(log: MissionLog) -> Figure:
         figure = Figure(figsize=(3.0 * columns, 2.55 * rows + 0.3), layout="constrained")
         figure.suptitle("Targets that were recognised")
         for axes, (time_ns, name, seen) in zip(figure.subplots(rows, columns, squeeze=False).flat, chosen, strict=False):
-            pixels = cv2.imdecode(np.frombuffer(seen.jpeg, np.uint8), cv2.IMREAD_COLOR)
+            pixels = decoded(seen.jpeg, cv2.IMREAD_COLOR)
             if pixels is not None:
                 axes.imshow(pixels[..., ::-1], extent=(-0.5, seen.width - 0.5, seen.height - 0.5, -0.5))
             _boxes(axes, seen)

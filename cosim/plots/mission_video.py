@@ -12,9 +12,11 @@ from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.recording.foxglove.agent_displays import corners_of, label_of
 from vcmvsp.cosim.recording.mission_log import FRAMES, MissionLog, surest_map
 from vcmvsp.cosim.types import Array, ProbabilityMap, Sightings
+from vcmvsp.cosim.util.film import write_film
 from vcmvsp.cosim.util.palette import COMMANDERS, PROBABILITY, TARGET, rgb, rgb_of
+from vcmvsp.cosim.util.pictures import decoded
 
-FPS = 10.0
+FPS = 10
 QUICKER = 4  # simulated seconds in one of the film, or more: it has no more than `FRAMES` frames
 MAP_PX, SIDE_PX = 640, 480  # width of the map, which is square, and of the pictures beside it
 MARGIN_PX = 30
@@ -26,19 +28,9 @@ FONT = 0  # cv2.FONT_HERSHEY_SIMPLEX
 Color = tuple[int, ...]  # blue, green, red, as OpenCV has it
 
 
-def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> bool:
-    """Write an MP4 file (MPEG-4 part 2); False, and no file: this OpenCV cannot."""
-    import cv2
-
-    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (MAP_PX + SIDE_PX, MAP_PX))
-    if not film.isOpened():
-        return False
-    try:
-        for frame in frames(log, moved, targets, outlines):
-            film.write(frame)
-    finally:
-        film.release()
-    return True
+def write_video(path: Path, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
+    """Write an MP4 file (`cosim.util.film`)."""
+    write_film(path, frames(log, moved, targets, outlines), FPS)
 
 
 def frames(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> Iterator[Array]:
@@ -180,7 +172,7 @@ class _Beside:
         if self._kept.get(name, (-1,))[0] != number:
             scale = min((self._width - 4) / seen.width, (self._height - 28) / seen.height)
             quick = cv2.IMREAD_REDUCED_COLOR_2 if scale < 0.75 else cv2.IMREAD_COLOR
-            pixels = cv2.imdecode(np.frombuffer(seen.jpeg, np.uint8), quick)
+            pixels = decoded(seen.jpeg, quick)
             size = max(int(seen.width * scale), 1), max(int(seen.height * scale), 1)
             small = np.zeros((size[1], size[0], 3), np.uint8) if pixels is None else cv2.resize(pixels, size)
             for each in seen.found:

@@ -4,7 +4,6 @@ They are drawn from the summary (`cosim.studies.summary`) alone, in the style of
 """
 
 import contextlib
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,6 +22,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vcmvsp.cosim.plots.style import MAP, marker_of, style
 from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.util.documents import read_json
 from vcmvsp.cosim.util.palette import color_of
 
 MAP_COLORS = "cividis"  # keeps its order in grey and under every common form of colour blindness
@@ -297,7 +297,7 @@ def _kind(value: object) -> object:
     """What a table says it is."""
     with contextlib.suppress(ValueError):  # a text may begin like a table
         if isinstance(value, str) and value.startswith("{"):
-            return json.loads(value).get("kind")
+            return read_json(value).get("kind")
     return None
 
 

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.lines import Line2D
 
+from vcmvsp.cosim.util.files import replacing, write_whole
 from vcmvsp.cosim.util.palette import OKABE_ITO, color_of
 
 DPI = 120
@@ -103,12 +104,13 @@ def save_png(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG: no date, no library version inside."""
     with style():
         canvas = _laid_out(figure)
-        canvas.print_png(str(path), metadata={"Software": None})  # type: ignore[no-untyped-call]
+        with replacing(Path(path)) as place:
+            canvas.print_png(str(place), metadata={"Software": None})  # type: ignore[no-untyped-call]
 
 
 def save_svg(figure: Figure, path: str | Path) -> None:
     """Write a figure as SVG: the same bytes for the same figure."""
-    Path(path).write_text(svg(figure), "utf-8")
+    write_whole(Path(path), svg(figure))
 
 
 def svg(figure: Figure) -> str:

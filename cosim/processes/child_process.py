@@ -69,15 +69,15 @@ class HostProcess:
             self._process.wait()
 
 
-def linked(module: str) -> tuple[subprocess.Popen[bytes], Link]:
-    """A process beside the run, ``python -m MODULE FD``, and the link to it, whose other end it inherits as FD."""
+def linked(module: str, *arguments: str) -> tuple[subprocess.Popen[bytes], Link]:
+    """A process beside the run, ``python -m MODULE FD ARGUMENTS``, and the link to it, whose other end it inherits as FD."""
     here, there = pair()
     # The child looks for modules where this process does, and nowhere else: not in the current folder.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with there:
         # A session of its own keeps away Ctrl-C, and the end of the terminal: what it holds is let go of in order first.
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module, str(there.fileno())],
+            [sys.executable, "-P", "-m", module, str(there.fileno()), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=sys.__stderr__,
             env=environment,

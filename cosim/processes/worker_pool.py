@@ -20,10 +20,11 @@ from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
-from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.errors import VcmvspError, words_of
 from vcmvsp.cosim.processes.child_process import BOOT
 
-ATTEMPTS = 2
+ATTEMPTS = 2  # of a call
+STARTS = 10  # of a worker, before somebody must mean it
 READY = "ready"
 Asked = tuple[Any, Any]  # the caller's name for a call, and what the function is given
 Answered = tuple[Any, Any]  # the same name, and what the function gave
@@ -154,14 +155,18 @@ class Pool:
             return None if self._stopped else next(source, None)
 
     def _started(self) -> Worker:
-        if self._stopped:
-            raise WorkerDiedError
-        worker = Worker(self._call)
-        with self._lock:
-            self._workers.add(worker)
+        """A worker. One that is killed while it starts has cost no call yet."""
+        for _ in range(STARTS):
             if self._stopped:
-                worker.kill()
-        return worker
+                raise WorkerDiedError
+            with contextlib.suppress(WorkerDiedError):
+                worker = Worker(self._call)
+                with self._lock:
+                    self._workers.add(worker)
+                    if self._stopped:
+                        worker.kill()
+                return worker
+        raise VcmvspError(f"{STARTS} workers, one after the other, were killed while they started")
 
     def _left(self, worker: Worker | None) -> None:
         if worker is not None:
@@ -213,8 +218,7 @@ def _portable(error: Exception) -> Exception:
     try:
         pickle.loads(pickle.dumps(error))  # noqa: S301
     except Exception:  # an error need not be made for it, nor what it holds
-        kind = "" if isinstance(error, VcmvspError) else f"{type(error).__name__}: "
-        return VcmvspError(f"{kind}{error}")
+        return VcmvspError(str(error) if isinstance(error, VcmvspError) else words_of(error))
     return error
 
 

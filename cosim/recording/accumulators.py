@@ -9,7 +9,7 @@ import hashlib
 import math
 import struct
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,7 +22,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import RunInfo
 from vcmvsp.cosim.metrics import SCHEMA
 from vcmvsp.cosim.metrics.age_of_information import age_metrics
-from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics
+from vcmvsp.cosim.metrics.availability import agent_metrics, hardware_metrics, limited_by_s
 from vcmvsp.cosim.metrics.connectivity import connectivity_metrics
 from vcmvsp.cosim.metrics.control import control_metrics
 from vcmvsp.cosim.metrics.formation import formation_metrics
@@ -68,6 +68,7 @@ from vcmvsp.cosim.types import (
     Waypoint,
 )
 from vcmvsp.cosim.util.codec import encode
+from vcmvsp.cosim.util.files import replacing
 
 Take = Callable[[str, int, Any], None]
 """What is done with a value, given its key and its time (ns)."""
@@ -157,7 +158,14 @@ class Kept:
     def write_tables(self, folder: Path, end_ns: int) -> None:
         """Write ``states.parquet`` and ``radio.parquet``."""
         for table, name in zip(self.tables(end_ns), ("states", "radio"), strict=True):
-            write_table(table, folder / f"{name}.parquet")
+            with replacing(folder / f"{name}.parquet") as path:
+                write_table(table, path)
+
+    def limited_by_s(self) -> Iterator[tuple[str, Mapping[str, float]]]:
+        """Real vehicles that were held back, and for how long by which cause."""
+        for vehicle, told in sorted(self._statuses.items()):
+            if by_s := limited_by_s(told):
+                yield vehicle, by_s
 
     def metrics(self, window: Window, end_ns: int) -> dict[str, Any]:
         """The numbers of a run that is over (`cosim.metrics`)."""
@@ -175,7 +183,7 @@ class Kept:
             "seed": self._run.seed,
             "duration_s": end_ns / SECOND_NS,
             "formation": formation_metrics(moved, follows, window, self._noted, end_ns),
-            "radio": radio_metrics(radio, ages, end_ns),
+            "radio": radio_metrics(radio, ages),
             **({"routing": self._routing.metrics()} if self._routing else {}),
             "control": control_metrics(commands, vehicles, window, end_ns),
             "connectivity": connectivity_metrics(got, vehicles, window, end_ns),

@@ -1,10 +1,31 @@
 """Events that a person wants to be told of, in words: for the log of the recording, and for the terminal."""
 
+from collections.abc import Mapping
+
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Changed, Contact, Halted, Incident, Moved, Outage, Presence
 
 Intervention = Outage | Halted | Moved | Changed
 _BECAME = {"lost": "has lost its agent", "removed": "is without an agent for good", "back": "has its agent again"}
+
+_HELD_BY = {
+    "geofence": "the fence",
+    "separation": "others near it",
+    "limits": "limits of speed and acceleration",
+    "command": "no command",
+    "positioning": "no position",
+    "federation": "silence of the run",
+    "operator": "silence of the operator",
+    "clock": "its clock",
+    "not_finite": "what is no number",
+}
+"""Causes for which a real vehicle is held back; others are words already."""
+
+
+def of_limits(by_s: Mapping[str, float]) -> str:
+    """What held a real vehicle back, and for how long each, the longest first."""
+    longest = sorted(by_s.items(), key=lambda item: -item[1])
+    return ", ".join(f"{_HELD_BY.get(cause, cause)} {held_s:.1f} s" for cause, held_s in longest)
 
 
 def of_presence(vehicle: str, presence: Presence) -> tuple[str, str]:

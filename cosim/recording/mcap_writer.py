@@ -139,7 +139,7 @@ class McapLog:
 
     def __init__(self, stream: BinaryIO, about: Mapping[str, str], form: Form = JSON) -> None:
         self._stream, self._size, self._form = stream, 0, form
-        self._topics: dict[str, int] = {}
+        self._numbers: dict[tuple[str, type], int] = {}  # of channels
         self._schemas: dict[type, records.Schema] = {}
         self._channels: list[records.Channel] = []
         self._chunk = bytearray()
@@ -155,8 +155,9 @@ class McapLog:
         self._put(metadata)
 
     def write(self, topic: str, time_ns: int, message: object) -> None:
-        """Append a message (a msgspec Struct) in effect at ``time_ns``; a topic carries one type of message."""
-        channel = self._topics.get(topic) or self._register(topic, type(message))
+        """Append a message (a msgspec Struct) in effect at ``time_ns``; each type of a topic has a channel with its schema."""
+        kind = type(message)
+        channel = self._numbers.get((topic, kind)) or self._register(topic, kind)
         chunk = self._chunk
         place = len(chunk)
         try:
@@ -213,7 +214,7 @@ class McapLog:
             records.Channel(id=number, topic=topic, message_encoding=self._form.encoding, metadata={}, schema_id=schema_id)
         )
         self._chunk += _bytes(self._channels[-1])
-        self._topics[topic] = number
+        self._numbers[topic, message_type] = number
         return number
 
     def _end_chunk(self) -> None:

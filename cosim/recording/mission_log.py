@@ -5,7 +5,6 @@ held here is bounded, however long the run: of maps and camera pictures no more 
 """
 
 import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -17,14 +16,15 @@ from vcmvsp.cosim.recording.foxglove.agent_displays import CompressedImage, Grid
 from vcmvsp.cosim.recording.mcap_reader import messages
 from vcmvsp.cosim.recording.recorded_run import Noted
 from vcmvsp.cosim.types import Array, Mosaic, Presence, ProbabilityMap, Sightings
+from vcmvsp.cosim.util.documents import json_reader
 
 FRAMES = 450
 
-_read_grid = msgspec.json.Decoder(Grid).decode
-_read_sightings = msgspec.json.Decoder(ImageAnnotations).decode
-_read_picture = msgspec.json.Decoder(CompressedImage).decode
-_read_note = msgspec.json.Decoder(Noted).decode
-_read_presence = msgspec.json.Decoder(Presence).decode
+_read_grid = json_reader(Grid)
+_read_sightings = json_reader(ImageAnnotations)
+_read_picture = json_reader(CompressedImage)
+_read_note = json_reader(Noted)
+_read_presence = json_reader(Presence)
 
 
 @dataclass
@@ -59,10 +59,11 @@ class MissionLog:
 def read_mission(stream: BinaryIO, vehicles: tuple[str, ...], end_ns: int) -> MissionLog:
     """What is in a recording; of a damaged one what comes before the damage."""
     log = MissionLog(vehicles, end_ns)
-    for topic, time_ns, data in _undamaged(stream):
-        vehicle, _, what = topic.partition("/")
-        if vehicle in vehicles:
-            _take(log, vehicle, what, time_ns, data)
+    with contextlib.suppress(ValueError, LookupError):  # a message that is none, or a picture of nothing
+        for topic, time_ns, data in messages(stream):
+            vehicle, _, what = topic.partition("/")
+            if vehicle in vehicles:
+                _take(log, vehicle, what, time_ns, data)
     for vehicle, seen in log.sightings.items():
         log.sightings[vehicle] = [each for each in seen if each[1].found or each[1].jpeg]
     return log
@@ -81,11 +82,6 @@ def surest_map(log: MissionLog, now_ns: int) -> tuple[ProbabilityMap | None, Arr
     values = np.stack([each.probability for each in same])
     sure = np.abs(2 * values.astype(int) - 255).argmax(axis=0)
     return maps[0], np.take_along_axis(values, sure[None], axis=0)[0]
-
-
-def _undamaged(stream: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
-    with contextlib.suppress(ValueError):
-        yield from messages(stream)
 
 
 def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -> None:

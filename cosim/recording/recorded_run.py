@@ -14,7 +14,20 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.foxglove import agent_displays, messages
 from vcmvsp.cosim.recording.mcap_reader import Recorded, about, contents
-from vcmvsp.cosim.types import Array, FrameReport, Imu, Measured, Note, Odometry, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import (
+    Array,
+    FrameReport,
+    Imu,
+    Incident,
+    Measured,
+    Note,
+    Odometry,
+    RealStatus,
+    VehicleState,
+    Velocity,
+    Waypoint,
+)
+from vcmvsp.cosim.util.documents import json_reader, read_json
 
 FILE = "run.mcap"
 TOLD_EVERY = 500  # messages
@@ -35,7 +48,7 @@ class _Measured(msgspec.Struct, tag="measured"):
 
 Command = Velocity | Waypoint
 _READ_AS: dict[str, Any] = {
-    **{f"vcmvsp.{kind.__name__}": kind for kind in (VehicleState, Odometry, Imu)},
+    **{f"vcmvsp.{kind.__name__}": kind for kind in (VehicleState, Odometry, Imu, RealStatus, Incident)},
     **{f"vcmvsp.{kind.__name__}": Command for kind in (Velocity, Waypoint)},  # one topic may have both
     f"vcmvsp.{Measured.__name__}": _Measured,
     f"vcmvsp.{Note.__name__}": Noted,
@@ -128,12 +141,12 @@ class Values:
             return None
         decode = self._decoders.get(message.schema)
         if decode is None:
-            decode = self._decoders[message.schema] = msgspec.json.Decoder(kind, dec_hook=_array).decode
-        with contextlib.suppress(msgspec.ValidationError):
+            decode = self._decoders[message.schema] = json_reader(kind, _array)
+        with contextlib.suppress(ValueError):
             return decode(message.data)
         try:
-            return msgspec.convert(_with_nan(msgspec.json.decode(message.data)), kind, dec_hook=_array)
-        except msgspec.MsgspecError as error:
+            return msgspec.convert(_with_nan(read_json(message.data)), kind, dec_hook=_array)
+        except ValueError as error:
             raise UsageError(f"{FILE}: a message of {message.topic} is no {message.schema}: {error}") from error
 
 

@@ -108,14 +108,21 @@ class Recorder:
         if self._viewer is not None:
             self._viewer.say(level, text, time_ns)
 
-    def close(self, end_ns: int) -> None:
-        """Finish the recording of a run that lasted until ``end_ns``. May be called again."""
+    def close(self, end_ns: int, *, is_cut: bool = False) -> None:
+        """Finish the recording of a run that lasted until ``end_ns``. May be called again.
+
+        Args:
+            end_ns: when the run ended.
+            is_cut: within that instant: not all is known of it.
+        """
         if self._is_closed:
             return
         self._is_closed = True
-        self._advance(end_ns)
+        self._advance(end_ns, is_cut=is_cut)
         if self._latest is not None and self._latest[0] == end_ns and not self._record_ticks.hits(end_ns):
             self._record_states(*self._latest)
+        for vehicle, by_s in self._kept.limited_by_s():
+            self.log("info", f"{vehicle} was held back: {event_text.of_limits(by_s)}", end_ns)
         if self._viewer is not None:
             self._viewer.finish()
 
@@ -183,10 +190,10 @@ class Recorder:
         self.log(level, text, time_ns)
         self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
 
-    def _advance(self, time_ns: int) -> None:
+    def _advance(self, time_ns: int, *, is_cut: bool = False) -> None:
         """The present instant is over."""
         if self._viewer is not None:
-            self._viewer.end_instant(self._now, self._latest)
+            self._viewer.end_instant(self._now, self._latest, is_cut=is_cut and time_ns == self._now)
         self._kept.hash_much()
         self._now = time_ns
 

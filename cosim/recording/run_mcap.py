@@ -35,6 +35,7 @@ from vcmvsp.cosim.types import (
 )
 
 CALIBRATION = "calibration"  # under the key of a camera
+SOLIDS, SCENE, MOVING = "world/solids", "world/scene", "world/moving"
 
 
 class DatagramCount(Value, frozen=True, kw_only=True):
@@ -90,7 +91,7 @@ class Viewer:
         }
         standing = None if world is None else solids(world)
         if standing is not None:
-            self.write("world/solids", 0, standing)
+            self.write(SOLIDS, 0, standing)
 
     def put_states(self, time_ns: int, states: States) -> None:
         """Where all vehicles truly are, at an instant that is recorded."""
@@ -101,16 +102,19 @@ class Viewer:
             write(f"{name}/state", time_ns, state)
         write("/tf", time_ns, messages.FrameTransforms(transforms))
         if self._moving is not None:
-            write("world/moving", time_ns, moving_frames(self._moving, self._pushed, time_ns))
+            write(MOVING, time_ns, moving_frames(self._moving, self._pushed, time_ns))
 
     def say(self, level: str, text: str, time_ns: int) -> None:
         """A line of the log."""
         self.write("log", time_ns, messages.Log(messages.Time.of(time_ns), messages.LEVELS[level], text))
 
-    def end_instant(self, time_ns: int, latest: tuple[int, States] | None) -> None:
+    def end_instant(self, time_ns: int, latest: tuple[int, States] | None, *, is_cut: bool = False) -> None:
         """An instant is over: write the estimates that differ from its truth, and the scene if it is due.
 
-        ``latest``: when states were last told (ns), and these.
+        Args:
+            time_ns: the instant.
+            latest: when states were last told (ns), and these.
+            is_cut: the run has ended within it: of the scene, not all places are known.
         """
         if self._estimates:
             true = self._each(latest[1]) if latest is not None and latest[0] == time_ns else {}
@@ -118,9 +122,11 @@ class Viewer:
                 if true.get(vehicle_of(key)) != estimate:
                     self.write(key, time_ns, estimate)
             self._estimates.clear()
+        if is_cut:
+            return
         if self._scene_is_due or (self._targets and time_ns - self._scene_ns >= SECOND_NS):  # once, whoever changed it
             drawn = scene(self._vehicles, self._radius_m, self._places, time_ns, self._targets)
-            self.write("world/scene", time_ns, drawn)
+            self.write(SCENE, time_ns, drawn)
             self._scene_is_due, self._scene_ns = False, time_ns
 
     def finish(self) -> None:

@@ -40,6 +40,7 @@ DEFAULT_RADIUS_M = 0.25  # for a vehicle of which no radius is known
 MOST_TRIANGLES = 200_000  # of a world that is drawn: more are some 30 MB of JSON, before compression
 DIGITS = 4  # of coordinates, m: a tenth of a millimetre
 OBSTACLE_OPACITY = 0.9
+OBSTACLE, TARGET_ID = "obstacle/", "target/"  # of names of entities
 _RING = [(math.cos(i * math.tau / 24), math.sin(i * math.tau / 24)) for i in range(24)]
 
 
@@ -137,7 +138,7 @@ def moving_frames(world: DrawnWorld, pushed: Pushed | None, time_ns: int) -> Fra
 
 
 def _frame_of(name: str) -> str:
-    return f"obstacle/{name}"
+    return f"{OBSTACLE}{name}"
 
 
 def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[TriangleListPrimitive]:
@@ -190,4 +191,4 @@ def _target(target: Target, now: Time, time_s: float) -> SceneEntity:
     color = Color(*rgb(TARGET), 0.6)
     sheet = CubePrimitive(pose, Vector3(target.size_m, target.size_m, TARGET_HEIGHT_M), color)
     text = TextPrimitive(Pose(Vector3(x, y, target.size_m)), True, 14.0, True, color, target.name)
-    return SceneEntity(now, "world", f"target/{target.name}", Duration(), True, cubes=[sheet], texts=[text])
+    return SceneEntity(now, "world", f"{TARGET_ID}{target.name}", Duration(), True, cubes=[sheet], texts=[text])

@@ -64,7 +64,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
     },
     "AgentTable": {
         "runs": "where this one runs; default: agents.runs",
-        "on_lost": "what becomes of its vehicle, or of the run, when it fails or its host is lost; default: agents.on_lost",
+        "on_lost": "of its vehicle, or of the run, when it fails, or its host or robot is lost; default: agents.on_lost",
         "period_s": "between two ticks; default: agents.period_s, else the agent's own",
         "latency_s": "from an observation to the effect of the command; default: agents.latency_s",
     },

@@ -2,6 +2,7 @@
 
 import difflib
 import operator
+import re
 from collections.abc import Iterator
 
 import msgspec
@@ -9,7 +10,7 @@ import msgspec
 from vcmvsp.cosim.config import binding, messages
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.reference.tree import Place, Section, of_place, places, steps_of, whole
-from vcmvsp.cosim.scenario.schema import Scenario
+from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 
 
 def asked(section: str = "") -> Iterator[Section]:
@@ -23,7 +24,27 @@ def asked(section: str = "") -> Iterator[Section]:
     """
     if not section:
         return (each for place in places() for each in of_place(place))
-    wanted = steps_of(section) or (section,)
+    spellings = list(_spellings(steps_of(re.sub(r"\[\d+\]", "", section)) or (section,)))
+    for wanted in spellings:
+        if found := _found(wanted):
+            return iter(found)
+    raise UsageError(f"vcmvsp reference {section}: {_nearest(section, spellings[0])}")
+
+
+def _spellings(wanted: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """A path as it is, and without the names of a vehicle and of a sensor that messages have in it: ``vehicle.car1.driver``."""
+    yield wanted
+    if wanted[0] == "vehicle" and len(wanted) > 2 and wanted[1] not in binding.parameters(VehicleTable):
+        wanted = (wanted[0], *wanted[2:])
+        yield wanted
+    if wanted[:2] == ("vehicle", "sensors") and len(wanted) > 2:
+        yield (*wanted[:2], *wanted[3:])
+    if wanted[:2] == ("vehicle", "agent") and len(wanted) > 2:  # parameters of agents stand at [agents]
+        yield ("agents", *wanted[2:])
+
+
+def _found(wanted: tuple[str, ...]) -> list[Section]:
+    """The sections, or parts of them, that a path without names of one's own stands for."""
     top, *others = places()
     named = [(place, 0) for place in others if _overlap(place.steps, wanted)]
     within = [(place, cut) for place in others for cut in range(1, len(place.steps)) if _overlap(place.steps[cut:], wanted)]
@@ -36,11 +57,8 @@ def asked(section: str = "") -> Iterator[Section]:
             if (part := _part(each, steps_of(each.path)[cut:], place, wanted)) is not None
         ]
         if chosen:
-            return iter(chosen)
-    anywhere = [part for each in whole().sections for part in _called(each, wanted)]
-    if anywhere:
-        return iter(anywhere)
-    raise UsageError(f"vcmvsp reference {section}: {_nearest(section, wanted)}")
+            return chosen
+    return [part for each in whole().sections for part in _called(each, wanted)]
 
 
 def _overlap(some: tuple[str, ...], others: tuple[str, ...]) -> bool:

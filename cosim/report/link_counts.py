@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from vcmvsp.cosim.analysis.links import RECEIVED, UNDER_WAY
+from vcmvsp.cosim.analysis.links import RECEIVED
 from vcmvsp.cosim.tables.columns import names_of, numbers
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import Array
 
 
@@ -43,13 +44,12 @@ class Links:
         return ", ".join(f"{count} {cause}" for cause, count in sorted(counts, key=lambda each: -each[1]) if count)
 
 
-def links_of(radio: pa.Table, vehicles: Sequence[str], end_ns: int) -> Links:
-    """The links of a run that lasted until ``end_ns``; the vehicles are known to the table in their order."""
+def links_of(radio: pa.Table, vehicles: Sequence[str]) -> Links:
+    """The links of a run; the vehicles are known to the table in their order."""
     (senders, by), (receivers, to), (outcomes, outcome) = (names_of(radio, name) for name in ("sender", "receiver", "outcome"))
     names = tuple(dict.fromkeys((*vehicles, *senders, *receivers)))
     n = len(names)
     code = _among(names, senders)[by] * n + _among(names, receivers)[to]
-    late = numbers(radio, "received_ns", null=-1) > end_ns
 
     def count(chosen: Array, weights: Array | None = None) -> Array:
         found = np.bincount(code[chosen], None if weights is None else weights[chosen], minlength=n * n)
@@ -63,12 +63,12 @@ def links_of(radio: pa.Table, vehicles: Sequence[str], end_ns: int) -> Links:
     level = np.full((n, n), np.nan)
     np.divide(count(on_air, numbers(radio, "rssi_dbm")), aired, out=level, where=aired > 0)
     causes = [word for word in outcomes if word not in (RECEIVED, UNDER_WAY)]
-    losses = {cause: count(of(cause) & ~late) for cause in causes}
+    losses = {cause: count(of(cause)) for cause in causes}
     return Links(
         names,
         count(np.ones(len(code), np.bool_)),
-        count(of(RECEIVED) & ~late),
-        count(of(UNDER_WAY) | late),
+        count(of(RECEIVED)),
+        count(of(UNDER_WAY)),
         level,
         np.bincount(_among(names, senders)[by][np.diff(numbers(radio, "frame"), prepend=-1) != 0], minlength=n),
         {cause: lost for cause, lost in sorted(losses.items(), key=lambda each: -int(each[1].sum())) if lost.any()},

@@ -1,8 +1,11 @@
 """A self-contained page: a title, a few words, and sections of figures, tables and text. It asks nothing of a network.
 
-What goes in is escaped by the template; only figures are taken as they are, and they must be SVG that we drew ourselves.
+What goes in is escaped by the template; only figures are taken as they are, and they must be SVG that we drew ourselves. The
+page tells browsers to run no script, to load nothing, and to follow no style sheets but its own and those of its figures.
 """
 
+import base64
+import hashlib
 import math
 import re
 from collections.abc import Sequence
@@ -15,6 +18,7 @@ import jinja2
 from markupsafe import Markup
 
 HERE = Path(__file__).resolve().parent
+STYLE = re.compile("<style[^>]*>(.*?)</style>", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -79,13 +83,23 @@ class Section:
 def page(title: str, lead: str, sections: Sequence[Section]) -> str:
     """The page as HTML."""
     figures = [part for section in sections for part in section.parts if isinstance(part, Figure)]
+    style = (HERE / "style.css").read_text("utf-8")
     return _template().render(
         title=title,
         lead=lead,
         sections=sections,
-        style=Markup((HERE / "style.css").read_text("utf-8")),  # noqa: S704  our own file
+        style=Markup(style),  # noqa: S704  our own file
+        policy=_policy([style, *(each for figure in figures for each in STYLE.findall(figure.svg))]),
         inline=lambda figure: _inline(figure, figures.index(figure)),
     )
+
+
+def _policy(styles: Sequence[str]) -> Markup:
+    """The Content-Security-Policy of a page with these style sheets."""
+    digests = (hashlib.sha256(each.encode()).digest() for each in styles)
+    hashes = sorted({f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests})
+    rules = f"default-src 'none'; style-src-elem {' '.join(hashes)}; style-src-attr 'unsafe-inline'; img-src data:"
+    return Markup(f"{rules}; base-uri 'none'; form-action 'none'")  # noqa: S704  nothing of it comes from elsewhere
 
 
 @cache

@@ -1,6 +1,5 @@
 """What a run has left in its folder: as much of it as is there and can be read."""
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,8 @@ from vcmvsp.cosim.recording.foxglove.messages import LEVELS
 from vcmvsp.cosim.recording.mcap_reader import about, messages, of_topic
 from vcmvsp.cosim.report.link_counts import Links, links_of
 from vcmvsp.cosim.tables.schema import Recording, load_tables
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_json, read_toml
 
 T = TypeVar("T")
 
@@ -70,11 +71,11 @@ def left_in(folder: Path) -> Left:
             return otherwise
         try:
             return reader(folder / name)
-        except (ValueError, OSError, msgspec.MsgspecError) as error:
+        except (ValueError, OSError) as error:
             missing[name] = f"cannot be read: {' '.join(str(error).split())}".replace(f"{folder}/", "")
             return otherwise
 
-    text = read("scenario.toml", lambda path: path.read_text("utf-8"), "")
+    text = read("scenario.toml", limits.read_text, "")
     recording = None
     schemas = [read(name, pq.read_schema, None) for name in ("states.parquet", "radio.parquet")]
     if None not in schemas:
@@ -83,7 +84,7 @@ def left_in(folder: Path) -> Left:
     return Left(
         folder,
         text,
-        read("scenario.toml", lambda _: tomllib.loads(text), {}),
+        read("scenario.toml", lambda _: read_toml(text), {}),
         recording,
         links,
         read("metrics.json", lambda path: _json(path, "vcmvsp.metrics/1"), {}),
@@ -96,7 +97,7 @@ def left_in(folder: Path) -> Left:
 
 
 def _json(path: Path, schema: str) -> dict[str, Any]:
-    found = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    found: dict[str, Any] = read_json(limits.read_bytes(path), dict[str, Any])
     if found.get("schema") != schema:
         raise ValueError(f"its schema is not {schema}: it was written by another version")
     return found
@@ -105,12 +106,12 @@ def _json(path: Path, schema: str) -> dict[str, Any]:
 def _links(recording: Recording) -> Links:
     if absent := [name for name in NUMBERS if name not in recording.radio.column_names]:
         raise ValueError(f"it has no {absent[0]}: it was written by another version")
-    return links_of(recording.radio, recording.facts.vehicles, recording.facts.end_ns)
+    return links_of(recording.radio, recording.facts.vehicles)
 
 
 def _told(path: Path) -> list[tuple[float, str, str]]:
     with path.open("rb") as stream:
-        lines = [(time_ns, msgspec.json.decode(data, type=_Line)) for time_ns, data in of_topic(stream, "log")]
+        lines = [(time_ns, read_json(data, _Line)) for time_ns, data in of_topic(stream, "log")]
     return [(time_ns / SECOND_NS, _LEVELS.get(line.level, "info"), line.message) for time_ns, line in lines]
 
 

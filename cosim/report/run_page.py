@@ -5,14 +5,17 @@ The page of equal runs is equal but for its last section, which is about the mac
 
 import shlex
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.report.metric_tables import fault_table, number_tables
 from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, page
 from vcmvsp.cosim.report.run_folder import FILES, Left, left_in
 from vcmvsp.cosim.report.run_tables import expectation_table, link_table, loss_table, vehicle_table
 from vcmvsp.cosim.report.summary import lead_of, title_of
+from vcmvsp.cosim.util.files import write_whole
 
 FILE = "report.html"
 MACHINE = "Machine"  # the title of the only section that differs between equal runs
@@ -54,8 +57,18 @@ def write(folder: Path, drawings: Mapping[str, str], out: Path | None = None) ->
         UsageError: no run has left anything in the folder.
     """
     path = out or folder / FILE
-    path.write_text(run_page(left_in(folder), drawings), "utf-8")
+    write_whole(path, _page_of(left_in(folder), drawings))
     return path
+
+
+def _page_of(left: Left, drawings: Mapping[str, str]) -> str:
+    """The page; without numbers and facts that are not what this version writes."""
+    try:
+        return run_page(left, drawings)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        why = f"cannot be shown: {words_of(error)}"
+        missing = [*left.missing, *((name, why) for name in ("metrics.json", "about.json"))]
+        return run_page(replace(left, metrics={}, about={}, missing=missing), drawings)
 
 
 def run_page(left: Left, drawings: Mapping[str, str]) -> str:
@@ -109,8 +122,7 @@ def _again(left: Left) -> Iterator[Part]:
     if not left.scenario_toml:
         return
     yield Words("In this folder:")
-    same = "the same run: the digest is the same" if not left.about.get("error") else "from the start"
-    lines = [f"vcmvsp run scenario.toml --out again    # {same}"]
+    lines = [f"vcmvsp run scenario.toml --out again    # {_repetition(left)}"]
     if (left.folder / "hardware.mcap").is_file():
         lines = ["vcmvsp replay .    # what happened, again; no real vehicle moves"]
     if left.links is not None and left.links.losses:
@@ -128,6 +140,14 @@ def _again(left: Left) -> Iterator[Part]:
                 ("window of the numbers", f"{window.get('from_s', 0.0):g} s {until}"),
             ]
         )
+
+
+def _repetition(left: Left) -> str:
+    """What another run of the scenario gives."""
+    if left.about.get("error"):
+        return "from the start"
+    differs = "; ".join(map(str, left.about.get("unrepeatable", ())))
+    return f"differs: {differs}" if differs else "the same run: the digest is the same"
 
 
 def _machine(about: Mapping[str, Any]) -> Iterator[Part]:

@@ -61,7 +61,7 @@ def run(
         listen: endpoint for hosts that are started by hand, instead of ``agents.listen``.
         keys: folder of certificates (``vcmvsp keys init``), for hosts on other machines.
         insecure: let hosts on other machines come without certificates.
-        realtime: simulated seconds per wall-clock second; None: as fast as possible, or 1 with real vehicles.
+        realtime: simulated seconds per wall-clock second, above 0; None: as fast as possible, or 1 with real vehicles.
         playback: folder of a run whose real vehicles do again what they did then; they are not driven.
         recorded_radio: ``radio.parquet`` of a run whose frames fare again as they did then, see `netsim.channel.replayed`.
         out: folder to write into; the recording then grows on disk while the run goes on.
@@ -139,11 +139,14 @@ def check(scenario: str | Path | Mapping[str, Any], *, set: Mapping[str, Any] | 
         return assembled.resolved()
 
 
-def plot(run_dir: Path, out: Path, *, svg: bool = False) -> list[Path]:
-    """Draw the figures of a run that was saved, into the folder ``out``, as PNG or as SVG; the answer is what was written."""
+def plot(run_dir: Path, out: Path, *, svg: bool = False, tell: Tell = lambda _: None, trust: bool = False) -> list[Path]:
+    """Draw the figures of a run that was saved, or cut, into the folder ``out``, as PNG or SVG; which files it wrote.
+
+    With ``trust`` the class of its world is imported, if that is not built in.
+    """
     from vcmvsp.cosim.plots import style
 
-    figures = figures_again(run_dir)
+    figures = figures_again(run_dir, tell, trust=trust)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         save, kind = (style.save_svg, "svg") if svg else (style.save_png, "png")

@@ -5,14 +5,15 @@ import functools
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from vcmvsp.cosim.config import messages
+from vcmvsp.cosim.config import messages, user_classes
+from vcmvsp.cosim.endpoints import with_slash
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.hosts import hosts_file, ssh
 from vcmvsp.cosim.hosts.hosts_file import HostsTable, HostTable
@@ -20,8 +21,9 @@ from vcmvsp.cosim.processes.child_process import ending
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario.schema import AgentsTable, Scenario
+from vcmvsp.cosim.transport import local_secret
 from vcmvsp.cosim.transport.endpoints import endpoint_rules, is_loopback
-from vcmvsp.cosim.util.files import writing
+from vcmvsp.cosim.util.files import write_whole, writing
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
@@ -64,10 +66,15 @@ def launch(
     path, folder = Path(hosts), None if keys is None else Path(keys)
     listed = hosts_file.read(path)
     settings = {"agents.runs": "zenoh", **(set or {})}
-    parsed, _ = scenarios.load(scenario, settings=settings, seed=seed)
+    parsed, source = scenarios.load(scenario, settings=settings, seed=seed)
     settings |= _placing(path, listed, parsed)
     listen = listen or _listening(parsed.agents, listed)
-    plans = _plan(path, listed, listen, folder, insecure=insecure, tell=tell)
+    tables = [parsed.agents.defaults, *(msgspec.to_builtins(each.agent) for each in parsed.vehicle)]
+    code = {
+        host.called: user_classes.host_options(tables, "." if host.folder else str(source.folder.resolve()))
+        for host in listed.host
+    }
+    plans = _plan(path, listed, listen, folder, code, insecure=insecure, tell=tell)
     result: api.Result | None = None
     with Fleet(plans, path.parent, tell) as fleet:
         try:
@@ -98,7 +105,13 @@ class Plan(msgspec.Struct, frozen=True):
 
     table: HostTable
     command: list[str]
-    script: str
+    makes_script: Callable[..., str]  # `cosim.hosts.ssh.script`, but for the secret
+    shares: str = ""  # endpoint of a run without certificates, whose secret the host is sent
+
+    def script(self) -> str:
+        """What the host's machine is to do; asked for when the run listens."""
+        secret = local_secret.found(self.shares) if self.shares else None
+        return self.makes_script(secret=secret or "")
 
 
 class Fleet:
@@ -129,7 +142,7 @@ class Fleet:
         for plan in self._plans[len(self._started) :]:
             name = plan.table.called
             hear = functools.partial(self._hear, name)
-            self._started.append(ssh.Far(plan.command, plan.script, self._logs[name], hear, self._folder))
+            self._started.append(ssh.Far(plan.command, plan.script(), self._logs[name], hear, self._folder))
         for plan, far in zip(self._plans, self._started, strict=True):
             if (code := far.code) is not None:
                 return _why(plan.table, code, far.last)
@@ -149,8 +162,7 @@ class Fleet:
             folder.mkdir(exist_ok=True)
             for name, log in self._logs.items():
                 log.seek(0)
-                with (folder / f"{name}.log").open("wb") as kept:
-                    shutil.copyfileobj(log, kept)
+                write_whole(folder / f"{name}.log", log.read())
 
     def _remaining(self, seconds: float) -> list[ssh.Far]:
         last = time.monotonic() + seconds
@@ -191,14 +203,23 @@ def _listening(agents: AgentsTable, listed: HostsTable) -> str:
     return listed.connect if listed.connect and agents.listen == AgentsTable().listen else agents.listen
 
 
-def _plan(path: Path, listed: HostsTable, listen: str, folder: Path | None, *, insecure: bool, tell: Tell) -> list[Plan]:
+def _plan(
+    path: Path,
+    listed: HostsTable,
+    listen: str,
+    folder: Path | None,
+    code: Mapping[str, Sequence[str]],
+    *,
+    insecure: bool,
+    tell: Tell,
+) -> list[Plan]:
     """The hosts as they are to be started; certificates that are to be sent are made where there are none yet."""
     keys = None
     if folder is not None:
         from vcmvsp.cosim.security import certificates
 
         keys = certificates.load(folder)
-    endpoint_rules(listen, keys, insecure=insecure)
+    listen = endpoint_rules(listen, keys, insecure=insecure)
     if listen.endswith(":0"):
         raise UsageError(f"--listen {listen}: hosts cannot know which port that will be: name one")
     if any(host.ssh for host in listed.host) and shutil.which("ssh") is None:
@@ -210,23 +231,24 @@ def _plan(path: Path, listed: HostsTable, listen: str, folder: Path | None, *, i
     for host, connect in zip(listed.host, dialled, strict=True):
         bundle = _bundle(keys, host, tell) if keys and host.copy else ""
         command = ssh.ssh(host.ssh, host.ssh_options) if host.ssh else ["sh"]
-        script = ssh.script(
+        script = functools.partial(
+            ssh.script,
             host.words,
-            host.arguments(connect, insecure=insecure),
+            host.arguments(connect, code[host.called], insecure=insecure),
             last=[] if host.agent is None else [host.agent],
             folder=host.folder,
             keys=host.keys,
             bundle=bundle,
             name=host.called,
         )
-        plans.append(Plan(host, command, script))
+        plans.append(Plan(host, command, script, "" if keys or insecure else listen))
     return plans
 
 
 def _dialled(path: Path, host: HostTable, connect: str | None, listen: str) -> str:
     """Where a host dials this machine."""
     if connect is not None:
-        return connect
+        return with_slash(connect)
     protocol, _, rest = listen.partition("/")
     name, _, port = rest.rpartition(":")
     everywhere = {"0.0.0.0": "127.0.0.1", "[::]": "localhost"}  # noqa: S104  told apart here, not listened on

@@ -3,9 +3,10 @@
 Real vehicles do what they did: their poses, estimates and readings come from the recording, whatever they are commanded now.
 Algorithms run anew, simulated vehicles move anew. So what an algorithm would have done with what it saw can be found out with
 one thing changed; what a robot would have done instead cannot, unless its simulated twin takes its place. Agents whose host
-was lost then are there now.
+was lost then are there now, and those of a host that ran other code run this machine's: `comparison` says so.
 """
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario import loader as scenarios
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_json
 
 RADIO_FILE = "radio.parquet"
 
@@ -77,6 +80,19 @@ def replay(
     )
 
 
+def comparison(run_dir: str | Path, result: api.Result) -> tuple[bool, str]:
+    """Compare an unchanged replay with its run: whether nothing speaks against their being the same, and that in a line."""
+    before, about = (_content(Path(run_dir) / name) for name in ("metrics.json", "about.json"))
+    if "digest" not in before or about.get("error"):
+        return True, f"not compared: {run_dir} did not come to its end"
+    if before["digest"] == result.metrics["digest"]:
+        return True, f"same: the digest is that of {run_dir}"
+    causes = list(map(str, about.get("unrepeatable", ())))
+    then, now = about.get("versions", {}), result.about["versions"]
+    causes += [f"{name} was {then[name]}, is {now.get(name)}" for name in then if then[name] != now.get(name)]
+    return False, f"differs from {run_dir}: {'; '.join(causes) or 'for no reason that the run has recorded'}"
+
+
 def beside(run_dir: Path) -> Path:
     """Where a replay goes unless somebody says otherwise: ``NAME-replay`` beside the run ``NAME``."""
     folder = run_dir.resolve()
@@ -85,6 +101,14 @@ def beside(run_dir: Path) -> Path:
         if run_dir.name not in ("", "..")
         else folder.with_name(f"{folder.name}-replay")
     )
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """A JSON file that a run has left; empty: it is not there, or damaged."""
+    with contextlib.suppress(OSError, ValueError):
+        found: dict[str, Any] = read_json(limits.read_bytes(path), dict[str, Any])
+        return found
+    return {}
 
 
 def _check(folder: Path, out: str | Path | None, radio: str) -> None:

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import shutil
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,15 +10,21 @@ from typing import TYPE_CHECKING, Any
 import tomli_w
 
 from vcmvsp.cosim.assembly import worlds
+from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import UsageError, VcmvspError
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.metrics.window import Window
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.tables.schema import Placement, RunFacts, load
+from vcmvsp.cosim.recording.run_tables import tables_of
+from vcmvsp.cosim.scenario import loader
+from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.types import Array
-from vcmvsp.cosim.util.files import Folder, to_json, writing
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_toml
+from vcmvsp.cosim.util.files import Folder, replacing, to_json, write_whole, writing
+from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -54,6 +59,9 @@ class Result:
         self._window = (resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))
         self._mcap, self._world = mcap, world
         self._video = resolved["record"].get("video", False)
+
+    def __getstate__(self) -> object:
+        raise UsageError("a Result cannot be pickled: save(folder) writes it, metrics, about and scenario are plain values")
 
     @property
     def states(self) -> "pa.Table":
@@ -101,13 +109,14 @@ class Result:
         with writing(Path(folder)):
             path = Folder(Path(folder), force=force).claim()
             if self._mcap is not None:
-                (path / "run.mcap").write_bytes(self._mcap.getvalue())
+                write_whole(path / "run.mcap", self._mcap.getvalue())
             elif self.folder is not None and not path.samefile(self.folder):
                 if to_json(self.about) != (self.folder / "about.json").read_text("utf-8"):
                     raise UsageError(f"{self.folder} holds another run by now, and the recording of this one was there")
                 for name in ("run.mcap", FILE):
                     if (self.folder / name).is_file():
-                        shutil.copyfile(self.folder / name, path / name)
+                        with replacing(path / name) as place:
+                            shutil.copyfile(self.folder / name, place)
             self.write(path)
         return path
 
@@ -117,12 +126,12 @@ class Result:
         from vcmvsp.cosim.report import run_page as report
 
         self.folder = folder
-        (folder / "scenario.toml").write_text(self.scenario, "utf-8")
+        write_whole(folder / "scenario.toml", self.scenario)
         for name, content in self._files.items():
-            (folder / name).write_bytes(content)
+            write_whole(folder / name, content)
         self._recorder.write_tables(folder)
-        (folder / "metrics.json").write_text(to_json(self.metrics), "utf-8")
-        (folder / "about.json").write_text(to_json(self.about), "utf-8")
+        write_whole(folder / "metrics.json", to_json(self.metrics))
+        write_whole(folder / "about.json", to_json(self.about))
         shown = self._shown()
         figures = self._figures(shown)
         for name, figure in figures.items():
@@ -132,21 +141,28 @@ class Result:
         report.write(folder, {name: style.svg(figure) for name, figure in figures.items()})
 
 
-def figures_again(run_dir: Path) -> "dict[str, Figure]":
-    """The figures of a run that was saved, by name, from its tables.
+def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = False) -> "dict[str, Figure]":
+    """The figures of a run that was saved, or cut, by name, from its tables (`tables_of`) and its recording.
+
+    Args:
+        run_dir: its folder.
+        tell: takes a line about a cut recording.
+        trust: import the class of its world, if that is not built in.
 
     Raises:
         UsageError: they are not there, or cannot be read.
     """
     scenario = run_dir / "scenario.toml"
     try:
-        recording = load(run_dir)
-        window = tomllib.loads(scenario.read_text("utf-8")).get("metrics", {}) if scenario.is_file() else {}
+        recording = tables_of(run_dir, tell, numbers=True)
+        window = read_toml(limits.read_text(scenario)).get("metrics", {}) if scenario.is_file() else {}
     except (OSError, ValueError) as error:  # a damaged table or scenario
         raise UsageError(f"{run_dir} cannot be read: {error}") from error
+    from vcmvsp.cosim.assembly.recorded_world import world_in
+
     world: Any = None
-    with contextlib.suppress(VcmvspError):  # a world that is not to be had any more is not drawn
-        world = worlds.world_of(str(scenario), {})[0]
+    with contextlib.suppress(VcmvspError), registry.own_code(trust):  # a world that is not to be had any more is not drawn
+        world = world_in(run_dir, *loader.load(scenario))
     seen: Sequence[Array] = () if world is None else worlds.outlines(world)
     within = window.get("from_s", 0.0), window.get("to_s")
     figures = figures_of(recording.states, recording.radio, recording.follows, within, seen)

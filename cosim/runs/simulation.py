@@ -26,9 +26,10 @@ from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.runs.result import Result
+from vcmvsp.cosim.runs.slow_agents import SlowAgents
 from vcmvsp.cosim.tables.schema import write_table
 from vcmvsp.cosim.types import Presence
-from vcmvsp.cosim.util.files import Folder, finite
+from vcmvsp.cosim.util.files import Folder, finite, write_whole
 from vcmvsp.cosim.util.text import Tell, plain
 
 if TYPE_CHECKING:
@@ -98,13 +99,18 @@ class Simulation:
 
     @contextlib.contextmanager
     def calm(self) -> Iterator[None]:
-        """Let Ctrl-C strike only where it breaks nothing: while waiting, or between two slots. A second one strikes at once."""
+        """Let Ctrl-C strike only where it breaks nothing: while waiting, or between two slots. A second one strikes at once.
+
+        When the run is over, the first one says that files are written, and what a second one leaves.
+        """
         kernel, saved = self._kernel, {}
 
         def on_signal(number: int, frame: Any) -> None:
             if kernel.waiting or kernel.stop:
                 signal.default_int_handler(number, frame)
             kernel.stop = True
+            if self._over:
+                self._tell(f"the run is over, its files are written; Ctrl-C once more stops that: {self._left()}")
 
         if threading.current_thread() is threading.main_thread():  # elsewhere signals do not arrive
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -112,18 +118,27 @@ class Simulation:
                     saved[number] = signal.signal(number, on_signal)
         try:
             yield
+        except KeyboardInterrupt:
+            if not self._over:
+                raise
+            raise Interrupted(f"interrupted while the files of the run were written: {self._left()}") from None
         finally:
             for number, handler in saved.items():
                 signal.signal(number, handler)
+
+    def _left(self) -> str:
+        """What stays of a run whose files are not all written."""
+        return "nothing is kept" if self._folder is None else f"run.mcap in {self._folder.path} is whole"
 
     def _go(self, recorder: Recorder) -> VcmvspError | None:
         kernel = self._kernel
         failure: VcmvspError | None = None
         begin = time.monotonic()
         try:
-            kernel.run(self._observer(recorder), on_instant=self._on_instant())
-        except KeyboardInterrupt:
-            failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s")
+            with SlowAgents(lambda: kernel.now_ns, self._run.scenario.agents.deadline_s, self._tell):
+                kernel.run(self._observer(recorder), on_instant=self._on_instant())
+        except KeyboardInterrupt as error:
+            failure = Interrupted(f"interrupted at {kernel.now_ns / 1e9:.3f} s{error}")
         except VcmvspError as error:
             failure = error
         kernel.release()
@@ -133,7 +148,7 @@ class Simulation:
             for vehicle in failure.vehicles:
                 recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
         recorder.log("error" if failure else "info", str(failure or "the run is complete"), kernel.now_ns)
-        recorder.close(kernel.now_ns)
+        recorder.close(kernel.now_ns, is_cut=failure is not None)
         if self._live is not None:
             self._live.close(str(failure or "the run is complete"))
         return failure
@@ -186,13 +201,15 @@ class Simulation:
 
     def _new_file(self, stack: contextlib.ExitStack, path: Path) -> BinaryIO:
         """A file that is open until the stack closes it; one that is there already is replaced only where the user says so."""
-        return stack.enter_context(path.open("wb" if self._folder and self._folder.force else "xb"))
+        if self._folder and self._folder.force:
+            path.unlink(missing_ok=True)  # what was a link is none
+        return stack.enter_context(path.open("xb"))
 
     def _write_scenario(self, folder: Path) -> None:
         """Write the scenario and its files, for those who look at the recording of a run that goes on, or was killed."""
-        (folder / "scenario.toml").write_text(tomli_w.dumps(self._resolved), "utf-8")
+        write_whole(folder / "scenario.toml", tomli_w.dumps(self._resolved))
         for name, content in self._run.files.items():
-            (folder / name).write_bytes(content)
+            write_whole(folder / name, content)
 
     def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> Result:
         """The result, written to the folder if there is one."""
@@ -227,6 +244,8 @@ class Simulation:
             "agents": run.where,
             "lateness": self._lateness(),
             "cuts_s": run.hosts.cuts_s,
+            "forged_answers": run.hosts.forged,
+            "unrepeatable": run.hosts.unrepeatable,
             **({} if run.bridge is None else {"bridge": run.bridge.lateness}),
             "error": failure and {"message": str(failure), "details": getattr(failure, "details", "")},
             "host": {"name": platform.node(), "system": platform.platform(), "python": platform.python_version()},

@@ -20,13 +20,14 @@ from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Vec3
 
+MOST = 10_000  # vehicles of a scenario: what they need grows with them, and with their pairs
 _PLACES = {"pose": Vec3, "position": Vec3}
 
 
 class Repeat(msgspec.Struct, frozen=True, kw_only=True):
     """How a vehicle is repeated."""
 
-    count: Annotated[int, msgspec.Meta(ge=1, le=10_000)]  # how many there are; their names get numbers, from 1 on
+    count: Annotated[int, msgspec.Meta(ge=1, le=MOST)]  # how many there are; their names get numbers, from 1 on
     columns: Annotated[int, msgspec.Meta(ge=1)] | None = None  # in each row; None: all in one
     spacing: tuple[float, float] = (1.0, 1.0)  # m, between columns (along x) and between rows (along y)
 
@@ -36,6 +37,10 @@ KEYS = tuple(binding.parameters(Repeat))
 
 def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
     """The vehicles, each that has a ``count`` as often as it says."""
+    counts = [one.get("count", 1) if isinstance(one, dict) else 1 for one in listed]
+    if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
+        problem = f"there may be {MOST} vehicles in all, not {total}: give fewer, or a smaller count"
+        raise ScenarioError(problem, key="vehicle", source=source.of("vehicle"))
     return [each for one in listed for each in (_copies(one, source) if isinstance(one, dict) else [one])]
 
 

@@ -2,7 +2,7 @@
 
 import copy
 import itertools
-import tomllib
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,6 +26,8 @@ from vcmvsp.cosim.scenario.schema import (
     StudyTable,
     VehicleTable,
 )
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import DEEPEST, check_depth, read_toml
 
 RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first chunks of keys that belong to no vehicle
 BUILT_IN = registry.SHIPPED
@@ -47,9 +49,13 @@ def load(
     """
     raw, source = _read(scenario)
     settings = settings or {}
+    _check_depth(settings, "--set")
     for key in sorted(settings, key=lambda key: names_copy(raw, key)):  # those of one copy after those of all
-        source.note_set(key, f"--set {key}={settings[key]}")
-        _assign(raw, key, settings[key], source)
+        if key.count(".") >= DEEPEST:
+            raise ScenarioError(f"the key has more than {DEEPEST} parts", source=f"--set {messages.show(key)}")
+        value = settings[key]
+        source.note_set(key, f"--set {key}={value if isinstance(value, str) and len(value) < 60 else messages.show(value)}")
+        _assign(raw, key, value, source)
     if seed is not None:
         source.note_set("seed", f"--seed {seed}")
         raw["seed"] = seed
@@ -58,9 +64,10 @@ def load(
 
 def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     """Check the content of a scenario file."""
-    if (bad := binding.non_finite(raw)) is not None:
+    _check_depth(raw, source.name)
+    if (bad := binding.unfit_number(raw)) is not None:
         key = _path_of(raw, bad)
-        raise ScenarioError(f"must be finite, not {bad}", key=key, source=source.of(key))
+        raise ScenarioError(binding.problem_of(bad), key=key, source=source.of(key))
     agents = _open_table(AgentsTable, raw.get("agents", {}), "defaults", "agents", source)
     bridge = _open_table(BridgeTable, raw.get("bridge", {}), "doors", "bridge", source)
     defaults = _mapping(raw.get("vehicles", {}), "vehicles", source)
@@ -70,8 +77,10 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     if own := {"name", "pose", "position", "agent", "driver", "localisation"} & {*defaults}:
         problem = f"may not hold {' or '.join(sorted(own))}, which each vehicle has its own"
         raise ScenarioError(problem, key="vehicles", source=source.of("vehicles"))
+    for index, each in enumerate(listed):
+        _check_named(each, index, source)
     listed = repeated(listed, source)
-    vehicles = tuple(_vehicle(each, index, defaults, source) for index, each in enumerate(listed))
+    vehicles = tuple(_vehicle(each, defaults, source) for each in listed)
     _unique([each.name for each in vehicles], source)
     _used(defaults, listed, source)
     given = {
@@ -108,7 +117,7 @@ def first_words(name: str) -> str:
     """What a built-in scenario says of itself: the first sentence of its opening comment."""
     text = (BUILT_IN / f"{name}.toml").read_text("utf-8")
     comment = " ".join(line.lstrip("# ") for line in itertools.takewhile(lambda each: each.startswith("#"), text.splitlines()))
-    return comment.partition(". ")[0].rstrip(".") + "."
+    return re.split(r"(?<!Fig)\.\s+(?=[A-Z])", comment)[0].rstrip(".") + "."
 
 
 def path_of(scenario: str | Path) -> Path:
@@ -131,9 +140,11 @@ def text_of(scenario: str | Path) -> str:
     """What stands in the file of a scenario."""
     path = path_of(scenario)
     try:
-        return path.read_text("utf-8")
+        return limits.read_text(path, limits.TOML_BYTES)
     except UnicodeDecodeError as error:
         raise ScenarioError("is not a text file in UTF-8", source=str(path)) from error
+    except ValueError as error:
+        raise ScenarioError(f"cannot be read: {error}", source=str(path)) from error
     except OSError as error:
         raise ScenarioError(f"cannot be read: {error.strerror}", source=str(path)) from error
 
@@ -141,7 +152,7 @@ def text_of(scenario: str | Path) -> str:
 def table_of(path: Path) -> dict[str, Any]:
     """What stands in a TOML file, unchecked; nothing if it is none."""
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return read_toml(limits.read_text(path, limits.TOML_BYTES))
     except (OSError, ValueError):
         return {}
 
@@ -149,8 +160,8 @@ def table_of(path: Path) -> dict[str, Any]:
 def value_of(text: str) -> Any:
     """The value that ``--set KEY=text`` gives: TOML if it reads as TOML, else the text itself."""
     try:
-        parsed = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+        parsed = read_toml(f"value = {text}")
+    except ValueError:
         return text
     return parsed["value"] if len(parsed) == 1 else text
 
@@ -168,12 +179,20 @@ def settings_of(arguments: Sequence[str]) -> dict[str, Any]:
 
 def _read(scenario: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], Source]:
     if isinstance(scenario, Mapping):
-        return msgspec.to_builtins(dict(scenario), enc_hook=_number), Source("scenario", Path())
+        _check_depth(scenario, "scenario")
+        return msgspec.to_builtins(dict(scenario), enc_hook=_number, str_keys=True), Source("scenario", Path())
     path, text = path_of(scenario), text_of(scenario)
     try:
-        return tomllib.loads(text), Source(str(scenario), path.parent, text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        return read_toml(text), Source(str(scenario), path.parent, text)
+    except ValueError as error:
         raise ScenarioError(f"is not valid TOML: {error}", source=str(path)) from error
+
+
+def _check_depth(value: object, source: str) -> None:
+    try:
+        check_depth(value)
+    except ValueError as error:
+        raise ScenarioError(str(error), source=source) from error
 
 
 def _number(value: object) -> object:
@@ -221,12 +240,19 @@ def _open_table(kind: Callable[..., T], raw: object, rest: str, key: str, source
     return binding.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, given={rest: others})
 
 
-def _vehicle(raw: object, index: int, defaults: Mapping[str, Any], source: Source) -> VehicleTable:
-    here = f"vehicle.{raw['name']}" if isinstance(raw, dict) and isinstance(raw.get("name"), str) else f"vehicle[{index}]"
-    content = {**defaults, **_mapping(raw, here, source)}
+def _check_named(raw: object, index: int, source: Source) -> None:
+    """Refuse a ``[[vehicle]]`` that is no table with a name, by its number in the file."""
+    here = f"vehicle[{index}]"
+    key, name = f"{here}.name", _mapping(raw, here, source).get("name")
+    if name is None:
+        raise ScenarioError("is missing", key=key, source=source.of(key))
+    binding.convert(name, str, key=key, origin=source)
+
+
+def _vehicle(raw: dict[str, Any], defaults: Mapping[str, Any], source: Source) -> VehicleTable:
+    here = f"vehicle.{raw['name']}"
+    content = {**defaults, **raw}
     agent = None if "agent" not in content else _open_table(AgentTable, content.pop("agent"), "params", f"{here}.agent", source)
-    if "name" not in content:
-        raise ScenarioError("is missing", key=f"{here}.name", source=source.of("vehicle"))
     if "kind" not in content:
         raise ScenarioError("is missing, and [vehicles] has no kind for all", key=f"{here}.kind", source=source.of(here))
     parsed = _open_table(VehicleTable, content, "params", here, source)
@@ -265,7 +291,8 @@ def _path_of(value: object, wanted: float, key: str = "") -> str:
         return key
     items = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())
     for name, each in items:
-        label = each["name"] if isinstance(each, dict) and isinstance(name, int) and "name" in each else str(name)
-        if found := _path_of(each, wanted, messages.join(key, label)):
+        is_named = key == "vehicle" and isinstance(each, dict) and isinstance(each.get("name"), str)
+        own = f".{each['name']}" if is_named else f"[{name}]" if isinstance(name, int) else f".{name}"
+        if found := _path_of(each, wanted, f"{key}{own}".removeprefix(".")):
             return found
     return ""

@@ -28,7 +28,7 @@ class AgentsTable(msgspec.Struct, frozen=True, kw_only=True):
     join_timeout_s: Period = 60.0  # wall-clock time within which all hosts must have joined
     period_s: Period | None = None  # s between ticks; default: the agent's own period
     latency_s: Seconds = 0.0  # s from an observation to the effect of the command
-    on_lost: OnLost = "stop"  # when an agent fails or its host is lost: stop (the run) | hold (its last command) | remove (it)
+    on_lost: OnLost = "stop"  # agent fails, or its host or robot is lost: stop (the run) | hold (its last command) | remove
     hold_s: Seconds = 1.0  # with on_lost = "hold": for so long, then the vehicle stands still
     defaults: Mapping[str, Any] = {}
 
@@ -239,3 +239,4 @@ class RealVehicle(Value, frozen=True, kw_only=True):
     flies: bool
     positioning: dict[str, Any] | None  # of its simulated twin, complete
     seed: int
+    on_lost: OnLost = "stop"  # when its robot is lost: that of its agent

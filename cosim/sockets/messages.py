@@ -4,11 +4,12 @@ A program says hello, and is welcome or refused. From then on it speaks in its t
 it says `Wait`. In its turn it says what its vehicle sends, for which no answer is awaited. Whoever ends the connection leaves.
 """
 
-import re
 import socket
 from typing import Annotated
 
 import msgspec
+
+from vcmvsp.cosim.endpoints import endpoint_of, with_slash
 
 VERSION = 1
 DEFAULT = "tcp/127.0.0.1:7550"
@@ -166,10 +167,11 @@ def down(message: bytes) -> Down:
 
 
 def parsed(endpoint: str) -> str | tuple[str, int]:
-    """The path, or host and port, of ``unix/PATH`` or ``tcp/HOST:PORT``; raises a `ValueError`."""
-    if endpoint.startswith("unix/") and len(endpoint) > len("unix/") and "\0" not in endpoint:
-        return endpoint.removeprefix("unix/")
-    found = re.fullmatch(r"tcp/([\w.-]+|\[[0-9a-fA-F:.]+\]):(\d{1,5})", endpoint, re.ASCII)
-    if not found or int(found[2]) > 65535:
+    """The path, or host and port, of ``unix/PATH`` or ``tcp/HOST:PORT``, or with ``://``; raises a `ValueError`."""
+    protocol, _, path = with_slash(endpoint).partition("/")
+    if protocol == "unix" and path and "\0" not in path:
+        return path
+    found = endpoint_of(endpoint)
+    if not found or found.protocol != "tcp" or not found.host or found.port is None:
         raise ValueError(f"'{endpoint}': must be tcp/HOST:PORT or unix/PATH, e.g. {DEFAULT}")
-    return found[1].strip("[]"), int(found[2])
+    return found.host, found.port

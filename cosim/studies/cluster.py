@@ -4,6 +4,7 @@ Which workers there are, and what becomes of the runs of one that is lost, is th
 """
 
 import importlib
+import logging
 import re
 import threading
 import time
@@ -12,16 +13,18 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any, TypeVar
 
-from vcmvsp.cosim.errors import UsageError, VcmvspError
+from vcmvsp.cosim.endpoints import with_slash
+from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.processes.worker_pool import Answered, Asked
 from vcmvsp.cosim.studies.plan import Run
-from vcmvsp.cosim.studies.worker import DIED, Work, failed, run_one, version
+from vcmvsp.cosim.studies.worker import DIED, Work, WorkersGoneError, failed, run_one, version
 
 T = TypeVar("T")
 TIMEOUT_S = 10  # for the scheduler, and then for what its workers say of their version
 PER_THREAD = 4  # runs that are handed over at once: enough that no worker waits for us
 LEAST = 8  # also to a cluster that has no workers yet, so that it knows that it needs some
 LOOK_EVERY_S = 5.0
+LOGGERS = ("distributed", "distributed.client", "tornado.application")  # what they tell of a lost cluster, we say
 _ADDRESS = re.compile(r"([a-z]+://)?[^/\s]+:\d+")
 
 
@@ -41,9 +44,9 @@ class Cluster:
             distributed: Any = importlib.import_module("distributed")
         except ImportError as error:
             raise UsageError('--cluster needs Dask: in the checkout, pip install ".[cluster]"') from error
-        self._distributed, self._work, self._name = distributed, work, str(address)
-        if isinstance(address, str) and not _ADDRESS.fullmatch(address):
+        if isinstance(address, str) and not _ADDRESS.fullmatch(address := with_slash(address).replace("/", "://", 1)):
             raise UsageError(f"--cluster {address}: must be the address of a Dask scheduler, e.g. tcp://10.0.0.1:8786")
+        self._distributed, self._work, self._name = distributed, work, str(address)
         try:
             self._client: Any = _in_time(lambda: distributed.Client(address, timeout=f"{TIMEOUT_S}s", set_as_default=False))
         except Exception as error:  # what is no scheduler may answer anything, and Dask believes it
@@ -57,40 +60,57 @@ class Cluster:
             raise
 
     def __enter__(self) -> "Cluster":
+        self._levels = [(logger, logger.level) for logger in map(logging.getLogger, LOGGERS)]
+        for logger, _ in self._levels:
+            logger.setLevel(logging.CRITICAL)
         return self
 
     def __exit__(self, *error: object) -> None:
         self._client.close()
+        for logger, level in self._levels:
+            logger.setLevel(level)
 
     def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
-        """The ``count`` rows of these runs, in the order in which they become known."""
+        """The ``count`` rows of these runs, in the order in which they become known.
+
+        Raises:
+            WorkersGoneError: the scheduler has died, or does not know the runs any more.
+        """
         source, study = enumerate(asked), uuid.uuid4().hex
         running: dict[str, Run] = {}
         done = self._distributed.as_completed(loop=self._client.loop)
         while True:
             for number, (run, job) in islice(source, max(0, self._room() - len(running))):
                 key = f"vcmvsp-{study}-{number}"
-                future = self._client.submit(run_one, self._work, job, key=key, pure=False)
+                future = self._ask(self._client.submit, run_one, self._work, job, key=key, pure=False)
                 running[future.key] = run
                 done.add(future)
             if not running:
                 return
-            future = next(done)
-            yield running.pop(future.key), self._answer(future)
+            future = self._ask(next, done)
+            if future.status in ("lost", "pending"):  # its worker died with the answer: Dask makes the run again
+                done.add(future)
+            else:
+                yield running.pop(future.key), self._answer(future)
 
     def _answer(self, future: Any) -> bytes:
-        if future.status == "finished":
-            answer: bytes = future.result()
+        error = self._ask(future.exception)
+        if error is None:
+            answer: bytes = self._ask(future.result)
             return answer
-        if future.status in ("cancelled", "lost"):
-            raise VcmvspError(f"the cluster at {self._name} is gone")
-        error = future.exception()
         return DIED if isinstance(error, self._distributed.KilledWorker) else failed(f"{type(error).__name__}: {error}")
+
+    def _ask(self, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        """What Dask answers. Where the scheduler has died, it raises many kinds of errors, and of a cancelled future too."""
+        try:
+            return call(*arguments, **named)
+        except Exception as error:
+            raise WorkersGoneError(f"the cluster at {self._name} is gone") from error
 
     def _room(self) -> int:
         """How many runs may be under way; clusters grow and shrink."""
         if time.monotonic() - self._looked > LOOK_EVERY_S:
-            self._capacity = max(LEAST, PER_THREAD * sum(self._client.nthreads().values()))
+            self._capacity = max(LEAST, PER_THREAD * sum(self._ask(self._client.nthreads).values()))
             self._looked = time.monotonic()
         return self._capacity
 

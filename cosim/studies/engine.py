@@ -9,15 +9,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from vcmvsp.cosim.errors import Interrupted, UsageError
+from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 from vcmvsp.cosim.processes.worker_pool import Answered, Pool, cores
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies import rows
 from vcmvsp.cosim.studies.checks import examined, where
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import Answers, Store, begun
-from vcmvsp.cosim.studies.worker import DIED, Job, Work, run_one, version
-from vcmvsp.cosim.util.files import Folder, to_json, writing
+from vcmvsp.cosim.studies.worker import DIED, Job, Work, WorkersGoneError, run_one, version
+from vcmvsp.cosim.util.files import Folder, to_json, write_whole, writing
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -126,9 +126,10 @@ def conduct(
             before = len(answers.rows)
             try:
                 _run(plan, answers, ask, progress, noted)
-            except KeyboardInterrupt:
+            except (KeyboardInterrupt, WorkersGoneError) as error:
                 again = "; the same command with --resume goes on" if out else ""
-                raise Interrupted(f"interrupted: {len(answers.rows)} of {plan.size} runs are done{again}") from None
+                done = f"{len(answers.rows)} of {plan.size} runs are done{again}"
+                raise (VcmvspError(f"{error}: {done}") if str(error) else Interrupted(f"interrupted: {done}")) from None
             table = answers.finish()
             if out is not None:
                 about = _about(plan, started, time.monotonic() - begin, plan.size - before, cluster=cluster, jobs=jobs)
@@ -173,7 +174,7 @@ def _write(out: Path, table: "pa.Table", plan: Plan, about: Mapping[str, Any], *
 
     with writing(out):
         outputs.write(out, table, plan, repeatable=repeatable)
-        (out / "about.json").write_text(to_json(about), "utf-8")
+        write_whole(out / "about.json", to_json(about))
 
 
 def _check_arguments(jobs: int | None, cluster: object, out: Path | None, *, resume: bool, force: bool) -> None:

@@ -15,6 +15,7 @@ from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import PLAN, so_far
 from vcmvsp.cosim.studies.summary import summarise, to_csv
+from vcmvsp.cosim.util.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as FigureOfPlots
@@ -38,11 +39,11 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
 
     summary = summarise(table, list(plan.vary), plan.metrics)
     written = [folder / "summary.csv"]
-    written[0].write_text(to_csv(summary), "utf-8")
+    write_whole(written[0], to_csv(summary))
     drawn = [path for name, figure in _figures(summary, plan).items() for path in style.save(figure, folder / name)]
     drawings = {path.stem: path.read_text("utf-8") for path in drawn if path.suffix == ".svg"}
     report = folder / FILE
-    report.write_text(_page(table, summary, plan, drawings, repeatable=repeatable), "utf-8")
+    write_whole(report, _page(table, summary, plan, drawings, repeatable=repeatable))
     return [*written, *drawn, report]
 
 
@@ -63,7 +64,7 @@ def report_again(folder: Path, out: Path | None = None) -> Path:
     summary = summarise(table, list(plan.vary), plan.metrics)
     drawings = {name: style.svg(figure) for name, figure in _figures(summary, plan).items()}
     path = out or folder / FILE
-    path.write_text(_page(table, summary, plan, drawings, repeatable=_is_file(plan)), "utf-8")
+    write_whole(path, _page(table, summary, plan, drawings, repeatable=_is_file(plan)))
     return path
 
 

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,8 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.grid import EXAMPLE, MOST, label, values_of
 from vcmvsp.cosim.types import Seed
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_toml
 
 SCHEMA = "vcmvsp.study/1"
 OWN_COLUMNS = ("seed", "error", "digest")
@@ -72,9 +73,9 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
         head = {"schema": self.schema, "seed": self.seeds[0], "seeds": len(self.seeds)}
         whole = f"scenario_toml = '''\n{self.scenario_toml}'''\n{tomli_w.dumps({**head, **rest})}"
         try:
-            if tomllib.loads(whole)["scenario_toml"] == self.scenario_toml:
+            if read_toml(whole)["scenario_toml"] == self.scenario_toml:
                 return whole
-        except tomllib.TOMLDecodeError:  # three quotes inside
+        except ValueError:  # three quotes inside
             pass
         return tomli_w.dumps({"scenario_toml": self.scenario_toml, **head, **rest})
 
@@ -82,7 +83,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     def read(cls, path: Path) -> "Plan":
         """The plan that stands in a ``study.toml``."""
         try:
-            found = tomllib.loads(path.read_text("utf-8"))
+            found = read_toml(limits.read_text(path))
             first = found.pop("seed")
             return msgspec.convert({**found, "seeds": list(range(first, first + found["seeds"]))}, cls)
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -106,7 +107,7 @@ def base_of(scenario: str | Path | Mapping[str, Any]) -> Base:
 
 def content(text: str) -> dict[str, Any]:
     """The scenario to be run: what studies do with it does not belong to it."""
-    return {name: value for name, value in tomllib.loads(text).items() if name != "study"}
+    return {name: value for name, value in read_toml(text).items() if name != "study"}
 
 
 def make(
@@ -203,8 +204,8 @@ def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) 
         raise UsageError(f"{key} is varied over no values")
     seen: set[str] = set()
     for value in values:
-        if (bad := binding.non_finite(value)) is not None:
-            raise UsageError(f"--vary {key}={value}: must be finite, not {bad}")
+        if (bad := binding.unfit_number(value)) is not None:
+            raise UsageError(f"--vary {key}={messages.show(value)}: {binding.problem_of(bad)}")
         if label(value) in seen:
             raise UsageError(f"{key} is varied over {label(value)} twice")
         seen.add(label(value))

@@ -13,6 +13,7 @@ import contextlib
 import fcntl
 import os
 import platform
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,10 +27,11 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.studies import rows
 from vcmvsp.cosim.studies.plan import Plan, check_same
 from vcmvsp.cosim.tables.schema import read_table, write_table
-from vcmvsp.cosim.util.files import Folder, writing
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_json
+from vcmvsp.cosim.util.files import PART, Folder, replacing, writing
 
 PLAN, TABLE, JOURNAL, LOCK = "study.toml", "study.parquet", "study.journal", "study.lock"
-UNFINISHED = {LOCK, f"{PLAN}.tmp"}  # what a study leaves that was killed before it began
 FIGURES = tuple(f"{name}.{kind}" for name in ("study", "study-map") for kind in ("png", "svg"))
 OUTPUTS = ("about.json", "summary.csv", "report.html", *FIGURES)
 SHARE = 0.02  # of the time may go into writing the table, and as much into waiting for the disk
@@ -75,7 +77,8 @@ def begun(folder: Path, *, resume: bool, force: bool) -> Plan | None:
     Raises:
         UsageError: the folder holds something, and it is not said what to do with that.
     """
-    there = {path.name for path in folder.iterdir()} - UNFINISHED if folder.is_dir() else set()
+    found = folder.iterdir() if folder.is_dir() else ()
+    there = {path.name for path in found if path.name != LOCK and path.suffix != PART}  # which one leaves that was killed
     if force or not there:
         Folder(folder, force=True)  # whether it can be written
         return None
@@ -109,13 +112,15 @@ class Store(Answers):
         with writing(self._folder), contextlib.ExitStack() as stack:
             self._folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(_locked(self._folder / LOCK))
+            for left in self._folder.glob(f".*{PART}"):
+                shutil.rmtree(left, ignore_errors=True)  # of a study that was killed
             if stored := begun(self._folder, resume=self._resume, force=self._force):
                 check_same(self.plan, stored, self._folder)
                 self._recover(stored)
             else:
                 for name in (TABLE, JOURNAL, *OUTPUTS):
                     (self._folder / name).unlink(missing_ok=True)
-            with _replacing(self._folder / PLAN) as path:
+            with replacing(self._folder / PLAN, durable=True) as path:
                 path.write_bytes(self.plan.to_toml().encode())
             self._journal = stack.enter_context((self._folder / JOURNAL).open("ab", buffering=0))
             self.write()
@@ -146,7 +151,7 @@ class Store(Answers):
         """Write the table of all rows so far."""
         begin = time.monotonic()
         table = rows.table_of(self.plan, self.rows)
-        with _replacing(self._folder / TABLE) as path:
+        with replacing(self._folder / TABLE, durable=True) as path:
             write_table(table, path)
         self._journal.truncate(0)
         end = time.monotonic()
@@ -194,29 +199,10 @@ def so_far(folder: Path, plan: Plan) -> pa.Table:
 
 def _journal(folder: Path) -> Iterator[Line]:
     """The lines that can be read."""
-    text = (folder / JOURNAL).read_bytes() if (folder / JOURNAL).exists() else b""
+    text = limits.read_bytes(folder / JOURNAL, limits.CSV_BYTES) if (folder / JOURNAL).exists() else b""
     for line in text.split(b"\n"):
-        with contextlib.suppress(msgspec.DecodeError):  # half a line, or what a power cut left of one: it is run again
-            yield msgspec.json.decode(line, type=Line)
-
-
-@contextlib.contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """Where to write a file so that it is there either as it was or, whole, as it is to be: after a power cut too."""
-    beside = path.with_name(f"{path.name}.tmp")
-    yield beside
-    _sync(beside)
-    beside.replace(path)
-    _sync(path.parent)
-
-
-def _sync(path: Path) -> None:
-    """Have the disk hold a file, or the names in a folder."""
-    file = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)
+        with contextlib.suppress(ValueError):  # half a line, or what a power cut left of one: it is run again
+            yield read_json(line, Line)
 
 
 @contextlib.contextmanager
@@ -240,5 +226,6 @@ def _locked(path: Path) -> Iterator[None]:
         file.flush()
         yield
     finally:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # of a folder that cannot be written to any more: a lock that nobody holds is none
+            path.unlink()
         file.close()

@@ -10,12 +10,16 @@ from typing import Any, Literal
 
 import msgspec
 
-from vcmvsp.cosim.errors import VcmvspError
+from vcmvsp.cosim.errors import VcmvspError, words_of
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.studies.plan import content
 from vcmvsp.cosim.studies.rows import Row, encode, flat
 
 _one_at_a_time = threading.Lock()  # a run has the process for itself, its current folder too
+
+
+class WorkersGoneError(VcmvspError):
+    """Those who make the runs are not to be had any more; what is done can be gone on with."""
 
 
 class Work(msgspec.Struct, frozen=True):
@@ -53,9 +57,10 @@ def run_one(work: Work, job: Job) -> bytes:
             if used not in work.files.get(name, used):
                 return failed(f"{name} was changed while the study ran")
         return encode(Row(flat(result.metrics)))
-    except (Exception, SystemExit) as error:
-        kind = "" if isinstance(error, VcmvspError) else f"{type(error).__name__}: "
-        return failed(f"{kind}{error}")
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        return failed(str(error) if isinstance(error, VcmvspError) else words_of(error))
 
 
 def failed(message: str) -> bytes:

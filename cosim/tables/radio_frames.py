@@ -14,6 +14,7 @@ import pyarrow as pa
 from vcmvsp.cosim.tables.columns import column, joined, name_column
 from vcmvsp.cosim.types import Array, FrameReport
 
+UNDER_WAY = "under way"  # the fate of a frame that had neither arrived nor been lost when the run ended
 CHUNK_ROWS = 1 << 13  # so many are packed together, within milliseconds; a frame counts as one more: it may have no receivers
 PER_FRAME = ("frame", "sent_ns", "size_bytes", "air_time_ns", "queue_ns", "access_ns")
 PER_ROW = {"received_ns": np.int64, "distance_m": np.float64, "rssi_dbm": np.float64}
@@ -84,8 +85,12 @@ class Frames:
             if self._held >= CHUNK_ROWS:
                 self._pack()
 
-    def columns(self) -> dict[str, Any]:
-        """The Arrow columns of the table, rows in the order in which frames entered the channel. Nothing is left here."""
+    def columns(self, end_ns: int = 2**63 - 1) -> dict[str, Any]:
+        """The Arrow columns of the table, rows in the order in which frames entered the channel. Nothing is left here.
+
+        Args:
+            end_ns: of the run: an arrival after it is not known, and the frame is `UNDER_WAY`.
+        """
         self._pack()
         counts, frame = self._taken("receivers"), self._taken("frame")
         order: Array | None = None  # of frames, and of their rows
@@ -105,20 +110,24 @@ class Frames:
             "receiver": vehicles.column(new[receiver]),
         }
         del frame, receiver, sender
-        sent, received = each("sent_ns"), _in_order(self._taken("received_ns"), rows)
+        sent, arrival = each("sent_ns"), _in_order(self._taken("received_ns"), rows)
+        late = arrival > end_ns
+        received = np.where(late, -1, arrival)
         found["sent_ns"] = column(sent)
         found["received_ns"] = column(received, valid=received >= 0)
         found["delay_ns"] = column(received - sent, valid=received >= 0)
-        del sent, received
+        del sent, received, arrival
         for name in ("size_bytes", "air_time_ns", "queue_ns", "access_ns"):
             found[name] = column(each(name))
         for name, names in (("outcome", self._outcomes), ("wall_materials", self._materials)):
             codes = _in_order(self._taken(name), rows)
+            if name == "outcome":
+                codes = np.where(late, names.codes((UNDER_WAY,)), codes)
             renamed, new = names.in_order_of(codes)
             found[name] = renamed.column(new[codes])
         for name in ("distance_m", "rssi_dbm", *BUDGET):
             values = _in_order(self._taken(name), rows)
-            found[name] = column(values, valid=_known(name, values))
+            found[name] = column(values, valid=_known(name, values, end_ns))
         return found
 
     def _taken(self, name: str) -> Array:
@@ -167,8 +176,8 @@ def _dtype(name: str) -> type[np.number]:
     return {**PER_ROW, **BUDGET}.get(name, np.int64)
 
 
-def _known(name: str, values: Array) -> Array | None:
+def _known(name: str, values: Array, end_ns: int) -> Array | None:
     """Which values of a column are told; None: all."""
     if name == "copy_ns":
-        return np.asarray(values > 0)
+        return np.asarray((values > 0) & (values <= end_ns))
     return np.isfinite(values) if name == "sinr_db" else None

@@ -14,12 +14,15 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import column, joined
-from vcmvsp.cosim.tables.radio_frames import Frames, Names
+from vcmvsp.cosim.tables.radio_frames import UNDER_WAY, Frames, Names
 from vcmvsp.cosim.types import Follows, FrameReport, States
+from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.util.documents import read_json
 
 NAME = pa.dictionary(pa.int32(), pa.string())
 STATE_VALUES = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
@@ -31,12 +34,12 @@ RADIO_SCHEMA = pa.schema(
         ("sender", NAME),
         ("receiver", NAME),
         ("sent_ns", pa.int64()),
-        ("received_ns", pa.int64()),  # null: lost
+        ("received_ns", pa.int64()),  # null: lost, or under way when the run ended
         ("size_bytes", pa.int64()),
         ("distance_m", pa.float64()),
         ("rssi_dbm", pa.float64()),
-        ("outcome", NAME),  # "received" or the cause of the loss
-        ("delay_ns", pa.int64()),  # received - sent; null: lost
+        ("outcome", NAME),  # "received", "under way" when the run ended, or the cause of the loss
+        ("delay_ns", pa.int64()),  # received - sent; null as that
         ("copy_ns", pa.int64()),  # when a second copy arrived; null: none did
         # The link budget; null where it cannot be told, as that of a frame that was never sent.
         ("snr_db", pa.float64()),  # over noise alone
@@ -52,8 +55,9 @@ RADIO_SCHEMA = pa.schema(
         ("access_ns", pa.int64()),  # waited for the air, earlier attempts included
     ]
 )
-NOT_LOST = ("received", "under way")  # outcomes
+NOT_LOST = ("received", UNDER_WAY)  # outcomes
 FACTS = b"vcmvsp.run"
+_PHYSICAL = ("BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE", "BYTE_ARRAY")
 
 
 class Placement(msgspec.Struct, frozen=True):
@@ -108,7 +112,7 @@ def radio_table(frames: Frames | Sequence[FrameReport], facts: RunFacts) -> pa.T
     if not isinstance(frames, Frames):
         given, frames = frames, Frames(facts.vehicles)
         frames.extend(given)
-    columns = frames.columns()
+    columns = frames.columns(facts.end_ns)
     return _table([columns[name] for name in RADIO_SCHEMA.names], RADIO_SCHEMA, facts)
 
 
@@ -122,16 +126,47 @@ def write_table(table: pa.Table, path: Path | BinaryIO) -> None:
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read Parquet; `pyarrow.parquet.read_table` would do, but it imports pandas wherever that is installed."""
+    """Read Parquet; `pyarrow.parquet.read_table` would do, but it imports pandas wherever that is installed.
+
+    Raises:
+        OSError, ValueError: it cannot be read, or is beyond `limits`.
+    """
     with pq.ParquetFile(path) as file:
-        return file.read()
+        wanted, texts = file.schema_arrow, _checked(file.metadata, path.name)
+    with pq.ParquetFile(path, read_dictionary=texts) as file:  # a word that stands in all rows takes up the space of one
+        table = file.read()
+    for place, field in enumerate(wanted):
+        if field.type != table.schema.field(place).type:
+            limits.within(_text_bytes(table.column(place)), limits.TABLE_TEXT_BYTES, f"bytes of {field.name} in {path.name}")
+            table = table.set_column(place, field, table.column(place).cast(field.type))
+    return table
+
+
+def _checked(about: pq.FileMetaData, name: str) -> list[str]:
+    """The columns of texts in a file of Parquet that is within limits, and flat."""
+    limits.within(about.num_columns, limits.COLUMNS, f"columns in {name}")
+    limits.within(about.num_rows, limits.ROWS, f"rows in {name}")
+    columns = [about.schema.column(number) for number in range(about.num_columns)]
+    if strange := [each.path for each in columns if each.max_repetition_level or each.physical_type not in _PHYSICAL]:
+        raise ValueError(f"its column {strange[0]} holds neither numbers nor texts")
+    texts = [number for number, each in enumerate(columns) if each.physical_type == "BYTE_ARRAY"]
+    groups = [about.row_group(number) for number in range(about.num_row_groups)] if texts else []
+    packed = sum(group.column(number).total_uncompressed_size for group in groups for number in texts)
+    limits.within(packed, limits.TABLE_TEXT_BYTES, f"bytes of texts in {name}")
+    return [columns[number].path for number in texts]
+
+
+def _text_bytes(texts: "pa.ChunkedArray[Any]") -> int:
+    """How long all texts of a column with a dictionary are together."""
+    chunks: Any = texts.chunks
+    return sum(pc.sum(pc.binary_length(each.dictionary).take(each.indices)).as_py() or 0 for each in chunks)
 
 
 def load(run_dir: str | Path) -> Recording:
     """Read a run directory back: ``states.parquet``, ``radio.parquet`` and, if it is there, ``metrics.json``."""
     folder = Path(run_dir)
     recording, metrics = load_tables(folder), folder / "metrics.json"
-    return replace(recording, metrics=msgspec.json.decode(metrics.read_bytes())) if metrics.is_file() else recording
+    return replace(recording, metrics=read_json(limits.read_bytes(metrics), dict[str, Any])) if metrics.is_file() else recording
 
 
 def load_tables(folder: Path) -> Recording:
@@ -143,7 +178,7 @@ def load_tables(folder: Path) -> Recording:
     facts = (states.schema.metadata or {}).get(FACTS)
     if facts is None:
         raise UsageError(f"{folder / 'states.parquet'}: not written by vcmvsp (its schema metadata lacks {FACTS.decode()})")
-    return Recording(states=states, radio=radio, facts=msgspec.json.decode(facts, type=RunFacts), metrics={})
+    return Recording(states=states, radio=radio, facts=read_json(facts, RunFacts), metrics={})
 
 
 def _table(columns: list[Any], schema: pa.Schema, facts: RunFacts) -> pa.Table:

@@ -131,7 +131,7 @@ class Progress(Shown):
         if not self._is_due() and not over:
             return
         self._now_ns = now_ns
-        taken_s = max(self._last - self._begin, 1e-9)
+        taken_s = max(time.monotonic() - self._begin, 1e-9)
         speed = now_ns / SECOND_NS / taken_s
         left = f", {clock(taken_s * (end_ns - now_ns) / now_ns)} left" if now_ns else ""
         how_far, pace = f"{now_ns / SECOND_NS:.1f} of {end_ns / SECOND_NS:g} s", _times(speed)
@@ -250,6 +250,7 @@ def _of_radio(radio: Mapping[str, Any]) -> str:
     if not radio["frames"]:
         return ""
     lost = ", ".join(f"{count} {cause}" for cause, count in radio["losses"].items()) or "none lost"
+    lost += f", {radio['under_way']} under way" if radio["under_way"] else ""
     age_s = radio["age_s"]["mean"]
     ratio = radio["delivery_ratio"]
     arrived = "all still under way" if ratio is None else f"{100 * ratio:.1f} % delivered ({lost})"
@@ -306,7 +307,9 @@ def _of_real(real: Mapping[str, Any]) -> str:
     if fixes:
         words.append(f"{fixes} positions ({real['gated']} did not fit)")
     if real["limited_s"]:
-        words.append(f"held back for {real['limited_s']:.1f} s")
+        from vcmvsp.cosim.recording.event_text import of_limits  # here, because it loads NumPy
+
+        words.append(f"held back for {real['limited_s']:.1f} s ({of_limits(real['limited_by_s'])})")
     words += [f"stopped {count} x: {cause}" for cause, count in real["stops"].items()]
     if real["frames_too_early"]:
         words.append(f"{real['frames_too_early']} frames were received after less than that: no real link is so quick")

@@ -186,7 +186,7 @@ def _check_drawn(layer: Any, verb: str) -> None:
     moved = pick(_frame(frame.paths.rx[order], tuple(names[i] for i in order)), lambda: draws[order])
     _require(np.array_equal(np.asarray(answer)[order], moved), f"{verb} of a receiver depends on who else listens")
     if verb == "lost":
-        _require(bool(layer.cause) and layer.cause != "received", "a loss must name its cause")
+        _require(layer.cause not in ("", "received", "under way"), "a loss must name its cause")
     else:
         _require(bool(np.isfinite(answer).all()), f"{verb} is not finite: {answer}")
 

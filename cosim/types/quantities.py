@@ -21,6 +21,8 @@ Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
 Period = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]  # s
 Rate = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]  # Hz
 OnLost = Literal["stop", "hold", "remove"]
+FileName = Annotated[str, msgspec.Meta(extra={"file": True})]
+"""The name of a file; in a scenario relative to its folder. ``pathlib.Path`` is one, too."""
 Name = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9_-]+\Z")]
 
 

@@ -1,4 +1,4 @@
-"""The folder that a run or a study writes into, JSON as it stands there, and CSV files that users bring."""
+"""The folder that a run or a study writes into, files that are there as a whole or not at all, JSON, and CSV files of users."""
 
 import contextlib
 import csv
@@ -6,11 +6,16 @@ import itertools
 import json
 import math
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.util import limits
+
+PART = ".part"  # how the names of folders end in which something is not whole yet
 
 
 class Folder:
@@ -69,6 +74,62 @@ def writing(folder: Path | None) -> Iterator[None]:
         raise UsageError(f"cannot write into {folder}: {error.strerror or error}") from error
 
 
+@contextlib.contextmanager
+def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
+    """Where to write a file, or the files of a folder: a place of the same name beside ``path``, which it takes in the end.
+
+    If the writing fails, nothing of it is left, and what was there before is untouched. The place is new and nobody else's, its
+    name is random, and a link to a file is replaced: what a stranger has laid out is not written to. A device or a pipe is
+    written as it is.
+
+    Args:
+        path: of the file or folder.
+        durable: have the disk hold the file before it takes the place of an old one: it outlives a power cut.
+    """
+    if _is_stream(path):
+        yield path
+        return
+    beside = Path(tempfile.mkdtemp(prefix=".vcmvsp-", suffix=PART, dir=path.parent))
+    try:
+        place = beside / path.name
+        yield place
+        if place.is_dir():
+            path.mkdir(exist_ok=True)
+            for each in sorted(place.iterdir()):
+                each.replace(path / each.name)
+        else:
+            if durable:
+                _sync(place)
+            place.replace(path)
+            if durable:
+                _sync(path.parent)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def write_whole(path: Path, content: str | bytes, mode: int = 0o666) -> None:
+    """Write a file by `replacing`, with this mode from its first byte on; text as UTF-8."""
+    with replacing(path) as place:
+        new = 0 if place == path else os.O_CREAT | os.O_EXCL
+        with open(os.open(place, os.O_WRONLY | new, mode), "wb") as file:  # noqa: PTH123  Path sets no mode
+            file.write(content.encode() if isinstance(content, str) else content)
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether it is a device or a pipe; a link to one only where links are the system's: ``/dev/stdout``."""
+    links = path.is_symlink() and not path.absolute().is_relative_to("/dev")
+    return path.exists() and not (path.is_file() or path.is_dir() or links)
+
+
+def _sync(path: Path) -> None:
+    """Have the disk hold a file, or the names in a folder."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
 def finite(value: object) -> Any:
     """The value with None for numbers that JSON cannot say: a vehicle that was sent to infinity is infinitely far away."""
     if isinstance(value, dict):
@@ -81,20 +142,25 @@ def to_json(value: object) -> str:
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
-def read_cells(path: Path) -> list[tuple[int, list[str]]]:
+def read_cells(path: Path) -> Iterator[tuple[int, list[str]]]:
     """The lines of a CSV file that are not blank: number of each, from 1, and its cells without white space around them.
 
     Raises:
         UsageError: there is no such file, or it is no CSV file in UTF-8.
     """
     try:
+        limits.check_size(path, limits.CSV_BYTES)
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
-            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+            for line in reader:
+                cells = [cell.strip() for cell in line]
+                if any(cells):
+                    yield reader.line_num, cells
     except FileNotFoundError as error:
         raise UsageError(f"{path}: there is no such file") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path}: is not a CSV file in UTF-8 ({error})") from error
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return [(number, cells) for number, cells in lines if any(cells)]

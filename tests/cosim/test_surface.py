@@ -71,7 +71,7 @@ def test_another_name_is_an_attribute_error() -> None:
 def modules_after(code: str) -> set[str]:
     """The top-level modules, and the parts of vcmvsp, of a fresh interpreter that has run this."""
     script = f"{code}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=500, check=True)
     return {name.removeprefix("vcmvsp.").partition(".")[0] for name in done.stderr.split()}
 
 

@@ -4,7 +4,7 @@ import csv
 from pathlib import Path
 
 from vcmvsp.cosim.reproduction.figures.figure import Figure
-from vcmvsp.cosim.util.files import to_json, writing
+from vcmvsp.cosim.util.files import replacing, to_json, write_whole, writing
 
 
 def as_json(name: str, figure: Figure) -> str:
@@ -22,7 +22,7 @@ def write(name: str, figure: Figure, folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         _write_points(points, figure)
         _write_rows(expected, figure)
-        rows.write_text(as_json(name, figure), "utf-8")
+        write_whole(rows, as_json(name, figure))
         return [points, expected, rows, *style.save(drawing.draw(figure), folder / name)]
 
 
@@ -41,7 +41,7 @@ def table(figure: Figure) -> str:
 
 def _write_points(path: Path, figure: Figure) -> None:
     """A line per point: panel, curve, x, y; of a map its value too."""
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with replacing(path) as place, place.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("panel", "curve", "x", "y", "value"))
         for panel in figure.panels:
@@ -54,7 +54,7 @@ def _write_points(path: Path, figure: Figure) -> None:
 
 
 def _write_rows(path: Path, figure: Figure) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with replacing(path) as place, place.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("case", "expected", "measured", "tolerance", "ok"))
         writer.writerows((row.case, row.expected, row.measured, row.tolerance, str(row.ok).lower()) for row in figure.rows)

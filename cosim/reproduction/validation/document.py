@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vcmvsp.cosim.reproduction.validation import CHECKS
 from vcmvsp.cosim.reproduction.validation.check import Outcome
-from vcmvsp.cosim.util.files import to_json, writing
+from vcmvsp.cosim.util.files import to_json, write_whole, writing
 
 SCHEMA = "vcmvsp.validation/1"
 LIBRARIES = ("numpy", "scipy", "pybullet")
@@ -20,7 +20,7 @@ def write(outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for path, content in zip(paths, (as_markdown(outcomes), as_json(outcomes)), strict=True):
-            path.write_text(content, "utf-8")
+            write_whole(path, content)
     return paths
 
 

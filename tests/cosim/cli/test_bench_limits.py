@@ -56,6 +56,16 @@ def test_what_a_run_leaves_grows_with_what_is_said(monkeypatch: pytest.MonkeyPat
     assert talking.states == silent.states
 
 
+def test_memory_is_that_of_the_process_for_each_state_and_each_reception(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits_files, "VEHICLES", 3)
+    states, receptions, peak_bytes = limits_files.taken(limits_files.TALKING_HZ, 0.1, 1.0)
+    assert (states, receptions) == (3 * 11, 3 * 10 * 2)
+    assert peak_bytes > 2**20
+    held = {limits_files.SHORT_S: (100, 10, 5e6), limits_files.LONG_S: (200, 30, 6e6)}
+    monkeypatch.setattr(limits_files, "_fresh", lambda hz, period_s, duration_s: held[duration_s])
+    assert limits_files.resident() == (1e4, 5e4)
+
+
 def test_tables_are_put_in_their_places_and_nowhere_else() -> None:
     table = Section("a", ("x", "y"), [("1", "2")])
     page = "before\n<!-- measured: a -->\nold\n<!-- end -->\n<!-- measured: machine -->\n<!-- end -->\nafter\n"

@@ -110,7 +110,7 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--realtime", "0"], "--realtime 0.0: must be a positive number"),
+        (["--realtime", "0"], "--realtime 0: must be a positive number"),
         (["--realtime=-1"], "must be a positive number"),
         (["--realtime", "nan"], "--realtime nan: must be a positive number"),
         (["--realtime", "inf"], "--realtime inf: must be a positive number"),
@@ -173,7 +173,7 @@ def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path,
     (folder / "chatty.py").write_text(CHATTY)
     (folder / "s.toml").write_text(two_cars(agents="deadline_s = 20", agent="kind='chatty.py:Chatty'"))
     command = [sys.executable, *UNDRAWN, "run", "s.toml", "--json", "--out", "out", "--agents", where]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
     assert done.stdout == (folder / "out" / "metrics.json").read_text()
     assert json.loads(done.stdout)["scenario"] == "two-cars"
     assert all(
@@ -185,7 +185,7 @@ def test_json_is_clean_with_the_physics_engine_too() -> None:
     """PyBullet greets from C++, past Python's own stdout."""
     settings = ["--set", "duration_s=0.5", "--agents", "inprocess"]
     command = [sys.executable, *UNDRAWN, "run", "formation-circle", *settings, "--json", "--out", "out"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
     assert json.loads(done.stdout) == json.loads(Path("out/metrics.json").read_text())
 
 

@@ -61,7 +61,7 @@ class Emulated:
         children = psutil.Process(self.process.pid).children(recursive=True)
         self.process.send_signal(number)
         out, err = self.process.communicate(timeout=PATIENCE_S)
-        _, alive = psutil.wait_procs(children, timeout=30)
+        _, alive = psutil.wait_procs(children, timeout=500)
         assert not alive
         return self.process.returncode, out, err
 

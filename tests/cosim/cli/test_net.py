@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import re
-import shutil
 import signal
 import statistics
 import subprocess
@@ -36,11 +35,7 @@ pose = [1.0, 0.0, 0.0]
 """
 READY_S = 40.0
 
-pytestmark = pytest.mark.skipif(bool(namespaces.missing()), reason=f"namespaces need {namespaces.missing()}")
-
-
-def needs(command: str) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(shutil.which(command) is None, reason=f"there is no {command} here")
+pytestmark = pytest.mark.usefixtures("namespaces_allowed")
 
 
 def net(*arguments: str) -> list[str]:
@@ -50,7 +45,7 @@ def net(*arguments: str) -> list[str]:
 def on(vehicle: str, *command: str, run: str, text: str = "") -> "subprocess.CompletedProcess[str]":
     """A program on a vehicle's machine, to its end."""
     whole = net("exec", vehicle, "--run", run, "--", *command)
-    return subprocess.run(whole, input=text, capture_output=True, text=True, check=False, timeout=60)
+    return subprocess.run(whole, input=text, capture_output=True, text=True, check=False, timeout=500)
 
 
 @contextlib.contextmanager
@@ -193,7 +188,7 @@ def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monke
     assert not networks.networks()
 
 
-@needs("ping")
+@pytest.mark.needs("ping")
 def test_ping_fares_as_the_radio_recorded(tmp_path: Path) -> None:
     name = f"{NAME}ping"
     with up(tmp_path, "--set", "radio.loss.probability=0.25", name=name):
@@ -211,7 +206,7 @@ def test_ping_fares_as_the_radio_recorded(tmp_path: Path) -> None:
     assert 40.0 <= min(quickest_ms) < 80.0  # 20 ms each way
 
 
-@needs("iperf3")
+@pytest.mark.needs("iperf3")
 def test_iperf_measures_the_rate_of_the_link(tmp_path: Path) -> None:
     name, rate_bps, size = f"{NAME}rate", 4e6, 1400
     limits = ("--set", f"radio.delivery.rate_bps={rate_bps:g}", "--set", "radio.delivery.queue_s=0.1")
@@ -287,3 +282,59 @@ def test_who_lacks_the_rights_is_told_which(tmp_path: Path) -> None:
         assert done.stderr.startswith("vcmvsp: networks of namespaces need CAP_NET_ADMIN: ")
         assert done.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()
+
+
+CALLED_BY_SUDO = """
+import os
+from vcmvsp.cosim.assembly.parts import networks
+from vcmvsp.netsim.bridge.process import messages
+from vcmvsp.netsim.bridge.process_client import Beside
+networks.leave_root()
+print(os.getresuid() + os.getresgid(), os.getgroups())
+try:
+    os.setuid(0)
+except PermissionError:
+    print("for good")
+door = messages.DoorSpec(name="ip", kind={kind!r}, params={{}})
+vehicles = ("car1", "car2")
+beside = Beside.start(messages.Opening(run={run!r}, folder={folder!r}, vehicles=vehicles, doors=(door,), payloads=False))
+try:
+    print(beside.wait_ready()[0])
+except Exception as error:
+    print(error)
+else:
+    beside.leave()
+finally:
+    beside.close()
+"""
+
+
+def called_by_sudo(run: str, kind: str, folder: Path) -> list[str]:
+    """What a run says that starts its bridge as one does whose user is nobody."""
+    code = CALLED_BY_SUDO.format(run=run, kind=kind, folder=str(folder))
+    environment = {**os.environ, "SUDO_UID": "65534"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=60)
+    return done.stdout.splitlines()
+
+
+def test_with_sudo_only_the_interfaces_are_made_with_the_rights_of_root(tmp_path: Path) -> None:
+    ids, for_good, line = called_by_sudo(f"{NAME}sudo", "ip", tmp_path)
+    assert (ids, for_good) == (f"{(65534,) * 6} [65534]", "for good")
+    assert "10.77.0.1" in line
+    assert not (namespaces.NAMES / f"vcmvsp-{NAME}sudo-car1").exists()
+
+
+@pytest.mark.parametrize(
+    ("run", "kind"), [(NAME, "evil.py:Door"), (NAME, "os:system"), ("../evil", "ip")], ids=["a file", "a module", "a path"]
+)
+def test_with_sudo_a_run_names_no_code_and_no_files_to_what_has_the_rights_of_root(run: str, kind: str, tmp_path: Path) -> None:
+    canary = tmp_path / "canary"
+    (tmp_path / "evil.py").write_text(f"open({str(canary)!r}, 'w')\nclass Door: pass\n")
+    *_, problem = called_by_sudo(run, kind, tmp_path)
+    assert "only built-in doors" in problem or "can have such a name" in problem
+    assert not canary.exists()
+
+
+def test_with_sudo_programs_are_of_the_user_who_called_it(network: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SUDO_UID", "65534")
+    assert on("car1", "id", "-u", run=network).stdout == "65534\n"

@@ -31,7 +31,6 @@ def python(*arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.timeout(300)  # a process that loads everything, on a machine that may be busy
 @pytest.mark.parametrize("part", new.PARTS)
 def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> None:
     printed = vcmvsp_command("new", part, f"my-own-{part}").out

@@ -106,8 +106,8 @@ def test_it_waits_for_a_run_until_it_is_ended(number: int, stack: ExitStack) -> 
         assert process.stderr.readline().startswith(f"car3: waiting for a run at {endpoint}: nobody listens there")
         time.sleep(0.3)
         process.send_signal(number)
-        _, rest = process.communicate(timeout=30)
+        _, rest = process.communicate(timeout=500)
         assert (process.returncode, rest) == (0, f"car3: ended by {signal.Signals(number).name}\n")
     finally:
         process.kill()
-        process.communicate(timeout=30)
+        process.communicate(timeout=500)

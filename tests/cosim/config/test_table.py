@@ -121,6 +121,9 @@ def test_what_the_program_gives_is_no_key() -> None:
         ("force 13 is beyond all scales", "radio.rain.force"),
         ("forceful", "radio.rain"),
         ("force and wind do not go together", "radio.rain"),
+        ("it takes more force than there is", "radio.rain"),
+        ("beyond all scales: force = 13", "radio.rain.force"),
+        ("beyond all scales: 'force'", "radio.rain.force"),
     ],
 )
 def test_a_value_error_of_the_target_names_the_table_or_the_one_key_that_it_mentions(problem: str, key: str) -> None:
@@ -129,6 +132,14 @@ def test_a_value_error_of_the_target_names_the_table_or_the_one_key_that_it_ment
 
     error = refusal({"force": 13, "wind": 1}, storm)
     assert (error.key, error.problem) == (key, problem)
+
+
+def test_where_an_error_was_raised_is_no_mention_of_a_parameter() -> None:
+    def storm(line: int, storm: int) -> None:
+        raise TypeError("this is beyond all scales")
+
+    error = refusal({"line": 13, "storm": 1}, storm)
+    assert (error.key, error.problem.partition(":")[0]) == ("radio.rain", "storm raised TypeError")
 
 
 def test_a_scenario_error_of_the_target_is_placed_in_its_table() -> None:
@@ -264,10 +275,17 @@ def test_annotations_in_words(annotation: Any, words: str) -> None:
 
 @pytest.mark.parametrize(
     ("value", "bad"),
-    [(1.0, None), (math.inf, math.inf), ("nan", None), ({"a": [1, {"b": -math.inf}]}, -math.inf), ([True, 3, None], None)],
+    [
+        (1.0, None),
+        (math.inf, math.inf),
+        ("nan", None),
+        ({"a": [1, {"b": -math.inf}]}, -math.inf),
+        ([True, 3, None], None),
+        ([2**63, 2**64], 2**64),
+    ],
 )
-def test_where_a_value_is_not_finite(value: Any, bad: float | None) -> None:
-    assert binding.non_finite(value) == bad
+def test_where_a_number_is_unfit(value: Any, bad: float | None) -> None:
+    assert binding.unfit_number(value) == bad
 
 
 def test_suggestions_are_near_and_lists_are_sorted() -> None:

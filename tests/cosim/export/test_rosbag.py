@@ -156,7 +156,6 @@ def test_other_readers_agree(bags: dict[str, Path], name: str) -> None:
     assert theirs == {topic: len(listed) for topic, listed in ours.items()}
 
 
-@pytest.mark.skipif(not RERUN.is_file(), reason="rerun-sdk is not installed")
 def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, Path], tmp_path: Path) -> None:
     environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
 

@@ -287,6 +287,33 @@ def test_the_wall_clock_waits_for_every_instant_and_notes_lateness() -> None:
     assert wall[0] >= 1000
 
 
+def test_lateness_is_that_of_ticks_alone_also_where_another_instant_slips_or_takes_an_answer() -> None:
+    wall = [0]
+
+    def sleep(seconds: float) -> None:
+        wall[0] += round(seconds * 1e9)
+
+    class Slow(Script):
+        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+            wall[0] += 500 if now_ns == 1000 else 10
+            return super().step(now_ns, inbox)
+
+    kernel = Kernel(
+        RunInfo(scenario="test", seed=0, duration_ns=4000, vehicles=()),
+        [
+            Slow("agent", Slot.AGENT, {0: [], 1000: [], 2000: [], 3000: []}),
+            Remote("host", Slot.AGENT, {0: [], 1000: [], 2000: [], 3000: []}, lookahead_ns=300),
+            Script("world", Slot.WORLD, {1100: [], 1300: [], 2600: []}),
+        ],
+        clock=(clock := WallClock(now=lambda: wall[0], sleep=sleep)),
+        tolerance_ns=100,
+    )
+    kernel.start()
+    kernel.run(lambda _: None)
+    assert clock.slipped_ns == 400  # at 1100, which is no tick
+    assert kernel.late_ns == [0, 0, 400, 0]  # the tick behind it began so much later than the one before it had promised
+
+
 def test_who_is_polled_is_stepped_in_the_instant_that_begins_before_all_others() -> None:
     """Also at an instant that is nobody's of its slot."""
     log: Log = []

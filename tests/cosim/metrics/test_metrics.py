@@ -148,7 +148,7 @@ def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
     assert result["formation"] == {**link, **changes, "shape": dict.fromkeys(lengths), "per_follower": {}}
     ages = dict.fromkeys(("mean", "p95", "max", "time_average", "peak"))
     assert result["radio"] == {
-        "frames": 0, "receptions": 0, "delivery_ratio": None, "losses": {},
+        "frames": 0, "receptions": 0, "delivery_ratio": None, "under_way": 0, "losses": {},
         "delay_s": dict.fromkeys(("mean", "p50", "p95", "p99", "max")), "age_s": ages,
     }  # fmt: skip
     rms = ("speed_rms_m_s", "yaw_rate_rms_rad_s", "acceleration_rms_m_s2", "yaw_acceleration_rms_rad_s2")

@@ -54,7 +54,7 @@ PURE = {
 }  # fmt: skip
 ALLOWED = set().union(*PURE.values())
 COUNTS = re.compile(
-    r"(overshoot|hop_gain|shape_changes|mode_toggles|frames|receptions|losses\..*|delivery_ratio|connectivity\..*|late|missed"
+    r"(overshoot|hop_gain|shape_changes|mode_toggles|frames|receptions|under_way|losses\..*|delivery_ratio|connectivity\..*|late|missed"
     r"|reconnects|collisions|seed|targets_\w+|false_finds|area_seen_ratio|switches|map_bytes_sent|schema|scenario|digest)$"
 )
 

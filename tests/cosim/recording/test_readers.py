@@ -21,7 +21,7 @@ from vcmvsp.cosim.recording import scene
 from vcmvsp.cosim.recording.foxglove import messages as foxglove
 from vcmvsp.cosim.recording.mcap_reader import about, contents, messages, of_topic
 from vcmvsp.cosim.recording.mcap_writer import FRAME, McapLog, schema_of
-from vcmvsp.cosim.types import FrameReport, Note
+from vcmvsp.cosim.types import FrameReport, Note, Velocity, Waypoint
 
 RERUN = Path(sys.executable).with_name("rerun")
 
@@ -65,6 +65,31 @@ def test_a_message_that_cannot_be_written_leaves_no_trace() -> None:
     assert mcap_checks.examine(stream.getvalue()) == 2
     said = [(topic, time_ns, json.loads(data)["values"]) for topic, time_ns, data in messages(io.BytesIO(stream.getvalue()))]
     assert said == [("a/note", 1, {"x": 1.0}), ("a/note", 3, {"x": 3.0})]
+
+
+def test_each_message_of_a_topic_has_the_schema_of_its_own_type() -> None:
+    """Whatever comes first: commands in turn, of which viewers and exports take each as what it is."""
+    commands = [
+        Velocity(linear=(1.0, 0.0, 0.0)),
+        Waypoint(position=(1.0, 2.0, 3.0)),
+        Velocity(),
+        Waypoint(position=(0.0, 0.0, 1.0)),
+    ]
+    for given in (commands, commands[::-1]):
+        stream = io.BytesIO()
+        log = McapLog(stream, {})
+        for time_ns, command in enumerate(given):
+            log.write("a/command", time_ns, command)
+        log.finish()
+        data = stream.getvalue()
+        assert mcap_checks.examine(data) == 4
+        assert [said.schema for said in contents(io.BytesIO(data))] == [f"vcmvsp.{type(each).__name__}" for each in given]
+        said = [
+            (s.name, m.data) for s, _, m in make_reader(io.BytesIO(data), validate_crcs=True).iter_messages() if s is not None
+        ]
+        assert [(name, json.loads(raw)["type"]) for name, raw in said] == [
+            (f"vcmvsp.{type(each).__name__}", type(each).__name__.lower()) for each in given
+        ]
 
 
 def chunk_ends(data: bytes) -> list[tuple[int, int]]:
@@ -166,7 +191,6 @@ def test_a_camera_tells_how_it_sees_once() -> None:
     assert schema_of(foxglove.CameraCalibration).name == "foxglove.CameraCalibration"
 
 
-@pytest.mark.skipif(not RERUN.is_file(), reason="rerun-sdk is not installed")
 @pytest.mark.parametrize("name", export_runs.RUNS)
 def test_rerun_finds_nothing_wrong_and_all_topics(name: str, tmp_path: Path) -> None:
     """It knows Foxglove's schemas in Protobuf only: ours, in JSON, arrive as messages with their schemas."""

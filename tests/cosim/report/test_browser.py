@@ -1,5 +1,6 @@
 """A browser opens the pages without complaint, in the light and in the dark, and prints them."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -7,22 +8,16 @@ from typing import Any
 import pytest
 
 import vcmvsp
+from tests.support.cosim import view_pages
 from tests.support.cosim.studies import LOSS, two
-from tests.support.cosim.view_pages import ARGUMENTS, CHROMIUM
 
-pytestmark = [
-    pytest.mark.usefixtures("figures"),
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}"),
-]
+pytestmark = pytest.mark.usefixtures("figures")
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+    with view_pages.browser() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +48,19 @@ def test_it_opens_without_complaint_and_asks_for_nothing_else(
     drawn = page.evaluate("[...document.querySelectorAll('figure svg')].map(each => each.getBoundingClientRect().height)")
     assert len(drawn) == (2 if name == "run" else 1)
     assert min(drawn) > 100
+    page.close()
+
+
+@pytest.mark.parametrize("name", ["run", "study"])
+@pytest.mark.parametrize("smuggled", ["<script>canary = 1</script>", "<img src='data:,' onerror='canary = 1'>"])
+def test_no_script_runs_on_it(name: str, smuggled: str, browser: Any, pages: dict[str, Path], tmp_path: Path) -> None:
+    text = pages[name].read_text("utf-8")
+    assert "unsafe-inline" not in re.sub("style-src-attr 'unsafe-inline'", "", text)
+    (tmp_path / "page.html").write_text(text.replace("</main>", f"{smuggled}</main>"), "utf-8")
+    page = browser.new_page()
+    with page.expect_console_message(lambda message: "Content Security Policy" in message.text):
+        page.goto((tmp_path / "page.html").as_uri())
+    assert page.evaluate("window.canary") is None
     page.close()
 
 

@@ -28,7 +28,7 @@ def seen(scenario: Any, **settings: Any) -> MeasuredRun:
         tomllib.loads(result.scenario),
         result.metrics,
         Recording(result.states, result.radio, facts, result.metrics),
-        links_of(result.radio, facts.vehicles, facts.end_ns),
+        links_of(result.radio, facts.vehicles),
         motion(result.states),
     )
 

@@ -105,7 +105,7 @@ def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_p
     begin = time.monotonic()
     command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out)]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    _, errors_said = run.communicate(timeout=60)
+    _, errors_said = run.communicate(timeout=500)
     assert time.monotonic() - begin < 40.0  # start-up, 2 s of deadline, clean-up; the demand of 5 s is for an idle machine
     assert run.returncode == 3, errors_said
     errors = [line for line in errors_said.splitlines() if line.startswith("vcmvsp: ")]
@@ -128,11 +128,11 @@ def test_ctrl_c_keeps_the_recording_and_leaves_no_process(where: str, tmp_path: 
     children = psutil.Process(run.pid).children(recursive=True)
     assert len(children) == (2 if where == "process" else 0)
     os.killpg(run.pid, signal.SIGINT)
-    _, errors = run.communicate(timeout=60)
+    _, errors = run.communicate(timeout=500)
     assert run.returncode == 130
     assert "interrupted at" in errors
     assert "Traceback" not in errors
-    assert not psutil.wait_procs(children, timeout=30)[1]
+    assert not psutil.wait_procs(children, timeout=500)[1]
     about = json.loads((out / "about.json").read_text())
     assert_readable(out, about["simulated_s"], 0.1)
     assert about["lateness"]["instants"] > 0
@@ -147,7 +147,7 @@ def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
     assert len(children) == 2
     run.kill()
     run.wait()
-    assert not psutil.wait_procs(children, timeout=30)[1]
+    assert not psutil.wait_procs(children, timeout=500)[1]
 
 
 def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None:

@@ -209,7 +209,7 @@ def test_it_goes_beside_the_run() -> None:
 def test_the_command(recorded: Path) -> None:
     recorded.with_name("first-replay").mkdir()
     again = vcmvsp_command("replay", str(recorded), "--radio", "recorded", "--agents", "inprocess", "--json")
-    assert again == (0, (recorded / "metrics.json").read_text(), "")
+    assert again == (0, (recorded / "metrics.json").read_text(), f"same: the digest is that of {recorded}\n")
     assert files(recorded.with_name("first-replay-2")) == files(recorded)
     nothing = vcmvsp_command("replay", str(recorded.parent))
     assert nothing.code == 2

@@ -12,15 +12,24 @@ from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.errors import ScenarioError
 
 LOOKER = """
-from dataclasses import dataclass
-from vcmvsp import Agent; from vcmvsp.cosim.config import registry
+from pathlib import Path
+import msgspec
+from vcmvsp import Agent
+
+class Target(msgspec.Struct):
+    name: str
+    picture: Path
+    size_m: float = 1.0
+
+class Watching(msgspec.Struct):
+    targets: list[Target]
 
 class Looker(Agent):
     period = 0.5
 
-    def __init__(self, *, watching: dict) -> None:
-        for each in watching["targets"]:
-            self.note(size=float(registry.located(each["picture"]).stat().st_size), picture=each["name"])
+    def __init__(self, *, watching: Watching) -> None:
+        for each in watching.targets:
+            self.note(size=float(each.picture.stat().st_size), picture=each.name)
 
     def act(self, obs, radio):
         return None

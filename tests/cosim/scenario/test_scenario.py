@@ -193,8 +193,8 @@ def test_not_finite_numbers_are_found_wherever_they_are(file: Path) -> None:
         ({"duration_s": nan}, "duration_s"),
         ({"radio.path_loss.exponent": nan}, "radio.path_loss.exponent"),
         ({"vehicle.car2.agent.k1": nan}, "vehicle.car2.agent.k1"),
-        ({"vehicle.car2.pose": [0.0, nan, 0.0]}, "vehicle.car2.pose.1"),
-        ({"agents.anything": {"deep": [1, {"er": nan}]}}, "agents.anything.deep.1.er"),
+        ({"vehicle.car2.pose": [0.0, nan, 0.0]}, "vehicle.car2.pose[1]"),
+        ({"agents.anything": {"deep": [1, {"er": nan}]}}, "agents.anything.deep[1].er"),
     ]
     for settings, key in cases:
         with pytest.raises(ScenarioError, match="must be finite, not nan") as caught:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.cosim.command_line import two_cars, vcmvsp_command
-from tests.support.cosim.studies import LOSS
+from tests.support.cosim.studies import LOSS, mine
 
 LOSSY = ("--vary", f"{LOSS}=0,0.5")
 
@@ -102,3 +102,15 @@ def test_a_study_of_which_every_run_failed_says_so(tmp_path: Path) -> None:
     assert "every run failed, the first with: agent no.py:No of vehicle car2" in found.err
     assert "ZeroDivisionError" in found.err
     assert (tmp_path / "o" / "report.html").exists()
+
+
+@pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",), ("--quiet", "--json")])
+def test_a_study_of_which_some_runs_failed_says_so_in_its_last_words(options: tuple[str, ...], tmp_path: Path) -> None:
+    scenario = str(mine(tmp_path))
+    grid = ("--vary", "agents.nap_s=0", "--seeds", "3", "--set", "vehicle.car1.agent.bad_seed=1", "--metric", "radio.frames")
+    found = vcmvsp_command("study", scenario, *grid, "--jobs", "1", "--out", "o", *options)
+    assert found.code == 1
+    last = found.err.splitlines()[-1]
+    assert last.startswith("vcmvsp: 1 of 3 runs failed, the first with: agent mine.py:Mine of vehicle car1")
+    assert (tmp_path / "o" / "report.html").exists()
+    assert ("results: o" in found.out) == (not options)

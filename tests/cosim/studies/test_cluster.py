@@ -1,20 +1,28 @@
 """Studies on a cluster: two Dask workers on this machine."""
 
+import concurrent.futures
 import functools
+import importlib
+import math
+import re
 import socket
 import subprocess
 import sys
 import time
+import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import tomli_w
 
+from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.studies import ESTIMATOR, LOSS, mine, two
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.studies import cluster as clusters
 from vcmvsp.cosim.studies.engine import study
+from vcmvsp.cosim.studies.worker import Work, WorkersGoneError
 
 VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
 pytestmark = pytest.mark.filterwarnings("ignore")  # those of the library are not ours to mend
@@ -22,11 +30,11 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # those of the library are no
 
 @pytest.fixture(scope="module")
 def dask() -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed")
     import dask as library
+    import distributed
 
     library.config.set({"distributed.scheduler.allowed-failures": 0})  # a death is enough: each costs a new worker
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None) as cluster:  # type: ignore[no-untyped-call]
         yield cluster
 
 
@@ -66,8 +74,94 @@ def test_a_run_that_kills_its_workers_is_a_row(dask: Any, tmp_path: Path) -> Non
     assert found["error"].to_pylist() == ["its worker died", None]
 
 
+class Future:
+    """A future of Dask's that has gone through some states."""
+
+    def __init__(self, key: str, *states: str) -> None:
+        self.key, self._states = key, list(states)
+
+    @property
+    def status(self) -> str:
+        return self._states[0]
+
+    def next_state(self) -> None:
+        self._states = self._states[1:] or self._states
+
+    def exception(self) -> None:
+        return None
+
+    def result(self) -> bytes:
+        if self.status == "cancelled":
+            raise concurrent.futures.CancelledError(self.key)
+        return f"row of {self.key}, {self.status}".encode()
+
+
+class Done(list[Future]):
+    """Futures in the order in which they are said to be done: one that is added again, later."""
+
+    def __init__(self, *, loop: object) -> None:
+        self._seen: set[str] = set()
+
+    def add(self, future: Future) -> None:
+        if future.key in self._seen:
+            future.next_state()
+        self._seen.add(future.key)
+        self.append(future)
+
+    def __next__(self) -> Future:
+        return self.pop(0)
+
+
+def cluster_of(client: Any) -> clusters.Cluster:
+    cluster = object.__new__(clusters.Cluster)
+    work = Work("", "", "")
+    cluster.__dict__.update(_client=client, _name="tcp://there:1", _work=work, _looked=math.inf, _capacity=clusters.LEAST)
+    cluster._distributed = types.SimpleNamespace(as_completed=Done, KilledWorker=RuntimeError)
+    return cluster
+
+
+def test_an_answer_that_was_lost_with_its_worker_is_waited_for_again() -> None:
+    states = iter([("finished",), ("lost", "pending", "finished"), ("finished",)])
+    client = types.SimpleNamespace(loop=None, submit=lambda *_, key, pure: Future(key, *next(states)))
+    answers = list(cluster_of(client).answers(((number, None) for number in range(3)), 3))
+    assert [number for number, _ in answers] == [0, 2, 1]
+    assert all(row.endswith(b"finished") for _, row in answers)
+
+
+def test_a_run_that_the_scheduler_has_cancelled_ends_the_study() -> None:
+    client = types.SimpleNamespace(loop=None, submit=lambda *_, key, pure: Future(key, "cancelled"))
+    with pytest.raises(WorkersGoneError, match="the cluster at tcp://there:1 is gone"):
+        list(cluster_of(client).answers([(0, None)], 1))
+
+
+@pytest.mark.parametrize("call", ["submit", "nthreads"])
+@pytest.mark.parametrize("error", [OSError("in <TCP>: Stream is closed"), TimeoutError(), RuntimeError("closed")])
+def test_a_scheduler_that_dies_is_named_with_what_goes_on(
+    call: str, error: Exception, dask: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = list[str]()
+    real = getattr(importlib.import_module("distributed").Client, call)
+
+    def dies(self: Any, *arguments: Any, **named: Any) -> Any:
+        calls.append(call)
+        if len(calls) > 2:
+            raise error
+        return real(self, *arguments, **named)
+
+    monkeypatch.setattr(f"distributed.Client.{call}", dies)
+    monkeypatch.setattr(clusters, "LEAST", 1)
+    monkeypatch.setattr(clusters, "LOOK_EVERY_S", 0.0)
+    (tmp_path / "two.toml").write_text(tomli_w.dumps(two()))
+    command = ["study", str(tmp_path / "two.toml"), "--seeds", "20", "--vary", f"{LOSS}=0.1", "--out", str(tmp_path / "study")]
+    found = vcmvsp_command(*command, "--metric", "radio.frames", "--cluster", dask.scheduler_address, "--quiet")
+    assert (found.code, found.out) == (1, "")
+    assert re.fullmatch(
+        r"vcmvsp: the cluster at tcp://\S+ is gone: \d+ of 20 runs are done; the same command with --resume goes on\s",
+        found.err,
+    )
+
+
 def test_a_cluster_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
     monkeypatch.setattr(clusters, "TIMEOUT_S", 1)
     begin = time.monotonic()
     with pytest.raises(UsageError, match=r"--cluster tcp://127\.0\.0\.1:1: no Dask scheduler answers there within 1 s"):
@@ -76,7 +170,6 @@ def test_a_cluster_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_cluster_that_says_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
     monkeypatch.setattr(clusters, "TIMEOUT_S", 1)
     with socket.create_server(("127.0.0.1", 0)) as silent:  # it accepts
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"

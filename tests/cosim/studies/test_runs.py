@@ -19,6 +19,8 @@ import vcmvsp
 from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, two
 from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.errors import AgentError, FederateError, UsageError, VcmvspError
+from vcmvsp.cosim.processes import worker_pool
+from vcmvsp.cosim.processes.child_process import BOOT
 from vcmvsp.cosim.processes.worker_pool import Pool, Worker
 from vcmvsp.cosim.studies import checks, rows
 from vcmvsp.cosim.studies import plan as plans
@@ -157,6 +159,25 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
     assert rows[0] == rows[2]
     assert b'"error":null' in rows[0]
     assert (b'"error":"its worker died"' in rows[1]) == (deaths == 2)
+
+
+@pytest.mark.parametrize("deaths", [3, worker_pool.STARTS])
+def test_a_worker_that_is_killed_while_it_starts_costs_no_run(
+    deaths: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    boots = iter(["import os; os.kill(os.getpid(), 9)  # {module}"] * deaths + [BOOT] * 2)
+
+    class Boot:
+        def format(self, **named: str) -> str:
+            return next(boots).format(**named)
+
+    monkeypatch.setattr(worker_pool, "BOOT", Boot())
+    with Pool(abs, 1, died="died") as pool:
+        if deaths < worker_pool.STARTS:
+            assert list(pool.answers([(0, -7)], 1)) == [(0, 7)]
+        else:
+            with pytest.raises(VcmvspError, match="were killed while they started"):
+                list(pool.answers([(0, -7)], 1))
 
 
 def test_leaving_a_pool_ends_its_workers_in_the_middle_of_a_run(tmp_path: Path) -> None:

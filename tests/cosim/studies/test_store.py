@@ -1,5 +1,6 @@
 """A study's folder: readable at any moment, the same whatever ended the study in between."""
 
+import errno
 import json
 import os
 import shutil
@@ -245,10 +246,30 @@ def test_only_what_is_written_cannot_be_written(tmp_path: Path, monkeypatch: pyt
                 study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / name)
 
 
+def test_a_folder_that_cannot_be_written_to_any_more_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What root may not do either: nothing in the folder can be made, renamed or removed."""
+    folder = tmp_path / "study"
+    refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    def lose(done: int, failed: int, total: int) -> None:
+        if done == 1:
+            for name in ("mkdir", "unlink", "replace"):
+                monkeypatch.setattr(Path, name, refuse)
+
+    def refuse(path: Path, *_: Any, **__: Any) -> None:
+        raise refused
+
+    with pytest.raises(UsageError) as error:
+        study(two(), vary={LOSS: [0.0]}, seeds=2, jobs=1, out=folder, progress=lose)
+    assert str(error.value) == f"cannot write into {folder}: Permission denied"
+    monkeypatch.undo()
+    assert study(two(), seeds=2, jobs=1, out=folder, resume=True)["seed"].to_pylist() == [0, 1]
+
+
 def test_two_studies_started_at_once_without_a_folder_get_two(tmp_path: Path) -> None:
     mine(tmp_path)
     runs = [start(tmp_path, "mine.toml", "--vary", f"{NAP}=0.1", "--seeds", "1", "--jobs", "1", "--json") for _ in range(2)]
-    outs = [json.loads(run.communicate(timeout=60)[0])["out"] for run in runs]
+    outs = [json.loads(run.communicate(timeout=500)[0])["out"] for run in runs]
     assert sorted(outs) == ["runs/mine-study", "runs/mine-study-2"]
     assert all((tmp_path / out / "report.html").exists() for out in outs)
 
@@ -323,12 +344,12 @@ def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(
     assert len(workers) == 2
     killed.send_signal(signal.SIGKILL)
     killed.communicate()
-    assert psutil.wait_procs(workers, timeout=30)[1] == []
+    assert psutil.wait_procs(workers, timeout=500)[1] == []
     (tmp_path / "held").unlink()
     assert pq.read_table(tmp_path / "killed" / "study.parquet").num_rows < 18
     assert (tmp_path / "killed" / "study.lock").exists()
 
-    out, err = start(tmp_path, *ARGUMENTS, "--out", "killed", "--resume").communicate(timeout=60)
+    out, err = start(tmp_path, *ARGUMENTS, "--out", "killed", "--resume").communicate(timeout=500)
     about = json.loads((tmp_path / "killed" / "about.json").read_text())
     assert 0 < about["runs_made"] < 18, err
     monkeypatch.chdir(tmp_path)
@@ -349,12 +370,12 @@ def test_ctrl_c_says_how_far_it_got_and_how_to_go_on(tmp_path: Path) -> None:
     wait_for_lines(run, tmp_path / "s")
     workers = psutil.Process(run.pid).children(recursive=True)
     run.send_signal(signal.SIGINT)
-    out, err = run.communicate(timeout=60)
+    out, err = run.communicate(timeout=500)
     assert (run.returncode, out) == (130, "")
     rows_there = pq.read_table(tmp_path / "s" / "study.parquet").num_rows
     assert err == f"vcmvsp: interrupted: {rows_there} of 18 runs are done; the same command with --resume goes on\n"
     assert rows_there > 0
-    assert psutil.wait_procs(workers, timeout=30)[1] == []
+    assert psutil.wait_procs(workers, timeout=500)[1] == []
 
 
 def test_a_page_that_is_made_while_the_table_is_written_lacks_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -202,6 +202,19 @@ def test_drawing_takes_a_bounded_share_of_the_time(terminal: Terminal, monkeypat
     assert len(draws) >= 9
 
 
+def test_the_last_speed_that_is_shown_is_that_of_the_whole_run(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress, "DRAW_EVERY_S", 0.25)
+    words: list[str] = []
+    monkeypatch.setattr(Progress, "_draw_on", lambda _shown, _screen, _completed, _total, text: words.append(text))
+    with terminal, Progress(quiet=False) as shown:
+        for tenths in (0, 3, 4):  # the last comes too soon to be drawn but for its being the last
+            now[0] = 100.0 + 0.1 * tenths
+            shown.on_instant(tenths * SECOND_NS // 2, 2 * SECOND_NS)
+    assert words == ["1.5 of 2 s, 5.0x, 0 s left", "2.0 of 2 s, 5.0x, writing"]
+
+
 def test_a_terminal_that_goes_away_ends_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     def gone(*_: object) -> None:
         raise OSError(5, "Input/output error")

@@ -1,0 +1,110 @@
+"""Which source code a class is made of, so that two machines can tell whether they run the same.
+
+It is found by reading import statements, without running any: the file of the class, and files beside it that it imports. Of
+vcmvsp itself and of NumPy the version counts.
+"""
+
+import ast
+import contextlib
+import hashlib
+import importlib.util
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+
+from vcmvsp.cosim.agent import AgentSpec
+from vcmvsp.cosim.config import registry
+from vcmvsp.cosim.config.user_classes import allowed_code, classes_in, is_file_kind
+from vcmvsp.cosim.errors import ScenarioError
+
+LIBRARIES = ("vcmvsp", "numpy")
+MOST_FILES = 1000
+_INSTALLED = frozenset({"site-packages", "dist-packages"})
+
+
+def fingerprint(spec: AgentSpec) -> dict[str, str]:
+    """SHA-256 of each source file that an agent is made of, by its name, and versions of libraries.
+
+    Files that are not on this machine are left out.
+    """
+    found = {name: metadata.version(name) for name in LIBRARIES}
+    kind = spec.kind
+    with contextlib.suppress(ScenarioError):  # a name that is unknown here
+        kind = registry.target("agent", spec.kind)
+    for each in classes_in([kind, spec.params, spec.defaults]):
+        path = _path(each, Path(spec.folder))
+        if path is not None and path.is_file():
+            found |= _sources(path.resolve())
+    return found
+
+
+def difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
+    """How the code of another machine differs from that of this one; empty: not at all."""
+    words = []
+    for name in sorted({*here, *there}):
+        ours, theirs = here.get(name), there.get(name)
+        if ours is None or theirs is None:
+            words.append(f"{name} is only {'there' if ours is None else 'here'}")
+        elif ours != theirs:
+            words.append(f"{name} {theirs} there, {ours} here" if name in LIBRARIES else f"{name} differs")
+    return "; ".join(words)
+
+
+def _path(kind: str, folder: Path) -> Path | None:
+    """The file of a class; that of a module is found without importing it."""
+    allowed, module = allowed_code.get(), kind.partition(":")[0]
+    if is_file_kind(kind):
+        return registry.located(kind.rpartition(":")[0], folder) if allowed is None else allowed.file_of(kind)
+    if module.startswith("vcmvsp."):
+        return None  # the version says it
+    with contextlib.suppress(ImportError, ValueError):
+        spec = importlib.util.find_spec(module)
+        return Path(spec.origin) if spec is not None and spec.origin else None
+    return None
+
+
+def _sources(path: Path) -> dict[str, str]:
+    """The file and what it imports from beside it, transitively; of an installed package the package alone."""
+    root = path.parent
+    while (root / "__init__.py").is_file():
+        root = root.parent
+    only = path.relative_to(root).parts[0] if root.name in _INSTALLED else None
+    found: dict[str, str] = {}
+    waiting = [path]
+    while waiting and len(found) < MOST_FILES:
+        file = waiting.pop()
+        name = file.relative_to(root).as_posix()
+        if name in found or only not in (None, name.partition("/")[0]):
+            continue
+        content = file.read_bytes()
+        found[name] = hashlib.sha256(content).hexdigest()
+        waiting += _imported(content, file, root)
+    return found
+
+
+def _imported(content: bytes, file: Path, root: Path) -> Iterator[Path]:
+    """The source files below ``root`` that a file imports, packages on the way included."""
+    try:
+        tree = ast.parse(content)
+    except (SyntaxError, ValueError, RecursionError):
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [(root, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = root if node.level == 0 else file.parents[node.level - 1]
+            module = node.module or ""
+            names = [(base, f"{module}.{alias.name}".lstrip(".")) for alias in node.names]
+        else:
+            continue
+        for base, name in names:
+            yield from _files(base, name.split("."), root)
+
+
+def _files(folder: Path, names: Sequence[str], root: Path) -> Iterator[Path]:
+    """The source of the module of these names in a folder, and of the packages that it lies in."""
+    for count in range(len(names) + 1):
+        module = folder.joinpath(*names[:count])
+        for file in (module.parent / f"{module.name}.py", module / "__init__.py"):
+            if file.is_relative_to(root) and file.is_file():
+                yield file

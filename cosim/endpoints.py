@@ -1,0 +1,38 @@
+"""Addresses of the network as text: ``tcp/HOST:PORT``, as Zenoh writes them, or ``tcp://HOST:PORT``. Both mean the same."""
+
+import re
+from typing import NamedTuple
+
+_SCHEME = re.compile(r"([a-z0-9-]+)://")
+_REST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\[\]:/?#@\s]*)(?::(\d{1,5}))?/?", re.ASCII)
+_HIGHEST = 65535
+
+
+class Endpoint(NamedTuple):
+    """What an address says."""
+
+    protocol: str
+    host: str  # an IPv6 address without its brackets; empty: it is left out
+    port: int | None  # None: it is left out
+
+    def __str__(self) -> str:
+        return f"{self.protocol}/{bracketed(self.host)}{'' if self.port is None else f':{self.port}'}"
+
+
+def endpoint_of(text: str) -> Endpoint | None:
+    """What an address says; None: it is none."""
+    protocol, slash, rest = with_slash(text).partition("/")
+    found = _REST.fullmatch(rest)
+    if not (protocol.isalnum() and slash) or not found or int(found[2] or 0) > _HIGHEST:
+        return None
+    return Endpoint(protocol, found[1].strip("[]"), int(found[2]) if found[2] else None)
+
+
+def with_slash(text: str) -> str:
+    """An address as Zenoh writes it; what is none, as it is."""
+    return _SCHEME.sub(r"\1/", text, count=1) if _SCHEME.match(text) else text
+
+
+def bracketed(host: str) -> str:
+    """A host as it stands before a port."""
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,71 @@
+"""Names of files: what is one says its type, in whatever table it stands, and is kept with the resolved scenario."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.support.cosim.command_line import two_cars, vcmvsp_command
+from vcmvsp.cosim.config import registry
+
+OWN = """
+from pathlib import Path
+
+from vcmvsp import Agent
+from vcmvsp.cosim.types import Measured
+from vcmvsp.physics.sensors.sensor import Sensor
+
+
+class Table(Sensor):
+    def __init__(self, path: str, file: str, table: Path | None = None, **more) -> None:
+        super().__init__(**more)
+        assert (path, file, table.read_text()) == ("circle", "nothing", "1")
+
+    def measure(self, scene, row, rng):
+        return Measured(time_ns=scene.now_ns, values={"one": 1.0})
+
+
+class Reader(Agent):
+    def __init__(self, table: Path, picture: str = "") -> None:
+        assert table.read_text() == "1", table
+        assert picture == "table.csv"
+
+    def act(self, obs, radio):
+        return None
+"""
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "own.py").write_text(OWN)
+    (tmp_path / "s" / "table.csv").write_text("1")
+    (tmp_path / "s" / "circle").write_text("no circle")
+
+
+def test_a_text_that_is_called_path_is_no_file(tmp_path: Path) -> None:
+    sensor = 'sensors = { t = { kind = "own.py:Table", path = "circle", file = "nothing", table = "table.csv" } }'
+    (tmp_path / "s" / "s.toml").write_text(two_cars(car1=sensor))
+    assert vcmvsp_command("run", "s/s.toml", "--out", "out", "--quiet").code == 0
+    kept = tomllib.loads((tmp_path / "out" / "scenario.toml").read_text())["vehicle"][0]["sensors"]["t"]
+    assert (kept["path"], kept["file"], kept["table"]) == ("circle", "nothing", "table.csv")
+    assert (tmp_path / "out" / "table.csv").read_text() == "1"
+    assert not (tmp_path / "out" / "circle").exists()
+
+
+def test_an_agent_reads_its_file_and_keeps_it_and_another_text_of_that_name_is_one_too(tmp_path: Path) -> None:
+    (tmp_path / "s" / "s.toml").write_text(two_cars(agent='kind = "own.py:Reader", table = "table.csv", picture = "table.csv"'))
+    answer = vcmvsp_command("run", "s/s.toml", "--out", "out", "--quiet")
+    assert answer.code == 0, answer.err
+    assert (tmp_path / "out" / "table.csv").read_text() == "1"
+    assert vcmvsp_command("run", "out/scenario.toml", "--out", "again", "--quiet").code == 0
+
+
+def test_a_built_in_scenario_takes_files_of_the_current_folder(tmp_path: Path) -> None:
+    text = "from vcmvsp import Agent\nclass Still(Agent):\n    def act(self, obs, radio):\n        return None\n"
+    (tmp_path / "mine.py").write_text(text)
+    answer = vcmvsp_command("check", "formation-circle", "--set", "vehicle.car2.agent.kind=mine.py:Still")
+    assert answer.code == 0, answer.err
+    assert registry.located("mine.py", registry.SHIPPED) == tmp_path / "mine.py"
+    assert registry.located("targets/alpha.png", registry.SHIPPED) == registry.SHIPPED / "targets" / "alpha.png"

@@ -1,0 +1,60 @@
+"""The tables of a run that was cut, from its recording: those that it would have written."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.support.cosim import export_runs
+from tests.support.cosim.command_line import vcmvsp_command
+from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.recording.run_tables import tables_of
+
+RUN = "a crossing cart"
+
+
+@pytest.mark.parametrize("run", [RUN, "lab-patrol"])
+def test_the_whole_recording_gives_the_tables_that_the_run_has_left(run: str, tmp_path: Path) -> None:
+    whole, found = (tables_of(folder) for folder in (export_runs.run_of(run), export_runs.cut(run, tmp_path / "cut", 1.0)))
+    assert found.facts == whole.facts
+    assert found.states.equals(whole.states)
+    for name in whole.radio.column_names:
+        ours, theirs = (table.radio[name].to_pylist() for table in (found, whole))
+        assert repr(ours) == repr(theirs), name  # NaN too
+
+
+def test_a_run_that_was_cut_is_explained_and_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
+    folder = export_runs.cut(RUN, tmp_path / "cut", 0.7)
+    words = r"no states.parquet here, as the run goes on or was cut: what is shown is what run.mcap has, up to [0-2]\.\d{3} s, "
+    for command in (("radio", str(folder)), ("radio", str(folder), "--link", "car-1/car-2"), ("plot", str(folder))):
+        outcome = vcmvsp_command(*command)
+        assert outcome.code == 0, outcome.err
+        assert outcome.out
+        assert len(outcome.err.splitlines()) == 1
+        assert re.search(words, outcome.err)
+    assert {"trajectory.png", "formation_error.png"} <= {path.name for path in folder.iterdir()}
+    shutil.copyfile(export_runs.run_of(RUN) / "scenario.toml", folder / "scenario.toml")
+    at = ("radio", str(folder), "--coverage", "car-1", "--at", "0.1", "--resolution", "2", "--out", str(tmp_path / "map.png"))
+    assert vcmvsp_command(*at).code == 0
+
+
+def test_a_recording_of_nothing_is_named(tmp_path: Path) -> None:
+    folder = export_runs.cut(RUN, tmp_path / "cut", 1.0)
+    shutil.copyfile(folder / "run.mcap", tmp_path / "all")
+    head = next(size for size in range(100, 2000) if _reads(folder, tmp_path / "all", size))
+    assert head < 2000
+    for command in ("radio", "plot"):
+        outcome = vcmvsp_command(command, str(folder))
+        assert (outcome.code, outcome.out) == (2, "")
+        assert "before its run.mcap had anything to show" in outcome.err
+
+
+def _reads(folder: Path, whole: Path, size: int) -> bool:
+    """Whether the first bytes of a recording say of which run it is."""
+    (folder / "run.mcap").write_bytes(whole.read_bytes()[:size])
+    try:
+        tables_of(folder)
+    except UsageError as error:
+        return "anything to show" in str(error)
+    return False

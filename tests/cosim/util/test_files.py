@@ -1,0 +1,170 @@
+"""Files that are there as a whole or not at all, by whatever command they are written."""
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import vcmvsp
+from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.full_disk import room_for
+from tests.support.cosim.studies import LOSS, two
+from vcmvsp.cosim.util.files import PART, replacing, write_whole
+
+ROOM = 60  # bytes
+
+
+def plotted(run: Path, out: Path) -> list[str]:
+    return ["plot", str(run), "--out", str(out)]
+
+
+def drawn(run: Path, out: Path) -> list[str]:
+    return ["plot", str(run), "--svg", "--out", str(out)]
+
+
+def reported(run: Path, out: Path) -> list[str]:
+    return ["report", str(run), "--out", str(out / "report.html")]
+
+
+def covered(run: Path, out: Path) -> list[str]:
+    return ["radio", "formation-circle", "--coverage", "car1", "--resolution", "2", "--out", str(out / "map.png")]
+
+
+def pictured(run: Path, out: Path) -> list[str]:
+    return ["world", "corridor", "--png", str(out / "world.png")]
+
+
+def calibrated(run: Path, out: Path) -> list[str]:
+    links = out.parent / "links.csv"
+    rows = "".join(f"{d},0,0,1,{d},0,1,{-40 - 20 * math.log10(d) + d % 3}\n" for d in range(1, 80))
+    links.write_text(f"time,ax,ay,az,bx,by,bz,rssi_dbm\n{rows}")
+    return ["calibrate", str(links), "--out", str(out)]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "run"
+    vcmvsp.run(two(duration_s=1.0), out=folder)
+    return folder
+
+
+@pytest.mark.usefixtures("figures")
+@pytest.mark.parametrize("command", [plotted, drawn, reported, covered, pictured, calibrated])
+def test_a_command_on_a_full_disk_says_so_once_and_leaves_what_was_there(
+    command: Callable[[Path, Path], list[str]], run: Path, tmp_path: Path
+) -> None:
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    for folder in (whole, out):
+        folder.mkdir()
+        arguments = command(run, folder)
+    written = command(run, whole)
+    assert vcmvsp_command(*written).code == 0
+    names = sorted(path.name for path in whole.iterdir())
+    assert names
+    for name in names:
+        (out / name).write_bytes(b"of before")
+    with room_for(ROOM):
+        outcome = vcmvsp_command(*arguments)
+    assert outcome.code == 2
+    assert outcome.err.count("File too large") == outcome.err.count("\n") == 1
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == dict.fromkeys(names, b"of before")
+
+
+@pytest.mark.usefixtures("figures")
+def test_the_files_of_a_study_on_a_full_disk_are_those_of_before(tmp_path: Path) -> None:
+    out = tmp_path / "study"
+    vcmvsp.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=1, metrics=["formation.rms_m"], jobs=1, out=out)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with room_for(len(before["report.html"]) // 2):
+        outcome = vcmvsp_command("report", str(out))
+    assert (outcome.code, outcome.err) == (2, f"vcmvsp: cannot write into {out}: File too large\n")
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("of before")
+
+    def fail() -> None:
+        with replacing(path) as place:
+            place.write_text("half of")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert [each.name for each in tmp_path.iterdir()] == ["file.txt"]
+    assert path.read_text() == "of before"
+
+
+def test_what_a_process_that_was_killed_has_left_is_in_nobodys_way(tmp_path: Path) -> None:
+    left = tmp_path / f".vcmvsp-left{PART}"
+    left.mkdir()
+    write_whole(tmp_path / "file.txt", "all of it")
+    assert {*tmp_path.iterdir()} == {left, tmp_path / "file.txt"}
+    assert (tmp_path / "file.txt").read_text() == "all of it"
+
+
+def test_links_are_replaced_and_pipes_are_written_to(tmp_path: Path) -> None:
+    (tmp_path / "file.txt").write_text("somebody else's")
+    (tmp_path / "link").symlink_to(tmp_path / "file.txt")
+    (tmp_path / "dangling").symlink_to(tmp_path / "none.txt")
+    for name in ("link", "dangling"):
+        write_whole(tmp_path / name, "ours")
+        assert not (tmp_path / name).is_symlink()
+        assert (tmp_path / name).read_text() == "ours"
+    assert (tmp_path / "file.txt").read_text() == "somebody else's"
+    assert not (tmp_path / "none.txt").exists()
+    reading, writing = os.pipe()
+    write_whole(Path(f"/dev/fd/{writing}"), "into it")
+    os.close(writing)
+    with open(reading) as pipe:  # noqa: PTH123
+        assert pipe.read() == "into it"
+
+
+def test_nobody_else_can_enter_the_place_where_a_file_is_written(tmp_path: Path) -> None:
+    places = []
+    for _ in range(2):
+        with replacing(tmp_path / "file.txt") as place:
+            assert (place.parent.parent, place.parent.stat().st_mode & 0o777) == (tmp_path, 0o700)
+            place.touch()
+            places.append(place)
+    assert places[0] != places[1]
+
+
+def exported(run: Path, out: Path) -> list[str]:
+    return ["export", str(run), "--csv", "--layout", "--force", "--out", str(out)]
+
+
+@pytest.mark.usefixtures("figures")
+@pytest.mark.parametrize("command", [plotted, drawn, reported, covered, pictured, exported])
+def test_a_command_replaces_links_in_a_folder_that_may_be_a_link(
+    command: Callable[[Path, Path], list[str]], run: Path, tmp_path: Path
+) -> None:
+    real, out, victim = tmp_path / "real", tmp_path / "out", tmp_path / "victim"
+    real.mkdir()
+    out.symlink_to(real)
+    assert vcmvsp_command(*command(run, out)).code == 0
+    assert out.is_symlink()
+    files = [path for path in real.rglob("*") if path.is_file()]
+    assert files
+    victim.write_text("somebody else's")
+    for path in files:
+        path.unlink()
+        path.symlink_to(victim)
+    assert vcmvsp_command(*command(run, out)).code == 0
+    assert victim.read_text() == "somebody else's"
+    assert not any(path.is_symlink() for path in files)
+
+
+def test_a_run_replaces_links_too(tmp_path: Path) -> None:
+    out, victim = tmp_path / "out", tmp_path / "victim"
+    vcmvsp.run(two(duration_s=1.0), out=out)
+    victim.write_text("somebody else's")
+    for path in out.iterdir():
+        path.unlink()
+        path.symlink_to(victim)
+    vcmvsp.run(two(duration_s=1.0), out=out, force=True)
+    assert victim.read_text() == "somebody else's"
+    assert not any(path.is_symlink() for path in out.iterdir())
