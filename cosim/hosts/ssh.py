@@ -83,13 +83,14 @@ def script(
     words += ["--", *map(shlex.quote, last)]
     # In braces: sh has read it all before it begins, so that nobody but the watcher reads the standard input afterwards.
     # Where there is setsid, the host is a group of its own, and whatever the command has started ends with it.
+    # Its output is one stream: ssh has a channel for stdout and one for stderr, and lines of the two would arrive in pieces.
     return "\n".join(["{", *lines, _RUN.format(words=" ".join(words), kill_s=KILL_S), "}", ""])
 
 
 _RUN = """\
 exec 3<&0
 group=$(command -v setsid)
-$group {words} </dev/null 3<&- &
+$group {words} </dev/null 3<&- 2>&1 &
 agent=$!
 tell_all() {{ kill -s "$1" -- "-$agent" 2>/dev/null; }}
 tell() {{ tell_all "$1" || kill -s "$1" "$agent"; }}
