@@ -34,6 +34,19 @@ kind = "p2dx"
 pose = [-1.0, -0.5, 0.0]
 agent = { kind = "leader_follower", leader = "car1" }
 """
+HOSTILE = (
+    f"x = {'9' * 5000}",
+    f"x = {'[' * 100_000}",
+    f"x = {'{a=' * 20_000}",
+    f"{'a.' * 50_000}a = 1",
+    f"[{'a.' * 2000}a]",
+    "include = 'loop'",
+    "world = { kind = 'mesh', file = 'loop' }",
+    f"{'n' * 300_000} = 1",
+    f"[[vehicle]]\nname = '{'n' * 300}'\ncount = 100000",
+)
+"""Lines of a scenario: beyond what parsers and structures bear."""
+LOOP = "loop"  # a link to itself, in the folder of each case
 SHORT = ("--set", "duration_s=0.2", "--set", "record.interval_s=0.1")
 GALLERY = sorted(SCENARIOS.glob("*.toml"))
 KEYS = [line.split("\t") for line in INDEX.read_text("utf-8").splitlines()]
@@ -51,6 +64,8 @@ VALUES: list[Any] = [
         "a\0b",
         "ä\u202e\U0001f697",
         "x" * 5000,
+        LOOP,
+        f"{LOOP}/x.py:Class",
     ),
     *(True, False, [], {}, [[]], [{}], [0.0], [1.0, 2.0, 3.0], [float("nan")] * 3, ["car1", "car1"], {"kind": "none"}),
     *({"kind": 1}, {"": 0}, {"a": {"b": {"c": [1]}}}),
@@ -72,6 +87,11 @@ WORDS = (
     "ideal",
     "v=1",
     "a,b",
+    LOOP,
+    "9" * 5000,
+    "x" * 5000,
+    f"{'a.' * 5000}a=1",
+    f"a={'[' * 50_000}",
 )
 SAFE = ["calibrate", "channel", "check", "drive", "export", "list", "new", "pathloss", "per", "plot", "radio", "reference"]
 SAFE += ["report", "run", "show", "study", "world"]
@@ -115,6 +135,7 @@ Case = list[str]  # the words of a command; its files are in the folder
 def make(number: int, seed: int, folder: Path, results: Path) -> Case:
     """Write the files of a case into its folder, and give its command; ``results`` are those of a whole run."""
     draw = random.Random(f"{seed}/{number}")
+    (folder / LOOP).symlink_to(LOOP)
     kinds: list[Callable[[random.Random, Path, Path], Case]] = [changed_scenario, changed_text, changed_sets]
     return draw.choice([*kinds, changed_results, changed_results, command_line])(draw, folder, results)
 
@@ -147,6 +168,8 @@ def changed_text(draw: random.Random, folder: Path, results: Path) -> Case:
     data = draw.choice([SMALL.encode(), draw.choice(GALLERY).read_bytes()])
     for _ in range(draw.choice([1, 2, 5])):
         data = _garbled(draw, data)
+    if draw.random() < 0.2:
+        data = _inserted(draw, data, draw.choice(HOSTILE).encode())
     (folder / "s.toml").write_bytes(data)
     return _read(draw)
 
@@ -238,6 +261,13 @@ def _set(tables: dict[str, Any], draw: random.Random) -> None:
         inner = tables.setdefault(part, {})
         tables = inner if isinstance(inner, dict) else {}
     tables[last] = draw.choice([*VALUES, *usual])
+
+
+def _inserted(draw: random.Random, data: bytes, line: bytes) -> bytes:
+    """A line more, somewhere."""
+    lines = data.splitlines(keepends=True)
+    lines.insert(draw.randrange(len(lines) + 1), line + b"\n")
+    return b"".join(lines)
 
 
 def _garbled(draw: random.Random, data: bytes) -> bytes:
