@@ -8,19 +8,26 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
+from tests.support.docs.readme_pages import PAGES
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli.app import main
 from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.testing import check_agent
 
-README = (ROOT / "README.md").read_text("utf-8")
+README, WORLDS = ((ROOT / page).read_text("utf-8") for page in ("README.md", "docs/worlds.md"))
 pytestmark = pytest.mark.usefixtures("figures")
-BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", README, re.DOTALL)
+BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w*)\n(.*?)```", README + WORLDS, re.DOTALL)
 
 
 def block(language: str, words: str) -> str:
     return next(text for kind, text in BLOCKS if kind == language and words in text)
+
+
+def test_a_terminal_shows_the_readme_whole() -> None:
+    lines = README.splitlines()
+    assert len(lines) <= 150
+    assert [line for line in lines if len(line) > 100 and not line.startswith("![")] == []
 
 
 def vcmvsp_command(*arguments: str) -> None:
@@ -76,7 +83,7 @@ def test_worlds_and_vehicles_are_shown_as_the_readme_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    commands = re.findall(r"^    vcmvsp ((?:list|show|world|drive) .*)$", README, re.MULTILINE)
+    commands = re.findall(r"^    vcmvsp ((?:list|show|world|drive) .*)$", WORLDS, re.MULTILINE)
     for command in commands:
         vcmvsp_command(*shlex.split(command, comments=True))
     assert len(commands) == 4
@@ -95,6 +102,7 @@ def test_the_vehicles_of_the_readme_are_understood() -> None:
     assert all(each["kind"] in builtin_kinds.KINDS["sensor"] for each in parsed.vehicle[0].sensors.values())
 
 
-def test_every_link_leads_somewhere() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_leads_somewhere(page: str) -> None:
+    for target in re.findall(r"\]\((?!\w+:)([^)#]+)[^)]*\)", PAGES[page]):
+        assert (ROOT / page).parent.joinpath(target).exists(), target

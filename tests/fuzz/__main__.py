@@ -17,6 +17,8 @@ import vcmvsp
 from tests.fuzz import forked, mutations
 from vcmvsp.cosim.runs.result import Result
 
+PROGRESS_EVERY = 500  # cases
+
 
 def fuzz() -> int:
     parser = argparse.ArgumentParser("python -m tests.fuzz", description=(__doc__ or "").partition("\n\n")[2])
@@ -40,6 +42,8 @@ def fuzz() -> int:
                 _say(f"python -m tests.fuzz --seed {chosen.seed} --case {number}: vcmvsp {shlex.join(words)[:500]}")
                 _say(*(f"    {each}" for each in found), *(f"    | {each[:300]}" for each in said))
             failed += bool(found)
+            if number % PROGRESS_EVERY == PROGRESS_EVERY - 1:
+                _say(f"{number + 1} of {chosen.cases} cases, {failed} failed")
     _say(f"{failed} of {chosen.cases if chosen.case is None else 1} cases failed (seed {chosen.seed})")
     return bool(failed)
 

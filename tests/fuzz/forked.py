@@ -14,10 +14,8 @@ from vcmvsp.cosim.cli.app import main
 
 CPU_S, MEMORY_BYTES = 10, 2**30
 CODES = (0, 1, 2, 3)  # those of the README, but for Ctrl-C
-_WALL_S, _ADDRESSES_BYTES = (
-    300,
-    8 * MEMORY_BYTES,
-)  # of a command that waits for ever; beyond these, the machine itself would suffer
+_WALL_S = 1800  # of a command that waits forever; a loaded machine is slow
+_ADDRESSES_BYTES = 8 * MEMORY_BYTES  # beyond, the machine itself would suffer
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _NAMES = {
     "os.mkdir": 0,

@@ -22,7 +22,7 @@ from vcmvsp.netsim.bridge.gateways.base import Door
 
 HOME = ROOT / "netsim" / "bridge"
 README = (HOME / "README.md").read_text(encoding="utf-8")
-FRONT = (HOME.parents[1] / "README.md").read_text(encoding="utf-8")
+FRONT = (HOME.parents[1] / "docs" / "radio.md").read_text(encoding="utf-8")
 
 
 def block(language: str, words: str, page: str = README) -> str:
@@ -76,13 +76,13 @@ def test_the_worked_example(tmp_path: Path) -> None:
     assert [*rows[0]] == [*columns[1].split(", "), columns[2]]
 
 
-def test_the_ten_lines_of_the_first_page(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "setdefaulttimeout", lambda seconds: None)  # for all tests after this one
     run = BridgeRun("car1", "car2", "car3", delay={"seconds": 0.02})
     with running(run):
         space: dict[str, Any] = {}
         exec(
-            compile(at_ports(run.first_port, block("python", "where are you?", FRONT)), "README.md", "exec", dont_inherit=True),
+            compile(at_ports(run.first_port, block("python", "where are you?", FRONT)), "radio.md", "exec", dont_inherit=True),
             space,
         )
         for each in ("car1", "car2"):

@@ -21,7 +21,7 @@ HOSTS = "tests/cosim/hosts/test_containers.py::test_files_of_hosts_are_as_they_a
 NETWORK = "tests/cosim/cli/test_net.py::test_ping_fares_as_the_radio_recorded"
 LEFT_OVER = "tests/cosim/cli/test_net.py::test_status_tells_addresses_and_that_the_run_is_alive"
 PORTS = "tests/netsim/bridge/test_readme.py::test_the_worked_example"
-TEN_LINES = "tests/netsim/bridge/test_readme.py::test_the_ten_lines_of_the_first_page"
+TEN_LINES = "tests/netsim/bridge/test_readme.py::test_the_ten_lines_of_the_radios_page"
 OWN_DOOR = "tests/netsim/bridge/test_readme.py::test_the_door_of_ones_own"
 DIALOGUE = "tests/docs/test_doors.py::test_programs_at_the_doors"
 TURNS = "tests/netsim/sockets/test_readme.py::test_the_worked_example"
@@ -30,7 +30,7 @@ OBSERVER = "tests/cosim/hosts/test_watch.py::test_the_readme_watches_a_run"
 
 def _in_the_gallery() -> dict[str, str]:
     """Runs of the built-in scenarios, which the tests of the gallery make as the page has them; studies of them."""
-    found = {"vcmvsp run recon-urban": SEARCHES}  # shorter there
+    found: dict[str, str] = {}
     for each in COMMANDS:
         words = re.fullmatch(r"vcmvsp (run|study) (\S+)( --(set|out) \S+)*", each.text)
         if words and each.page == "scenarios/README.md" and (name := words[2]) in loader.names():
@@ -63,7 +63,7 @@ ELSEWHERE = _in_the_gallery() | {
     "vcmvsp doctor --connect tls/192.168.1.10:7447 --keys anna.keys": MACHINES,
     "vcmvsp run formation-circle --realtime --listen tls/0.0.0.0:7447 --keys keys": WATCHED,
     "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
-        "tests/docs/test_doors.py::test_ports_are_where_the_first_page_has_them"
+        "tests/docs/test_doors.py::test_ports_are_where_the_page_has_them"
     ),
     "vcmvsp launch gap.toml --hosts hosts.toml --keys keys": STARTED,
     "vcmvsp launch my_scenario.toml --hosts hosts.toml --keys keys": STARTED,
@@ -89,6 +89,7 @@ ELSEWHERE = _in_the_gallery() | {
 
 NO_CONTAINERS = "there are no containers on machines that run these tests"
 UNRUN = {
+    "make test": "it runs the tests themselves",
     ".uv/bin/uv build --wheel": "it fetches what builds wheels",
     "docker build -t vcmvsp -f cosim/deploy/Containerfile .": NO_CONTAINERS,
     "mkdir -p results": "no program of ours; the command after it needs containers",
@@ -107,7 +108,7 @@ UNRUN = {
 SHOWN = {
     ("README.md", "formation-circle: 3 agents"): "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
     ("README.md", "class KeepGap"): "tests/docs/test_readme.py::test_the_twenty_lines_keep_the_gap",
-    ("README.md", "where are you?"): TEN_LINES,
+    ("docs/radio.md", "where are you?"): TEN_LINES,
     ("README.md", "r = vcmvsp.run("): "tests/docs/test_readme.py::test_the_lines_for_python_run",
     (
         "agents/README.md",

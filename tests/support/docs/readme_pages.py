@@ -14,6 +14,7 @@ PAGES = {
     for path in (
         ROOT / "README.md",
         ROOT / "CONTRIBUTING.md",
+        *sorted((ROOT / "docs").glob("*.md")),
         *(page for part in PARTS for page in sorted((ROOT / part).rglob("README.md"))),
     )
 }

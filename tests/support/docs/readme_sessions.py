@@ -64,6 +64,8 @@ STORIES = (
         "a run and what is made of it",
         (
             Step("vcmvsp run formation-circle", f"{HERE} --set duration_s=2"),
+            Step("vcmvsp report runs/formation-circle-1"),
+            Step("vcmvsp plot runs/formation-circle-1 --svg"),
             Step("vcmvsp export runs/formation-circle-1 --rosbag2 --csv --mp4 --layout"),
             Step("vcmvsp radio runs/formation-circle-1 --link car1/car2 --frame lost"),
             Step("vcmvsp radio formation-circle --coverage car1 --out map.png"),
@@ -87,6 +89,15 @@ STORIES = (
         ),
     ),
     Story(
+        "a study of one key",
+        (
+            Step(
+                "vcmvsp study formation-slalom --vary radio.loss.probability=0:0.8:0.2 --seeds 20 --out slalom",
+                ONE_EACH,
+            ),
+        ),
+    ),
+    Story(
         "an agent of ones own",
         (
             Step("vcmvsp run gap.toml --agents process", BRIEF),
@@ -99,6 +110,7 @@ STORIES = (
         "a scenario of ones own",
         (
             Step("vcmvsp list"),
+            Step("vcmvsp list scenarios"),
             Step("vcmvsp show formation-circle > mine.toml"),
             Step("vcmvsp check mine.toml"),
             Step("vcmvsp run mine.toml", f"{HERE} {BRIEF}"),
