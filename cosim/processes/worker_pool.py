@@ -49,12 +49,12 @@ class Worker:
             self._pipe: Connection[Any, Any] = Connection(ours.detach())
             with theirs:
                 self._process = subprocess.Popen(command, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, process_group=0)
-            os.write(self._pipe.fileno(), json.dumps(sys.path).encode() + b"\n")
         except OSError as error:
             raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
         try:
+            os.write(self._pipe.fileno(), json.dumps(sys.path).encode() + b"\n")
             ready = self.run(call)
-        except WorkerDiedError:
+        except (BrokenPipeError, WorkerDiedError):
             ready = None
         if ready != READY:
             self.close()

@@ -156,7 +156,7 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
     assert set(json.loads((tmp_path / "out" / "about.json").read_text())["agents"].values()) == {"zenoh"}
 
 
-def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+def wait_for(condition: Callable[[], bool], timeout_s: float = 500.0) -> None:
     last = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < last

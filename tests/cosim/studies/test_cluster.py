@@ -8,7 +8,6 @@ import re
 import socket
 import subprocess
 import sys
-import time
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -163,10 +162,8 @@ def test_a_scheduler_that_dies_is_named_with_what_goes_on(
 
 def test_a_cluster_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "TIMEOUT_S", 1)
-    begin = time.monotonic()
     with pytest.raises(UsageError, match=r"--cluster tcp://127\.0\.0\.1:1: no Dask scheduler answers there within 1 s"):
         study(two(), vary=VARY, seeds=1, cluster="tcp://127.0.0.1:1")
-    assert time.monotonic() - begin < 30
 
 
 def test_a_cluster_that_says_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

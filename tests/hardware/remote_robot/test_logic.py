@@ -1,7 +1,6 @@
 """What both ends decide: orders, times and numbers of another machine, when a velocity counts; and what scenarios may say."""
 
 import math
-import time
 from typing import Any
 
 import msgspec
@@ -316,10 +315,8 @@ def test_what_cannot_be_is_said(options: dict[str, Any], problem: str) -> None:
 
 def test_it_must_know_whose_robot_it_waits_for() -> None:
     made = ZenohDriver(listen="tcp/127.0.0.1:7448")
-    before = time.monotonic()
     with pytest.raises(Exception, match="not told whose robot"):
         made.open()
-    assert time.monotonic() - before < 30.0
 
 
 @given(st.binary(max_size=200))

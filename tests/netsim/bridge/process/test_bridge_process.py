@@ -343,11 +343,9 @@ def test_one_that_does_not_read_holds_up_nobody_and_is_ended(started: list[Besid
     process = Beside.start(opening(udp(free_ports(300))))
     process.wait_ready()
     os.kill(process.pid, signal.SIGSTOP)
-    began = time.monotonic()
     said = messages.Spoken(sender=0, receiver=1, at_ns=0, payload=bytes(60_000))
     with pytest.raises(FederateError, match=rf"bridge: its process \(pid {process.pid}\) does not read any more"):
         deque(map(process.say, itertools.repeat(said)), 0)
     assert process.unsaid
-    assert time.monotonic() - began < 10.0
     process._process.kill()
     process.close()
