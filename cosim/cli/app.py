@@ -6,8 +6,11 @@ A module of this package holds the commands of one subject and loads heavy parts
 import os
 import signal
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import typer
+import typer.core
 
 from vcmvsp.cosim.cli.calibrate import calibrate_command, calibrate_recognition_command
 from vcmvsp.cosim.cli.doctor import doctor_command
@@ -31,48 +34,72 @@ from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 HANGS_UP = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
 """The end of a terminal is Ctrl-C too, unless somebody wants it ignored, as nohup does."""
 
+
+class Panels(typer.core.TyperGroup):
+    """A group whose help lists the commands in panels of one subject each."""
+
+    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # click's types are private to typer
+        """Write the panels."""
+        for panel, commands in PANELS.items():
+            with formatter.section(panel):
+                formatter.write_dl([(name, self.commands[name].short_help or "") for name in commands])
+
+
 app = typer.Typer(
     name="vcmvsp",
+    cls=Panels,
     help="Simulate many vehicles and the radio between them.\n\nStart with: vcmvsp run formation-circle",
     no_args_is_help=True,
     rich_markup_mode=None,  # rich help costs a third of a second at every start
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-app.command("run", epilog=PROGRAM)(run_command)
-app.command("agent")(agent_command)
-app.command("check", epilog=PROGRAM)(check_command)
-app.command("plot", epilog=DATA)(plot_command)
-app.command("doctor")(doctor_command)
-app.command("drive", epilog=PROGRAM)(drive_command)
-app.command("replay", epilog=PROGRAM)(replay_command)
-app.command("export", epilog=DATA)(export_command)
-app.command("report", epilog=DATA)(report_command)
-app.command("launch", epilog=PROGRAM)(launch_command)
-app.command("study", epilog=PROGRAM)(study_command)
-app.command("figure")(figure_command)
-app.command("validate")(validate_command)
-app.command("bench")(bench_command)
-app.command("new")(new_command)
-app.command("reference")(reference_command)
-app.command("list")(list_command)
-app.command("show", epilog=PROGRAM)(show_command)
-app.command("world", epilog=PROGRAM)(world_command)
-app.command("radio", epilog=f"{DATA} {PROGRAM}")(radio_command)
-app.command("calibrate", epilog=PROGRAM)(calibrate_command)
-app.command("calibrate-recognition", epilog=PROGRAM)(calibrate_recognition_command)
-app.command("view", epilog=DATA)(view_command)
-app.command("watch")(watch_command)
-app.command("channel")(channel_command)
-app.command("per")(per_command)
-app.command("pathloss")(pathloss_command)
-app.command("stop")(stop_command)
-app.command("operator")(operator_command)
-app.command("robot")(robot_command)
-app.add_typer(emulate_app)
-app.add_typer(keys_app)
-app.add_typer(net_app)
+PANELS = {
+    "Run": ("run", "check", "study", "replay", "drive"),
+    "Look": ("view", "report", "plot", "export"),
+    "Radio": ("radio", "channel", "pathloss", "per", "calibrate", "net"),
+    "Robots": ("robot", "operator", "stop", "emulate", "calibrate-recognition"),
+    "Machines": ("agent", "launch", "watch", "keys", "doctor"),
+    "Build your own": ("list", "show", "reference", "world", "new"),
+    "Proof": ("validate", "figure", "bench"),
+}
+_COMMANDS: tuple[tuple[str, Callable[..., None], str, str | None], ...] = (  # name, function, summary in one line, epilog
+    ("run", run_command, "Run a scenario", PROGRAM),
+    ("check", check_command, "Check the keys of a scenario without running it", PROGRAM),
+    ("study", study_command, "Run a scenario over a grid of values and seeds", PROGRAM),
+    ("replay", replay_command, "Repeat a recorded run, changed or unchanged", PROGRAM),
+    ("drive", drive_command, "Print the response of a vehicle to one command", PROGRAM),
+    ("view", view_command, "Replay a recorded run in the browser", DATA),
+    ("report", report_command, "Make report.html of a run or study again", DATA),
+    ("plot", plot_command, "Make the figures of a run again", DATA),
+    ("export", export_command, "Convert a recording: ROS 2 bag, CSV, film, layout", DATA),
+    ("radio", radio_command, "Explain losses and link budgets; map coverage", f"{DATA} {PROGRAM}"),
+    ("channel", channel_command, "Simulate broadcasts of static radios alone", None),
+    ("pathloss", pathloss_command, "Tabulate loss, received power, SNR by distance", None),
+    ("per", per_command, "Tabulate packet error rates by SNR", None),
+    ("calibrate", calibrate_command, "Fit a channel model to measured levels", PROGRAM),
+    ("robot", robot_command, "Drive a robot from its own computer", None),
+    ("operator", operator_command, "Hold the operator's deadman for real robots", None),
+    ("stop", stop_command, "Stop all robots that this machine drives", None),
+    ("calibrate-recognition", calibrate_recognition_command, "Measure detection and false-alarm rates", PROGRAM),
+    ("agent", agent_command, "Host agents for a run on another machine", None),
+    ("launch", launch_command, "Run a scenario and start its hosts over ssh", PROGRAM),
+    ("watch", watch_command, "Print the topics of a run, here or elsewhere", None),
+    ("doctor", doctor_command, "Check this installation or a connection", None),
+    ("list", list_command, "List scenarios, or kinds of a group", None),
+    ("show", show_command, "Print a scenario, or the parameters of a kind", PROGRAM),
+    ("reference", reference_command, "Print the keys of a scenario", None),
+    ("world", world_command, "Draw a world", PROGRAM),
+    ("new", new_command, "Write a template of an agent, sensor or driver", None),
+    ("validate", validate_command, "Measure every law and outside reference anew", None),
+    ("figure", figure_command, "Make a figure of the thesis and compare it", None),
+    ("bench", bench_command, "Measure speed beside other tools", None),
+)
+for _name, _function, _summary, _epilog in _COMMANDS:
+    app.command(_name, short_help=_summary, epilog=_epilog)(_function)
+app.add_typer(emulate_app, short_help="Emulate robots and positioning at a real port")
+app.add_typer(keys_app, short_help="Make certificates for other machines")
+app.add_typer(net_app, short_help="Give each vehicle a network namespace (root)")
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -117,10 +117,10 @@ def robot_command(
 
 
 for _name in ("amigobot", "p2dx", "amigo-sh"):
-    emulate_app.command(_name, epilog=PROGRAM)(robot_command)
+    emulate_app.command(_name, short_help="A robot with ARCOS, serial or TCP", epilog=PROGRAM)(robot_command)
 
 
-@emulate_app.command("ubisense")
+@emulate_app.command("ubisense", short_help="A Ubisense positioning system over UDP")
 def ubisense_command(
     port: Annotated[str, typer.Option(metavar="udp://HOST:PORT", help="Where datagrams go.")],
     pose: Pose = None,
@@ -146,7 +146,7 @@ def ubisense_command(
     _show_tag(tags, pose, circle, duration, as_json=json)
 
 
-@emulate_app.command("dwm1001")
+@emulate_app.command("dwm1001", short_help="A DWM1001 positioning tag at a serial port")
 def dwm1001_command(
     port: Annotated[str, typer.Option(metavar="PTY|PATH", help="A pseudo-terminal, or a path that leads to one.")] = "PTY",
     pose: Pose = None,
@@ -172,7 +172,7 @@ def dwm1001_command(
     _show_tag(tags, pose, circle, duration, as_json=json)
 
 
-@emulate_app.command("mavlink")
+@emulate_app.command("mavlink", short_help="A vehicle with MAVLink over UDP or TCP")
 def mavlink_command(
     port: Annotated[
         str, typer.Option(metavar="PORT", help="udp://HOST:PORT, where its messages go, or tcp://HOST:PORT, where it listens.")
@@ -200,7 +200,7 @@ def mavlink_command(
     )
 
 
-@emulate_app.command("ros2")
+@emulate_app.command("ros2", short_help="A robot with ROS 2 over rmw_zenoh")
 def ros2_command(
     port: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Endpoint of Zenoh, where it listens.")] = (
         "tcp/127.0.0.1:7447"

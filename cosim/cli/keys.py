@@ -29,7 +29,7 @@ keys_app = typer.Typer(
 )
 
 
-@keys_app.command("init")
+@keys_app.command("init", short_help="Make an authority, which signs certificates")
 def init_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder; it stays on this machine.")] = HERE,
     name: Names = None,
@@ -45,7 +45,7 @@ def init_command(
     _say_hub(authority.init(folder, name or (), days=days, force=force))
 
 
-@keys_app.command("hub")
+@keys_app.command("hub", short_help="Make the certificate of this machine's runs again")
 def hub_command(
     name: Names = None,
     keys: KeysDir = HERE,
@@ -60,7 +60,7 @@ def hub_command(
     _say_hub(authority.renew_hub(keys, name or (), days=days))
 
 
-@keys_app.command("vehicle")
+@keys_app.command("vehicle", short_help="Make the key file of a machine that hosts agents")
 def vehicle_command(
     vehicle: Annotated[list[str], typer.Argument(metavar="NAME...", help="The vehicles whose agents the machine may run.")],
     keys: KeysDir = HERE,
@@ -83,7 +83,7 @@ def vehicle_command(
     )
 
 
-@keys_app.command("observer")
+@keys_app.command("observer", short_help="Make the key file of an observer")
 def observer_command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Who will watch.")],
     keys: KeysDir = HERE,
@@ -100,7 +100,7 @@ def observer_command(
     _say_bundle(authority.issue(keys, name, days=days, out=out, force=force), "there: vcmvsp watch")
 
 
-@keys_app.command("list")
+@keys_app.command("list", short_help="List certificates, their vehicles and expiry")
 def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
     """Show who has a certificate, for which vehicles, and until when.
 
@@ -122,7 +122,7 @@ def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
         sys.stdout.write(f"{name:<{width}}  {role:<8}  until {until:%Y-%m-%d}  {state:<12}  {what}".rstrip() + "\n")
 
 
-@keys_app.command("revoke")
+@keys_app.command("revoke", short_help="Revoke the certificate of a machine")
 def revoke_command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="As 'vcmvsp keys list' shows it.")], keys: KeysDir = HERE
 ) -> None:

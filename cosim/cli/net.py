@@ -29,7 +29,7 @@ net_app = typer.Typer(
 )
 
 
-@net_app.command("up", epilog=PROGRAM)
+@net_app.command("up", short_help="Run a scenario with a namespace for each vehicle", epilog=PROGRAM)
 def up_command(
     scenario: ScenarioName,
     duration: Annotated[
@@ -81,7 +81,7 @@ def up_command(
     conduct(api.run, scenario, sets, out, seed=seed, realtime=1.0, force=force, json=json, quiet=quiet, page=page)
 
 
-@net_app.command("exec")
+@net_app.command("exec", short_help="Start a program in a vehicle's namespace")
 def exec_command(
     vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="On whose machine.")],
     command: Annotated[list[str], typer.Argument(metavar="-- COMMAND...", help="The program and its arguments.")],
@@ -109,7 +109,7 @@ def exec_command(
         raise UsageError(f"{' '.join(command)}: {what}{error.strerror}") from error
 
 
-@net_app.command("status")
+@net_app.command("status", short_help="Show the networks on this machine")
 def status_command(json: AsJson = False) -> None:
     """Show the networks on this machine: addresses, and whether their runs are alive.
 
@@ -129,7 +129,7 @@ def status_command(json: AsJson = False) -> None:
         sys.stdout.write("no run has a network on this machine\n")
 
 
-@net_app.command("down")
+@net_app.command("down", short_help="Remove the networks of killed runs")
 def down_command(
     run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="Whose [all].")] = None,
     force: Annotated[bool, typer.Option("--force", help="Also that of a run that is alive, which ends.")] = False,

@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer.main
 
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 from tests.support.cosim.run_processes import UNDRAWN
+from vcmvsp.cosim.cli.app import PANELS, app
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.terminal import progress
 
@@ -163,6 +165,14 @@ def test_every_command_has_help(command: str) -> None:
     assert f"{command} [OPTIONS]" in out
     if command not in ("list", "doctor"):
         assert "Example: vcmvsp" in out
+
+
+def test_help_lists_every_command_once_in_a_whole_line() -> None:
+    _, out, _ = vcmvsp_command("--help")
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # it is a group
+    assert sorted(name for names in PANELS.values() for name in names) == sorted(commands)
+    for text in (out, *(vcmvsp_command(group, "--help").out for group in ("keys", "net", "emulate"))):
+        assert re.findall(r"[^\]]\.\.\.$", text, re.MULTILINE) == []
 
 
 # --- what is said where -----------------------------------------------------------------------------------------------------
