@@ -80,7 +80,7 @@ class Seat:
     def start(self, run: RunInfo) -> None:
         """Tell the agent who and where it is."""
         self._radio, self._started = Radio(self.vehicle, run.vehicles), True
-        self._others = frozenset(run.vehicles) - {self.vehicle}
+        self._vehicles = run.vehicles
         about = VehicleInfo(
             name=self.vehicle,
             vehicles=run.vehicles,
@@ -211,7 +211,7 @@ class Seat:
             place = msgspec.convert(msgspec.to_builtins(follows, enc_hook=lambda number: number.item()), Follows)
         except (msgspec.ValidationError, TypeError, AttributeError):
             raise self._error(f"has set follows to {messages.show(follows)}; it must be a Follows, or None") from None
-        if place.leader not in self._others:
+        if place.leader == self.vehicle or place.leader not in self._vehicles:
             raise self._error(f"has set follows.leader to {place.leader!r}, which is not another vehicle of this run")
         return place
 

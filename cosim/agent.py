@@ -4,6 +4,7 @@ The same class runs in the simulation, in another process, on another machine an
 and has no clock, no thread and no socket.
 """
 
+import functools
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -111,11 +112,17 @@ class AgentInfo(Value, frozen=True, kw_only=True):
     files: tuple[str, ...] = ()  # those that its parameters name, as they are written
 
 
+@functools.lru_cache(maxsize=1)
+def _name_set(names: tuple[str, ...]) -> frozenset[str]:
+    """One set of names for all agents of a run: each with its own would take memory that grows with their square."""
+    return frozenset(names)
+
+
 class Radio:
     """The agent's own transmitter: what is sent here enters the emulated channel when the tick ends."""
 
     def __init__(self, vehicle: str, vehicles: tuple[str, ...]) -> None:
-        self._vehicle, self._vehicles = vehicle, frozenset(vehicles)
+        self._vehicle, self._vehicles = vehicle, _name_set(vehicles)
         self._outbox: list[Message] = []
 
     def send(

@@ -120,11 +120,11 @@ def call(
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever somebody's own class raises
-        problem = said_by(error)
+        problem = text = said_by(error)
         if not isinstance(error, ValueError):
             problem = f"{target.__name__} raised {words_of(error)}{place_of(error)}"
-        mentioned = [name for name in values if re.search(rf"\b{name}\b", problem)]  # a constructor says which one it means
-        where = join(key, mentioned[0]) if len(mentioned) == 1 and _is_named(mentioned[0], problem) else key
+        mentioned = [name for name in values if re.search(rf"\b{name}\b", text)]  # a constructor says which one it means
+        where = join(key, mentioned[0]) if len(mentioned) == 1 and _is_named(mentioned[0], text) else key
         raise ScenarioError(problem, key=where, source=origin.of(where)) from error
 
 

@@ -135,10 +135,15 @@ def test_a_value_error_of_the_target_names_the_table_or_the_one_key_that_it_ment
 
 
 def test_where_an_error_was_raised_is_no_mention_of_a_parameter() -> None:
-    def storm(line: int, storm: int) -> None:
+    def storm(line: int) -> None:
         raise TypeError("this is beyond all scales")
 
-    error = refusal({"line": 13, "storm": 1}, storm)
+    def rain(rain: int) -> None:
+        raise TypeError("this is beyond all scales")
+
+    error = refusal({"rain": 1}, rain)
+    assert (error.key, error.problem.partition(":")[0]) == ("radio.rain", "rain raised TypeError")
+    error = refusal({"line": 13}, storm)
     assert (error.key, error.problem.partition(":")[0]) == ("radio.rain", "storm raised TypeError")
 
 

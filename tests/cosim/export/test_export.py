@@ -266,8 +266,9 @@ def test_of_an_export_to_a_full_disk_nothing_stays(output: str, room: int, tmp_p
 
 def test_what_was_there_before_an_export_to_a_full_disk_stays(tmp_path: Path) -> None:
     (tmp_path / "run.mp4").write_bytes(b"an older film")
-    with room_for(1000), pytest.raises(UsageError):
-        export(export_runs.run_of("a crossing cart"), mp4=tmp_path / "run.mp4", force=True)
+    folder = export_runs.run_of("a crossing cart")
+    with room_for(1000), pytest.raises(UsageError, match=r"run\.mp4: cannot be written"):
+        export(folder, mp4=tmp_path / "run.mp4", force=True)
     assert [path.name for path in tmp_path.iterdir()] == ["run.mp4"]
     assert (tmp_path / "run.mp4").read_bytes() == b"an older film"
 
